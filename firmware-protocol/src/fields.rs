@@ -1,6 +1,6 @@
 use crate::MAX_PAYLOAD_BYTES;
 
-/// Lays little-endian fields one after the other into a payload.
+/// Writes little-endian fields one after the other into a payload.
 pub(crate) struct Writer {
     bytes: [u8; MAX_PAYLOAD_BYTES],
     length: usize,
@@ -21,8 +21,8 @@ impl Writer {
     }
 }
 
-/// Takes little-endian fields from a payload whose length has been checked; past the end it reads
-/// zeros, so that no input can make it panic.
+/// Reads little-endian fields one after the other from a payload. A field that the rest of the
+/// payload cannot fill reads as zeros, so that no input causes a panic.
 pub(crate) struct Reader<'a> {
     rest: &'a [u8],
 }

@@ -2,17 +2,17 @@ use core::fmt;
 
 use crc::{CRC_16_IBM_SDLC, Crc};
 
-/// Largest payload of a message, that of the sample reply.
+/// Largest payload of a message, bytes: the payload of the sample reply.
 pub const MAX_PAYLOAD_BYTES: usize = 25;
 
-/// Size of type and sequence number before the payload.
+/// Bytes of type and sequence number, which precede the payload.
 const HEADER_BYTES: usize = 3;
 const CRC_BYTES: usize = 2;
 const MAX_BODY_BYTES: usize = HEADER_BYTES + MAX_PAYLOAD_BYTES + CRC_BYTES;
-/// Bytes that COBS adds to a frame of this length.
+/// Largest body after COBS, bytes: COBS adds one byte to any body of this protocol.
 const MAX_ENCODED_BYTES: usize = MAX_BODY_BYTES + 1;
 
-/// Largest frame on the wire with its closing 0x00: 32 bytes, 640 microseconds.
+/// Largest frame on the wire with its closing 0x00, bytes: 32, which take 640 microseconds.
 pub const MAX_FRAME_BYTES: usize = MAX_ENCODED_BYTES + 1;
 
 const DELIMITER: u8 = 0;
@@ -37,7 +37,8 @@ impl Frame {
     }
 }
 
-/// Bytes ready for the wire: COBS of the body, closed by 0x00.
+/// Bytes ready for the wire: the body under COBS (consistent-overhead byte stuffing, which leaves
+/// no 0x00 in it), closed by 0x00.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct EncodedFrame {
     bytes: [u8; MAX_FRAME_BYTES],
@@ -51,8 +52,8 @@ impl EncodedFrame {
         &self.bytes[..self.length]
     }
 
-    /// Encodes any type and payload, even those that no message has, to test other implementations.
-    /// Payload beyond [`MAX_PAYLOAD_BYTES`] is dropped.
+    /// Encodes any type and payload, including those of no message, so that tests can send invalid
+    /// frames. Payload beyond [`MAX_PAYLOAD_BYTES`] is dropped.
     #[must_use]
     pub fn new(message_type: u8, sequence: u16, payload: &[u8]) -> Self {
         let payload = &payload[..payload.len().min(MAX_PAYLOAD_BYTES)];
@@ -81,20 +82,20 @@ impl fmt::Debug for EncodedFrame {
     }
 }
 
-/// The reason why bytes between two delimiters are not a frame. Each is dropped in silence and
-/// counted.
+/// The reason why bytes between two delimiters are not a frame. The receiver drops such bytes in
+/// silence and counts them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
     /// There are more bytes than in the largest frame.
     TooLong,
-    /// They are not COBS, or fewer bytes than in the smallest frame.
+    /// The bytes are not COBS, or are fewer than in the smallest frame.
     Garbled,
-    /// The checksum differs.
+    /// The checksum of the frame differs from that of its content.
     Checksum,
 }
 
-/// Splits a stream of bytes into frames. It is fed byte by byte, does no I/O, and accepts any
-/// bytes.
+/// Splits a stream of bytes into frames. The decoder takes one byte at a time, does no I/O, and
+/// accepts any bytes.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     buffer: [u8; MAX_ENCODED_BYTES],
@@ -115,7 +116,8 @@ impl Decoder {
         Self { buffer: [0; MAX_ENCODED_BYTES], length: 0 }
     }
 
-    /// Takes one byte. At a delimiter it returns the frame before it; an empty frame gives nothing.
+    /// Takes one byte. A delimiter returns the frame before it, or the reason why the bytes before
+    /// it are no frame; any other byte, and a delimiter with no bytes before it, returns `None`.
     pub fn push(&mut self, byte: u8) -> Option<Result<Frame, FrameError>> {
         if byte != DELIMITER {
             if let Some(place) = self.buffer.get_mut(self.length) {
@@ -132,7 +134,7 @@ impl Decoder {
         }
     }
 
-    /// Drops a partial frame.
+    /// Drops the bytes since the last delimiter.
     pub fn reset(&mut self) {
         self.length = 0;
     }

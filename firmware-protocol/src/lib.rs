@@ -2,7 +2,7 @@
 //! scaling, version.
 //!
 //! Host and emulator share only this crate, and the microcontroller's program is written against
-//! the same `PROTOCOL.md` and `golden.txt`. The crate does no I/O, keeps no clock, allocates
+//! this crate's `PROTOCOL.md` and `golden.txt`. The crate does no I/O, keeps no clock, allocates
 //! nothing and imports nothing of the project.
 //!
 //! ```
@@ -35,8 +35,9 @@ pub use timing::{
     BAUD_RATE, BITS_PER_BYTE, MAX_SAMPLE_AGE_US, NO_ACT_US, WATCHDOG_MS, WATCHDOG_POLL_MS,
 };
 
-/// The version of this protocol. Raised whenever anything in `PROTOCOL.md` changes meaning.
+/// The version of this protocol. It is raised whenever the meaning of anything in `PROTOCOL.md`
+/// changes.
 pub const PROTOCOL_VERSION: u16 = 2;
 
-/// Module id of a Qube in its first two SPI bytes; any other value means that there is no Qube.
+/// Module id in the first two SPI bytes of a Qube; any other value means that there is no Qube.
 pub const QUBE_MODULE_ID: u16 = 0x0309;

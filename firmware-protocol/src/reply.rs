@@ -9,12 +9,13 @@ const SAMPLE_REPLY: u8 = 0x83;
 const DISARM_REPLY: u8 = 0x85;
 const REFUSAL: u8 = 0x8F;
 
-/// A message of the device. It carries the sequence number of the request that it answers.
+/// A message from the device to the computer. Its frame carries the sequence number of the request
+/// that it answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// Answer to a hello.
     Hello(HelloReply),
-    /// Answer to an accepted arm.
+    /// Answer to an arm that was accepted.
     Arm {
         /// Time at which the watchdog began to count, by the device's clock, microseconds.
         device_time_us: u32,
@@ -32,24 +33,25 @@ pub enum Reply {
     },
 }
 
-/// Identity of the device. Type, length and first field are the same in every version of the
-/// protocol.
+/// Identity of the device. The message's type, its length and its first field are the same in every
+/// version of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HelloReply {
     /// Protocol version of the device.
     pub protocol_version: u16,
-    /// Version of its firmware: major, minor, patch.
+    /// Version of the device's firmware: major, minor, patch.
     pub firmware_version: [u8; 3],
     /// Kind of device: a [`DeviceKind`], or a number that this version has no name for.
     pub kind: u8,
-    /// Module id that the Qube reports; any other than [`QUBE_MODULE_ID`](crate::QUBE_MODULE_ID)
-    /// means that there is no Qube.
+    /// Module id that the Qube reports; any number other than
+    /// [`QUBE_MODULE_ID`](crate::QUBE_MODULE_ID) means that there is no Qube.
     pub module_id: u16,
     /// Serial number of the board.
     pub serial: [u8; 8],
     /// Nonce for the next arm; 0 if there is none.
     pub nonce: u32,
-    /// Number that stays the same from one start of the device to the next, and then changes.
+    /// Number of the device's start: constant while the device runs, another number after its next
+    /// start.
     pub boot_id: u16,
     /// Frames dropped since the device started, modulo 2^16.
     pub dropped_frames: u16,
@@ -60,9 +62,9 @@ pub struct HelloReply {
 pub struct SampleReply {
     /// Time at which the encoders were read, by the device's clock, microseconds modulo 2^32.
     pub device_time_us: u32,
-    /// Count of the arm's encoder.
+    /// Position of the arm by its encoder, counts: 2048 for a revolution.
     pub theta_counts: i32,
-    /// Count of the pendulum's encoder.
+    /// Position of the pendulum by its encoder, counts: 2048 for a revolution.
     pub alpha_counts: i32,
     /// Velocity of the arm by the tachometer, counts/s.
     pub tachometer_counts_s: i32,
@@ -70,20 +72,21 @@ pub struct SampleReply {
     pub current_ma: i16,
     /// The device's flags.
     pub status: StatusBits,
-    /// Voltage at the motor, mV, as in the motor word; 0 while the amplifier is off.
+    /// Voltage at the motor when the encoders were read, mV, in the motor's steps of 24 mV; 0 while
+    /// the amplifier is off.
     pub applied_mv: i16,
-    /// Sequence number of the last accepted act, or of the arm if there was none since; 0 from a
-    /// hello to the next arm.
+    /// Sequence number of the last accepted act, or of the arm if no act was accepted since; 0 from
+    /// a hello to the next arm.
     pub last_act_sequence: u16,
     /// Time from the previous sample to the first act accepted after it, microseconds, at most 65
-    /// 534; [`NO_ACT_US`](crate::NO_ACT_US) if there was none.
+    /// 534; [`NO_ACT_US`](crate::NO_ACT_US) if no act was accepted.
     pub sample_to_act_us: u16,
 }
 
 /// The answer to a disarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DisarmReply {
-    /// State of the device afterwards.
+    /// State of the device after the disarm.
     pub state: DeviceState,
     /// Nonce for the next arm; 0 if a hello must come first.
     pub nonce: u32,
@@ -91,7 +94,7 @@ pub struct DisarmReply {
     pub dropped_frames: u16,
 }
 
-/// Flags of the device, one bit each; bit 7 is 0.
+/// Flags of the device, one bit each. Bit 7 is 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StatusBits(pub u8);
 
@@ -113,7 +116,7 @@ impl StatusBits {
     /// Bits that are 0 in this version.
     pub const RESERVED: u8 = 1 << 7;
 
-    /// Whether a bit is set.
+    /// Whether this flag is set; `bit` is one of the constants above.
     #[must_use]
     pub fn has(self, bit: u8) -> bool {
         self.0 & bit != 0
@@ -153,7 +156,7 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// The states of a device; `PROTOCOL.md` has the table of transitions.
+    /// The state of a device; `PROTOCOL.md` has the table of transitions.
     DeviceState {
         /// Started, or greeted by a host of another protocol version. The motor is off.
         Idle = 0,
@@ -161,9 +164,10 @@ wire_enum! {
         Greeted = 1,
         /// Acts reach the motor.
         Armed = 2,
-        /// The watchdog switched the motor off. Latched.
+        /// The watchdog switched the motor off, which stays off until the next hello and arm.
         Tripped = 3,
-        /// Amplifier or Qube failed, or the emergency stop opened; the motor is off. Latched.
+        /// Amplifier or Qube failed, or the emergency stop opened. The motor stays off until the
+        /// next hello and arm.
         Faulted = 4,
     }
 }
@@ -171,25 +175,25 @@ wire_enum! {
 wire_enum! {
     /// The reason why a request was not carried out.
     RefusalReason {
-        /// No hello of this version came before.
+        /// No hello of this protocol version came before.
         NotGreeted = 1,
-        /// Not armed.
+        /// The device is not armed.
         NotArmed = 2,
-        /// The watchdog tripped: hello and arm first.
+        /// The watchdog has tripped: the host must send hello and arm first.
         WatchdogTripped = 3,
-        /// A fault is latched or lasts: hello and arm when its cause is gone.
+        /// A fault is latched or lasts: the host must send hello and arm once the cause is gone.
         Faulted = 4,
-        /// The nonce is not the last one given, or was used.
+        /// The nonce is not the last one given, or an arm has used it.
         WrongNonce = 5,
-        /// Armed already.
+        /// The device is armed already.
         AlreadyArmed = 6,
         /// The act is not newer than the last one accepted.
         StaleSequence = 7,
-        /// More than 5000 mV, either way.
+        /// The voltage is above 5000 mV or below -5000 mV.
         VoltageOutOfRange = 8,
         /// The Qube does not answer the microcontroller.
         QubeAbsent = 9,
-        /// The payload is longer or shorter than that of its type.
+        /// The payload is longer or shorter than a request of this type has.
         WrongLength = 10,
         /// No request has this type.
         UnknownType = 11,
@@ -225,7 +229,7 @@ impl RefusalReason {
 }
 
 impl Reply {
-    /// The type on the wire.
+    /// The reply's type on the wire.
     #[must_use]
     pub fn message_type(&self) -> u8 {
         match self {
@@ -237,7 +241,7 @@ impl Reply {
         }
     }
 
-    /// The bytes of the reply to the request with this sequence number.
+    /// Encodes the reply to the request with this sequence number.
     #[must_use]
     pub fn encode(&self, sequence: u16) -> EncodedFrame {
         let mut payload = Writer::new();
@@ -277,7 +281,8 @@ impl Reply {
     /// Parses the reply in a frame.
     ///
     /// # Errors
-    /// A type that no reply has, a payload of another length, or a number without a meaning.
+    /// Fails on a type that no reply has, a payload of another length than the type's, or a number
+    /// that stands for no state or reason.
     pub fn parse(frame: &Frame) -> Result<Self, ParseError> {
         let message_type = frame.message_type;
         let bad_field = ParseError::BadField(message_type);

@@ -10,10 +10,10 @@ const SAMPLE: u8 = 0x03;
 const ACT: u8 = 0x04;
 const DISARM: u8 = 0x05;
 
-/// A message of the computer.
+/// A message from the computer to the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// Asks for the identity, and switches the motor off in any state.
+    /// Asks for the device's identity, and switches the motor off in any state.
     Hello {
         /// Protocol version of the computer.
         protocol_version: u16,
@@ -25,25 +25,25 @@ pub enum Request {
     },
     /// Asks for one sample.
     Sample,
-    /// Sets the motor voltage. It is answered only if it is refused.
+    /// Sets the motor voltage. The device answers it only with a refusal.
     Act {
         /// Voltage in mV, -5000 to 5000.
         voltage_mv: i16,
-        /// `device_time_us` of the sample from which it was decided.
+        /// `device_time_us` of the sample from which the voltage was decided.
         sampled_at_us: u32,
     },
     /// Switches the amplifier off.
     Disarm,
 }
 
-/// The reason why a valid frame is not a message.
+/// The reason why a valid frame is not a message; each variant holds the frame's type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParseError {
-    /// No message of this direction has this type.
+    /// No message in this direction has the type.
     UnknownType(u8),
-    /// The payload is longer or shorter than that of its type.
+    /// The payload is longer or shorter than a message of the type has.
     WrongLength(u8),
-    /// A field holds a value that has no meaning.
+    /// A field of the payload holds a value that has no meaning.
     BadField(u8),
 }
 
@@ -66,7 +66,7 @@ impl fmt::Display for ParseError {
 impl core::error::Error for ParseError {}
 
 impl Request {
-    /// The type on the wire.
+    /// The request's type on the wire.
     #[must_use]
     pub fn message_type(&self) -> u8 {
         match self {
@@ -78,7 +78,7 @@ impl Request {
         }
     }
 
-    /// The bytes to send.
+    /// Encodes the request with this sequence number.
     #[must_use]
     pub fn encode(&self, sequence: u16) -> EncodedFrame {
         let mut payload = Writer::new();
@@ -97,7 +97,7 @@ impl Request {
     /// Parses the request in a frame.
     ///
     /// # Errors
-    /// A type that no request has, or a payload of another length.
+    /// Fails on a type that no request has, or a payload of another length than the type's.
     pub fn parse(frame: &Frame) -> Result<Self, ParseError> {
         let mut fields = Reader::new(frame.payload());
         let (length, request) = match frame.message_type {

@@ -1,14 +1,15 @@
-//! One documented constant and conversion per quantity of the Qube's 17-byte SPI frame.
+//! Constants and conversions for the quantities of the Qube's 17-byte SPI frame.
 //!
-//! The microcontroller computes the same in integers; `golden.txt` holds examples for both.
+//! The microcontroller's program computes the same integers; `golden.txt` holds examples by which
+//! this crate and the program are tested.
 
 /// Largest motor voltage that a device accepts, mV.
 pub const MAX_VOLTAGE_MV: i16 = 5000;
 
-/// Motor counts at full duty: ten times the percentage, less one.
+/// Motor counts at full duty: ten for each percent, less one.
 pub const FULL_MOTOR_COUNTS: i32 = 999;
 
-/// The Qube's supply, mV: the voltage of full duty.
+/// Voltage of full duty, mV: the Qube's supply.
 pub const SUPPLY_MV: i32 = 24_000;
 
 /// Bit 15 of the motor word switches the amplifier on.
@@ -26,35 +27,38 @@ pub const TACHOMETER_STILL: u32 = 0x7F_FFFF;
 /// Bit 23 of the tachometer: turning to negative counts.
 pub const TACHOMETER_NEGATIVE: u32 = 0x80_0000;
 
-/// Velocity in counts/s times ticks of 25 ns between edges: 4 / 25 ns.
+/// Product of the arm's speed, counts/s, and the tachometer's reading, ticks of 25 ns between
+/// edges: 4 counts / 25 ns.
 pub const TACHOMETER_COUNTS_S_TICKS: u32 = 160_000_000;
 
-/// mV to motor counts: mV * 999 / 24000, rounded to nearest, halves away from zero.
+/// Converts mV to motor counts: mV * 999 / 24000, rounded to the nearest count, halves away from
+/// zero.
 #[must_use]
 pub fn motor_counts(voltage_mv: i16) -> i16 {
     round_divide(i32::from(voltage_mv) * FULL_MOTOR_COUNTS, SUPPLY_MV) as i16
 }
 
-/// Motor counts back to mV: what the motor really gets. One count is 24 mV.
+/// Converts motor counts to the voltage that the motor really gets, mV. One count is 24 mV.
 #[must_use]
 pub fn motor_voltage_mv(motor_counts: i16) -> i16 {
     round_divide(i32::from(motor_counts) * SUPPLY_MV, FULL_MOTOR_COUNTS) as i16
 }
 
-/// The motor word of an amplifier that is on: bit 15, then 15 bits of two's complement.
-/// (An amplifier that is off gets 0x0000.)
+/// The motor word of an amplifier that is on: bit 15, then the counts as 15 bits of two's
+/// complement. (An amplifier that is off gets 0x0000.)
 #[must_use]
 pub fn motor_word(motor_counts: i16) -> u16 {
     MOTOR_ENABLE | (motor_counts as u16 & 0x7FFF)
 }
 
-/// Current in mA from the Qube's raw reading.
+/// Converts the Qube's raw reading of the motor current, ADC counts, to mA.
 #[must_use]
 pub fn current_ma(raw: u16) -> i16 {
     round_divide((i32::from(raw) - CURRENT_ZERO) * 1000, CURRENT_COUNTS_PER_A) as i16
 }
 
-/// Velocity in counts/s from the Qube's 24-bit tachometer; rounded towards zero.
+/// Converts the Qube's 24-bit tachometer reading to the arm's velocity, counts/s, rounded towards
+/// zero.
 #[must_use]
 pub fn tachometer_counts_s(raw: u32) -> i32 {
     let ticks = raw & TACHOMETER_STILL;
@@ -65,7 +69,7 @@ pub fn tachometer_counts_s(raw: u32) -> i32 {
     if raw & TACHOMETER_NEGATIVE != 0 { -speed } else { speed }
 }
 
-/// To nearest, halves away from zero; `denominator` is above 0.
+/// Divides and rounds to the nearest integer, halves away from zero; `denominator` is above 0.
 fn round_divide(numerator: i32, denominator: i32) -> i32 {
     let half = denominator / 2;
     (if numerator >= 0 { numerator + half } else { numerator - half }) / denominator

@@ -8,9 +8,10 @@ pub fn is_newer(candidate: u16, last: u16) -> bool {
     candidate.wrapping_sub(last) as i16 > 0
 }
 
-/// Whether an act at `now_us` that names the sample of `sampled_at_us` may be carried out: it must
-/// name the last sample that the device gave, which must be no older than [`MAX_SAMPLE_AGE_US`].
-/// All times are by the device's clock, modulo 2^32.
+/// Whether an act that arrives at `now_us` and names the sample of `sampled_at_us` may be carried
+/// out: it must name the last sample that the device gave (`given_us`, `None` if there is none),
+/// and that sample must be no older than [`MAX_SAMPLE_AGE_US`]. All times are by the device's
+/// clock, microseconds modulo 2^32.
 ///
 /// In C: `given && sampled_at == given_at && (uint32_t)(now - sampled_at) <= MAX_SAMPLE_AGE_US`.
 #[must_use]

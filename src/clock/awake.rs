@@ -2,15 +2,16 @@ use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// The kernel's file for a bound on wake-up latency; the bound holds while the file is open (Linux,
-/// `Documentation/power/pm_qos_interface.rst`).
+/// The kernel's file for a bound on the processors' wake-up latency. The bound holds while the file
+/// is open (Linux, `Documentation/power/pm_qos_interface.rst`).
 pub const CPU_DMA_LATENCY: &str = "/dev/cpu_dma_latency";
 
-/// Requested bound on the wake-up time of a processor, us.
+/// Requested bound on the wake-up time of a processor, us: 0 keeps it from sleeping.
 const WAKE_UP_US: i32 = 0;
 
-/// A request to the kernel that keeps every processor awake, in force until it is dropped or the process
-/// ends. A processor that sleeps deeply between two ticks wakes up 0.1 ms late.
+/// A request to the kernel that keeps every processor awake. It is in force until this value is
+/// dropped or the process ends. A processor that sleeps deeply between two ticks wakes up 0.1 ms
+/// late.
 #[derive(Debug)]
 #[must_use = "the processors may sleep again as soon as it is dropped"]
 pub struct AwakeProcessor {

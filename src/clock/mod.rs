@@ -1,5 +1,5 @@
-//! Time as an argument: the wall clock, or a virtual clock under which a session runs faster than real
-//! time; and the operating system's services for threads that must be on time.
+//! Time as an argument: the wall clock, or a virtual clock under which a session runs faster than
+//! real time. The room also has the operating system's services for threads that must be on time.
 //!
 //! The room imports nothing.
 //!
@@ -25,19 +25,20 @@ pub use punctual::PunctualClock;
 pub use realtime::{RealtimeReport, enter_realtime};
 pub use virtual_clock::VirtualClock;
 
-/// Nanoseconds since an arbitrary origin that never moves backwards.
+/// Nanoseconds: a point in time, counted from an arbitrary fixed origin, or a duration.
 pub type Nanoseconds = u64;
 
-/// A source of time that can also be waited on. Every function that waits takes one.
+/// A source of time that a thread can also wait on. Every function that waits takes a clock.
 pub trait Clock: Send + Sync {
-    /// The time now.
+    /// The present time, which never goes backwards.
     fn now_ns(&self) -> Nanoseconds;
 
-    /// Returns at `deadline_ns` or as soon after it as the scheduler allows; at once if it passed.
+    /// Returns at `deadline_ns` or as soon afterwards as the scheduler allows; at once if the
+    /// deadline has passed.
     fn sleep_until(&self, deadline_ns: Nanoseconds);
 
-    /// Keeps the processors awake until the returned value is dropped; `None` where that is not permitted
-    /// or the clock does not need it.
+    /// Keeps the processors awake until the returned value is dropped. Returns `None` where the
+    /// operating system does not permit this or the clock does not need it.
     fn stay_awake(&self) -> Option<AwakeProcessor> {
         None
     }

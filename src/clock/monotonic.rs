@@ -5,7 +5,8 @@ use super::{Clock, Nanoseconds};
 
 const NS_PER_S: u64 = 1_000_000_000;
 
-/// `CLOCK_MONOTONIC` with absolute deadlines, so that errors of one wait do not add to the next.
+/// The system's `CLOCK_MONOTONIC`. Deadlines are absolute, so that errors of one wait do not add to
+/// the next.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MonotonicClock;
 

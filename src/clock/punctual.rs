@@ -2,15 +2,15 @@ use std::path::{Path, PathBuf};
 
 use super::{AwakeProcessor, CPU_DMA_LATENCY, Clock, MonotonicClock, Nanoseconds};
 
-/// Longest spin before a deadline, ns: 1 % of a control period. It covers the wake-up delay in 99 of 100
-/// ticks of an idle computer (`scripts/on-time`).
+/// Longest spin before a deadline, ns: 1 % of a control period. On an idle computer it is longer
+/// than the wake-up delay in 99 of 100 ticks (`scripts/on-time`).
 const SPIN_NS: Nanoseconds = 100_000;
 
-/// `CLOCK_MONOTONIC` for a thread that must not be late: it sleeps until shortly before the deadline
-/// and spins for the rest, and it can keep the processor awake.
+/// A clock (`CLOCK_MONOTONIC`) for a thread that must not be late: it sleeps until shortly before
+/// the deadline and spins for the rest, and it can keep the processors awake.
 ///
-/// It does not spin on a single processor: the spin would take the time of the thread that the tick waits
-/// for.
+/// On a computer with a single processor it does not spin, because the spin would take the
+/// processor from the thread whose answer the tick waits for.
 #[derive(Clone, Debug)]
 pub struct PunctualClock {
     sleeper: MonotonicClock,
@@ -30,13 +30,14 @@ impl PunctualClock {
         }
     }
 
-    /// Limits the spin, at most 100 us; 0 disables it.
+    /// Sets the longest spin before a deadline, ns; values above 100 us count as 100 us, and 0
+    /// disables the spin.
     #[must_use]
     pub fn with_spin_ns(self, spin_ns: Nanoseconds) -> Self {
         Self { spin_ns: spin_ns.min(SPIN_NS), ..self }
     }
 
-    /// Replaces `/dev/cpu_dma_latency` by another file.
+    /// Uses another file instead of `/dev/cpu_dma_latency`.
     #[must_use]
     pub fn with_latency_file(self, file: &Path) -> Self {
         Self { latency_file: file.to_owned(), ..self }
@@ -56,14 +57,14 @@ impl Clock for PunctualClock {
 
     fn sleep_until(&self, deadline_ns: Nanoseconds) {
         self.sleeper.sleep_until(deadline_ns.saturating_sub(self.spin_ns));
-        // At most `spin_ns` are left, so this ends.
+        // At most `spin_ns` are left, so this loop ends.
         while self.sleeper.now_ns() < deadline_ns {
             std::hint::spin_loop();
         }
     }
 
     fn stay_awake(&self) -> Option<AwakeProcessor> {
-        // `enter_realtime` reports a refusal once.
+        // A refusal is silent here, because `enter_realtime` reports it once.
         AwakeProcessor::hold(&self.latency_file).ok()
     }
 }

@@ -8,16 +8,17 @@ use rustix::thread::set_current_timer_slack;
 
 use super::{AwakeProcessor, CPU_DMA_LATENCY};
 
-/// Priority under SCHED_FIFO: above ordinary threads and below the kernel's interrupt threads (priority 50
-/// by default on PREEMPT_RT).
+/// Priority under SCHED_FIFO: above ordinary threads and below the kernel's interrupt threads
+/// (priority 50 by default on PREEMPT_RT).
 const FIFO_PRIORITY: i32 = 40;
 
-/// Timer slack of the thread, ns: the delay that the kernel may add to a wake-up of ordinary priority in
-/// order to wake several threads at once (default 50 us). Under SCHED_FIFO there is none.
+/// Timer slack of the thread, ns: the delay that the kernel may add to a wake-up of ordinary
+/// priority in order to wake several threads at once (default 50 us). Under SCHED_FIFO the kernel
+/// adds no delay.
 const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 
-/// The real-time rights that the operating system refused, each as a sentence with its cure. The program
-/// runs without them.
+/// The real-time rights that the operating system refused, each as a sentence with its remedy. The
+/// program runs without them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RealtimeReport {
     /// Reason why SCHED_FIFO was refused.
@@ -39,9 +40,9 @@ impl RealtimeReport {
     }
 }
 
-/// Puts the calling thread under SCHED_FIFO, locks the process's memory and requests exact timers, where
-/// permitted. It only tests whether the processors can be kept awake;
-/// [`Clock::stay_awake`](super::Clock::stay_awake) does so while a device is driven.
+/// Puts the calling thread under SCHED_FIFO, locks the process's memory and requests exact timers,
+/// where permitted. Whether the processors can be kept awake is only tested here;
+/// [`Clock::stay_awake`](super::Clock::stay_awake) keeps them awake while a device is driven.
 #[must_use]
 pub fn enter_realtime() -> RealtimeReport {
     let scheduling = schedule_fifo().err().map(|error| {
@@ -66,7 +67,7 @@ pub fn enter_realtime() -> RealtimeReport {
     RealtimeReport { scheduling, memory, awake: sleepy(Path::new(CPU_DMA_LATENCY)), timer_slack }
 }
 
-/// The reason why the processors cannot be kept awake through this file, if they cannot.
+/// The reason why the processors cannot be kept awake through this file; `None` if they can.
 fn sleepy(file: &Path) -> Option<String> {
     let error = AwakeProcessor::hold(file).err()?;
     Some(format!(
@@ -79,7 +80,8 @@ fn sleepy(file: &Path) -> Option<String> {
 
 fn schedule_fifo() -> Result<(), std::io::Error> {
     let parameters = libc::sched_param { sched_priority: FIFO_PRIORITY };
-    // SAFETY: `pthread_self` is always valid for the calling thread, and `parameters` outlives the call.
+    // SAFETY: `pthread_self` is always valid for the calling thread, and `parameters` outlives the
+    // call.
     let status = unsafe {
         libc::pthread_setschedparam(libc::pthread_self(), libc::SCHED_FIFO, &raw const parameters)
     };

@@ -3,9 +3,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::{Clock, Nanoseconds};
 
-/// Time that passes only when a thread waits for it. Clones share the same time.
+/// A clock whose time passes only when a thread waits for it, or by [`advance`](Self::advance).
+/// Clones share the same time.
 ///
-/// It is meant for one waiting thread; the atomic only makes the handle shareable.
+/// Only one thread should wait on it; the atomic merely lets other threads read the time.
 #[derive(Clone, Debug, Default)]
 pub struct VirtualClock {
     now_ns: Arc<AtomicU64>,
