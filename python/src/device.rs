@@ -24,32 +24,33 @@ use crate::errors::{
 };
 use crate::exchange::{Exchange, Remote, Slot};
 
-/// Time between two looks for Ctrl-C.
+/// Time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Longest deadline that is taken by itself, us: half of the tick.
+/// Longest deadline that is chosen from the measured link, us: half of the tick.
 const LONGEST_OWN_DEADLINE_US: f64 = 5000.0;
 
-/// Shortest deadline, us.
+/// Shortest deadline that is chosen from the measured link, us.
 const SHORTEST_DEADLINE_US: f64 = 500.0;
 
-/// Part of the tick that is kept for the decision and its way to the motor, us.
+/// Part of the tick that is kept for the control thread's own work and for the voltage's way to the
+/// motor, us.
 const KEPT_US: f64 = 1500.0;
 
-/// A Qube and the thread that serves it. Between episodes the motor is off.
+/// A Qube and the thread that drives it. Between episodes the motor is off.
 #[pyclass(module = "qube_hil._core", weakref)]
 pub struct Device {
-    /// Never dropped in a forked process, which has none of its threads.
+    /// The thread and its channels. A forked process, which has no such thread, never drops them.
     served: ManuallyDrop<Option<Served>>,
     process: u32,
     history: usize,
-    /// Whether an episode runs, and the number of the last ask that Python has seen.
+    /// Number of the last request for a voltage that Python has seen; `None` while no episode runs.
     running: Option<u64>,
     earned: f64,
     deadline_ms: Option<f64>,
 }
 
-/// The other side of the thread.
+/// Python's side of the thread that owns the Qube.
 struct Served {
     orders: Sender<Order>,
     ends: Mutex<Receiver<Result<End, Trouble>>>,
@@ -65,7 +66,7 @@ struct Order {
     number: u32,
 }
 
-/// How an episode, or the opening of the Qube, ended.
+/// The end of an episode, or of the opening of the Qube.
 enum End {
     Opened { deadline_us: Option<f64> },
     Episode(Box<Episode>),
@@ -77,15 +78,18 @@ struct Episode {
     last_state: State,
 }
 
-/// A sentence for an exception.
+/// The message of an exception.
 struct Trouble(String);
 
-/// Observation, reward, terminated, truncated, late answers so far, and at the end of an episode its ending and return.
+/// Observation, reward, terminated, truncated, late answers so far, and at the end of an episode
+/// its ending and return.
 type Stepped<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, bool, u64, Option<(String, f64)>);
 
 #[pymethods]
 impl Device {
-    /// Opens, examines and homes the Qube that options of the command `run` select.
+    /// Opens, examines and homes the Qube that options of the command `run` select. An answer must
+    /// come within `deadline_ms` (0.1 to 8.5; `None`: chosen from the measured link); an
+    /// observation ends with the last `history` commands.
     #[new]
     fn new(
         py: Python<'_>,
@@ -120,14 +124,16 @@ impl Device {
         }
     }
 
-    /// Time that an answer has, ms; `None` where it is waited for.
+    /// Time that Python has for an answer, ms; `None` under a virtual clock, which waits for the
+    /// answer.
     #[getter]
     fn deadline_ms(&self) -> Option<f64> {
         self.deadline_ms
     }
 
-    /// Ends the running episode, if there is one, and begins another, recorded to `path`. Returns its first
-    /// observation, or `None` where it ended before the policy was asked, with its ending.
+    /// Ends the running episode, if there is one, and begins another, recorded to `path`. Returns
+    /// its first observation. An episode that ends before the first request for a voltage raises an
+    /// error with its ending.
     fn reset<'py>(
         &mut self,
         py: Python<'py>,
@@ -157,7 +163,8 @@ impl Device {
         Ok(self.observed(py, &slot.state, &slot))
     }
 
-    /// Answers with a voltage and waits for the next state, or for the end of the episode.
+    /// Answers with a voltage, which is limited to the motor's range, and waits for the next state
+    /// or for the end of the episode.
     fn step<'py>(&mut self, py: Python<'py>, voltage_v: f64) -> PyResult<Stepped<'py>> {
         if !voltage_v.is_finite() {
             self.halt(py)?;
@@ -213,7 +220,7 @@ impl Device {
         self.ended(py).map(drop)
     }
 
-    /// Brakes the arm, switches the motor off and closes the Qube. May be called again.
+    /// Brakes the arm, switches the motor off and closes the Qube. Further calls do nothing.
     fn close(&mut self, py: Python<'_>) {
         if self.process == std::process::id()
             && let Some(served) = self.served.take()
@@ -242,7 +249,8 @@ impl Device {
         Ok(())
     }
 
-    /// The next ask after this one, or the end. Ctrl-C brakes.
+    /// Waits for a request for a voltage with a number above `after`, or for the end of the
+    /// episode. Ctrl-C brakes the arm and ends the episode.
     fn next(&mut self, py: Python<'_>, after: u64) -> PyResult<Slot> {
         loop {
             let exchange = Arc::clone(&self.served()?.exchange);
@@ -256,7 +264,7 @@ impl Device {
         }
     }
 
-    /// The end of the episode, which may still be braking.
+    /// Waits for the end of the episode, until which the arm may still be braked.
     fn ended(&mut self, py: Python<'_>) -> PyResult<Result<Box<Episode>, Trouble>> {
         self.running = None;
         match self.end(py)? {
@@ -266,7 +274,8 @@ impl Device {
         }
     }
 
-    /// The next end that the thread tells of. Ctrl-C requests a stop, and the end is still waited for.
+    /// Waits until the thread reports an end. Ctrl-C requests a stop and raises its exception only
+    /// after the thread has reported the end.
     fn end(&self, py: Python<'_>) -> PyResult<Result<End, Trouble>> {
         let served = self.served()?;
         let mut interrupt = None;
@@ -310,7 +319,7 @@ impl Device {
 
 impl Drop for Device {
     fn drop(&mut self) {
-        // In a forked process the thread does not exist, and waiting for it would take for ever.
+        // In a forked process the thread does not exist, so a wait for it would never end.
         if self.process == std::process::id()
             && let Some(served) = self.served.take()
         {
@@ -349,7 +358,7 @@ fn serve(settings: RigSettings, plan: RolloutPlan, deadline_ms: Option<f64>) -> 
     Ok(Served { orders, ends: Mutex::new(ends), exchange, stop, thread })
 }
 
-/// The thread that owns the rig.
+/// The state of the thread that owns the rig.
 struct Server {
     plan: RolloutPlan,
     exchange: Arc<Exchange>,
@@ -440,7 +449,9 @@ impl Server {
     }
 }
 
-/// The deadline that the measured link leaves, us.
+/// The deadline for an answer where the caller names none, us: the tick of 10 ms less `KEPT_US` and
+/// the 99th percentile of the link's round trip, within the limits above. Without a measured link
+/// it is the longest.
 fn own_deadline_us(rig: &Rig) -> f64 {
     let left = rig
         .link()

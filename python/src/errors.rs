@@ -16,12 +16,12 @@ import_exception!(qube_hil.errors, SessionError);
 import_exception!(qube_hil.errors, SettingsError);
 import_exception!(qube_hil.errors, TrainingError);
 
-/// An exception for settings that the program refuses, with its sentence.
+/// An exception for settings that the program refuses; its message is the reason.
 pub fn bad_settings(error: impl Display) -> PyErr {
     SettingsError::new_err(error.to_string())
 }
 
-/// An exception for a policy that the program refuses, with its sentence.
+/// An exception for a policy that the program refuses; its message is the reason.
 pub fn bad_policy(error: impl Display) -> PyErr {
     PolicyError::new_err(error.to_string())
 }

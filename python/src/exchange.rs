@@ -1,4 +1,6 @@
-//! The place where the control thread and Python meet: a state goes out, a voltage comes back.
+//! The exchange between the control thread and Python. In each tick of an episode the control
+//! thread asks for a voltage, with the estimated state, and Python answers; the requests of an
+//! episode are numbered from 1.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -7,10 +9,11 @@ use std::time::{Duration, Instant};
 use qube_hil::policy::Controller;
 use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, RewardWeights, State};
 
-/// Late answers in a row after which the arm is braked.
+/// Number of late answers in a row after which the arm is braked.
 pub const MAX_LATE_IN_A_ROW: u32 = 10;
 
-/// The state that control thread and Python share. Both hold the lock only to copy a few numbers.
+/// The numbers that the control thread and Python share. Both hold the lock only to copy a few of
+/// them.
 #[derive(Default)]
 pub struct Exchange {
     slot: Mutex<Slot>,
@@ -20,19 +23,19 @@ pub struct Exchange {
 /// The shared numbers of one episode.
 #[derive(Clone, Copy, Default)]
 pub struct Slot {
-    /// Number of times that the policy was asked.
+    /// Number of times that the policy was asked for a voltage.
     pub asked: u64,
-    /// Whether the control thread waits for an answer now.
+    /// Whether the control thread waits for an answer.
     waiting: bool,
-    /// Estimated state of the last ask.
+    /// Estimated state with which the policy was last asked.
     pub state: State,
     /// Last commands as fractions of 5 V, newest first.
     pub commands: [f32; MAX_HISTORY],
-    /// Rewards since the episode began.
+    /// Sum of the rewards since the episode began.
     pub earned: f64,
-    /// Answers that came too late.
+    /// Number of answers that came too late.
     pub late: u64,
-    /// Whether too many in a row were late.
+    /// Whether [`MAX_LATE_IN_A_ROW`] answers in a row were late, so that the rollout is stopped.
     pub gave_up: bool,
     /// Whether the rollout is over.
     pub over: bool,
@@ -51,15 +54,16 @@ impl Exchange {
         self.changed.notify_all();
     }
 
-    /// Wakes both sides, after a stop was requested.
+    /// Wakes both threads, after a stop was requested.
     pub fn wake(&self) {
-        // With the lock, so that nobody who has just read the flag falls asleep afterwards.
+        // A thread looks for a request to stop under the lock, which it keeps until it sleeps.
+        // Taking the lock first therefore makes sure that the signal reaches it.
         drop(self.lock());
         self.changed.notify_all();
     }
 
-    /// Answers the ask of this number, if the control thread still waits for it. Otherwise the answer is void: it is
-    /// for a state that has passed.
+    /// Answers the request of this number, if the control thread still waits for that answer.
+    /// Otherwise the answer is dropped, because it is for a state that has passed.
     pub fn answer(&self, asked: u64, voltage_v: f64) {
         let mut slot = self.lock();
         if slot.waiting && slot.asked == asked {
@@ -68,7 +72,8 @@ impl Exchange {
         }
     }
 
-    /// Waits for an ask after the one of this number, or the end of the episode, for at most this time.
+    /// Waits for a request with a number above `after`, or for the end of the episode; returns
+    /// `None` if neither comes within `time`.
     pub fn next_ask(&self, after: u64, time: Duration) -> Option<Slot> {
         let until = |slot: &mut Slot| !slot.over && slot.asked <= after;
         let waited = self.changed.wait_timeout_while(self.lock(), time, until);
@@ -81,14 +86,16 @@ impl Exchange {
     }
 }
 
-/// The controller on the control thread's side.
+/// The controller that asks Python for each voltage, within the control thread.
 ///
-/// Unlike the controllers of the library it waits within the tick, because its voltage comes from elsewhere: for its
-/// deadline at most, or under a virtual clock until the answer is there. It allocates nothing. After a late answer it
-/// holds the last voltage; after [`MAX_LATE_IN_A_ROW`] it requests a stop, for which the tick brakes.
+/// Unlike the controllers of the library it waits within the tick, because its voltage comes from
+/// elsewhere: at most until its deadline, or under a virtual clock until the answer is there. It
+/// allocates nothing. If an answer is late, it repeats the last voltage; after
+/// [`MAX_LATE_IN_A_ROW`] late answers in a row it requests a stop, upon which the tick brakes the
+/// arm.
 pub struct Remote {
     pub exchange: Arc<Exchange>,
-    /// Time that an answer has; `None` waits until it is there.
+    /// Time that Python has for an answer; `None` waits until the answer is there.
     pub deadline: Option<Duration>,
     /// Request to stop, which the tick reads too.
     pub stop: Arc<AtomicBool>,

@@ -1,13 +1,14 @@
-//! The guard beside simulated Qubes, as on a machine.
+//! The guard of simulated Qubes, which works as on a real one.
 
 use qube_hil::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use qube_hil::qube::{CONTROL_PERIOD_S, MAX_HISTORY, PlantModel, State};
 use qube_hil::safety::{Brake, ForesightSettings, TrustedForesight, clamp_to_mv};
 
-/// Foresight for many Qubes of which nothing is known but their plant.
+/// Foresight for many Qubes whose plant is known, but not their own parameters.
 ///
-/// It estimates velocities from the angles that the sensors show, by its own filter, and simulates the brake before each
-/// voltage. A voltage after which the brake would come too late is replaced by the brake's own.
+/// It estimates velocities by a filter of its own from the angles that the sensors show, and
+/// simulates the brake before each voltage. It replaces a voltage after which the brake would come
+/// too late by the brake's voltage.
 pub struct Guard {
     plant: PlantModel,
     foresight: TrustedForesight,
@@ -37,14 +38,16 @@ impl Guard {
         }
     }
 
-    /// Begins an episode of a Qube that is seen so.
+    /// Begins an episode of the Qube in this lane; `seen` has its angles by the sensors, rad, and
+    /// the velocities count as 0.
     pub fn begin(&mut self, lane: usize, seen: State<f32>) {
         let State { theta, alpha, .. } = seen;
         let state = State { theta: theta.into(), alpha: alpha.into(), ..State::default() };
         self.lanes[lane] = Guarded { state, sent_v: [0.0; MAX_HISTORY], took_over: false };
     }
 
-    /// The voltage that a Qube gets for this one: the same, or the brake's where the guard takes over.
+    /// The voltage that the Qube in this lane gets, V: `wanted_v`, or the brake's voltage where the
+    /// guard takes over.
     pub fn permitted_v(&mut self, lane: usize, wanted_v: f32) -> f32 {
         let Self { plant, foresight, lanes, .. } = self;
         let guarded = &mut lanes[lane];
@@ -61,17 +64,18 @@ impl Guard {
         }
         guarded.sent_v.rotate_right(1);
         guarded.sent_v[0] = voltage_v;
-        // Without the guard the simulation has unrounded voltages, which a permitted action keeps.
+        // A simulation without the guard does not round voltages, so a permitted voltage is not
+        // rounded either.
         if too_late { voltage_v } else { wanted_v }
     }
 
-    /// Takes the angles after a control period.
+    /// Updates the estimated state from the angles after a control period, rad.
     pub fn observe(&mut self, lane: usize, seen: State<f32>) {
         let state = &mut self.lanes[lane].state;
         *state = through_filters(state, seen.theta.into(), seen.alpha.into(), &self.filter);
     }
 
-    /// Whether the guard took over in this episode.
+    /// Whether the guard took over from the policy in this episode.
     pub fn took_over(&self, lane: usize) -> bool {
         self.lanes[lane].took_over
     }

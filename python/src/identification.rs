@@ -12,10 +12,12 @@ use serde_json::json;
 
 use crate::errors::{IdentificationError, bad_settings};
 
-/// Time between two looks for Ctrl-C.
+/// Time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Fits a Qube to recordings, MCAP or CSV. Returns JSON: estimates, verdict, doubts, and the profile as TOML.
+/// Fits a Qube to recordings, MCAP or CSV. `fixed` names the quantities that keep their nominal
+/// values, and `name` is the name of the profile. Returns JSON: estimates, verdict, doubts, and the
+/// profile as TOML.
 #[pyfunction]
 pub fn identify(
     py: Python<'_>,
@@ -35,7 +37,7 @@ pub fn identify(
     if unknowns.is_empty() {
         return Err(bad_settings("every quantity is fixed: leave at least one to identify"));
     }
-    // The fit knows no stop: after Ctrl-C its thread goes on for the rest of it, and nobody waits.
+    // The fit cannot be stopped: after Ctrl-C its thread runs to the end and its result is dropped.
     let (outbox, inbox) = sync_channel(1);
     let name = name.to_owned();
     std::thread::spawn(move || outbox.send(fitted(&paths, &name, &unknowns)));

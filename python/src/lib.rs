@@ -1,8 +1,9 @@
 //! The extension module of the Python package `qube_hil`: thin classes over the library.
 //!
-//! For the walls this crate is a second room `commands`: it may import everything of the library, and nothing imports
-//! it. Every function that takes long releases Python's lock. Errors are the classes of `qube_hil/errors.py`, with
-//! the library's sentences.
+//! For the walls between the rooms (`ARCHITECTURE.md`) this crate is a second room `commands`: it
+//! may import everything of the library, and nothing imports this crate. Every function that takes
+//! long releases Python's lock. Errors are the classes of `qube_hil/errors.py`, with the messages
+//! of the library.
 
 mod device;
 mod errors;

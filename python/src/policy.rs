@@ -1,4 +1,4 @@
-//! Policies: files, and their voltages.
+//! Policies: their files, and the voltages that they answer observations with.
 
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,8 @@ impl Policy {
         Ok(Self { policy: Kind::from_bytes(bytes).map_err(bad)? })
     }
 
-    /// Reads an ONNX file. That of another program needs `action_scale_v`; one that this program wrote, nothing.
+    /// Reads a policy from an ONNX file. A file of another program needs `action_scale_v`, the
+    /// voltage of an output of 1, V; a file that this program wrote needs only its path.
     #[staticmethod]
     fn from_onnx(
         path: PathBuf,
@@ -58,7 +59,7 @@ impl Policy {
         Ok(Self { policy: Kind::Network(policy) })
     }
 
-    /// The bytes of an ONNX model of the policy's network.
+    /// The bytes of an ONNX model of the policy's network; an error if the policy has none.
     fn to_onnx<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         match &self.policy {
             Kind::Network(policy) => Ok(PyBytes::new(py, &to_onnx(policy))),
@@ -69,8 +70,9 @@ impl Policy {
         }
     }
 
-    /// Makes a policy of layers: weights `[outputs][inputs]` row by row, and biases. `observation` names the entries of
-    /// the observation; without it, it is the program's own with `history` last commands.
+    /// Makes a policy of layers: weights `[outputs][inputs]` row by row, and biases. `observation`
+    /// names the entries of the observation; without `observation` they are the program's own, with
+    /// the last `history` commands.
     #[staticmethod]
     #[allow(clippy::too_many_arguments, reason = "what a file of weights does not say")]
     fn from_layers(
@@ -117,7 +119,8 @@ impl Policy {
         PyBytes::new(py, &self.policy.to_bytes())
     }
 
-    /// Writes the policy file, which appears whole or not at all. A file of that name is replaced with `force` alone.
+    /// Writes the policy file, which appears whole or not at all. Only `force` replaces an existing
+    /// file.
     fn save(&self, path: PathBuf, force: bool) -> PyResult<()> {
         if !force && MachineDisk.exists(&path) {
             let path = path.display();
@@ -139,7 +142,7 @@ impl Policy {
         }
     }
 
-    /// Length of the observation.
+    /// Number of entries of the observation.
     #[getter]
     fn observation_size(&self) -> usize {
         match &self.policy {
@@ -164,7 +167,8 @@ impl Policy {
         serde_json::to_string(&policy.training).map(Some).map_err(bad_policy)
     }
 
-    /// Writes the voltages for observations `[n, observation_size]`, V, to `voltages_v`, `[n, 1]`.
+    /// Computes the voltage for each of the observations `[n, observation_size]` and writes it to
+    /// `voltages_v`, `[n, 1]`, V, limited to the motor's range.
     fn voltages(
         &mut self,
         py: Python<'_>,
@@ -209,7 +213,7 @@ impl Policy {
     }
 }
 
-/// The conventions of another program, checked.
+/// Checks and collects the conventions of another program's policy.
 fn foreign(
     action_scale_v: f64,
     observation: Option<&str>,
@@ -236,7 +240,7 @@ fn foreign(
     Ok(ForeignConventions { sight, action_scale_v, corner_rad_s, clip_observation })
 }
 
-/// The state of an observation, with both angles within half a turn.
+/// The state of an observation, rad and rad/s, with both angles within half a turn of 0.
 fn state_of(observation: &[f32]) -> State {
     let entry = |index: usize| f64::from(observation[index]);
     State {
@@ -247,7 +251,7 @@ fn state_of(observation: &[f32]) -> State {
     }
 }
 
-/// Writes a file whole.
+/// Writes a file, which appears whole or not at all.
 fn write(path: &Path, bytes: &[u8]) -> PyResult<()> {
     write_whole(&MachineDisk, path, bytes).map_err(bad_policy)
 }

@@ -12,8 +12,9 @@ use qube_hil::telemetry::{Phase, TickRecord};
 
 use crate::errors::RecordingError;
 
-/// Reads a recording and checks every byte. Returns a dictionary: `columns`, `header` and `outcome` as JSON (outcome
-/// is `None` in a recording that is cut off), `policy`, `return`, `whole`.
+/// Reads a recording and checks every byte. Returns a dictionary: `columns`; `header` and `outcome`
+/// as JSON (`outcome` is `None` in a recording that is cut off); `policy`, the bytes of its file;
+/// `return`; and `whole`, false for a recording that was cut off, even if it was recovered since.
 #[pyfunction]
 pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
     let recording =
@@ -30,7 +31,8 @@ pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDic
     Ok(read)
 }
 
-/// One array for each quantity of the ticks.
+/// The columns of a recording: one array for each quantity, with an entry for each tick; NaN where
+/// a tick lacks the quantity.
 fn columns<'py>(py: Python<'py>, recording: &Recording) -> PyResult<Bound<'py, PyDict>> {
     let ticks = &recording.ticks;
     let calibration = &recording.header.settings.calibration;

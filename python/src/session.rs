@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use crate::errors::{SessionError, bad_settings};
 
-/// A session's posterior of the return over psi: the report's Gaussian process.
+/// The Gaussian process of a session's report: the posterior of the return over psi.
 #[pyclass(module = "qube_hil._core", frozen)]
 pub struct Surrogate {
     fitted: SessionSurrogate,
@@ -33,7 +33,7 @@ impl Surrogate {
         Ok(Self { fitted: fitted.map_err(SessionError::new_err)? })
     }
 
-    /// Names of psi, each with the lower and the upper end of its range, in the order of the coordinates.
+    /// The coordinates of psi in order: name, lower end and upper end of the range.
     #[getter]
     fn ranges(&self) -> Vec<(String, f64, f64)> {
         let dimensions = self.fitted.settings.psi.dimensions().iter();
@@ -47,7 +47,8 @@ impl Surrogate {
         self.fitted.best.clone()
     }
 
-    /// Means and standard deviations of the expected return, `[n]` each, at points `[n, psi]`.
+    /// Means and standard deviations of the expected return, `[n]` each, at n points: a row of
+    /// `points` for each, with an entry for each coordinate of psi.
     fn posterior<'py>(
         &self,
         py: Python<'py>,
@@ -72,8 +73,8 @@ impl Surrogate {
     }
 }
 
-/// Reads a session's folder, which stays as it is and may be in use. Returns JSON: names of psi, candidates with
-/// their returns, and the recommended candidate.
+/// Reads a session's folder, which another program may be using and which is not changed. Returns
+/// JSON: names of psi, candidates with their returns, and the recommended candidate.
 #[pyfunction]
 pub fn read_session(py: Python<'_>, folder: PathBuf) -> PyResult<String> {
     py.detach(|| read(folder)).map(|session| session.to_string()).map_err(SessionError::new_err)
@@ -94,7 +95,8 @@ fn read(folder: PathBuf) -> Result<Value, String> {
         .map(|candidate| view.scored(candidate).map_err(|error| error.to_string()))
         .collect::<Result<_, _>>()?;
     let best = ScoredCandidate::best_verified(&scored);
-    // Around an identified Qube, psi is along the directions of its first profile.
+    // In a search around an identified Qube, the coordinates of psi are the directions of the
+    // errors of the first profile.
     let settings = match view.state().identification() {
         Identification::Found { profiles, .. } if !profiles.is_empty() => {
             let first = profile(&paths.profile(profiles[0].0))?;
@@ -128,7 +130,7 @@ fn read(folder: PathBuf) -> Result<Value, String> {
     }))
 }
 
-/// A profile of the session.
+/// Reads a profile of the session.
 fn profile(path: &Path) -> Result<Profile, String> {
     let told = |what: &dyn std::fmt::Display| format!("{}: {what}", path.display());
     let text = read_text(path, SETTINGS_BYTES).map_err(|error| told(&error))?;

@@ -18,17 +18,17 @@ use crate::guard::Guard;
 /// Most Qubes that one simulation advances.
 const MAX_ENVS: usize = 1 << 20;
 
-/// Longest observation.
+/// Largest number of entries of an observation.
 const LONGEST: usize = OBSERVATION_SIZE + MAX_HISTORY;
 
-/// Simulated Qubes, each in an episode of its own. An episode is drawn from the seed and its own number, so that the
-/// same seed gives the same episodes whatever the number of Qubes.
+/// Simulated Qubes, each in an episode of its own. An episode is drawn from the seed and the
+/// episode's number, so that the same seed gives the same episodes whatever the number of Qubes.
 ///
 /// Observations are `float32` arrays `[num_envs, observation_size]`; actions are fractions of 5 V.
 #[pyclass(module = "qube_hil._core")]
 pub struct Simulation {
     lanes: Lanes,
-    /// The guard, where there is one besides the box.
+    /// Foresight; `None` where the box alone guards the Qubes.
     guard: Option<Guard>,
     distribution: DomainDistribution,
     num_envs: usize,
@@ -39,7 +39,7 @@ pub struct Simulation {
     episodes: Vec<u64>,
 }
 
-/// The lanes and the arrays that they read and write.
+/// The lanes of the simulation and the arrays that they read and write.
 struct Lanes {
     pendulums: Pendulums,
     voltages_v: Vec<f32>,
@@ -54,8 +54,9 @@ type Stepped<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, bool, bool);
 
 #[pymethods]
 impl Simulation {
-    /// Args: number of Qubes; name of the model; distributions that replace those of the model, as JSON; settings of
-    /// the simulation, as JSON; guard, `box` or `foresight`.
+    /// Makes a simulation of `num_envs` Qubes. `model` is the name of a distribution of Qubes;
+    /// `distributions`, as JSON, replace those of single quantities; `settings` of the simulation
+    /// are JSON too; `guard` is `box` or `foresight`.
     #[new]
     fn new(
         num_envs: usize,
@@ -113,8 +114,8 @@ impl Simulation {
         serde_json::to_string(&self.distribution).map_err(bad_settings)
     }
 
-    /// Begins an episode in every Qube and writes the first observations. With a seed the numbers of the episodes
-    /// begin at 0; without one they go on.
+    /// Begins an episode in every Qube and writes the first observations. With a seed the numbers
+    /// of the episodes begin at 0; without a seed they continue.
     #[pyo3(signature = (seed, observations))]
     fn reset(
         &mut self,
@@ -137,9 +138,9 @@ impl Simulation {
         Ok(())
     }
 
-    /// Advances every Qube by one control period. A Qube whose episode ends begins the next one in the same step, and
-    /// its last observation goes to `final_observations`. `took_over` tells where the guard ended the episode. Returns
-    /// whether an episode has ended.
+    /// Advances every Qube by one control period. A Qube whose episode ends begins the next one in
+    /// the same step, and the last observation of the ended episode goes to `final_observations`.
+    /// `took_over` is true where the guard ended the episode. Returns whether an episode has ended.
     #[allow(
         clippy::too_many_arguments,
         reason = "one array each, as the environment hands them out"
@@ -193,8 +194,9 @@ impl Simulation {
         })
     }
 
-    /// Advances the first Qube alone by one control period, without beginning another episode. Returns observation
-    /// (`float32 [observation_size]`), reward, terminated, truncated, and whether the guard took over.
+    /// Advances a simulation of one Qube by one control period and begins no other episode. Returns
+    /// observation (`float32 [observation_size]`), reward, terminated, truncated, and whether the
+    /// guard took over.
     fn step_one<'py>(
         &mut self,
         py: Python<'py>,
@@ -217,7 +219,8 @@ impl Simulation {
         Ok((observed, f64::from(reward), left, time_up, took_over))
     }
 
-    /// The true state of a Qube: theta, alpha (rad, alpha is 0 where the pendulum hangs), theta_dot, alpha_dot (rad/s).
+    /// The true state of a Qube: theta and alpha, rad, where alpha is 0 if the pendulum hangs;
+    /// theta_dot and alpha_dot, rad/s.
     fn state(&self, index: usize) -> PyResult<[f32; 4]> {
         if index >= self.num_envs {
             let last = self.num_envs - 1;
@@ -227,7 +230,7 @@ impl Simulation {
         Ok([state.theta, state.alpha, state.theta_dot, state.alpha_dot])
     }
 
-    /// The Qube of an episode under the last seed, in SI units by name.
+    /// The parameters of the Qube in this episode of the last seed, by name, in SI units.
     fn model<'py>(
         &self,
         py: Python<'py>,
@@ -254,8 +257,8 @@ impl Simulation {
         }
     }
 
-    /// Advances every lane by one control period, under the guard if there is one: it ends the episodes that it takes
-    /// over.
+    /// Advances every lane by one control period. A guard, if there is one, ends the episodes in
+    /// which it takes over.
     fn advance(&mut self) {
         let Some(guard) = &mut self.guard else { return self.lanes.step() };
         for (lane, voltage_v) in self.lanes.voltages_v[..self.num_envs].iter_mut().enumerate() {
@@ -270,7 +273,8 @@ impl Simulation {
         }
     }
 
-    /// Begins the next episodes where one has ended, after their last observations were written.
+    /// Writes the last observation of each ended episode and begins the next episode in its lane; a
+    /// lane whose episode goes on gets zeros.
     fn begin_ended(&mut self, last_observed: &mut [f32]) {
         let size = self.observation_size();
         for (lane, row) in last_observed.chunks_exact_mut(size).enumerate() {
@@ -286,7 +290,8 @@ impl Simulation {
 }
 
 impl Lanes {
-    /// Takes the actions as voltages; clips them to the motor's range.
+    /// Converts the actions to voltages, which are limited to the motor's range; an error if one is
+    /// not a finite number.
     fn take_actions(&mut self, actions: impl Iterator<Item = f32>) -> PyResult<()> {
         let mut finite = true;
         for (voltage_v, action) in self.voltages_v.iter_mut().zip(actions) {
@@ -296,7 +301,8 @@ impl Lanes {
         if finite { Ok(()) } else { Err(self.not_finite()) }
     }
 
-    /// The error for actions of which one is not a finite number; nothing has moved.
+    /// The error for actions that contain a number that is not finite. The simulation has not
+    /// advanced.
     fn not_finite(&self) -> PyErr {
         let index = self.voltages_v.iter().position(|voltage_v| !voltage_v.is_finite());
         let place = index.map_or(String::new(), |index| format!(" of environment {index}"));
@@ -308,7 +314,7 @@ impl Lanes {
         pendulums.step(voltages_v, rewards, statuses, observations);
     }
 
-    /// The observation in a lane.
+    /// Copies the observation in a lane to `row`.
     fn observation(&self, lane: usize, row: &mut [f32]) {
         let lanes = self.pendulums.lanes();
         for (feature, value) in row.iter_mut().enumerate() {
@@ -316,7 +322,7 @@ impl Lanes {
         }
     }
 
-    /// Writes the observations of the first lanes, lane by lane.
+    /// Copies the observations of the first lanes to `rows`, lane by lane.
     fn write_observations(&self, rows: &mut [f32]) {
         let (lanes, size) = (self.pendulums.lanes(), self.pendulums.observation_size());
         let features: Vec<&[f32]> = self.observations.chunks_exact(lanes).collect();
@@ -328,7 +334,7 @@ impl Lanes {
     }
 }
 
-/// A caller's array as a slice, if it has this shape and lies in one piece.
+/// A caller's array as a slice; an error unless it has this shape and is contiguous.
 fn slice_of<'a>(
     array: &'a mut PyReadwriteArray2<'_, f32>,
     shape: [usize; 2],
@@ -340,7 +346,7 @@ fn slice_of<'a>(
     array.as_slice_mut().map_err(bad_settings)
 }
 
-/// The settings of a simulation from JSON, which may name any of them.
+/// The settings of a simulation from JSON, in which each setting has a default.
 pub fn read_settings(json: &str) -> PyResult<SimulationSettings> {
     let settings: SimulationSettings = serde_json::from_str(json)
         .map_err(|error| bad_settings(format!("the simulation's settings: {error}")))?;

@@ -16,13 +16,15 @@ use crate::errors::{TrainingError, bad_policy, bad_settings};
 use crate::policy::Policy;
 use crate::simulation::{read_distribution, read_settings};
 
-/// Time between two looks for Ctrl-C.
+/// Time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Trains a policy and calls `tell` with each update as JSON. Ctrl-C and an exception of `tell` end the training.
+/// Trains a policy and calls `tell` with each update as JSON. Ctrl-C, or an exception in `tell`,
+/// ends the training.
 ///
-/// `simulation` is JSON, or `None` for the preset's; `changes` are settings of the training as JSON; `initial` is a
-/// policy to go on from. Returns the policy, its best return, and the learning curve as JSON.
+/// `simulation` is JSON, or `None` for the preset's simulation; `changes` are settings of the
+/// training as JSON; `initial` is a policy to continue from. Returns the policy, its best return,
+/// and the learning curve as JSON.
 #[pyfunction]
 #[allow(
     clippy::too_many_arguments,
@@ -48,7 +50,8 @@ pub fn train(
     let mut settings = changed(&of_preset, changes)?;
     settings.simulation = match simulation {
         Some(json) => read_settings(json)?,
-        // As the command `train` does.
+        // As in the command `train`, the model `robust` brings its own history of commands, and the
+        // preset the rest.
         None if model == "robust" => {
             let history = SimulationSettings::robust().history;
             SimulationSettings { history, ..of_preset.simulation }
@@ -74,7 +77,7 @@ pub fn train(
     Ok((Policy { policy: trained.into_policy(origin) }, best_return, curve))
 }
 
-/// Trains in a thread of its own while this one calls `tell` and looks for Ctrl-C.
+/// Trains in another thread, while this one calls `tell` and checks for Ctrl-C.
 fn supervised(
     py: Python<'_>,
     initial: Option<&Network>,
@@ -88,7 +91,7 @@ fn supervised(
     std::thread::scope(|scope| {
         let stop = &stop;
         let training = scope.spawn(move || {
-            // The receiver outlives the training.
+            // The receiver is gone only after an error, upon which the training is stopped.
             let tell = |update: &TrainUpdate| {
                 let _ = updates.send(*update);
             };
@@ -133,7 +136,7 @@ fn follow(py: Python<'_>, told: Receiver<TrainUpdate>, tell: &Bound<'_, PyAny>) 
     }
 }
 
-/// The settings with some of them replaced.
+/// The settings with those replaced that `changes`, as JSON, names.
 fn changed(settings: &TrainSettings, changes: &str) -> PyResult<TrainSettings> {
     let changes: Map<String, Value> = serde_json::from_str(changes).map_err(bad_settings)?;
     let mut all = serde_json::to_value(settings).map_err(bad_settings)?;
@@ -147,7 +150,7 @@ fn changed(settings: &TrainSettings, changes: &str) -> PyResult<TrainSettings> {
     serde_json::from_value(all).map_err(named)
 }
 
-/// The name of the distribution in the policy's file.
+/// The name under which the policy's file records the distribution.
 fn origin(model: &str, distributions: &str) -> String {
     let replaced: Map<String, Value> = serde_json::from_str(distributions).unwrap_or_default();
     if replaced.is_empty() {
