@@ -3,25 +3,25 @@ use std::fmt::Write;
 use crate::qube::State;
 use crate::replay::MotionLog;
 
-/// Frames per second: a browser moves smoothly between them.
+/// Frames per second; a browser interpolates between frames.
 const FRAMES_PER_S: f64 = 25.0;
 
 /// Longest motion that is drawn, s.
 const LONGEST_S: f64 = 20.0;
 
-/// Width and height of the picture.
+/// Width and height of the picture, pixels.
 const SIZE: (f64, f64) = (640.0, 300.0);
 
-/// Centre of the arm's axis.
+/// Place of the arm's axis in the picture, pixels.
 const CENTRE: (f64, f64) = (150.0, 150.0);
 
-/// The frame of the figure of the angles: left, top, width, height.
+/// Place of the diagram of the angles: left, top, width, height, pixels.
 const FRAME: (f64, f64, f64, f64) = (345.0, 44.0, 275.0, 200.0);
 
-/// Length of the pendulum on the screen, if it is not shorter than the arm.
+/// Length on the screen of the longer of arm and pendulum, pixels.
 const REACH: f64 = 100.0;
 
-/// The camera's height above the arm's plane, rad.
+/// Angle of the view above the arm's plane, rad.
 const TILT_RAD: f64 = 0.42;
 
 const STYLE: &str = "text{font:13px system-ui,'Noto Sans',Arial,sans-serif;fill:#5a6370}\
@@ -30,8 +30,9 @@ const STYLE: &str = "text{font:13px system-ui,'Noto Sans',Arial,sans-serif;fill:
     @media(prefers-color-scheme:dark){text{fill:#a2abb8}.p{fill:#14171b}.g{stroke:#3a414b}.a{stroke:#a2abb8}\
     .b{stroke:#5ab4ee}.d{fill:#5ab4ee}.t{stroke:#ff9350}.dt{fill:#ff9350}}";
 
-/// Draws a motion as an animated SVG, in its own time and again and again: the pendulum on the left, its angles with a
-/// line at the present time on the right. It needs no script, so that pages and slides show it as a picture.
+/// Draws a motion as an animated SVG that repeats at the motion's own speed: the pendulum on the
+/// left, its angles with a line at the present time on the right. The picture needs no script, so
+/// that pages and slides can show it.
 #[must_use]
 pub fn animation_svg(title: &str, log: &MotionLog) -> String {
     let frames = frames(log);
@@ -50,7 +51,7 @@ pub fn animation_svg(title: &str, log: &MotionLog) -> String {
     svg
 }
 
-/// The state at each frame: that of the last sample before it.
+/// The state at each frame: the state of the last sample up to the frame's time.
 fn frames(log: &MotionLog) -> Vec<State> {
     let samples = &log.samples;
     let start_s = samples.first().map_or(0.0, |sample| sample.time_s);
@@ -74,7 +75,7 @@ fn draw_pendulum(svg: &mut String, log: &MotionLog, frames: &[State], duration_s
     let (arm, pendulum) = (parameters.rotary_length_m, parameters.pendulum_length_m);
     let scale = REACH / arm.max(pendulum);
     let (arm, pendulum) = (scale * arm, scale * pendulum);
-    // To the right on the screen is along y, to the reader along x, up along z.
+    // On the screen, y points to the right, z up and x towards the reader.
     let flat =
         |x: f64, y: f64, z: f64| (CENTRE.0 + y, CENTRE.1 + x * TILT_RAD.sin() - z * TILT_RAD.cos());
     let places: Vec<[f64; 4]> = frames
@@ -175,7 +176,7 @@ fn draw_angles(svg: &mut String, frames: &[State], duration_s: f64) {
     );
 }
 
-/// The element that moves an attribute through these values.
+/// The SVG element that moves an attribute through these values in `duration_s` and repeats.
 fn animated(name: &str, values: impl Iterator<Item = f64>, duration_s: f64) -> String {
     let values: Vec<String> = values.map(|value| format!("{value:.1}")).collect();
     format!(
@@ -212,7 +213,7 @@ mod tests {
         assert_eq!(svg.matches("dur=\"6.04s\"").count(), 10);
         let values = svg.split("attributeName=\"cy\"").nth(1).unwrap().split('"').nth(5).unwrap();
         assert_eq!(values.split(';').count(), 151);
-        // The pendulum stands: its end is above the arm.
+        // The pendulum is upright, so its end is above the arm.
         let first: f64 = values.split(';').next().unwrap().parse().unwrap();
         assert!(first < CENTRE.1, "{first}");
     }

@@ -11,19 +11,20 @@ pub struct ShareOfPlant {
     pub plant: String,
     /// Name of the method.
     pub method: String,
-    /// Budget: largest number of real rollouts, after which the recommendation is scored.
+    /// Budget: largest number of real rollouts before the recommendation is scored.
     pub budget: u32,
-    /// Share that succeeds.
+    /// Share of the repetitions that succeeds, 0 to 1.
     pub share: f64,
-    /// Ends of its 95 % interval.
+    /// Lower and upper end of the share's 95 % interval.
     pub interval: [f64; 2],
 }
 
 /// Width of the rows' names, pixels.
 const NAMES: u32 = 120;
 
-/// Draws the share of repetitions that succeed, with its interval, for each method on each plant: a panel for each
-/// budget of real rollouts. Rows are the plants and colours the methods, or the reverse if there are more methods.
+/// Draws the share of repetitions that succeed, with its interval, for each method on each plant,
+/// in a panel for each budget of real rollouts. Rows are the plants and colours the methods; with
+/// more methods than plants, rows are the methods and colours the plants.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -33,7 +34,7 @@ pub fn budgets_svg(title: &str, shares: &[ShareOfPlant]) -> Result<String, Drawi
     Ok(svg)
 }
 
-/// The distinct values in the order in which they come.
+/// The distinct values, in the order of their first appearance.
 fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
     let mut distinct = Vec::new();
     for value in values {

@@ -13,12 +13,13 @@ const SHOWN: [DomainParameter; 4] = [
     DomainParameter::PendulumLength,
 ];
 
-/// Number of points of a density.
+/// Number of points of a drawn density.
 const POINTS: usize = 600;
 
-/// Draws the thesis's figure 5.2: the densities of masses and lengths for each recipe, by its name; a dashed
-/// line marks the plant's nominal value. Each density is scaled to its own peak: its place and its width are what
-/// recipes differ in, and a narrow one would flatten all others.
+/// Draws the thesis's figure 5.2: the densities of masses and lengths for each recipe, by its name;
+/// a dashed line marks the plant's nominal value. Each density is divided by its own peak, because
+/// the recipes differ in the place and width of their densities, and the high peak of a narrow
+/// density would flatten all others.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -1,7 +1,7 @@
 //! Figures as SVG: pure drawing, from data that other rooms computed.
 //!
-//! Only the feature `cli` builds this room, so that the library without it needs no drawing library. The room
-//! may import `qube`, `simulation`, `replay`, `search` and `surrogate`.
+//! Only the feature `cli` builds this room, so that the library without `cli` needs no drawing
+//! library. The room may import `qube`, `simulation`, `replay`, `search` and `surrogate`.
 
 mod animation;
 mod budgets;

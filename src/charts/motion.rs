@@ -5,9 +5,11 @@ use super::{DrawingError, Panel, PlotError};
 use crate::qube::State;
 use crate::replay::{MotionLog, OpenLoop};
 
-/// Draws a log and its simulation as SVG: theta, alpha, and the voltage that both got.
+/// Draws a recorded motion and its simulation as SVG: theta, alpha, and the voltage that was sent
+/// to both.
 ///
-/// The recording is a broad pale line under the simulation, so that a good simulation does not hide it.
+/// The recording is a broad pale line under the line of the simulation, so that a good simulation
+/// does not hide the recording.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -21,7 +23,7 @@ pub fn motion_svg(
     Ok(svg)
 }
 
-/// Width of the recorded line.
+/// Width of the recorded line, pixels.
 const BROAD: u32 = 5;
 
 fn draw(
@@ -61,7 +63,7 @@ fn draw(
     root.present()
 }
 
-/// The colour mixed with white.
+/// The colour, mixed with white.
 fn pale(colour: RGBColor) -> RGBColor {
     let mix = |part: u8| (0.45 * f64::from(part) + 0.55 * 255.0) as u8;
     RGBColor(mix(colour.0), mix(colour.1), mix(colour.2))

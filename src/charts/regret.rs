@@ -19,8 +19,8 @@ fn colour(strategy: StrategyKind) -> RGBColor {
     }
 }
 
-/// Draws one panel for each objective: median of the simple regret over evaluations, with a band from
-/// quartile to quartile.
+/// Draws one panel for each objective: the median of the simple regret after each evaluation, with
+/// a band from the lower to the upper quartile, on a logarithmic axis.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -80,7 +80,7 @@ fn draw_panel(curves: &[RegretCurve], area: &Panel<'_>) -> Result<(), PlotError>
         .y_labels(6)
         .x_label_formatter(&|x| format!("{x:.0}"))
         .y_label_formatter(&|y| {
-            // The axis runs over powers of ten, even where it does not span a whole one.
+            // The axis has the logarithm of the regret, but its labels are regrets.
             let value = 10f64.powf(*y);
             match *y {
                 y if y < -1.95 => format!("{value:.0e}"),

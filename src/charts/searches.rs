@@ -6,8 +6,9 @@ use super::{DrawingError, Panel, PlotError};
 /// Mean return from which a policy may count as successful.
 const SUCCESS: f64 = 400.0;
 
-/// Draws the searches: for each recipe, by its name, the return of each candidate in turn, and of the best so far; dots
-/// are single rollouts.
+/// Draws the searches, a row for each recipe, which has a name and the returns of each candidate's
+/// rollouts. On the left are the mean return of each candidate and, as dots, its rollouts; on the
+/// right is the best mean so far.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -99,7 +100,7 @@ mod tests {
     fn the_figure_shows_every_rollout_and_numbers_each_candidate_once() {
         let returns = vec![vec![5.0, 500.0], vec![540.0], vec![1.0], vec![2.0], vec![3.0]];
         let svg = searches_svg(&[("opt".to_owned(), returns)]).unwrap();
-        // One more is in the key.
+        // The seventh circle is in the key.
         assert!(svg.contains("opt: best so far") && svg.matches("<circle").count() == 7);
         for candidate in 0..5 {
             let label = format!("\n{candidate}\n");

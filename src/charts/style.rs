@@ -1,24 +1,25 @@
-//! The one style of all figures: colours that colour-blind people can tell apart (Okabe and Ito 2008), fonts and strokes.
+//! The style of all figures: colours that colour-blind people can tell apart (Okabe and Ito 2008),
+//! fonts and strokes.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::{Panel, PlotError};
 
-/// Colour of axes, names and what is nominal.
+/// Dark grey: axes, texts and nominal values.
 pub const INK: RGBColor = RGBColor(40, 44, 52);
-/// Colour of grids and of what stands behind.
+/// Light grey: grids and background lines.
 pub const FAINT: RGBColor = RGBColor(215, 219, 224);
-/// Blue: what was recorded or measured.
+/// Blue: recorded or measured quantities.
 pub const BLUE: RGBColor = RGBColor(0, 114, 178);
-/// Vermilion: what was simulated or searched.
+/// Vermilion: simulated quantities, or points that a search chose.
 pub const VERMILION: RGBColor = RGBColor(213, 94, 0);
-/// Green: what was sent, or the best so far.
+/// Green: sent voltages, or the best so far.
 pub const GREEN: RGBColor = RGBColor(0, 158, 115);
 /// Red: limits.
 pub const LIMIT: RGBColor = RGBColor(138, 28, 28);
 
-/// Colours of lines that have no meaning of their own, in order.
+/// Colours of lines without a meaning of their own, in the order of the lines' indices.
 const PALETTE: [RGBColor; 7] = [
     BLUE,
     VERMILION,
@@ -31,11 +32,11 @@ const PALETTE: [RGBColor; 7] = [
 
 /// Font of all figures.
 pub const FONT: &str = "sans-serif";
-/// Size of names of axes and of keys.
+/// Size of the texts at axes and in keys, pixels.
 pub const TEXT: u32 = 15;
-/// Size of titles.
+/// Size of titles, pixels.
 pub const TITLE: u32 = 18;
-/// Width of a line.
+/// Width of a line, pixels.
 pub const LINE: u32 = 2;
 
 /// The colour of the line with this index.
@@ -43,10 +44,10 @@ pub fn colour(index: usize) -> RGBColor {
     PALETTE[index % PALETTE.len()]
 }
 
-/// A mark in a key.
+/// The mark of an entry in a key (legend).
 #[derive(Clone, Copy)]
 pub enum Key {
-    /// A line of a width.
+    /// A line of this width, pixels.
     Line(RGBColor, u32),
     /// A dashed line.
     Dashed(RGBColor),
@@ -54,7 +55,8 @@ pub enum Key {
     Dot(RGBColor),
 }
 
-/// Draws names with their marks in one row at the top of a panel, apart from the data, and returns the rest of it.
+/// Draws a key, which is names with their marks, in rows at the top of a panel, and returns the
+/// part of the panel below.
 pub fn with_key<'a>(panel: &Panel<'a>, entries: &[(String, Key)]) -> Result<Panel<'a>, PlotError> {
     let width = panel.dim_in_pixel().0 as i32;
     let room = |name: &str| 48 + 8 * name.chars().count() as i32;

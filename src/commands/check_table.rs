@@ -5,10 +5,10 @@ use serde_json::{Value, json};
 
 use crate::telemetry::{CheckResult, CheckVerdict};
 
-/// Width of a terminal line.
+/// Width of a terminal line, characters.
 const COLUMNS: usize = 80;
 
-/// Indentation of the line with the remedy.
+/// Indentation of the line with the remedy, characters.
 const REMEDY_INDENT: usize = 4;
 
 /// A row of a table: name, verdict, finding, and remedy.
@@ -50,7 +50,8 @@ pub fn table(rows: &[Row]) -> String {
         let head = format!("{:name_width$}  {:word_width$}  ", row.name, row.word);
         push_wrapped(&mut text, &head, &row.value, indent);
         if let Some((introduction, remedy)) = &row.remedy {
-            // The remedy uses nearly the whole width, so that a command to be pasted stays on one line.
+            // The remedy has nearly the whole width, so that a command which people copy stays on
+            // one line.
             let margin = " ".repeat(REMEDY_INDENT);
             push_wrapped(&mut text, &margin, &format!("{introduction} {remedy}"), REMEDY_INDENT);
         }
@@ -58,8 +59,9 @@ pub fn table(rows: &[Row]) -> String {
     text
 }
 
-/// Appends a paragraph after a head and indents its other lines. Words are never cut, so that a command
-/// stays whole where possible.
+/// Appends a paragraph after a head and breaks it into lines of `COLUMNS` characters, with every
+/// line after the first indented. Words are never cut, so that a command stays whole where
+/// possible.
 fn push_wrapped(text: &mut String, head: &str, paragraph: &str, indent: usize) {
     let mut line = head.to_owned();
     let mut is_empty = true;

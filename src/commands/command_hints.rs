@@ -1,4 +1,5 @@
-//! The commands and options of the program that help after an error of the library, which knows none.
+//! Hints that name the program's commands and options, for errors of the library, which knows no
+//! command.
 
 use crate::recording::{RecordingError, Unreadable};
 use crate::rig::RigSettings;
@@ -22,14 +23,14 @@ pub fn after_fault(fault: Fault) -> Option<&'static str> {
     }
 }
 
-/// The commands that help after a rollout was ended by this limit.
+/// The commands that help after this limit has ended a rollout.
 pub fn after_limit(limit: Limit) -> Option<&'static str> {
     let is_unpredicted = limit == Limit::Unpredicted;
     is_unpredicted
         .then_some("qube-hil run --excite chirp, then qube-hil identify, make a new profile")
 }
 
-/// The cure of a failed check, with the command that carries it out.
+/// The cure of a failed check, with the command that carries the cure out.
 pub fn cure(result: &CheckResult) -> Option<String> {
     let cure = result.cure.clone()?;
     Some(match result.name.as_str() {
@@ -67,19 +68,23 @@ pub fn too_wide(error: &TooWide) -> String {
     }
 }
 
-/// The warning before a Qube that is not identified is driven, with the commands that make its profile.
+/// The warning before the program drives a Qube that is not identified, with the commands that make
+/// a profile of the Qube.
 pub fn unidentified(rig: &RigSettings, guard: Guard) -> Option<String> {
     let warning = rig.identification_warning(guard)?;
     Some(format!("{warning}: qube-hil run --excite chirp, then qube-hil identify"))
 }
 
-/// The drift of a rig from its profile, with the commands that make a new one where it has moved.
+/// The drift of a rig from its profile. If the rig has moved, the commands that make a new profile
+/// follow.
 pub fn drift(drift: &Drift) -> String {
     let made_by = if drift.has_moved() { " with run --excite and identify" } else { "" };
     format!("{drift}{made_by}")
 }
 
-/// The warning before a real Qube is driven, with the command that answers its question.
+/// The warning before the program drives a real Qube whose motor may keep its voltage when the
+/// board loses power. If the motor's reaction is unknown, the warning names the command that finds
+/// it out.
 pub fn before_driving(power: Option<&PowerTest>) -> Option<String> {
     let warning = power_warning(power)?;
     Some(match power.map(|power| power.usb_lost) {

@@ -1,4 +1,4 @@
-//! Parses the command line; every error names its option.
+//! Parses the command line. Every error names the option that it is about.
 
 use std::ffi::OsString;
 
@@ -9,8 +9,8 @@ use super::CommandLine;
 use super::exit::Failure;
 use super::output::Output;
 
-/// Parses these arguments. An error is printed, and `Err` has its exit code; `--help` prints and
-/// ends the program.
+/// Parses these arguments. An error is printed, and its exit code is returned as `Err`; `--help`
+/// prints the help and ends the program.
 pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     let mut command = command();
     let matches = command.try_get_matches_from_mut(&arguments);
@@ -34,7 +34,7 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     Err(2)
 }
 
-/// What is wrong by the first paragraph of an error, on one line.
+/// The first paragraph of an error, which says what is wrong, on one line.
 pub fn cause_of(error: &clap::Error) -> String {
     let told = error.to_string();
     // Missing arguments are listed below the first line.
@@ -43,7 +43,7 @@ pub fn cause_of(error: &clap::Error) -> String {
     lines.join(" ").trim_start_matches("error: ").to_owned()
 }
 
-/// The commands; negative numbers count as values, because no option is a digit.
+/// The program's commands. A negative number counts as a value, because no option is a digit.
 pub fn command() -> Command {
     CommandLine::command().mut_subcommands(|command| {
         command.mut_args(|argument| {
@@ -53,7 +53,8 @@ pub fn command() -> Command {
     })
 }
 
-/// Explains a value that was taken for an option because it begins with a dash.
+/// The explanation for a value that was taken for an option because it begins with a dash; `None`
+/// for other errors.
 fn value_with_a_dash(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
     let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg) else {
         return None;

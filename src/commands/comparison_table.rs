@@ -2,14 +2,14 @@ use std::fmt::Write;
 
 use crate::experiment::Comparison;
 
-/// Width of the column of names.
+/// Width of the column of names, characters.
 const NAMES: usize = 30;
 
-/// Most lines of a plant; the JSON has all comparisons.
+/// Largest number of comparisons that the table shows for a plant; the JSON has all of them.
 const SHOWN: usize = 10;
 
-/// The comparisons of recipes on one plant for people, 80 columns wide: those with the smallest p-values
-/// first. Empty without any.
+/// The comparisons of recipes on one plant as a table for people, 80 columns wide, with the
+/// smallest p-values first. The text is empty if the plant has no comparison.
 pub fn table(comparisons: &[Comparison], plant: &str) -> String {
     let mut comparisons: Vec<_> = comparisons.iter().filter(|it| it.plant == plant).collect();
     if comparisons.is_empty() {

@@ -17,7 +17,7 @@ pub struct Arguments {
     shell: Shell,
 }
 
-/// Prints the script.
+/// Prints the completion script.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut script = Vec::new();
     generate(arguments.shell, &mut command(), "qube-hil", &mut script);

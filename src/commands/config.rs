@@ -57,7 +57,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
 }
 
-/// The settings that are printed: those of the preset, and the identification of a session without arguments.
+/// The settings that `print` shows: those of the preset, with the identification of a session that
+/// is started without arguments.
 fn printed(preset: Preset) -> SessionSettings {
     let identification = match preset {
         Preset::Quick => Some(IdentificationSettings::DEFAULT),
@@ -91,7 +92,8 @@ fn check(files: &[PathBuf], preset: Preset, output: &Output) -> Result<(), Failu
     for file in files {
         let settings = preset.settings().configured_by(file).map_err(Failure::usage)?;
         let mut defaults = printed(preset);
-        // A file without that table selects another method, which is one change and not six.
+        // A file without the table [identification] selects another method. That is one change, so
+        // the settings in the table do not count as changed.
         let leaves_out = defaults.identification.is_some() && settings.identification.is_none();
         if leaves_out {
             defaults.identification = None;

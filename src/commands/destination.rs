@@ -24,12 +24,14 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Checks that the file of `--out` can be written. An existing file is refused unless `replace` is set.
+    /// Checks that the file of `--out` can be written. An existing file is refused unless `replace`
+    /// is set.
     pub fn prepare(path: &Path, replace: bool) -> Result<Self, Failure> {
         Self::of_option("--out", path, replace)
     }
 
-    /// The same for the file of another option.
+    /// Checks that the file of the option `option` can be written. An existing file is refused
+    /// unless `replace` is set.
     pub fn of_option(option: &str, path: &Path, replace: bool) -> Result<Self, Failure> {
         let shown = path.display();
         match path.symlink_metadata() {
@@ -52,8 +54,8 @@ impl OutputFile {
         Ok(Self { path: path.to_owned(), replace })
     }
 
-    /// Writes the file atomically. If that fails, the bytes go into the folder for temporary files,
-    /// and the failure names that file.
+    /// Writes the file, which appears whole or not at all. If that fails, the bytes go into the
+    /// folder for temporary files, and the failure names the file there.
     pub fn write(&self, bytes: &[u8]) -> Result<(), Failure> {
         self.write_or_keep_in(&std::env::temp_dir(), bytes)
     }
@@ -82,7 +84,7 @@ impl OutputFile {
     }
 }
 
-/// The folder that a command writes into during its work. Folders that were created for it are
+/// The folder that a command writes into during its work. Folders that this type has created are
 /// removed again if they stay empty.
 #[derive(Debug)]
 pub struct OutputFolder {
@@ -103,8 +105,8 @@ impl OutputFolder {
         Ok(folder)
     }
 
-    /// A new folder of this name, with a number appended if the name exists, for instance because
-    /// another program started within the same second.
+    /// A new folder of this name. If the name exists, for instance because another program started
+    /// within the same second, a number is appended.
     fn numbered(above: &Path, name: &str) -> Result<Self, Failure> {
         let mut folder = Self { path: above.to_owned(), made: Vec::new() };
         folder.make_missing(above)?;
@@ -157,7 +159,8 @@ impl OutputFolder {
         })
     }
 
-    /// Checks that the folder has room for this many recordings and none of their names.
+    /// Checks that the folder can be written, that the disk has enough space, and that no recording
+    /// in the folder has a number below `rollouts`.
     pub fn check_for_recordings(&self, rollouts: u64) -> Result<(), Failure> {
         let names = fs::read_dir(&self.path)
             .map_err(|error| failures::not_written(&self.path, &error))?
@@ -183,7 +186,7 @@ impl Drop for OutputFolder {
     }
 }
 
-/// The number in `rollout-NUMBER.mcap`.
+/// The number of a recording named `rollout-NUMBER.mcap`; `None` for any other name.
 fn rollout_of(name: &OsStr) -> Option<u64> {
     name.to_str()?.strip_prefix("rollout-")?.strip_suffix(".mcap")?.parse().ok()
 }

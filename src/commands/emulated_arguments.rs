@@ -53,7 +53,8 @@ pub struct EmulatedArguments {
     scale: Vec<(DomainParameter, f64)>,
 }
 
-/// An emulated Qube as an entry of a file names it; what it leaves out is as on the command line.
+/// An emulated Qube as an entry of a file of plants describes it. Keys that the entry leaves out
+/// have the defaults of the command line.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlantEntry {
@@ -70,7 +71,8 @@ pub struct PlantEntry {
     #[serde(default)]
     scale: BTreeMap<String, f64>,
     #[serde(default)]
-    /// Relative width of each policy's own Qube.
+    /// Relative width of the range from which each policy's own Qube is drawn; 0 gives all policies
+    /// the same Qube.
     pub vary: f64,
 }
 
@@ -99,7 +101,7 @@ impl EmulatedArguments {
         })
     }
 
-    /// A name for these settings that is valid for a folder: `lab+gap1.5+10ms`.
+    /// A name for these settings that is valid for a folder, such as `lab+gap1.5+10ms`.
     pub fn name(&self) -> String {
         let profile = self.profile.as_deref().unwrap_or("ideal");
         let stem = Path::new(profile).file_stem().unwrap_or_default().to_string_lossy();
@@ -130,14 +132,14 @@ impl EmulatedArguments {
         name
     }
 
-    /// The settings of a specimen of this plant; the nominal one without any argument.
+    /// The settings of an emulated Qube of this plant; nominal settings without any argument.
     pub fn of_plant(&self, plant: &PlantModel) -> Result<EmulatedQubeSettings, Failure> {
         let nominal =
             EmulatedQubeSettings { model: plant.nominal(), ..EmulatedQubeSettings::default() };
         Ok(self.settings(plant)?.unwrap_or(nominal))
     }
 
-    /// The settings of a specimen of this plant; `None` without any argument.
+    /// The settings of an emulated Qube of this plant; `None` without any argument.
     pub fn settings(&self, plant: &PlantModel) -> Result<Option<EmulatedQubeSettings>, Failure> {
         let asked = self.profile.is_some()
             || self.gap.is_some()

@@ -41,7 +41,7 @@ enum EstimatorArgument {
 }
 
 impl EstimatorArguments {
-    /// The settings for this plant; `None` without any argument.
+    /// The settings of the estimator for this plant; `None` without any argument.
     pub fn settings(&self, plant: &PlantModel) -> Result<Option<EstimatorSettings>, Failure> {
         let observes = self.estimator == Some(EstimatorArgument::Observer);
         if observes && self.filter.is_some() {

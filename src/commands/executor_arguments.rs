@@ -68,7 +68,8 @@ fn stale_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl ExecutorArguments {
-    /// The executor, or `None` for this computer's cores. `results` is the folder of the session or experiment.
+    /// The executor of the trainings, or `None` for this computer's cores. `results` is the folder
+    /// of the session or experiment.
     pub fn executor(
         &self,
         results: &Path,
@@ -85,7 +86,8 @@ impl ExecutorArguments {
         };
         let word = |path: &Path| quoted(&path.to_string_lossy());
         let work = format!("{} work {}", word(&program), word(&root));
-        // A bad command leaves no folder behind.
+        // The command is checked before the folder is made, so that a bad command leaves no folder
+        // behind.
         let command = match self.executor.as_str() {
             "slurm" | "folder" => None,
             template => {

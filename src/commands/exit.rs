@@ -11,7 +11,7 @@ use crate::telemetry::Fault;
 pub struct Failure {
     code: u8,
     message: String,
-    /// Fault that caused the failure, if one of the table of faults did.
+    /// Fault that caused the failure; `None` if the cause is not in the table of faults.
     fault: Option<Fault>,
 }
 
@@ -42,8 +42,9 @@ impl Failure {
         Self { code, message: message.to_string(), fault: None }
     }
 
-    /// The failure of work of which several parts failed, each with its name; `None` if none did. Its exit code is the
-    /// largest: a stop comes before a fault, and a fault before other failures.
+    /// The failure of work that consists of several named parts, some of which failed; `None` if
+    /// none failed. The exit code is the largest of the parts: a stop by a signal comes before a
+    /// fault, and a fault before other failures.
     pub fn of_parts(parts: &[(String, Self)]) -> Option<Self> {
         let code = parts.iter().map(|(_, failure)| failure.code).max()?;
         let causes: Vec<String> =
@@ -82,7 +83,7 @@ impl Failure {
         self.code == 2
     }
 
-    /// The end of a run in JSON, for scripts.
+    /// The cause of a run's end as JSON, for scripts.
     pub fn ended_by(&self) -> Value {
         json!({
             "exit_code": self.code,

@@ -191,7 +191,8 @@ enum Sensors {
     Encoders,
 }
 
-/// The parser of model names; models around an identified Qube need a recipe that names it.
+/// The parser of model names. Models around an identified Qube are left out, because they need a
+/// recipe that names the Qube.
 fn model_parser() -> impl TypedValueParser<Value = Model> {
     let offered = Model::ALL.into_iter().filter(|model| !model.needs_profile());
     named(offered.map(|model| (model.name(), model.description(), model)))
@@ -200,7 +201,7 @@ fn model_parser() -> impl TypedValueParser<Value = Model> {
 /// Corner of the thesis's velocity filter, rad/s.
 const PUBLISHED_CORNER_RAD_S: f64 = 50.0;
 
-/// Number of fresh starts of the evaluation in simulation.
+/// Number of fresh starts from which a policy's return in simulation is evaluated.
 const SIMULATED_STARTS: u32 = 1000;
 
 /// Runs or resumes an experiment and prints its table.
@@ -219,7 +220,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         .csv
         .as_deref()
         .map(|path| {
-            // The same command brings the file up to date.
+            // The table of an earlier run may be replaced, because a repeated command brings it up
+            // to date.
             let replace = arguments.force || ExperimentReport::is_csv(path);
             OutputFile::of_option("--csv", path, replace)
         })
@@ -265,7 +267,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         true => Screen::none(),
         false => arguments.screen.open(&title, output, &stop),
     };
-    // Rollouts of emulated Qubes run beside each other, so none of them is shown.
+    // Rollouts of emulated Qubes run at the same time, so the screen shows none of them.
     let is_hardware = rig.is_hardware();
     screen.progress().update(|state| {
         state.has_rollouts = is_hardware;
@@ -335,7 +337,8 @@ fn place_of_figures(path: &Path) -> Result<OutputFolder, Failure> {
     Ok(folder)
 }
 
-/// Narrows the recipes' boxes to the Qube's own limits, and returns the limits of a rig for all of them.
+/// Narrows the recipes' boxes to the Qube's own limits, and returns limits of the rig that hold for
+/// all recipes.
 fn narrowed(
     settings: &mut ExperimentSettings,
     consent: Option<GuardConsent>,
@@ -373,8 +376,8 @@ fn begun(
         true => arguments.plants.plants(&device.plant)?,
         false => vec![Plant { name: "device".into(), emulated: Default::default(), vary: 0.0 }],
     };
-    // A single policy reflects the luck of its training more than its recipe, so a recommendation is scored
-    // by more policies rather than by more rollouts.
+    // The return of a single policy tells more about the luck of its training than about its
+    // recipe, so more policies rather than more rollouts score a recommendation.
     let (policies, rollouts) = match &strategies {
         Some(strategies) if strategies.has_budgets() => (1, 5),
         Some(_) => (10, 2),
@@ -412,7 +415,7 @@ fn folder_failure(error: ExperimentError) -> Failure {
     }
 }
 
-/// The settings of the flags, to which each recipe adds its model.
+/// The settings that the flags give, to which each recipe adds its model.
 fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let is_emulated = !device.choice.is_hardware();
     let knows_the_machine = arguments.preset == Preset::Robust;

@@ -12,18 +12,18 @@ use crate::learning::TrainUpdate;
 use crate::scoring::Behaviour;
 use crate::session::SessionEvent;
 
-/// Ending of the names under which the trainings of a search are shown.
+/// Ending of a name under which the trainings of a search are shown.
 const SEARCH: &str = " (search)";
 
-/// The display of a running experiment: a line for each finished piece of work, and on the screen how many of the
-/// policies, searches or scores are done.
+/// The display of a running experiment: a line for each finished piece of work, and on the screen
+/// the number of policies, searches or scores that are done.
 pub struct ExperimentProgress {
     progress: Progress,
     stop: Arc<AtomicBool>,
     began: Instant,
     count: u64,
     done: AtomicU64,
-    /// Updates of a training by the name of its recipe, and of any other.
+    /// Number of updates of a training: by the name of its recipe, and for any other name.
     updates: (BTreeMap<String, u32>, u32),
     /// The best mean return so far.
     best: Mutex<Option<f64>>,
@@ -109,8 +109,9 @@ impl ExperimentProgress {
         self.progress.update(|state| self.expect_end(state));
     }
 
-    /// Expects the end from the time of the finished work; a training in progress counts by its share of updates, unless it
-    /// is one of a search, which has many.
+    /// Shows when the experiment will probably end, by the time that the finished work took. A
+    /// training in progress counts by its share of updates, but not within a search, which has many
+    /// trainings.
     fn expect_end(&self, state: &mut ScreenState) {
         let done = self.done.load(Ordering::Relaxed);
         state.done = Some((done, self.count));
@@ -122,7 +123,8 @@ impl ExperimentProgress {
         state.expect_end(time_left(self.began.elapsed(), done, self.count as f64 - done));
     }
 
-    /// Shows an update of a training: recipe or search, what is trained, its number, and that of the training.
+    /// Shows an update of a training. `of` holds the recipe or search, `policy` or `candidate` with
+    /// its number, and the number of the training.
     fn training(&self, of: (&str, &str, u32, u32), update: &TrainUpdate) {
         let (group, what, number, training) = of;
         let recipe = group.strip_suffix(SEARCH).unwrap_or(group);
@@ -136,14 +138,14 @@ impl ExperimentProgress {
         });
     }
 
-    /// Ends the curves of what is trained.
+    /// Removes the learning curves of a policy or candidate whose trainings are finished.
     fn trained(&self, group: &str, number: u32) {
         self.progress.update(|state| {
             state.trainings.retain(|(of, it, _), _| of != group || *it != number);
         });
     }
 
-    /// Shows a mean return if it is the best so far.
+    /// Shows a mean return if it is the best so far; `of` names the policy.
     fn better(&self, mean: f64, of: &str) {
         let mut best = self.best.lock().unwrap_or_else(PoisonError::into_inner);
         if mean.is_finite() && best.is_none_or(|best| mean > best) {

@@ -6,22 +6,23 @@ use crate::surrogate::{
     Dataset, GaussianProcess, Hyperparameters, Kernel, SurrogateError, log_marginal_likelihood,
 };
 
-/// Samples in the three blocks of the figure.
+/// Number of samples in each of the three blocks of the figure.
 pub const SAMPLES: [usize; 3] = [3, 7, 15];
 
 /// Number of columns, each with a sample seed of its own.
 const COLUMNS: u64 = 3;
-/// Powers of ten on the axes: the lengthscale in widths of the range, and the noise's standard
-/// deviation in standard deviations of the samples.
+/// Range of the lengthscale on its axis, powers of ten of the width of the search range.
 const LENGTHSCALES: (f64, f64) = (-2.0, 1.0);
+/// Range of the noise's standard deviation on its axis, powers of ten of the samples' standard
+/// deviation.
 const NOISES: (f64, f64) = (-2.0, 0.5);
 /// Cells of the surface along each axis.
 const CELLS: usize = 90;
 /// Number of colour levels of the surface.
 const LEVELS: usize = 48;
 
-/// Draws one block with a column for each of three sample seeds: above, the posterior at the most likely
-/// hyperparameters; below, the log marginal likelihood over all hyperparameters.
+/// Draws one block with a column for each of three sample seeds: above, the posterior at the most
+/// likely hyperparameters; below, the log marginal likelihood over lengthscale and noise.
 pub fn draw(samples: usize, seed: u64) -> anyhow::Result<String> {
     let mut svg = String::new();
     {
@@ -107,8 +108,8 @@ impl Surface {
         Ok(Self { values, best: hyperparameters(highest.1, highest.2), highest: highest.0 })
     }
 
-    /// The value up to which the surface has the lowest colour: the maximum less nine times its magnitude, or less 9
-    /// where the magnitude is below 1.
+    /// The value at or below which the surface has the lowest colour: the maximum less nine times
+    /// its magnitude, or less 9 where the magnitude is below 1.
     fn floor(&self) -> f64 {
         self.highest - 9.0 * self.highest.abs().max(1.0)
     }
@@ -179,7 +180,7 @@ impl Surface {
     }
 }
 
-/// Neighbouring cells of one level.
+/// Neighbouring cells of the same colour level in a row of the surface.
 struct Run {
     first: usize,
     last: usize,
@@ -207,8 +208,8 @@ fn star(radius: i32) -> Polygon<(i32, i32)> {
     Polygon::new((0..10).map(corner).collect::<Vec<_>>(), RED.filled())
 }
 
-/// The colour of a fraction, from dark violet over green to yellow. Its steps look even, also in grey and to the
-/// colour-blind (after matplotlib's viridis).
+/// The colour for a fraction from 0 to 1, from dark violet over green to yellow (after matplotlib's
+/// viridis). Equal steps look equally large, also in grey and to the colour-blind.
 fn viridis(fraction: f64) -> RGBColor {
     const STOPS: [(f64, f64, f64); 6] = [
         (68.0, 1.0, 84.0),

@@ -10,18 +10,18 @@ pub type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 pub type Chart<'a, 'b> =
     ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-/// The true curve, which stands behind.
+/// Colour of the true curve.
 pub const GREY: RGBColor = RGBColor(90, 96, 106);
-/// The chosen point.
+/// Colour of the chosen point.
 pub const RED: RGBColor = VERMILION;
 
-/// Points along the horizontal axis of a curve.
+/// The values of x at which curves are drawn.
 pub fn places() -> impl Iterator<Item = f64> + Clone {
     (0..=240).map(|i| RANGE.0 + (RANGE.1 - RANGE.0) * f64::from(i) / 240.0)
 }
 
-/// Mean, two standard deviations, samples and the true curve. Returns the chart, so that more can
-/// be drawn into it.
+/// Draws the posterior: mean, two standard deviations, samples and the true curve. Returns the
+/// chart, so that more can be drawn into it.
 pub fn draw<'a, 'b>(
     area: &'a Area<'b>,
     title: &str,

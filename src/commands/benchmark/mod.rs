@@ -128,7 +128,7 @@ fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             }
             curves.push(curve);
         }
-        // The picture of the results so far, so that a long run can be watched.
+        // The picture shows the results so far, so that a long run can be watched.
         let svg = regret_svg(&curves).map_err(Failure::failed)?;
         arguments.write("regret.svg", &svg)?;
     }
@@ -175,7 +175,7 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             trainings_of(problem)
         );
         pictured.push((title, table));
-        // The picture of the results so far, so that a long run can be watched.
+        // The picture shows the results so far, so that a long run can be watched.
         let svg = noise_svg(&pictured).map_err(Failure::failed)?;
         arguments.write("noise.svg", &svg)?;
     }
@@ -186,7 +186,8 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The words about trainings in a problem's title.
+/// The part of a problem's title that describes its trainings; empty where rollouts do not
+/// correlate.
 fn trainings_of(problem: TwoHumped) -> String {
     match problem.rollout_correlation {
         0.0 => String::new(),

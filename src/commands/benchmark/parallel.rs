@@ -2,11 +2,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::commands::printable::tell;
 
-/// Number of lines about the progress.
+/// Number of progress lines for all of the work.
 const LINES: usize = 10;
 
-/// Computes `work(0)`, `work(1)` ... `work(count - 1)` on several threads, with ten lines on stderr, and
-/// returns the results in order.
+/// Computes `work(0)`, `work(1)` ... `work(count - 1)` on `threads` threads, with about ten
+/// progress lines on stderr, and returns the results in order.
 pub fn map<T: Send>(
     count: usize,
     threads: usize,

@@ -15,11 +15,12 @@ use crate::preflight::conformance::{CHECKS, Deviation, Speaker};
 use crate::rig::{ClockChoice, DeviceChoice, RigError};
 use crate::telemetry::CheckResult;
 
-/// A connection that carries raw bytes: the checks write and read the frames of the protocol themselves.
+/// A connection that carries raw bytes, because the checks write and read the frames of the
+/// protocol themselves.
 struct Wire {
     transport: Box<dyn Transport>,
     clock: Arc<dyn Clock>,
-    /// Emulator, served until the last check is done.
+    /// Emulated Qube behind the connection, which must exist until the last check is done.
     _emulator: Option<EmulatedQube>,
 }
 
@@ -68,7 +69,7 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The row of a check in the table. The remedy of a deviation is the protocol's requirement.
+/// The row of a check in the table. The remedy of a deviation is the requirement of the protocol.
 fn row(result: &CheckResult) -> Row {
     let promise = result.cure.clone();
     Row { remedy: promise.map(|promise| ("must be:", promise)), ..Row::from(result) }

@@ -24,7 +24,7 @@ use crate::rig::{Rig, RigSettings};
 use crate::session::{LibraryWatchdog, QUBE_FILE, QubeFile};
 use crate::telemetry::CheckVerdict;
 
-/// The writer that a file of a Qube names.
+/// The program that a written file of a Qube names as its writer.
 const WRITER: &str = "qube-hil check --write";
 
 /// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing
@@ -73,7 +73,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     let file = match &arguments.write {
         Some(path) => {
-            // Before anything moves.
+            // A file that cannot be written is refused before anything moves.
             OutputFile::of_option("--write", path, true)?;
             Some((path.as_path(), base_file(path, &device)?))
         }
@@ -85,7 +85,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         EstimatorSettings::default(),
         CheckArguments::default(),
     );
-    // The file to be replaced may belong to another board.
+    // The file that --write replaces may belong to another board, so its board is not checked.
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };
     tell("in the check the arm is pushed a little, then homed");
@@ -161,7 +161,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     ended
 }
 
-/// Asks an operator at a terminal whether to perform the power test, if the file has no result of it.
+/// Asks an operator at a terminal whether to perform the power test, if the file has no result of
+/// that test.
 fn wants_power_test(path: &Path) -> bool {
     let is_known = QubeFile::load(path).is_ok_and(|file| file.power.is_some());
     if is_known || !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {
@@ -176,7 +177,8 @@ fn wants_power_test(path: &Path) -> bool {
     read.is_ok() && matches!(line.trim(), "y" | "Y" | "yes")
 }
 
-/// The content of the file before it is rewritten.
+/// The entries that a rewritten file starts from: its own, or those of the file that describes the
+/// chosen Qube, or none.
 fn base_file(path: &Path, device: &ChosenDevice) -> Result<QubeFile, Failure> {
     if !device.choice.is_hardware() {
         return Err(Failure::usage(

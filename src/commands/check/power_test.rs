@@ -1,11 +1,11 @@
-//! The command `check --power-test`, which determines once a rig how the motor behaves when its board loses
-//! power.
+//! The command `check --power-test`, which determines how the motor behaves when its board loses
+//! power. Each rig needs it once.
 //!
-//! The board is fed by the USB plug, and no data sheet states how the Qube's amplifier treats its last
-//! motor command when nobody can replace it. The operator pulls the plug while the arm is pressed against
-//! its stop, where a voltage that stays moves nothing, and feels with one finger whether it stays. The same
-//! push is first rehearsed with the board alive, because an arm that does not return could also mean that
-//! the voltage was too small.
+//! The USB plug feeds the board, and no data sheet states how the Qube's amplifier treats its last
+//! motor command when no board can send another. The operator pulls the plug while the motor
+//! presses the arm against its stop, where a voltage that persists moves nothing, and feels with
+//! one finger whether the voltage persists. The operator first rehearses the same push with the
+//! board alive, because an arm that does not return could also mean that the voltage was too small.
 
 use std::io::{BufRead, Write};
 use std::path::Path;
@@ -22,25 +22,28 @@ use crate::rig::{Rig, RigError, RigSettings};
 use crate::session::{PowerTest, QubeFile, UsbLost};
 use crate::telemetry::{Ending, Fault};
 
-/// Voltages that are tried until a pushed arm returns, V. Each is at most 0.25 V above friction, so that
-/// the arm is slower than 2 rad/s after a finger's breadth (0.12 rad) from its stop.
+/// Step of the voltages that are tried until a pushed arm returns, V. The first voltage at which it
+/// returns is at most 0.25 V above friction, so that the arm is slower than 2 rad/s after a
+/// finger's breadth (0.12 rad) from its stop.
 const STEP_V: f64 = 0.25;
+/// Largest voltage that is tried, V.
 const MOST_V: f64 = 1.5;
 
-/// Time for each step of the operator, in control periods, and until the port is back.
+/// Time for each step of the operator, control periods: 60 s.
 const STEP_TICKS: u32 = 6000;
+/// Time within which the port must be back after the operator has plugged the cable in.
 const REPLUG: Duration = Duration::from_secs(120);
 
-/// Number of repetitions of a rehearsal that a late computer or link ended.
+/// Largest number of repetitions in a rehearsal after a late computer or link ended the push.
 const DONE_AGAIN: u32 = 2;
 
-/// The result of the test, for people and for scripts.
+/// The result of the test, as text for people and as JSON for scripts.
 pub struct Tested {
     pub text: String,
     pub value: Value,
 }
 
-/// Leads the operator through the test and writes the result.
+/// Leads the operator through the test and writes the result to the Qube's file.
 pub fn run(
     mut rig: Rig,
     settings: &RigSettings,
@@ -65,8 +68,9 @@ pub fn run(
     let pressed = rig.press(push_v, STEP_TICKS, false).map_err(failed)?;
     match pressed.ending {
         Ending::Stopped => return Err(failed(RigError::Stopped { during: "the power test" })),
-        // A computer that was late for a moment has lost samples too, and then the motor is off however the
-        // Qube behaves without a board.
+        // A computer that was late for a moment loses samples too. The motor is then off in any
+        // case, which shows nothing about a Qube without its board; but then the board still
+        // answers.
         Ending::Fault(Fault::LinkGone | Fault::NoSample | Fault::BoardRestarted)
             if !rig.answers().map_err(failed)? => {}
         Ending::Fault(fault) => return Err(failed(RigError::Ended { fault })),
@@ -107,7 +111,7 @@ pub fn run(
     Ok(Tested { text, value })
 }
 
-/// Finds the voltage that returns a pushed arm, with the board alive.
+/// Finds the voltage that brings a pushed arm back to its stop, V, while the board is alive.
 fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     let mut push_v = STEP_V;
     let mut disturbed = 0;
@@ -150,7 +154,7 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     )))
 }
 
-/// Opens the Qube under its port again as soon as it answers.
+/// Opens the Qube under its port again as soon as the Qube answers, or fails after `REPLUG`.
 fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
     let end = Instant::now() + REPLUG;
     loop {
