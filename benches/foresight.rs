@@ -2,9 +2,10 @@
 //! Qubes, and on an identified Qube the comparison of each sample with its particles.
 //!
 //! `cargo bench --bench foresight`; pin it to one core for comparable figures. The rollouts are
-//! those of the shipped policy `robust` on `lab`. For each belief and instruction set it prints
-//! mean, 99th percentile and maximum of single ticks over fifty rollouts, each tick's shortest time
-//! of five; criterion measures whole rollouts.
+//! those of the shipped policy `robust` on `lab`. For each belief about the Qube (any Qube, or an
+//! identified one) and each instruction set it prints mean, 99th percentile and maximum over the
+//! ticks of fifty rollouts, where the time of a tick is the shortest of five tries; criterion
+//! measures whole rollouts.
 
 use std::path::Path;
 use std::time::Instant;
@@ -24,7 +25,8 @@ const ROLLOUTS: u64 = 50;
 const STEPS: usize = 600;
 const TRIES: usize = 5;
 
-/// A tick: the estimated state, the commands before it, and the policy's voltage.
+/// The guard's input in a tick: the simulated Qube's state, the last voltages sent, V, newest
+/// first, and the policy's voltage, V.
 #[derive(Clone, Copy)]
 struct Tick {
     state: State,
@@ -63,7 +65,7 @@ fn rollout(model: &QubeModel, seed: u64) -> Vec<Tick> {
     ticks
 }
 
-/// Runs the guard's part of a tick.
+/// Runs the guard's part of a tick. Returns whether the guard would end the rollout.
 fn guard(foresight: &mut TrustedForesight, index: usize, tick: &Tick) -> bool {
     let time_us = 10_000 * index as u64;
     let unpredicted = foresight.is_contradicted(&tick.state, time_us, &tick.sent_v);
@@ -71,7 +73,8 @@ fn guard(foresight: &mut TrustedForesight, index: usize, tick: &Tick) -> bool {
     unpredicted | too_late.is_some()
 }
 
-/// Shortest time of several for each tick, us, and the number of ticks that end the rollout.
+/// The shortest time of `TRIES` for each tick, us, and the number of ticks in which the guard would
+/// end the rollout.
 fn times_us(fresh: &TrustedForesight, ticks: &[Tick]) -> (Vec<f64>, usize) {
     let mut shortest_us = vec![f64::INFINITY; ticks.len()];
     let mut ending = 0;

@@ -1,8 +1,9 @@
-//! How late the control thread wakes while policies are trained beside it, measured in real time on an emulated Qube:
-//! `cargo bench --bench lateness`.
+//! Measures how late the control thread wakes up while policies are trained on the same computer,
+//! in real time on an emulated Qube: `cargo bench --bench lateness`.
 //!
-//! Several rollouts with and without trainings alternate in one run. The figure is the 99th percentile of the lateness with
-//! trainings by that without, in each of five pairs, and their median.
+//! Rollouts with and without trainings alternate in one run. For each of five pairs it prints the
+//! 99th percentile of the lateness with trainings, divided by the 99th percentile without; at the
+//! end, the median of these ratios.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -23,20 +24,20 @@ use qube_hil::telemetry::LatencySummary;
 
 const PAIRS: usize = 5;
 
-/// Rollouts on either side of a pair. In a single one the 99th percentile is its sixth worst tick, which a single
-/// interruption of the computer decides.
+/// Number of rollouts on either side of a pair. In a single rollout the 99th percentile is the
+/// lateness of its sixth worst tick, which one interruption of the computer decides.
 const ROLLOUTS: usize = 4;
 
-/// Time that the host has taken from the processors of a virtual machine so far, ms; 0 where Linux does not tell. What it
-/// takes makes ticks late whatever this program does.
+/// Time that the host of a virtual machine has taken from its processors so far, ms; 0 where Linux
+/// does not report this time. This loss makes ticks late whatever this program does.
 fn stolen_ms() -> f64 {
     let text = std::fs::read_to_string("/proc/stat").unwrap_or_default();
     let ticks = text.lines().next().and_then(|all| all.split_whitespace().nth(8)?.parse().ok());
-    // In hundredths of a second (proc(5)).
+    // Linux reports the time in hundredths of a second (proc(5)).
     10.0 * ticks.unwrap_or(0.0)
 }
 
-/// The lateness in rollouts of the classical controller, us.
+/// The lateness in `ROLLOUTS` rollouts of the classical controller, us.
 fn lateness_us(rig: &mut Rig, path: &Path) -> LatencySummary {
     let plan = RolloutPlan {
         safety_box: SafetyBox::THESIS,
@@ -45,7 +46,8 @@ fn lateness_us(rig: &mut Rig, path: &Path) -> LatencySummary {
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
     let mut latencies = Latencies::default();
     for _ in 0..ROLLOUTS {
-        // On a computer whose host takes the processors for long, the pendulum may move unseen between two rollouts.
+        // If the host takes the processors for long, the pendulum may move unseen between two
+        // rollouts, and the rig must start again.
         while let Err(error) = rig.rollout(&MachineDisk, path, plan.header(), &policy) {
             assert!(matches!(error, RigError::NotBegun { .. }), "{error}");
             rig.start_again().unwrap();
@@ -58,12 +60,12 @@ fn lateness_us(rig: &mut Rig, path: &Path) -> LatencySummary {
     latencies.lateness_us()
 }
 
-/// The same while an executor trains as many policies as it can.
+/// The lateness in `ROLLOUTS` rollouts, us, while an executor trains as many policies as it can.
 fn lateness_beside_us(executor: &LocalExecutor, rig: &mut Rig, path: &Path) -> LatencySummary {
     let stop = AtomicBool::new(false);
     let job = |seed| TrainingJob {
         distribution: DomainDistribution::robust(),
-        // Longer than the rollouts.
+        // The trainings last longer than the rollouts, after which they are stopped.
         settings: TrainSettings { updates: 10_000, ..TrainSettings::thesis() },
         seed,
     };
@@ -101,7 +103,7 @@ fn measure(name: &str, executor: &LocalExecutor) {
     let mut ratios = Vec::new();
     for pair in 0..PAIRS {
         let before_ms = stolen_ms();
-        // Each order comes as often as the other, so that a drift of the computer favours neither.
+        // The order alternates, so that a drift of the computer's speed hardly favours either side.
         let (without, with) = if pair % 2 == 0 {
             let without = lateness_us(&mut rig, &path);
             (without, lateness_beside_us(executor, &mut rig, &path))

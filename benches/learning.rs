@@ -1,4 +1,4 @@
-//! Time of the parts of a training: gradient step of both networks, collection of a batch,
+//! Time of the parts of a training: a gradient step of both networks, the collection of a batch, an
 //! evaluation, and a whole update.
 //!
 //! `cargo bench --bench learning`; pin it to one core for comparable figures.

@@ -1,5 +1,6 @@
-//! Control steps per second of the randomised simulation, with reward, observation and box, and of
-//! the bare lanes with friction, dead zones, cable and delays, 64 of them over 50 periods.
+//! Speed of two simulations: control steps per second of the randomised simulation, with reward,
+//! observation and box; and of 64 bare lanes with friction, dead zones, cable and delays, over 50
+//! periods.
 //!
 //! `cargo bench --bench simulation`; pin it to one core for comparable figures.
 
@@ -11,8 +12,8 @@ use qube_hil::simulation::{
     DomainDistribution, Family, LaneStatus, Pendulums, SensorModel, SimulationSettings, Trajectory,
 };
 
-/// Many steps of swing-ups: voltages alternate slowly, so that the pendulums keep moving inside the
-/// box; a pendulum that leaves it starts again.
+/// Measures control steps of swing-ups. Voltages alternate slowly, so that the pendulums keep
+/// moving inside the box; a pendulum that leaves the box starts again.
 fn control_steps(criterion: &mut Criterion) {
     let encoders = SensorModel::Encoders { estimator: EstimatorSettings::default() };
     let handcrafted = DomainDistribution::handcrafted(Family::Normal);
@@ -72,7 +73,8 @@ fn bench_level(
     });
 }
 
-/// Half a second of 64 different Qubes, the work of a guard that simulates its brake.
+/// Measures the simulation of half a second of 64 different Qubes, which is the work of a guard
+/// that simulates its brake.
 fn qube_lanes(criterion: &mut Criterion) {
     const PERIODS: usize = 50;
     let blocks = 64 / BLOCK;

@@ -1,4 +1,5 @@
-//! Time of the next candidate: fitting the surrogate and maximising the acquisition function.
+//! Time to propose the next candidate: to fit the surrogate, and to maximise the acquisition
+//! function.
 //!
 //! `cargo bench --bench surrogate`; pin it to one core (`taskset -c 1`) to compare ratios. The data
 //! are noisy samples of a synthetic return over eight dimensions.
@@ -14,7 +15,7 @@ use qube_hil::surrogate::{
 
 const DIMENSIONS: usize = 8;
 
-/// A return-like hump over the unit cube, with noise of standard deviation 15.
+/// Samples of a hump over the unit cube, similar to a return, with noise of standard deviation 15.
 fn data(n: usize) -> Dataset {
     let search_box = SearchBox::unit(DIMENSIONS).expect("eight dimensions");
     let centre = [0.3, 0.6, 0.5, 0.4, 0.7, 0.2, 0.5, 0.5];
@@ -32,7 +33,7 @@ fn data(n: usize) -> Dataset {
     Dataset::new(&search_box, &points, &values, None).expect("finite values inside the box")
 }
 
-/// The set-up with which BoTorch is timed: gamma priors, a constant mean.
+/// The settings with which BoTorch is timed too: gamma priors and a constant mean.
 fn settings() -> FitSettings {
     FitSettings { mean: MeanFunction::Constant, priors: PriorSet::Gamma, ..FitSettings::default() }
 }

@@ -1,6 +1,13 @@
 //! Searches for the worst adversary of the guard; `scripts/adversary` runs it over 10^6 episodes.
 //!
-//! `cargo run --release --example adversary -- SEARCHES [SPREAD [DELAY_MS [CORNER [foresight|box [FIRST]]]]]`
+//! ```text
+//! cargo run --release --example adversary -- SEARCHES [OPTIONS]
+//! ```
+//!
+//! OPTIONS are, in this order, `SPREAD DELAY_MS CORNER foresight|box FIRST`; the last ones may be
+//! left out. SPREAD is the largest relative deviation of the Qubes' parameters, DELAY_MS the
+//! longest time from a sample to its act, CORNER the corner of the estimator's filter, rad/s, and
+//! FIRST the first seed.
 
 #[path = "../tests/adversary/mod.rs"]
 mod adversary;
@@ -10,7 +17,7 @@ use adversary::search::{Worst, search};
 use qube_hil::qube::HARD_STOP_RAD;
 use qube_hil::safety::SafetyBox;
 
-/// Generations of a search.
+/// Number of generations of a search.
 const GENERATIONS: u32 = 25;
 
 fn main() {

@@ -1,7 +1,8 @@
-//! Counts the Qubes within 30 % of the nominal one that the brake brings to rest, with and without
-//! a loss of gain when it rings.
+//! Counts the Qubes within 30 % of the nominal one that a brake brings to rest, for two brakes: one
+//! that loses gain when it rings, and one that keeps its gain.
 //!
-//! `cargo run --release --example braked_qubes -- 5000`. Every second Qube has a strong motor and a light arm.
+//! `cargo run --release --example braked_qubes -- 5000` draws 5000 Qubes. Every second of them has
+//! a strong motor and a light arm.
 
 use std::collections::VecDeque;
 
@@ -18,7 +19,8 @@ use rand_chacha::rand_core::SeedableRng;
 /// Control periods for which a brake is observed: 10 s.
 const PERIODS: usize = 1000;
 
-/// Largest motion of an arm at rest over the last 0.6 s, rad.
+/// Largest range of the arm's angle over the last `REST_PERIODS` at which the arm counts as at
+/// rest, rad.
 const REST_RANGE_RAD: f64 = 0.05;
 
 const REST_PERIODS: usize = 60;
@@ -29,13 +31,13 @@ struct Case {
     start: State,
     /// Error of the arm's zero, rad.
     zero_rad: f64,
-    /// Delay from a sample to its voltage, without the Qube's own delay, ms.
+    /// Delay from a sample until its voltage is sent, ms; the Qube's own delay comes on top.
     computing_ms: usize,
 }
 
-/// The result of a brake.
+/// The result of braking.
 enum Braked {
-    /// At rest after this many periods.
+    /// Arm at rest after this many control periods.
     AtRest(usize),
     StillMoving,
     HitStop,
@@ -76,7 +78,8 @@ impl Case {
         Self { model, start, zero_rad, computing_ms }
     }
 
-    /// Simulates the brake for this many periods.
+    /// Simulates the brake until the arm is at rest or hits a stop, for at most `periods` control
+    /// periods.
     fn braked(&self, mut brake: Brake, periods: usize) -> Braked {
         let dynamics = NonidealDynamics::new(&self.model);
         let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);
@@ -113,7 +116,8 @@ impl Case {
 fn main() {
     let qubes = std::env::args().nth(1).and_then(|count| count.parse().ok()).unwrap_or(5000);
     let foreseen = ForesightSettings::HORIZON_PERIODS as usize;
-    // Foresight brakes earlier if the simulated brake lets the arm reach its stop, so such cases never occur.
+    // If the simulated brake lets the arm reach its stop, foresight brakes earlier, so such cases
+    // never occur.
     let cases: Vec<Case> = (0..qubes)
         .map(Case::drawn)
         .filter(|case| {

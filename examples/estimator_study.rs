@@ -1,5 +1,5 @@
-//! Measures lag and noise of each estimator, and the policies that it transfers to a Qube other
-//! than the one they were trained on: the tables of docs/estimation.md.
+//! Measures lag and noise of each estimator, and how well policies transfer with each estimator to
+//! Qubes on which they were not trained: the tables of docs/estimation.md.
 //!
 //! ```text
 //! cargo run --release --example estimator_study -- errors POLICY [NOISE ...]
@@ -7,9 +7,10 @@
 //! cargo run --release --example estimator_study -- plants POLICY ...
 //! ```
 //!
-//! `errors`: the policy, with access to the true state, swings up the Qube of profiles/lab.toml;
-//! every estimator gets the same samples and commands. `delays` and `plants`: each policy, with
-//! each estimator, drives the emulated Qube over its wire in virtual time.
+//! `errors`: the policy, which sees the true state at the instant at which its command acts, swings
+//! up the Qube of profiles/lab.toml; every estimator gets the same samples and commands. `delays`
+//! and `plants`: each policy, with each estimator, drives the emulated Qube over its wire in
+//! virtual time.
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -37,11 +38,12 @@ use rand_chacha::ChaCha8Rng;
 /// Rollouts of each policy in each cell.
 const ROLLOUTS: u64 = 5;
 
-/// Qubes around the profile, each parameter within a tenth of it.
+/// Number of Qubes around the profile, each parameter within 10 % of the profile's value.
 const PLANTS: u64 = 20;
 
-/// Steps of the grid of true states in a control period.
+/// Number of true states in a control period, which form a fine grid.
 const GRID: usize = 20;
+/// Time between two true states, us.
 const GRID_US: u64 = 500;
 
 fn main() -> anyhow::Result<()> {
@@ -70,7 +72,7 @@ fn all(paths: &[String]) -> anyhow::Result<Vec<Policy>> {
     paths.iter().map(|path| load(path)).collect()
 }
 
-/// The estimators to compare on a Qube with this delay.
+/// The estimators to compare on a Qube with the delay `delay_s`, by name.
 fn estimators(lab: &QubeModel, delay_s: f64) -> Vec<(String, EstimatorSettings)> {
     let observer = |model: &QubeModel, delay_s: f64| {
         EstimatorSettings::observer(ObserverSettings::of(*model).with_delay(delay_s.max(0.0)))
@@ -91,13 +93,14 @@ fn estimators(lab: &QubeModel, delay_s: f64) -> Vec<(String, EstimatorSettings)>
 
 // --- lag and noise ---
 
-/// One swing-up: samples, commands, and the true state on a fine grid.
+/// A swing-up: each sample with its command, V, and the true states on a fine grid.
 struct SwingUp {
     samples: Vec<(Measurement, f64)>,
     truth: Vec<State>,
 }
 
-/// Runs the policy on this Qube, with the true state at the instant at which its command acts.
+/// Runs the policy on a Qube. The policy sees the true state at the instant at which its command
+/// acts.
 fn swing_up(model: &QubeModel, policy: &Policy, start: State) -> SwingUp {
     let (dynamics, mut policy) = (NonidealDynamics::<f64>::new(model), policy.clone());
     policy.start();
@@ -137,7 +140,7 @@ fn swing_up(model: &QubeModel, policy: &Policy, start: State) -> SwingUp {
     swing_up
 }
 
-/// The estimates at each sample of a swing-up.
+/// The estimate at each sample of a swing-up, and the number of times that the observer was reset.
 fn watch(swing_up: &SwingUp, settings: EstimatorSettings) -> (Vec<State>, u32) {
     let mut estimator = Estimator::new(settings, Calibration::IDENTITY);
     let seen = swing_up
@@ -154,11 +157,12 @@ fn watch(swing_up: &SwingUp, settings: EstimatorSettings) -> (Vec<State>, u32) {
 
 /// Errors of one velocity over all swing-ups.
 struct Errors {
-    /// Root mean square error against the true value when the command acts, rad/s.
+    /// Root mean square error against the true velocity at the instant at which the command acts,
+    /// rad/s.
     at_command: f64,
     /// Lag of the estimate behind that instant, ms.
     lag_ms: f64,
-    /// Root mean square error that remains after a shift by the lag, rad/s.
+    /// Root mean square error against the true velocity earlier by the lag, rad/s.
     noise: f64,
 }
 
@@ -168,7 +172,8 @@ fn velocity_errors(
     velocity: fn(&State) -> f64,
 ) -> Errors {
     let delay = (delay_s * 1e6 / GRID_US as f64).round() as isize;
-    // The true values this many steps of the grid after the samples.
+    // The root mean square error against the true values `shift` steps of the grid after the
+    // samples.
     let off = |shift: isize| {
         let (mut sum, mut count) = (0.0, 0.0);
         for (swing_up, seen) in rides {
@@ -237,7 +242,7 @@ fn errors(lab: &QubeModel, policy: &Policy, noises: &[f64]) {
 
 // --- transfer ---
 
-/// The results of rollouts.
+/// The results of the rollouts in a cell of a table.
 #[derive(Default)]
 struct Tally {
     rollouts: u32,
@@ -261,7 +266,7 @@ impl Tally {
         )
     }
 
-    /// Runs one rollout on the emulated Qube after homing, within the box alone.
+    /// Runs one rollout on the emulated Qube after homing, guarded by the box alone.
     fn add(&mut self, model: &QubeModel, estimator: EstimatorSettings, policy: &Policy, seed: u64) {
         let clock = VirtualClock::default();
         let emulator = EmulatorSettings { model: *model, seed, ..EmulatorSettings::default() };
@@ -298,7 +303,8 @@ impl Tally {
         self.resets += report.outcome.observer_resets;
     }
 
-    /// Runs one rollout of a policy with the true state at the instant of its command.
+    /// Runs one rollout in which the policy sees the true state at the instant at which its command
+    /// acts.
     fn add_exact(&mut self, model: &QubeModel, policy: &Policy, seed: u64) {
         let theta = 0.1 * (seed as f64).sin();
         let ride = swing_up(model, policy, State { theta, ..State::default() });
@@ -355,16 +361,16 @@ fn plants(lab: &QubeModel, policies: &[Policy]) {
     transfer(lab, &columns, policies);
 }
 
-/// Qubes whose rollouts are counted together.
+/// The Qubes whose rollouts are counted together in a column of a table.
 struct Column {
     plants: Vec<QubeModel>,
     /// Rollouts of each policy on each Qube.
     rollouts: u64,
-    /// Delay that the estimators assume.
+    /// Delay that the estimators assume, s.
     delay_s: f64,
 }
 
-/// Prints one row for each estimator, and one for policies with the true state.
+/// Prints a row for each estimator, after a row for policies that see the true state.
 fn transfer(lab: &QubeModel, columns: &[Column], policies: &[Policy]) {
     let cells = |rollout: &dyn Fn(&mut Tally, &QubeModel, f64, &Policy, u64)| {
         let cells: Vec<String> = columns

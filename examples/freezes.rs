@@ -1,5 +1,5 @@
-//! Measures how soon a frozen arm encoder is found during a rollout, and the error of the zero if
-//! it is not: `cargo run --release --example freezes -- SEEDS [FIRST_SEED]`.
+//! Measures how soon a frozen arm encoder is found during a rollout, and how wrong the zero is
+//! where the freeze is not found: `cargo run --release --example freezes -- SEEDS [FIRST_SEED]`.
 //!
 //! In each rollout the encoder freezes while the policy runs: for good, with its tachometer at 0 or
 //! at its last value, or for 500 ms in which counts are lost.
@@ -15,7 +15,7 @@ use freezes::{Freeze, KINDS, freezes, policies, qubes};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::telemetry::Ending;
 
-/// Median, 90 % quantile and maximum.
+/// Median, 90 % quantile and maximum of the times, ms; `-` without any time.
 fn quantiles(found_ms: &mut [f64]) -> String {
     found_ms.sort_by(f64::total_cmp);
     let last = found_ms.len().saturating_sub(1) as f64;

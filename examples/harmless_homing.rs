@@ -1,8 +1,9 @@
-//! Runs starts with one fault each and prints the arm's speed at its stops;
+//! Simulates starts of a Qube with one fault each and prints the arm's speed at its stops;
 //! `scripts/harmless-homing` runs 10^4 of them.
 //!
 //! `cargo run --release --example harmless_homing -- SEEDS [FIRST_SEED [list [CASES]]]` runs each
-//! case with this many seeds.
+//! case with SEEDS seeds. `list` prints each start that falls short, and CASES holds the names of
+//! the only cases to run.
 
 #[path = "../tests/harmless/mod.rs"]
 mod harmless;

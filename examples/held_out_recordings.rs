@@ -1,12 +1,14 @@
-//! Scores `identify` on recordings of a real Qube that it was not fitted to, each recording in turn.
+//! Scores `identify` on recordings of a real Qube. Each recording in turn is left out of the fit
+//! and predicted by the fitted model.
 //!
 //! ```text
 //! cargo run --release --example held_out_recordings [FOLDER]
 //! ```
 //!
-//! FOLDER holds chirps and swing-ups as CSV files; `../shared/data/qube-recordings` unless named. For each recording, a
-//! model is fitted to all others; the cable's rest angle is that of the fitted recordings of the same series, whose names
-//! differ in the last number only. The table pools the errors by kind of recording.
+//! FOLDER holds chirps and swing-ups as CSV files; without FOLDER, `../shared/data/qube-recordings`
+//! is read. For each recording, a model is fitted to all others, and the cable's rest angle comes
+//! from the fitted recordings of the same series, whose names differ in the last number only. The
+//! table pools the errors by kind of recording.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -17,10 +19,10 @@ use qube_hil::identification::{
 use qube_hil::qube::{Profile, QubeModel};
 use qube_hil::replay::MotionLog;
 
-/// Horizon of the predictions of chirps, s.
+/// Horizon over which a chirp is predicted, s.
 const CHIRP_S: f64 = 9.8;
 
-/// Sums of squared errors of theta and alpha, and their number.
+/// Sums of the squared errors of theta and alpha, rad^2, and the number of predictions.
 #[derive(Clone, Copy, Default)]
 struct Pool {
     squares: [f64; 2],
@@ -42,7 +44,7 @@ impl Pool {
     }
 }
 
-/// Errors in swing, balance and chirps.
+/// Pooled errors of the swing-up, of balancing and of chirps.
 type Scores = [Pool; 3];
 
 fn score(scores: &mut Scores, log: &MotionLog, model: &QubeModel) {
@@ -86,7 +88,8 @@ fn main() {
     in_turn("all, each in turn", &files, &logs, |_| true);
 }
 
-/// Fits the recordings of `kind` but one, for each of them, and scores that one.
+/// Scores each recording of `kind` with a model that is fitted to the other recordings of that
+/// kind, and prints the errors of each and of all.
 fn in_turn(name: &str, files: &[PathBuf], logs: &[MotionLog], kind: impl Fn(&MotionLog) -> bool) {
     let unknowns: Vec<Unknown> = Unknown::all().collect();
     let kept: Vec<usize> = (0..logs.len()).filter(|&index| kind(&logs[index])).collect();
@@ -115,7 +118,7 @@ fn in_turn(name: &str, files: &[PathBuf], logs: &[MotionLog], kind: impl Fn(&Mot
     line(name, &scores);
 }
 
-/// The name of a recording without the number at its end.
+/// The series of a recording: its name without the number at the end.
 fn series(path: &Path) -> String {
     file_name(path).trim_end_matches(|character: char| character.is_ascii_digit()).to_owned()
 }

@@ -9,10 +9,12 @@
 //! ```
 //!
 //! SEEDS is a number, or a range such as `5..10`. MODEL is `nominal`, `handcrafted`, or
-//! `specialists`: for each seed one Qube drawn from `handcrafted`, with a policy trained for it
-//! alone. A return that no specialist reaches is out of reach for a policy for all of them. PRESET
-//! is `thesis`, `quick` or `robust`; settings are those of `TrainSettings`. After `--against` stand settings that each
-//! seed is trained with as well: the two trainings of a seed are a pair, and their differences are summed up.
+//! `specialists`: for each seed one Qube is drawn from `handcrafted`, and a policy is trained for
+//! that Qube alone. If no such specialist reaches a return, a policy for all of the Qubes cannot be
+//! expected to. PRESET is `thesis`, `quick` or `robust`; settings are those of `TrainSettings`.
+//! With `--against` each seed is trained a second time, with the settings after `--against` in
+//! addition. The two trainings of a seed are a pair, and the program sums up the differences of the
+//! pairs.
 
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -22,9 +24,9 @@ use qube_hil::learning::{Preset, TrainSettings, evaluate_afresh, train};
 use qube_hil::policy::Network;
 use qube_hil::simulation::{DomainDistribution, Family, Trajectory};
 
-/// New starts of the evaluation after training.
+/// Number of new starts of the evaluation after training.
 const FRESH_STARTS: usize = 1000;
-/// Seed of those starts, and of the Qubes of `specialists`.
+/// Seed of the new starts, and of the Qubes of `specialists`.
 const FRESH_SEED: u64 = 1_000_003;
 
 fn main() -> anyhow::Result<()> {
@@ -100,7 +102,7 @@ fn trained(
     Ok(Row { fresh, fresh_final, to_540_s })
 }
 
-/// Sums up the differences of pairs: the other training minus the first of each seed.
+/// Prints the mean of the pairs' differences: the second training of each seed minus the first.
 fn compare(rows: &[Row], others: &[Row]) {
     let differences: Vec<f64> =
         rows.iter().zip(others).map(|(row, other)| other.fresh - row.fresh).collect();
@@ -128,8 +130,8 @@ fn one_of_handcrafted(number: u64) -> DomainDistribution {
     DomainDistribution::constant(&Trajectory::draw(&handcrafted, FRESH_SEED, number).model)
 }
 
-/// The result of one training. Both returns come from new starts, because evaluations during
-/// training favour the best.
+/// The result of one training. Both returns come from new starts, because the return by which the
+/// best policy was chosen during training is too favourable.
 struct Row {
     fresh: f64,
     fresh_final: f64,

@@ -1,5 +1,5 @@
 //! Wakes up 100 times a second like the control thread, with or without each of the measures for
-//! punctuality, and prints the lateness as one JSON object, microseconds.
+//! punctuality, and prints a summary of the lateness as one JSON object, microseconds.
 //!
 //! `scripts/on-time` runs it beside cyclictest.
 

@@ -1,5 +1,5 @@
-//! Measures how close an adversary that knows only the promise of foresight, not its
-//! implementation, brings the arm of a guarded Qube to its stop.
+//! Measures how close to its stop an adversary brings the arm of a guarded Qube. This adversary
+//! knows only the promise of foresight, not its implementation.
 //!
 //! `cargo run --release --example strangers_adversary -- --searches 20 --first 1 --optimiser both
 //! --belief unknown --out FILE`. Each finished search is a line of FILE and is not repeated.
@@ -118,7 +118,8 @@ fn is_of(record: &SearchRecord, hunt: &Hunt) -> bool {
     scenario.seed == hunt.seed && scenario.known == hunt.known && record.method == hunt.method
 }
 
-/// The searches of a file; a truncated line is skipped.
+/// The searches of a file, of which there are none if it does not exist; a truncated line is
+/// skipped.
 fn read(path: &PathBuf) -> anyhow::Result<Vec<SearchRecord>> {
     if !path.exists() {
         return Ok(Vec::new());
@@ -127,7 +128,7 @@ fn read(path: &PathBuf) -> anyhow::Result<Vec<SearchRecord>> {
     Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
 }
 
-/// Prints the stored episodes of a search: its farthest, then one for each false fault.
+/// Prints the stored episodes of a search: the farthest, then one for each kind of false fault.
 fn tell(hunt: &Hunt, record: &SearchRecord) {
     let faults = record.kept_faults.values();
     for found in record.farthest.iter().chain(faults) {

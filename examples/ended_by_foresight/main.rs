@@ -1,13 +1,15 @@
-//! Counts the good swing-ups that foresight would end: for Qubes that are not identified, whose parameters may be
-//! off by 10 to 30 %, and for an identified Qube.
+//! Counts the successful swing-ups that foresight would end: for Qubes that are not identified,
+//! whose parameters may be off by 10 to 30 %, and for an identified Qube.
 //!
-//! `cargo run --release --example ended_by_foresight [-- POLICY ...]`. The shipped policies, the named ones and the
-//! classical controller run on each Qube, and on Qubes with one parameter 10 % off, in the thesis's box alone.
-//! `--held N` and `--margin RAD` examine another guard of the identified Qube: one that holds a voltage for N
-//! periods, or keeps arms that far from their ends.
-//! Foresight then examines every tick of the rollouts that succeed. The identified Qube's profile is centred on
-//! the Qube of the row and has the standard errors and correlations of `lab`. Some Qubes have effects that no
-//! profile contains: play, and friction that yields before it slides.
+//! `cargo run --release --example ended_by_foresight [-- POLICY ...]`. The shipped policies, the
+//! named ones and the classical controller run on each Qube, and on Qubes with one parameter 10 %
+//! off, guarded by the thesis's box alone. Foresight then examines every tick of the rollouts that
+//! succeed.
+//!
+//! `--held N` and `--margin RAD` examine another guard of the identified Qube: one that holds a
+//! voltage for N periods, or keeps arms that far from their ends. The identified Qube's profile is
+//! centred on the Qube of the row and has the standard errors and correlations of `lab`. Some Qubes
+//! have effects that no profile contains: play, and friction that yields before it slides.
 
 mod plant;
 
@@ -50,7 +52,8 @@ struct Tick {
     voltage_v: f32,
 }
 
-/// Runs a rollout in the box alone and returns its ticks; `None` if it does not succeed.
+/// Runs a rollout guarded by the box alone and returns its ticks; `None` if the rollout does not
+/// succeed.
 fn rollout(kind: &Kind, policy: &mut dyn Controller, theta: f64) -> Option<Vec<Tick>> {
     let mut plant = Plant::at_rest(kind, theta);
     let mut estimator = Estimator::new(EstimatorSettings::default(), Calibration::IDENTITY);
@@ -81,7 +84,7 @@ fn rollout(kind: &Kind, policy: &mut dyn Controller, theta: f64) -> Option<Vec<T
     Some(ticks)
 }
 
-/// The Qube itself, and Qubes with one parameter (except gravity) 10 % larger or smaller.
+/// The Qube itself, and Qubes with one parameter (gravity excepted) 10 % larger or smaller.
 fn around(kind: &Kind) -> Vec<Kind> {
     let mut kinds = vec![*kind];
     for parameter in DomainParameter::ALL {
@@ -97,7 +100,8 @@ fn around(kind: &Kind) -> Vec<Kind> {
     kinds
 }
 
-/// A profile of another Qube with the same relative standard errors.
+/// The profile of another Qube: that Qube's values, and standard errors that are as large relative
+/// to its parameters as in `profile`.
 fn around_model(profile: &Profile, model: &QubeModel) -> Profile {
     let mut other = Profile {
         parameters: model.parameters,
@@ -136,7 +140,8 @@ fn kinds(lab: QubeModel) -> Vec<(&'static str, Kind)> {
     ]
 }
 
-/// Counts the rollouts that foresight ends if the parameters are known only within the fraction `within`.
+/// Counts the rollouts that foresight ends if the Qube's parameters are known only up to the
+/// relative error `within`.
 fn ended_unknown(good: &[Vec<Tick>], within: f64) -> usize {
     let belief = Belief::of_any_qube(within);
     let mut foresight = ForesightSettings { belief, ..ForesightSettings::default() }
@@ -150,8 +155,8 @@ fn ended_unknown(good: &[Vec<Tick>], within: f64) -> usize {
     good.iter().filter(|ticks| is_ended(ticks)).count()
 }
 
-/// Counts the rollouts that foresight ends for an identified Qube: because the brake would come too late, and
-/// because the profile did not predict the motion.
+/// Counts the rollouts that foresight ends for an identified Qube: first those in which the brake
+/// would come too late, then those whose motion the profile did not predict.
 fn ended_identified(good: &[Vec<Tick>], profile: &Profile, guard: &Arguments) -> [usize; 2] {
     let (known, usual) = (IdentifiedQube::of(profile), ForesightSettings::default());
     let held_periods = guard.held.unwrap_or(known.held_periods);

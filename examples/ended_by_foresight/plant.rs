@@ -1,5 +1,5 @@
-//! A Qube with effects that the library's equations leave out: play between motor and arm, and friction that
-//! yields like a spring before it slides.
+//! A Qube with effects that the library's equations leave out: play between motor and arm, and
+//! friction that yields like a spring before it slides.
 
 use std::collections::VecDeque;
 
@@ -28,19 +28,20 @@ pub enum Beyond {
 /// Number of integration steps in a control period.
 const STEPS: u32 = 20;
 
-/// Number of integration steps in a control period where contacts or friction are stiff.
+/// Number of integration steps in a control period if contacts or friction are stiff.
 const STIFF_STEPS: u32 = 500;
 
 /// Inertia of the motor's rotor with its hub, kg m^2: data sheet of the Qube-Servo 2.
 const ROTOR_INERTIA_KG_M2: f64 = 4.6e-6;
 
-/// Stiffness of the contact between rotor and arm, N m/rad: a natural frequency of 70 Hz.
+/// Stiffness of the contact between rotor and arm, N m/rad: the rotor vibrates at 70 Hz.
 const CONTACT_N_M_RAD: f64 = 1.0;
 
-/// Damping of that contact, N m s/rad: it hardly bounces.
+/// Damping of the contact between rotor and arm, N m s/rad: the rotor hardly bounces.
 const CONTACT_N_M_S_RAD: f64 = 2e-3;
 
-/// Velocity at which the friction of a motor with play has reached three quarters of its torque, rad/s.
+/// Velocity at which the friction of a motor with play has reached three quarters of its torque,
+/// rad/s.
 const SLIDING_RAD_S: f64 = 0.05;
 
 /// A Qube whose commands arrive late.
@@ -51,14 +52,14 @@ pub struct Plant {
     state: State,
     /// The motor's angle, rad, and velocity, rad/s; used only with play.
     rotor: [f64; 2],
-    /// Distance by which the friction has yielded, rad.
+    /// Angle by which the friction has yielded, rad.
     given_way_rad: f64,
     /// Last commands, V, newest first.
     commands_v: VecDeque<f64>,
 }
 
 impl Plant {
-    /// A Qube at rest with the arm at this angle.
+    /// A Qube at rest with the arm at the angle `theta`, rad.
     pub fn at_rest(kind: &Kind, theta: f64) -> Self {
         Self {
             kind: *kind,
@@ -102,8 +103,8 @@ impl Plant {
         }
     }
 
-    /// Integrates one step with play: the motor drives the arm through the contact, friction acts on the motor, and
-    /// the cable pulls the arm.
+    /// Integrates one step with play: the motor drives the arm through the contact, friction acts
+    /// on the motor, and the cable pulls the arm.
     fn step_with_play(&mut self, play_rad: f64, voltage_v: f64, step_s: f64) {
         let [angle, velocity] = self.rotor;
         let apart = angle - self.state.theta;
@@ -127,7 +128,8 @@ impl Plant {
         self.step_arm(torque, step_s);
     }
 
-    /// Integrates arm and pendulum by the semi-implicit Euler method, under which a stiff contact gains no energy.
+    /// Integrates arm and pendulum by the semi-implicit Euler method, under which a stiff contact
+    /// gains no energy.
     fn step_arm(&mut self, torque: f64, step_s: f64) {
         let ideal = &self.dynamics.ideal;
         let acceleration = ideal.acceleration(&self.state, torque / ideal.torque_per_volt);

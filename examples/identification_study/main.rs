@@ -1,13 +1,15 @@
-//! Measures `identify` on emulated plants of known truth: coverage of its intervals, and its verdict on plants inside and
-//! outside the model class.
+//! Measures `identify` on emulated plants of known truth: how often its intervals contain the
+//! truth, and its verdict on plants inside and outside the model class.
 //!
 //! ```text
 //! cargo run --release --example identification_study [PLANTS [SEED]]
 //! ```
 //!
-//! For each of PLANTS seeds from SEED (50 from 2000 unless named), a Qube is drawn, two chirps of 10 s are recorded at
-//! 100 Hz and fitted; once as it is, and once with one effect outside the class, which alternates. A line for each plant
-//! is followed by tables of the counts. The limits of the verdict were chosen on seeds from 100.
+//! For each of PLANTS seeds from SEED (50 from 2000 unless named), a Qube is drawn, two chirps of
+//! 10 s are recorded at 100 Hz, and a model is fitted to them: once with the Qube as drawn, and
+//! once with an effect outside the model class added, which is one of five in turn. After a line
+//! for each plant come tables of the counts. The limits of the verdict were chosen on seeds from
+//! 100.
 
 mod plant;
 
@@ -25,13 +27,15 @@ use qube_hil::replay::{MotionLog, MotionSample};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-/// Number of plants and first seed.
+/// PLANTS and SEED unless named.
 const DEFAULTS: [u64; 2] = [50, 2000];
 
 /// Half the width of a 90 % interval, in standard errors.
 const NINETY_PERCENT: f64 = 1.645;
 
-/// A Qube drawn from the prior of the identification, the motor's constants within a third of the prior's width.
+/// Draws a Qube: parameters from the prior of the identification, but the motor's constants with a
+/// third of the prior's width and dampings with half of it; strengths of nonidealities and the
+/// delay uniform over fixed ranges.
 fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
     let mut model = QubeModel::NOMINAL;
     for unknown in Unknown::all() {
@@ -47,7 +51,8 @@ fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
             Quantity::Parameter(_) => prior.mean + normal * prior.std,
             Quantity::Nonideality(Nonideality::CommandDelay) => 0.002 + 0.012 * rng.random::<f64>(),
             Quantity::Nonideality(Nonideality::CableRest) => normal * prior.std,
-            // Strengths up to 0.6 mN m, 0.25 V, 1.2 mN m/rad.
+            // Strengths are uniform: friction up to 0.6 mN m, the cable up to 1.2 mN m/rad, dead
+            // zones up to 0.25 V.
             Quantity::Nonideality(Nonideality::CoulombTorque) => 6e-4 * rng.random::<f64>(),
             Quantity::Nonideality(Nonideality::CableStiffness) => 1.2e-3 * rng.random::<f64>(),
             Quantity::Nonideality(_) => 0.25 * rng.random::<f64>(),
@@ -57,13 +62,13 @@ fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
     model
 }
 
-/// A standard normal number: Box and Muller's.
+/// A standard normal number, by the method of Box and Muller.
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
     radius * (2.0 * std::f64::consts::PI * rng.random::<f64>()).cos()
 }
 
-/// An effect outside the class, of a size that a worn or cheap rig has.
+/// The effect outside the model class for this seed, of a size that a worn or cheap rig has.
 fn outside(seed: u64, rng: &mut ChaCha8Rng) -> Beyond {
     let size = 0.5 + 0.5 * rng.random::<f64>();
     match seed % 5 {
@@ -117,7 +122,7 @@ fn describe(found: &Result<Identified, IdentifyError>) -> String {
 struct Row {
     plants: u32,
     doubted: u32,
-    /// How often each effect was named.
+    /// Number of times that each effect was named.
     named: BTreeMap<&'static str, u32>,
 }
 
@@ -140,7 +145,7 @@ impl Row {
     }
 }
 
-/// Whether the 90 % interval of each estimate contains the truth.
+/// For each estimate, whether its 90 % interval contains the truth.
 fn coverage(found: &Identified, truth: &QubeModel) -> Vec<(Unknown, bool)> {
     let one = |estimate: &Estimate| {
         let expected = truth.get(estimate.unknown.0);

@@ -1,5 +1,6 @@
-//! An emulated Qube that may have effects which the library's equations leave out. The library cannot import it, so
-//! that identification meets it as it would meet an unknown Qube.
+//! An emulated Qube that may have effects which the library's equations leave out. The library
+//! cannot import this file, so that identification knows as little of these effects as of an
+//! unknown Qube's.
 
 use std::collections::VecDeque;
 
@@ -10,15 +11,16 @@ use qube_hil::qube::{
 /// An effect outside the model class.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Beyond {
-    /// None: the plant is of the model class.
+    /// No effect: the plant is of the model class.
     Nothing,
     /// Play between the motor with its encoder and the arm, rad.
     Play(f64),
     /// Friction that gives way by this angle before it slides, rad (Dahl).
     Presliding(f64),
-    /// Cable that lags behind: torque of its elastoplastic part, N m, and the angle over which it builds up, rad.
+    /// Cable whose torque lags behind its angle: largest torque of the lagging part, N m, and the
+    /// angle over which that torque builds up, rad.
     Hysteresis(f64, f64),
-    /// Motor whose resistance grows by this share in a recording of 10 s.
+    /// Motor whose resistance grows by this share of its value in a recording of 10 s.
     Warming(f64),
     /// Arm encoder off its centre: amplitude of its error, rad.
     Eccentric(f64),
@@ -38,17 +40,18 @@ impl Beyond {
     }
 }
 
-/// Integration steps in a control period.
+/// Number of integration steps in a control period.
 const STEPS: u32 = 400;
 
 /// Inertia of the motor's rotor with its hub, kg m^2: data sheet of the QUBE-Servo 2.
 const ROTOR_INERTIA_KG_M2: f64 = 4.6e-6;
 
-/// Stiffness and damping where the rotor touches the arm: 70 Hz, and a contact that hardly bounces.
+/// Stiffness and damping of the contact between rotor and arm: the rotor vibrates at 70 Hz and
+/// hardly bounces.
 const CONTACT_N_M_RAD: f64 = 1.0;
 const CONTACT_N_M_S_RAD: f64 = 2e-3;
 
-/// Velocity at which the friction of a motor with play has nearly its whole torque, rad/s.
+/// Velocity at which friction has reached three quarters of its torque, rad/s.
 const SLIDING_RAD_S: f64 = 0.05;
 
 /// A Qube whose commands arrive late.
@@ -60,12 +63,12 @@ pub struct Plant {
     rotor: [f64; 2],
     given_way_rad: f64,
     time_s: f64,
-    /// Newest first.
+    /// Last commands, V, newest first.
     commands_v: VecDeque<f64>,
 }
 
 impl Plant {
-    /// A Qube at rest with the arm at this angle.
+    /// A Qube at rest with the arm at the angle `theta`, rad.
     pub fn at_rest(model: &QubeModel, beyond: Beyond, theta: f64) -> Self {
         Self {
             model: *model,
@@ -134,8 +137,8 @@ impl Plant {
         }
     }
 
-    /// Integrates one step with play: the motor drives the arm through the contact, friction acts on the motor, and
-    /// the cable pulls the arm.
+    /// Integrates one step with play: the motor drives the arm through the contact, friction acts
+    /// on the motor, and the cable pulls the arm.
     fn step_with_play(&mut self, play_rad: f64, voltage_v: f64, step_s: f64) {
         let [angle, velocity] = self.rotor;
         let apart = angle - self.state.theta;
@@ -150,14 +153,16 @@ impl Plant {
         self.rotor = [angle + step_s * velocity, velocity];
     }
 
-    /// Integrates an elastoplastic element that follows the arm and slips at its full extension.
+    /// Integrates the angle by which an elastoplastic element is extended: it follows the arm, and
+    /// slips at its full extension, `distance_rad`.
     fn give_way(&mut self, distance_rad: f64, step_s: f64) {
         let velocity = self.state.theta_dot;
         let slipping = velocity.abs() * self.given_way_rad / distance_rad;
         self.given_way_rad += step_s * (velocity - slipping);
     }
 
-    /// Integrates arm and pendulum by the semi-implicit Euler method, under which a stiff contact gains no energy.
+    /// Integrates arm and pendulum by the semi-implicit Euler method, under which a stiff contact
+    /// gains no energy.
     fn turn(&mut self, torque_n_m: f64, step_s: f64) {
         let ideal = &self.dynamics.ideal;
         let acceleration = ideal.acceleration(&self.state, torque_n_m / ideal.torque_per_volt);
@@ -167,7 +172,7 @@ impl Plant {
         self.state.alpha += step_s * self.state.alpha_dot;
     }
 
-    /// The torque of friction against a velocity, N m, by the library's law.
+    /// The torque of friction against this velocity, N m, by the library's law.
     fn friction(&self, velocity: f64) -> f64 {
         let x = velocity / SLIDING_RAD_S;
         self.dynamics.coulomb_torque * x / (1.0 / 3.0 + x.abs())

@@ -1,7 +1,8 @@
-//! Tests that the firmware's constants are those of this crate: `firmware/wire.h` is generated here
-//! and compared with the committed file.
+//! Tests that the firmware's constants are those of this crate: generates `firmware/wire.h` and
+//! compares the text with the committed file.
 //!
-//! `UPDATE_FIRMWARE_HEADER=1 cargo test -p firmware-protocol --test firmware_header` rewrites it.
+//! `UPDATE_FIRMWARE_HEADER=1 cargo test -p firmware-protocol --test firmware_header` rewrites the
+//! file.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -114,7 +115,7 @@ fn header() -> String {
     define(h, "TACHOMETER_COUNTS_S_TICKS", format_args!("{TACHOMETER_COUNTS_S_TICKS}ul"));
 
     c_enum(h, "request_type", "REQUEST", &request_types());
-    // A device drops the reply types; the lowest one has bit 7 set and no other.
+    // A device drops frames with a type from 0x80 on, because only replies have such a type.
     define(h, "FIRST_REPLY_TYPE", "0x80u");
     c_enum(h, "reply_type", "REPLY", &reply_types());
     let status = [

@@ -1,5 +1,5 @@
 //! Tests the firmware's pure layers, compiled for this computer with all warnings and sanitisers:
-//! they agree with `golden.txt` and, on arbitrary bytes, with this crate.
+//! the layers agree with `golden.txt` and, on arbitrary bytes, with this crate.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,8 @@ const GOLDEN: &str = include_str!("../golden.txt");
 
 const SANITISERS: &str = "-fsanitize=address,undefined";
 
-/// Compiles the C program that answers questions.
+/// Compiles the C program that answers questions about the firmware's layers; returns whether the
+/// compiler succeeded.
 fn compile(flags: &[&str], program: &Path) -> bool {
     let firmware = Path::new(env!("CARGO_MANIFEST_DIR")).join("firmware");
     let sources = ["host_test/layers.c", "device.c", "link.c", "qube_frame.c"];
@@ -27,7 +28,8 @@ fn compile(flags: &[&str], program: &Path) -> bool {
         .success()
 }
 
-/// The program, compiled once for each run; without sanitisers if the compiler has none.
+/// The path of the C program, which is compiled once for each run of the tests; without sanitisers
+/// if the compiler has none.
 fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {
@@ -37,7 +39,7 @@ fn program() -> &'static Path {
     })
 }
 
-/// Asks the C program, one question a line; returns its answers.
+/// Asks the C program, one question a line; returns the answers, one a question.
 fn ask(questions: &[String]) -> Vec<String> {
     let mut child = Command::new(program())
         .stdin(Stdio::piped())
@@ -94,19 +96,22 @@ fn the_firmware_does_what_the_golden_file_says() {
     assert_eq!(ask(&questions), expected);
 }
 
-/// Numbers are states (1 Greeted, 2 Armed, 4 Faulted), `!` the latched emergency stop, `r` an Arm that
-/// it refused, `?` a board that knows of no switch.
+/// A question says whether a switch is fitted (1 or 0) and lists events: a millisecond with closed
+/// (`c`) or open (`o`) contact, a Hello (`h`), an Arm (`a`). In the answers, a number is the state
+/// after an event (1 Greeted, 2 Armed, 4 Faulted), `!` is the latched emergency stop, `r` an Arm
+/// that the stop refuses, `?` a board that knows of no switch.
 #[test]
 fn the_firmware_latches_the_emergency_stop_until_hello() {
     let closed = "c".repeat(101);
     let fitted_after = format!("{}{}", " 1?".repeat(100), " 1");
     let (questions, expected): (Vec<String>, Vec<String>) = [
-        // Opened while armed: Faulted, and only a Hello that finds it closed lets it arm again.
+        // The switch opens while armed: Faulted, and only a Hello that finds it closed allows an
+        // Arm.
         ("1 cacoooocchah", " 1 2 2 2 2 2 4! 4! 4! 1 2 1"),
         ("1 caooooahachcca", " 1 2 2 2 2 4! 4! 1! r 1! 1 1 1 2"),
-        // A spike of 2 ms does not count.
+        // An opening of 2 ms does not count.
         ("1 caoocoocooc", " 1 2 2 2 2 2 2 2 2 2 2"),
-        // Opened and closed before the arm: still latched.
+        // The switch opens and closes before the Arm: the stop is latched.
         ("1 cooooccaha", " 1 1 1 1 1! 1! 1! r 1 2"),
         // No switch was ever closed, so nothing stops and nothing is latched.
         ("0 ooooaoooo", " 1? 1? 1? 1? 2? 2? 2? 2? 2?"),

@@ -1,5 +1,5 @@
 //! Tests `golden.txt`, which holds the wire's bytes for implementations in any language: this crate
-//! produces exactly these bytes and reads them back.
+//! writes exactly these bytes, and reads them back.
 
 use firmware_protocol::scaling::{
     current_ma, motor_counts, motor_voltage_mv, motor_word, tachometer_counts_s,
@@ -177,7 +177,7 @@ fn bytes(hex: &str) -> Vec<u8> {
     (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect()
 }
 
-/// The lines of the file that are not comments, split into words.
+/// The lines of this kind in the file, split into words.
 fn lines(kind: &str) -> Vec<Vec<&'static str>> {
     let lines: Vec<Vec<_>> = GOLDEN
         .lines()
@@ -197,7 +197,7 @@ fn number<T: TryFrom<i64>>(word: &str) -> T {
     T::try_from(value).ok().unwrap_or_else(|| panic!("{word} is out of range"))
 }
 
-/// Rewrites the frames of requests and replies; the other lines are kept.
+/// Rewrites the frames of requests and replies in the file and keeps the other lines.
 #[test]
 #[ignore = "writes golden.txt; run it when the wire has changed"]
 fn write_the_frames_anew() {

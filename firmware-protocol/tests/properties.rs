@@ -116,7 +116,7 @@ proptest! {
         }
     }
 
-    /// Random bytes hardly ever pass the checksum, unlike frames with random content.
+    /// Tests content with a right checksum, because random bytes hardly ever pass the check.
     #[test]
     fn any_content_with_a_right_checksum_is_safe(
         content in prop::collection::vec(any::<u8>(), 0..60),
