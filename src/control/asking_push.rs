@@ -6,7 +6,7 @@
 use crate::elementary::Scalar;
 use crate::qube::{DomainParameters, Dynamics, Measurement, PlantModel};
 
-/// Time within one count, under voltage, after which the arm is tested, us.
+/// Time for which the count stays within one count under voltage before a push tests the arm, us.
 const CONSTANT_US: u64 = 55_000;
 
 /// Voltage below which the motor counts as not driven, so that an arm at rest is normal, mV.
@@ -30,21 +30,22 @@ const SWING_HOLDS_V_S2: f64 = 0.026;
 /// Longest delay from a command to the motor, control periods: 20 ms.
 const SLOWEST_TICKS: usize = 2;
 
-/// Least acceleration per volt of an arm that its pendulum neither loads nor unloads, rad/s^2/V: half of the
-/// motor's torque per volt over M_p L_r^2 + J_r.
+/// Least acceleration per volt of an arm that its pendulum neither loads nor unloads, rad/s^2/V:
+/// half of the motor's torque per volt over M_p L_r^2 + J_r.
 const LEAST_RAD_S2_V: f64 = 11.0;
 
 /// Fraction of the arm's inertia that a vertical pendulum removes by giving way.
 const GIVES_WAY: f64 = 0.56;
 
-/// Largest such fraction: beyond it an arm would hardly have any inertia left.
+/// Largest fraction that is assumed for any plant: beyond it an arm would hardly have any inertia
+/// left.
 const MOST_GIVES_WAY: f64 = 0.75;
 
-/// Travel of the slowest possible arm at which a constant count proves a fault, counts.
+/// Travel of the slowest possible arm from which a constant count proves a fault, counts.
 const MUST_HAVE_GONE_COUNTS: f64 = 4.0;
 
-/// The coefficients of the slowest possible arm of a plant: the Qube's, each in the proportion of the two plants'
-/// nominal parameters.
+/// The coefficients of the slowest possible arm of a plant: those of the Qube, scaled by the ratios
+/// of the two plants' nominal parameters.
 #[derive(Clone, Copy, Debug)]
 struct Slowest {
     weight_holds_v: f64,
@@ -87,18 +88,18 @@ impl Slowest {
 
 /// Watches for a constant count of the arm, and pushes harder and harder until the arm moves.
 ///
-/// During a push the policy is not asked: a balancing policy would respond to the pendulum's tilt
-/// and cancel the push. A healthy arm moves within two counts, and the policy continues.
+/// A push replaces the policy's voltage: a balancing policy would respond to the pendulum's tilt
+/// and cancel the push. The push ends, and the policy continues, once the count has changed by two.
 #[derive(Clone, Copy, Debug)]
 pub struct AskingPush {
     slowest: Slowest,
     counts: i32,
-    /// Time since which the count has been constant under voltage.
+    /// Device time since which the count has been constant under voltage, us.
     since_us: Option<u64>,
     previous_us: u64,
     previous_alpha: f64,
-    /// Sum and number of the voltages sent meanwhile, V. Their mean is the voltage that holds the
-    /// arm in place.
+    /// Sum and number of the voltages sent between that time and the push, V. Their mean is the
+    /// voltage that holds the arm in place.
     sent_v: f64,
     sent_ticks: u32,
     push_v: f64,
@@ -110,7 +111,7 @@ pub struct AskingPush {
 }
 
 impl AskingPush {
-    /// A watch of this plant that has seen nothing yet.
+    /// A watch of this plant before its first sample.
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
         Self::new(Slowest::of(plant))
@@ -132,9 +133,9 @@ impl AskingPush {
         }
     }
 
-    /// Takes a sample, the voltage sent before it and the pendulum's angle from hanging, rad, both
-    /// in the convention's signs. Returns whether a push that moves any arm has left the count
-    /// constant.
+    /// Takes a sample, the voltage sent before it, mV, and the pendulum's angle from hanging, rad;
+    /// voltage and angle have the signs of the convention. Returns whether the count has stayed
+    /// constant although the push must have moved even the slowest possible arm.
     pub fn is_unanswered(&mut self, sample: &Measurement, sent_mv: i16, alpha: f64) -> bool {
         let now_us = sample.device_time_us;
         let elapsed_s = now_us.saturating_sub(self.previous_us) as f64 * 1e-6;

@@ -1,5 +1,5 @@
-//! Knowledge that the control thread keeps from one motion to the next: how warm the motor is, and where arm
-//! and pendulum came to rest.
+//! Knowledge that the control thread keeps from one motion to the next: how warm the motor is, and
+//! where arm and pendulum came to rest.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -21,8 +21,8 @@ const REST_TIME_NS: Nanoseconds = 15_000_000_000;
 #[derive(Debug, Default)]
 pub(super) struct Motor {
     pub heat: MotorHeat,
-    /// Time since which the motor has been without current and which `heat` does not include;
-    /// `None` before the first motion.
+    /// Time up to which `heat` is computed and since which the motor has had no current, ns; `None`
+    /// before the first motion.
     off_since_ns: Option<Nanoseconds>,
 }
 
@@ -71,7 +71,8 @@ pub(super) struct Undriven {
 }
 
 impl Undriven {
-    /// Watches, with the amplifier off, where arm and pendulum come to rest after a motion.
+    /// Watches with the amplifier off where arm and pendulum come to rest after a motion, and
+    /// stores their counts in `left_at`.
     pub fn keep(
         &mut self,
         last: Option<&Measurement>,
@@ -87,6 +88,10 @@ impl Undriven {
     }
 
     /// Checks before a rollout arms the device that arm and pendulum are where they were left.
+    ///
+    /// # Errors
+    /// Arm or pendulum has moved or does not come to rest, the port is gone, or the board has
+    /// restarted.
     pub fn compare(
         &self,
         settings: &TickSettings,

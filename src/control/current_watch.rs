@@ -19,7 +19,8 @@ const WEAK_MV: i16 = 1200;
 /// Travel within which an arm counts as still, counts.
 const STANDS_COUNTS: i32 = 3;
 
-/// Ticks after which a still arm counts as at rest.
+/// Ticks (0.25 s) for which the arm must be still, or the motor without current, before a fault is
+/// reported.
 const STANDS_TICKS: u32 = 25;
 
 /// Largest reading of a current sensor that shows nothing although the motor moved the arm, A.
@@ -27,8 +28,8 @@ const BLIND_A: f64 = 0.004;
 
 /// Whether the current is less than that of a connected motor at rest under this voltage, mV.
 ///
-/// Trap: a replay must decide as the recorded tick did, and at whole milliamperes the last bit decides, so
-/// the comparison stays in `f32`.
+/// The comparison stays in `f32`: a replay must decide as the recorded tick did, and at whole
+/// milliamperes the last bit decides.
 #[must_use]
 pub fn takes_nothing(sample: &Measurement, voltage_mv: i16) -> bool {
     let least_a = DEAD_A_V as f32 * f32::from(voltage_mv.saturating_abs()) * 1e-3;
@@ -60,13 +61,13 @@ impl CurrentWatch {
         self.largest_a < DEAD_A_V * largest_v
     }
 
-    /// Whether the motor draws no current at this voltage, mV, from a fast arm: in a connected
-    /// motor the back-EMF alone drives some.
+    /// Whether the motor draws no current at this voltage, mV, while the arm is fast. In a
+    /// connected motor the back-EMF alone drives a current.
     pub fn takes_nothing_at_speed(&self, sample: &Measurement, voltage_mv: i16) -> bool {
         takes_nothing(sample, voltage_mv) || f64::from(sample.current_a).abs() < BLIND_A
     }
 
-    /// Checks one sample.
+    /// Checks one sample; returns the fault if the motor is dead or has a bad contact.
     pub fn check(&mut self, sample: &Measurement) -> Option<Fault> {
         let current_a = f64::from(sample.current_a);
         let voltage_mv = sample.applied_mv.saturating_abs();

@@ -9,14 +9,15 @@ use crate::qube::{CONTROL_PERIOD_NS, Measurement};
 use crate::safety::MotorHeat;
 use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
 
-/// Time that a tick waits for its sample, ns, unless the link was measured and needs longer. After
-/// it the last voltage is held, so that the act still leaves well before the next tick.
+/// Time that a tick waits for its sample, ns, unless a measurement has shown that the link needs
+/// longer. An act that follows a sample at 6 ms still leaves well before the next tick. Without a
+/// sample by then, the tick sends nothing and the device keeps its last voltage.
 pub const SAMPLE_TIMEOUT_NS: u64 = 6_000_000;
 
-/// Longest time that a tick waits for its sample, ns, whatever the link needs. Of the tick's 10 ms
-/// it leaves 1.5 ms: 0.1 ms to decide, and 1.3 ms until an act reaches the motor (a frame of USB,
-/// 14 bytes on the line). An act then follows its sample within 10 ms, inside the 20 ms that
-/// foresight allows for and that a device accepts.
+/// Longest time that a tick waits for its sample, ns, whatever the link needs. This limit leaves
+/// 1.5 ms of the tick's 10 ms: 0.1 ms to decide, and 1.3 ms until an act reaches the motor (a frame
+/// of USB, 14 bytes on the line). An act then follows its sample within 10 ms, inside the 20 ms
+/// that foresight allows for and that a device accepts.
 pub const LONGEST_SAMPLE_TIMEOUT_NS: u64 = 8_500_000;
 
 /// The result of driving one motion to its end.
@@ -36,9 +37,10 @@ pub struct DriveReport {
 /// Arms the device, runs one motion at 100 Hz on absolute deadlines until it ends, and disarms the
 /// device on every way out.
 ///
-/// Each turn has one order: wait, read, decide, write, record. Nothing in it allocates, locks, logs
-/// or waits for the recorder: `records` is a wait-free ring, and records that find it full are
-/// counted. A motion that is not recorded passes `None`.
+/// Each tick does five things in this order: wait, read, decide, write, record. None of them
+/// allocates, locks, logs or waits for the recorder: `records` is a wait-free ring, and a record
+/// that finds the ring full is counted as lost. For a motion that is not recorded, `records` is
+/// `None`.
 ///
 /// The motor counts as cold, and its heat afterwards is not returned; see [`drive_warm`].
 ///
@@ -102,9 +104,9 @@ pub fn drive_warm(
         // Decide: estimate, guard, policy, limit.
         let output = motion.decide(&input);
 
-        // Write. An act answers the sample of its own tick: without a sample nothing is sent, and
-        // the device keeps its last voltage until the next act or its watchdog. The same holds for
-        // an act that is lost; the next sample shows it.
+        // Write. An act belongs to the sample of its own tick: without a sample nothing is sent,
+        // and the device keeps its last voltage until the next act or its watchdog. The device also
+        // keeps its voltage after an act that is lost on the way; the next sample shows the loss.
         if output.ending.is_none()
             && let Some(sample) = &input.measurement
         {
@@ -174,7 +176,7 @@ pub fn drive_warm(
     })
 }
 
-/// Counters over the turns of one motion.
+/// Counters over the ticks of one motion.
 #[derive(Debug, Default)]
 struct Turns {
     ticks: u32,
@@ -259,7 +261,8 @@ mod tests {
         Homing::new(&HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() })
     }
 
-    /// Homes on a device that checks in each tick whether the file is held, and injects `mishap`.
+    /// Homes on a device that counts in each sample how often the file is open, and injects
+    /// `mishap`. Returns the ending (`None` after a panic) and the largest of these counts.
     fn homed_while_watched(
         file: &Path,
         mishap: impl Fn(u32) -> Option<TestFault> + Send + 'static,

@@ -4,11 +4,11 @@ use super::led_arm::standing_rad;
 use super::rest::{RECOIL, Swing};
 use crate::qube::PlantModel;
 
-/// Largest swing with which homing begins, rad: a wider one already moves the arm as far as is
-/// allowed.
+/// Largest width of the swing with which homing begins, rad: a wider swing alone already moves the
+/// arm as far as is allowed.
 const LARGEST_SWING_RAD: f64 = 0.15;
 
-/// Least swing of a pendulum that still swings, rad.
+/// Width of the swing above which a pendulum counts as swinging, rad.
 const SWINGING_RAD: f64 = 0.02;
 
 /// Largest motion of an arm at rest under a still pendulum, rad.
@@ -19,13 +19,13 @@ const RESTING_ARM_RAD: f64 = 0.02;
 const SWING_OF_A_HELD_ARM_RAD: f64 = 1.2;
 
 /// Largest distance between the middles of two consecutive swings that count as the hanging angle,
-/// counts. While friction takes much of each swing they lie farther apart. The cross-check of the
-/// encoders widens its threshold with that distance, and with more than this it would not see an
-/// arm with a frozen encoder reach its stop.
+/// counts. The middles lie farther apart while friction takes much of each swing. The cross-check
+/// of the encoders widens its threshold with this distance; beyond the limit it would not notice
+/// that an arm with a frozen encoder reaches its stop.
 const AGREEING_COUNTS: f64 = 2.5;
 
-/// Number of windows after which the last two are accepted even if they differ: with an open motor
-/// circuit arm and pendulum swing for good.
+/// Number of calm windows after which the last two middles are accepted even if they differ: while
+/// the motor circuit is open, arm and pendulum do not stop swinging.
 const MOST_WINDOWS: u32 = 6;
 
 /// Watches a pendulum that swings freely.
@@ -53,7 +53,7 @@ pub struct Hung {
 }
 
 impl Hanging {
-    /// A watch of this plant that has seen nothing yet.
+    /// A watch of this plant before its first sample.
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
         Self {
@@ -74,7 +74,7 @@ impl Hanging {
         if !is_calm_enough(pendulum.width_rad, arm?.width_rad, self.standing_rad) {
             return None;
         }
-        // The middle of a decaying swing is known once two of them agree.
+        // The hanging angle is known once the middles of two consecutive windows agree.
         let before_rad = self.middle_before_rad.replace(pendulum.middle_rad);
         let swings = pendulum.width_rad > SWINGING_RAD;
         let before_rad = if swings { before_rad? } else { pendulum.middle_rad };
@@ -91,7 +91,8 @@ impl Hanging {
     }
 }
 
-/// Whether the swings of pendulum and arm, rad, allow a push; an arm at rest moves by at most `standing_rad`.
+/// Whether pendulum and arm move little enough for a push. The widths of their motion and
+/// `standing_rad`, the largest motion of an arm at rest, are in rad.
 fn is_calm_enough(pendulum_rad: f64, arm_rad: f64, standing_rad: f64) -> bool {
     let hardly_swings =
         pendulum_rad < LARGEST_SWING_RAD && arm_rad < RECOIL.mul_add(pendulum_rad, RESTING_ARM_RAD);

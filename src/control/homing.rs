@@ -18,24 +18,25 @@ use crate::telemetry::{Ending, Fault};
 /// Most ticks for the whole of homing: 60 s.
 const MAX_TICKS: u32 = 6000;
 
-/// Largest swing of a still pendulum, counts, and the half that rounding adds.
+/// Largest width of a still pendulum's swing, counts: 4, and half a count for rounding.
 const STILL_COUNTS: f64 = 4.5;
 
-/// Distance from its target within which the arm counts as arrived, rad: friction may hold it off.
+/// Distance from its target within which the arm counts as arrived, rad: friction may stop the arm
+/// short of the target.
 const NEAR_MIDDLE_RAD: f64 = 0.1;
 
 /// Change of the hanging angle that restarts the cross-check of the encoders, counts.
 const OTHER_ZERO_COUNTS: f64 = 1.5;
 
-/// Velocity of the arm before the scale of its encoder is known, rad/s; with an encoder that counts
-/// half it is twice this.
+/// Velocity at which homing leads the arm before the scale of its encoder is known, rad/s. An
+/// encoder that gives half as many counts makes the arm move at twice this velocity.
 const FIRST_LEAD_RAD_S: f64 = 0.8;
 
-/// Largest relative error of the distance between the stops.
+/// Largest relative difference between the measured and the expected distance of the stops.
 const TRAVEL_TOLERANCE: f64 = 0.03;
 
-/// Measures the arm's middle and the count at which the pendulum hangs: encoders count from
-/// wherever they were switched on.
+/// Measures the arm's middle and the count at which the pendulum hangs. Both have to be measured
+/// after each start, because an encoder counts from the angle at which it was switched on.
 ///
 /// Homing trusts no sensor before testing it. The motor stays at 0 V until the pendulum hardly
 /// swings; then a push that grows from zero shows whether the arm follows. From then on the two
@@ -167,7 +168,9 @@ impl Homing {
         State { alpha: self.state.alpha - self.hanging_rad, ..self.state }
     }
 
-    /// Takes over the angle at which the pendulum hangs.
+    /// Sets the angle at which the pendulum hangs, rad, known to within `within_rad`. Starts the
+    /// cross-check of the encoders, and restarts it if the angle has changed by more than
+    /// `OTHER_ZERO_COUNTS`.
     fn hangs_at(&mut self, hanging_rad: f64, within_rad: f64) {
         let rad_per_count = self.settings.plant.encoders.alpha.rad_per_count();
         let off_rad = (hanging_rad - self.hanging_rad).abs();
@@ -254,7 +257,8 @@ impl Homing {
         self.stage = Stage::ComeOff(ComingOff::after(fault, self.state.theta, self.place_rad));
     }
 
-    /// Continues if the arm followed the push; otherwise returns the fault.
+    /// Acts on the response to a push: enters the next stage, waits, or asks for a second push.
+    /// Returns the fault that the response proves, if any.
     fn answered(&mut self, answer: PushResponse) -> Option<Fault> {
         let witness = self.sensors.witness();
         let leads = witness.is_some_and(|own| own.pendulum_seems_to_lead());
@@ -282,8 +286,8 @@ impl Homing {
                 };
                 None
             }
-            // A single touch of the arm makes a sign look wrong, and an operator who is told so
-            // would change a correct sign. So a second push must confirm it.
+            // A single touch of the arm makes a sign look wrong, and an operator who is told that a
+            // correct sign is wrong would change it. So a second push must confirm the result.
             (None, Some(sign)) => {
                 self.suspected = Some(sign);
                 self.sensors.forget_signs();
@@ -372,10 +376,11 @@ impl Homing {
         if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = alarm {
             return Some(fault);
         }
-        // During the first push its own evaluation decides which sign is wrong.
+        // During the first pushes the probe decides which sign is wrong.
         let is_led = matches!(self.stage, Stage::Calm | Stage::Seek(_));
         match self.current.check(sample) {
-            // A stiff cable would throw an arm that is released at a stop across to the other one.
+            // A stiff cable would throw an arm that is released at one stop across to the other
+            // stop.
             Some(Fault::MotorWeak) if is_led => self.come_off(Fault::MotorWeak),
             Some(Fault::MotorWeak) if matches!(self.stage, Stage::ComeOff(_)) => {}
             Some(fault) => return Some(fault),
@@ -392,7 +397,8 @@ impl Motion for Homing {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.ticks += 1 + input.skipped_periods;
 
-        // The arm is slow here, so a fault that would brake a rollout can switch off at once.
+        // The arm is slow here, so that the amplifier can go off at once, even after a fault that
+        // would brake a rollout.
         let watched = self.watch.check(input);
         let watched = watched.map(|(Alarm::Zero(fault) | Alarm::Brake(fault))| fault);
         let fault =
@@ -421,7 +427,8 @@ impl Motion for Homing {
         }
         let is_led = !matches!(self.stage, Stage::Observe(_) | Stage::Probe(_));
         if is_led && self.runaway.lasts(&self.seen(), f64::from(self.voltage_mv)) {
-            // An arm that the cable throws moves against the voltage also with a dead motor.
+            // A stiff cable moves an arm against the voltage even if the motor is dead, so the
+            // current decides which of the two faults it is.
             let is_dead = self.current.takes_nothing_at_speed(measurement, self.voltage_mv);
             let fault = if is_dead { Fault::MotorDead } else { Fault::ArmPushed };
             return self.off(Ending::Fault(fault));

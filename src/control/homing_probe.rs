@@ -9,7 +9,8 @@ use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
 /// Ticks at 0 V before a push: the cross-check of the encoders needs both halves of its window.
 const WAIT_TICKS: u32 = 22;
 
-/// Ticks at rest between a push that moved the arm and the next one: longer than a swing.
+/// Ticks at rest between a push that moved the arm and the next push: longer than a period of the
+/// pendulum's swing.
 const REST_TICKS: u32 = 60;
 
 /// Largest drift of an arm at rest without a push, rad.
@@ -18,26 +19,29 @@ const RESTING_RAD: f64 = 0.03;
 /// Deflection of the pendulum above which it throws the arm, |sin(alpha)|.
 const THROWING_SWING: f64 = 0.1;
 
-/// Ticks after which an arm that has not come to rest is being moved from outside.
+/// Longest wait for the arm to come to rest, ticks. An arm that moves for longer is being moved
+/// from outside.
 const MOST_WAIT_TICKS: u32 = 500;
 
 /// Growth of the push, V/s.
 const RAMP_V_S: f64 = 0.55;
 
-/// Factor by which the push grows more slowly for each rad of the pendulum's swing. A wide swing
-/// makes the hanging angle uncertain, and a frozen arm encoder is then found later.
+/// Slowing of the push by the pendulum's swing, 1/rad: the push grows at `RAMP_V_S` divided by 1 +
+/// this constant times the width of the swing. A wide swing makes the hanging angle uncertain, and
+/// a frozen arm encoder is then found later.
 const SLOWER_PER_SWING: f64 = 12.0;
 
-/// Largest push, V: at 1.5 times the gap of `lab`, cable, friction and dead zone take 1.4 V.
+/// Largest push, V: at 1.5 times the nonidealities of the profile `lab`, cable, friction and dead
+/// zone take 1.4 V.
 pub const STRONGEST_V: f64 = 1.8;
 
 /// Duration of the largest push, ticks.
 const STRONGEST_TICKS: u32 = 30;
 
-/// Least travel that counts as motion, rad: ten counts.
+/// Least travel of the encoder that counts as motion, rad: ten counts.
 const MOVED_RAD: f64 = 0.03;
 
-/// Least travel corrected for the pendulum's recoil, rad.
+/// Least travel, corrected for the pendulum's recoil, that counts as motion, rad.
 const REACH_RAD: f64 = 0.05;
 
 /// Additional travel required for each rad of the pendulum's swing, which throws the arm to and
@@ -114,7 +118,7 @@ impl HomingProbe {
         Self { direction: -self.direction, ticks: 0, strongest_ticks: 0, voltage_v: 0.0, ..*self }
     }
 
-    /// Takes the next state, with alpha relative to hanging.
+    /// Takes the next state, with alpha relative to hanging; returns the result of the push.
     pub fn update(&mut self, state: &State) -> PushResponse {
         self.ticks += 1;
         if self.ticks <= self.wait_ticks() {
@@ -147,8 +151,8 @@ impl HomingProbe {
         if self.has_moved { REST_TICKS } else { WAIT_TICKS }
     }
 
-    /// Waits. Travel counts from the end of the wait; an arm that has been moved must be at rest by
-    /// then.
+    /// Takes a state of the wait before a push. Travel counts from the end of the wait; an arm that
+    /// a push has moved must be at rest by then.
     fn wait(&mut self, state: &State) -> PushResponse {
         self.waited_ticks += 1;
         let sin = Scalar::sin_cos(state.alpha).0;

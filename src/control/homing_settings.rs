@@ -23,10 +23,12 @@ pub struct HomingSettings {
     pub method: HomingMethod,
     /// Zero of theta relative to the middle, rad: some rigs have asymmetric stops.
     pub theta_offset_rad: f64,
-    /// Distance between this rig's stops, rad; `None` means that of the plant's description.
+    /// Distance between this rig's stops, rad; `None` takes the distance from the plant's
+    /// description.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub travel_rad: Option<f64>,
-    /// Count of the arm where the operator put it, if it has moved since.
+    /// Encoder count at the place where the operator put the arm by hand, if the arm has moved
+    /// since.
     #[serde(skip)]
     pub hand_counts: Option<i32>,
     /// Signs of the rig; homing measures the zeros.
@@ -39,13 +41,14 @@ pub struct HomingSettings {
 }
 
 impl HomingSettings {
-    /// Expected distance between the stops, rad.
+    /// Expected distance between the stops, rad: this rig's own, or twice the plant's
+    /// `hard_stop_rad`.
     #[must_use]
     pub fn expected_travel_rad(&self) -> f64 {
         self.travel_rad.unwrap_or(2.0 * self.plant.limits.hard_stop_rad)
     }
 
-    /// The same settings for a plant, whose encoders the signs refer to.
+    /// These settings for another plant: the signs then refer to the encoders of that plant.
     #[must_use]
     pub fn of_plant(self, plant: &PlantModel) -> Self {
         let signs = Calibration { encoders: plant.encoders, ..self.signs };

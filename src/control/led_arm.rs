@@ -1,4 +1,4 @@
-//! Faults of an arm that homing moves: it is held or runs away. Also the way off a stop after a
+//! Watches an arm that homing moves, which may be held or run away, and leads it off a stop after a
 //! fault.
 
 use crate::qube::{PlantModel, State};
@@ -10,17 +10,17 @@ const HELD_V: f64 = 1.3;
 /// Travel within which an arm counts as not moving, counts.
 const HELD_COUNTS: i32 = 3;
 
-/// Ticks without motion, under that voltage, after which an arm is held.
+/// Ticks without motion, at `HELD_V` or more, after which an arm is held: 2 s.
 const HELD_TICKS: u32 = 200;
 
-/// Ticks without motion after which an arm is held whatever its voltage, because its pendulum
-/// swings.
+/// Ticks without motion after which an arm is held at any voltage, because the swinging pendulum
+/// would move a free arm: 10 s.
 const STOOD_TICKS: u32 = 1000;
 
 /// Velocity that a healthy arm does not reach during homing, rad/s.
 const RUNAWAY_RAD_S: f64 = 4.0;
 
-/// Ticks above that velocity after which the arm runs away.
+/// Ticks above `RUNAWAY_RAD_S` after which the arm runs away.
 const RUNAWAY_TICKS: u32 = 4;
 
 /// Swing, as |sin(alpha)| + |alpha_dot| / 15, above which the pendulum itself makes the arm fast.
@@ -114,7 +114,9 @@ pub struct ComingOff {
 }
 
 impl ComingOff {
-    /// The way from `from_rad`, where the fault was found, to `place_rad`, where homing began.
+    /// The way from `from_rad`, where the fault was found, to `place_rad`, where homing first
+    /// pushed the arm. After a wrong distance between the stops, the way is at least
+    /// `LEAST_WAY_RAD` long.
     pub fn after(fault: Fault, from_rad: f64, place_rad: f64) -> Self {
         // The stop that was touched last is the one at positive theta.
         let is_near = (from_rad - place_rad).abs() < LEAST_WAY_RAD;
@@ -128,7 +130,8 @@ impl ComingOff {
         self.place_rad
     }
 
-    /// Takes the next state; returns the fault once the arm has arrived or cannot move farther.
+    /// Takes the next state; returns the fault once the arm has arrived or its time is over. After
+    /// a wrong distance between the stops, an arm that does not leave the stop counts as held.
     pub fn update(&mut self, state: &State) -> Option<Fault> {
         self.ticks += 1;
         let came_off = (state.theta - self.from_rad).abs() > CAME_OFF_RAD;

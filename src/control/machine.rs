@@ -62,7 +62,7 @@ pub enum ControlEvent {
     Stands,
     /// A fault while link, amplifier and encoders can be trusted.
     BrakeFault,
-    /// A fault of link, amplifier or encoder: none of them can be trusted.
+    /// A fault after which link, amplifier or encoders cannot be trusted.
     ZeroFault,
     /// The arm's count is doubted, while link and amplifier can be trusted.
     CountDoubted,
@@ -77,7 +77,7 @@ pub enum ControlAction {
     Lend,
     /// Keep the motor at 0 V and watch.
     Watch,
-    /// Move the arm to find its zeros.
+    /// Move the arm to find the zeros of both encoders.
     Seek,
     /// Bring arm and pendulum to rest.
     Settle,
@@ -118,8 +118,10 @@ impl ControlState {
 
     /// The next state and the action for an event in this state.
     ///
-    /// Orders are refused and reports ignored wherever no line says otherwise; for events that must not be
-    /// missed (a fault, a lost answer, a doubted count) each state is named.
+    /// Unless a line says otherwise, the operator's commands (`Hello`, `Check`, `Home`, `Rollout`)
+    /// are refused, and all other events are ignored. For each event that must not be missed (a
+    /// stop, a fault, a lost answer, a doubted count) every state is listed, so that a new state
+    /// does not compile before its responses are decided.
     #[must_use]
     pub fn on(self, event: ControlEvent) -> (Self, ControlAction) {
         use ControlAction as A;
@@ -334,8 +336,8 @@ mod tests {
                 let stops = matches!(next, S::Faulted | S::Faulting | S::Braking);
                 assert!(stops && action != A::RunPolicy, "{step}");
             }
-            // A doubted count is damped in states in which the arm may be fast, and switches off in
-            // all others.
+            // After a doubted count the arm is braked in the states in which it may be fast; in all
+            // others the amplifier is switched off.
             if event == E::CountDoubted {
                 let damps = matches!(state, S::Settling | S::Running | S::Braking | S::Faulting);
                 assert_eq!(next, if damps { S::Faulting } else { S::Faulted }, "{step}");
