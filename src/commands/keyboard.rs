@@ -18,13 +18,13 @@ use super::stop::Stop;
 use super::terminal;
 use crate::rig::Doubt;
 
-/// Time for which the terminal waits for a key before it checks job control.
+/// Longest wait for a key before the thread checks whether the program was suspended.
 const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
 /// Reads single keys from the terminal until it is dropped, which restores the terminal.
 ///
-/// Ctrl-C and Ctrl-Z remain signals. In the background, and where stdin is not a terminal, it reads and
-/// changes nothing.
+/// Ctrl-C and Ctrl-Z remain signals. In the background, and if stdin is not a terminal, the
+/// keyboard reads and changes nothing.
 #[derive(Debug)]
 pub struct Keyboard {
     watched: Option<Watched>,
@@ -41,7 +41,7 @@ struct Watched {
 #[derive(Debug)]
 struct Shared {
     stop: Arc<AtomicBool>,
-    /// Whether a question waits for a key, which then is its answer rather than a stop request.
+    /// Whether a question waits for a key: the next key then answers it and requests no stop.
     asking: AtomicBool,
     suspended: Arc<AtomicBool>,
     ended: AtomicBool,
@@ -169,7 +169,7 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
             continue;
         }
         let mut buffer = [0; 16];
-        // A closed terminal ends the keys; SIGHUP does the rest.
+        // A closed terminal ends this thread; SIGHUP then stops the program.
         let Ok(length @ 1..) = rustix::io::read(input, &mut buffer) else { return };
         for &key in &buffer[..length] {
             if shared.asking.load(Ordering::Relaxed) {

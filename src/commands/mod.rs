@@ -1,4 +1,5 @@
-//! The command line: one file a subcommand, with its arguments, a call into the library, and printing.
+//! The command line: one file for each subcommand, with its arguments, a call into the library, and
+//! printing.
 //!
 //! The room may import every other room; no room imports it.
 
@@ -141,7 +142,8 @@ pub fn main() -> ExitCode {
     ExitCode::from(main_with(std::env::args_os().collect()))
 }
 
-/// Runs the program with these arguments, of which the first is the program's name, and returns the exit code.
+/// Runs the program with these arguments, of which the first is the program's name, and returns the
+/// exit code.
 #[must_use]
 pub fn main_with(arguments: Vec<OsString>) -> u8 {
     let command_line = match command_line::read(arguments) {
@@ -178,11 +180,13 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
     }
 }
 
-/// The settings of a rig, and the plan of its rollouts but for their controller, that these options of the command
-/// `run` ask for. The options that choose a policy, a number of rollouts or a folder have no effect.
+/// Parses options of the command `run` for a caller that brings its own controller: returns the
+/// settings of the rig and the plan of its rollouts, without the controller. The options that
+/// choose a policy, a number of rollouts or a folder have no effect.
 ///
 /// # Errors
-/// An option is unknown or has a bad value, or hardware is not to be driven so; the text says why.
+/// An option is unknown or has a bad value, or hardware may not be driven with these options; the
+/// text says why.
 pub fn rollouts_asked(options: Vec<OsString>) -> Result<(RigSettings, RolloutPlan), String> {
     let run = ["qube-hil", "run", "--policy", "classical"].map(OsString::from);
     let command_line = CommandLine::try_parse_from(run.into_iter().chain(options));
@@ -203,12 +207,13 @@ fn log_to_stderr(verbose: u8) {
         .with_ansi(std::io::stderr().is_terminal())
         .without_time()
         .with_target(false)
-        // It would print them on stderr, which panics if that cannot be written.
+        // The subscriber would print its own errors on stderr, and panic if stderr cannot be
+        // written.
         .log_internal_errors(false)
         .init();
 }
 
-/// Prints the real-time rights that were refused, each with its cure.
+/// Prints a warning for each real-time right that the system refused, with its cure.
 fn warn_without_realtime(realtime: &RealtimeReport) {
     for refusal in realtime.refusals() {
         printable::tell(&format!("warning: {refusal}"));
@@ -225,7 +230,8 @@ fn observer_resets_line(observer_resets: u64) -> String {
     }
 }
 
-/// The motor's largest load as a line for people, with a warning if it was high; empty if it is unknown.
+/// The motor's largest load, a fraction of its continuous rating, as a line for people, with a
+/// warning if it is high; empty if the load is unknown.
 fn heat_line(largest_motor_load: Option<f64>) -> String {
     let Some(load) = largest_motor_load else { return String::new() };
     let percent = |load: f64| 100.0 * load;

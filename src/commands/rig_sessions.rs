@@ -1,4 +1,5 @@
-//! The sessions of several Qubes, one each, beside each other: `session --rig-policy own`.
+//! The sessions of several Qubes, one for each Qube, which run side by side: `session --rig-policy
+//! own`.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -79,7 +80,7 @@ pub fn run(
             (root, sessions)
         }
     };
-    // All of them have the same settings here.
+    // The estimators are the same in all sessions, so the first session speaks for all.
     if let Some(difference) = sessions.first().and_then(|(_, it)| session::estimators_differ(it)) {
         tell(&difference);
     }
@@ -127,7 +128,7 @@ pub fn run(
     tell_results(rigs, ended, failed, &root, started, output)
 }
 
-/// Prints the results of all sessions.
+/// Prints the results of all sessions; returns one failure for all that failed.
 fn tell_results(
     rigs: Vec<Rig>,
     ended: Vec<Result<(), Failure>>,
@@ -146,7 +147,7 @@ fn tell_results(
             }
             Err(failure) => (json!({ "best": null }), Err(failure)),
         };
-        // An emulated Qube has a new number in each rollout of virtual time.
+        // In virtual time an emulated Qube has a new serial number in each rollout.
         let board = rig.session.board(None).ok().flatten().filter(|_| rig.is_hardware);
         result["rig"] = json!(rig.number);
         result["device"] = json!(rig.device);
@@ -186,7 +187,7 @@ fn summary(results: &[Value]) -> String {
     text
 }
 
-/// The failure of all rigs that failed, if any.
+/// Joins the failures of all rigs into one; `Ok` if no rig failed.
 fn together(
     outcomes: impl IntoIterator<Item = (String, Result<(), Failure>)>,
 ) -> Result<(), Failure> {
@@ -212,12 +213,13 @@ fn of_each(
     Ok(all)
 }
 
-/// A seed that a file of TOML can hold, whose integers have a sign.
+/// A seed without its highest bit, because integers in a TOML file are signed.
 fn in_toml(seed: u64) -> u64 {
     seed & i64::MAX as u64
 }
 
-/// Begins the sessions in a folder that is empty, or has what was left of sessions that were killed as they began.
+/// Begins the sessions in a folder. The folder may hold remains of sessions that were killed as
+/// they began; these are removed.
 fn begin(
     root: &Path,
     settings: Vec<SessionSettings>,
@@ -244,7 +246,7 @@ fn begin(
     ended.map(|()| sessions)
 }
 
-/// Opens the folders of sessions that go on.
+/// Opens the folders of the sessions that are resumed.
 fn goes_on(
     arguments: &Arguments,
     root: &Path,
@@ -254,7 +256,8 @@ fn goes_on(
     (1..).zip(devices).map(open).collect()
 }
 
-/// Opens the sessions.
+/// Opens the sessions on their Qubes, after handlers for stop requests and the executor of the
+/// trainings.
 fn open(
     arguments: &Arguments,
     root: &Path,
@@ -266,7 +269,8 @@ fn open(
     let stop = Stop::on_signals()?;
     let executor: Arc<dyn Executor> = match arguments.executor.executor(root, &stop)? {
         Some(executor) => executor,
-        // While one session trains, the Qubes of the others run.
+        // While one session trains, the Qubes of the others run: one core is left to their control
+        // threads.
         None if devices.iter().any(|device| device.clock == ClockChoice::Wall) => {
             Arc::new(LocalExecutor::beside_control_thread())
         }

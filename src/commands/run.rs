@@ -143,7 +143,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     screen.progress().update(|state| state.live = live.url());
     let settings = RigSettings { viewers, ..settings };
     let keyboard = Keyboard::watch(&stop, &screen.progress());
-    // The screen has a line of keys.
+    // The screen shows its own line of keys.
     if !screen.progress().has_screen() {
         tell(keyboard.hint());
     }
@@ -190,7 +190,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     ended
 }
 
-/// The settings of the rig, and the plan of the rollouts but for their controller.
+/// The settings of the rig and the plan of the rollouts, without the controller.
 fn asked(
     arguments: &Arguments,
     device: &ChosenDevice,
@@ -211,7 +211,7 @@ fn asked(
     Ok((settings, plan))
 }
 
-/// The rig and the plan that these options of the command ask for, for a controller of the caller's own.
+/// The settings of the rig and the plan of the rollouts for a controller that the caller brings.
 pub fn for_external(arguments: &Arguments) -> Result<(RigSettings, RolloutPlan), Failure> {
     asked(arguments, &arguments.device.choose()?)
 }

@@ -220,7 +220,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     screen.progress().update(|state| state.live = live.url());
     let rig_settings = RigSettings { viewers, ..rig_settings };
     let keyboard = Keyboard::watch(&stop, &screen.progress());
-    // The screen has a line of keys.
+    // The screen shows its own line of keys.
     if !screen.progress().has_screen() {
         tell(keyboard.hint());
     }
@@ -257,7 +257,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     service_manager::stopping();
     drop(keyboard);
     drop(screen);
-    // Finished work is shown, whatever ended the session.
+    // A session that was refused before its first decision has no results; any other shows its
+    // finished work, whatever ended it.
     if let Err(failure) = &ended
         && failure.is_usage()
         && !session.has_decided()
@@ -274,7 +275,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     ended
 }
 
-/// The settings of the rig that a session drives.
+/// The settings of the rig that a session drives. Sets the device's plant to the session's.
 pub fn rig_settings(
     device: &mut ChosenDevice,
     folder: &SessionFolder,
@@ -300,15 +301,15 @@ pub fn warnings(
     rig: &RigSettings,
     settings: &SessionSettings,
 ) -> Vec<String> {
-    // A session that identifies its Qube needs no such advice.
+    // The advice is to identify the Qube, which such a session does itself.
     let needs_advice = settings.identification.is_none();
     let guard = settings.safety_box.guard;
     let advice = needs_advice.then(|| unidentified(rig, guard)).flatten();
     device.power_warning().into_iter().chain(advice).collect()
 }
 
-/// The results of a session for people and as JSON, with its report in its folder; and how it ended, where the loss of
-/// the best policy counts too.
+/// The results of a session as text and as JSON, and its outcome. Writes the report into the
+/// session's folder. The outcome is `ended`, or a failure if the file of the best policy is lost.
 pub fn results(
     session: &mut Session,
     ended: Result<(), Failure>,
@@ -330,7 +331,8 @@ pub fn results(
     Ok((text, result, ended))
 }
 
-/// A note for a session whose policies train on other states than the Qube's estimates.
+/// A note for the operator if the policies are trained on other states than they will see on the
+/// Qube: true states, or those of another estimator.
 pub fn estimators_differ(settings: &SessionSettings) -> Option<String> {
     let trained_on = match settings.training.simulation.sensors {
         SensorModel::Encoders { estimator } if estimator == settings.estimator => return None,

@@ -12,11 +12,13 @@ use crate::scoring::Verdict;
 use crate::session::{Purpose, SessionError, SessionEvent, SessionSettings};
 use crate::telemetry::Ending;
 
-/// Phases of a session in words.
+/// Phase of a session while it opens its rig, as the screen names it.
 const OPENING: &str = "opening the Qube, checking and homing it";
+/// Phase of a session while it drives a Qube, as the screen names it.
 const ROLLOUTS: &str = "rollouts on the Qube";
 
-/// The display of a running session: a line for each finished piece of work, and the state of the work on the screen.
+/// The display of a running session: a line for each finished piece of work, and the state of the
+/// work on the screen.
 pub struct SessionProgress {
     progress: Progress,
     /// Beginning of each line: the name of the rig among several.
@@ -25,7 +27,8 @@ pub struct SessionProgress {
     candidates: u32,
     /// Whether the session may end with fewer candidates.
     may_end_early: bool,
-    /// The excitations, whose rollouts are recordings and no attempts to balance.
+    /// Numbers of the candidates that are excitations: their rollouts are recordings and no
+    /// attempts to balance.
     excitations: Vec<u32>,
     /// Number of updates of a training.
     updates: u32,
@@ -42,7 +45,8 @@ impl SessionProgress {
         let extent = &settings.extent;
         let searched = extent.initial_candidates + extent.iterations;
         let candidates = match &settings.identification {
-            // The excitations, the largest number of candidates, and the verification of the last.
+            // The planned excitations, the largest number of searched candidates, and one
+            // verification. Repeated excitations and further verifications are not included.
             Some(plan) => plan.excitations + plan.candidates + 1,
             None => searched + 1 + u32::from(extent.verifies_incumbent),
         } + u32::from(extent.baseline);
@@ -68,12 +72,12 @@ impl SessionProgress {
         Self { prefix: format!("{name}: "), ..self }
     }
 
-    /// Largest number of candidates.
+    /// Number of candidates that is announced as the largest.
     pub fn candidates(&self) -> u32 {
         self.candidates
     }
 
-    /// Time left until the last candidate; `None` before the first training.
+    /// Time left until the last candidate; `None` before the second update of the first training.
     pub fn time_left(&self) -> Option<Duration> {
         self.pace.time_left(self.candidates, Instant::now())
     }
@@ -207,7 +211,7 @@ impl SessionProgress {
         !self.connected.is_empty()
     }
 
-    /// Shows a new candidate.
+    /// Shows a new candidate on the screen, with the reason for it.
     fn proposed(&mut self, candidate: u32, why: &str, is_excitation: bool) {
         let candidates = self.candidates;
         let most = if self.may_end_early { "at most " } else { "" };
@@ -253,7 +257,7 @@ fn best(candidates: &BTreeMap<u32, (Vec<f64>, u32)>) -> String {
     })
 }
 
-/// The beginning of a line on one rig of several that share a session.
+/// The beginning of a line about one rig of several that share a session; empty for the only rig.
 fn of_rig(rig: Option<u32>) -> String {
     rig.map_or(String::new(), |rig| format!("rig {rig}: "))
 }
@@ -267,7 +271,8 @@ pub fn identified(recordings: u32, doubts: &[String]) -> String {
     format!("identified from {from}: the model describes this Qube{but}")
 }
 
-/// Numbers count from 0, as the candidates' folders do.
+/// The line for a new candidate. Its number counts from 0, as its folder's name does; its place in
+/// brackets counts from 1.
 fn proposed(candidate: u32, candidates: u32, why: &str) -> String {
     format!("candidate {candidate} ({} of {candidates}): {why}", candidate + 1)
 }

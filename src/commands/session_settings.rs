@@ -1,4 +1,5 @@
-//! The settings of a session: those of a new one from the command line, or those that a folder has.
+//! The settings of a session: those of a new session from the command line, or those in the folder
+//! of a session that is resumed.
 
 use std::path::Path;
 
@@ -32,7 +33,7 @@ pub fn origin_of_guard(arguments: &Arguments) -> String {
     }
 }
 
-/// The settings of a new session before those of the Qube's own file.
+/// The settings of a new session, without those of the Qube's own file.
 pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let preset = arguments.preset.settings().of_plant(&device.plant);
     let mut settings = match &arguments.config {
@@ -56,8 +57,9 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
         settings.extent.baseline = emulated && settings.identification.is_some();
     }
     if arguments.config.is_none() && settings.identification.is_some() {
-        // The first command of a newcomer shows the problem: a Qube that differs from the nominal one. Another plant
-        // differs from its own nominal one alike.
+        // The emulated Qube of a first session differs from the nominal Qube, as a real one does:
+        // it has the model `lab`. Another plant differs from its nominal model in the same
+        // proportions.
         let lab = profile::named("lab", &PlantModel::QUBE)?;
         settings.emulated =
             EmulatedQubeSettings { model: device.plant.in_proportion(&lab), ..settings.emulated };
@@ -73,7 +75,7 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
     Ok(settings)
 }
 
-/// The identification of a new session; `None` searches an unknown Qube.
+/// The identification of a new session; `None` if the session searches psi for an unknown Qube.
 fn identification(
     arguments: &Arguments,
     settings: &SessionSettings,
@@ -104,7 +106,7 @@ fn identification(
     Ok(Some(plan))
 }
 
-/// Begins a session in a folder, with its name.
+/// Begins a session with this name: creates its folder and writes the settings there.
 pub fn begun(
     root: &Path,
     name: String,
@@ -122,7 +124,7 @@ pub fn name_in(root: &Path) -> String {
     root.file_name().map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned())
 }
 
-/// Opens the folder of a session to go on with on this Qube, and reads its settings.
+/// Opens the folder of a session that is resumed on this Qube, and reads its settings.
 pub fn resumed(
     directory: &Path,
     arguments: &Arguments,
@@ -132,7 +134,11 @@ pub fn resumed(
     Ok((folder, on_this_qube(settings, device)))
 }
 
-/// Opens the folder of a session to go on with, and reads its settings before those of the Qube's own file.
+/// Opens the folder of a session that is resumed, and reads its settings, without those of the
+/// Qube's own file.
+///
+/// # Errors
+/// An option contradicts the stored settings, or the folder or its settings cannot be read.
 pub fn reopened(
     directory: &Path,
     arguments: &Arguments,
@@ -167,7 +173,8 @@ pub fn reopened(
     Ok((folder, settings))
 }
 
-/// Applies signs, homing and limits of the rig's own file, which take precedence over the session's.
+/// Applies signs, homing and limits of the Qube's own file, which take precedence over the
+/// session's.
 fn on_this_qube(settings: SessionSettings, device: &ChosenDevice) -> SessionSettings {
     SessionSettings {
         homing: device.homing(settings.homing),

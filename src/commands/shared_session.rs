@@ -132,7 +132,8 @@ pub fn run(
     ended
 }
 
-/// The rig that an event is about, if it is about one.
+/// Number of the rig that an event concerns, from 1; `None` if the event concerns the whole
+/// session.
 fn rig_of(news: &SessionEvent) -> Option<u32> {
     match news {
         SessionEvent::Connected { rig, .. } | SessionEvent::Rollout { rig, .. } => *rig,
@@ -175,14 +176,15 @@ fn spread(
     Ok(settings)
 }
 
-/// Narrows the box to the limits of all Qubes: their rollouts are compared. Homing and signs are each Qube's own.
+/// Narrows the safety box to the limits of all Qubes, because their rollouts are compared. Homing
+/// and signs stay those of each Qube.
 fn inside_all(settings: SessionSettings, devices: &[ChosenDevice]) -> SessionSettings {
     let narrowed = |safety_box, device: &ChosenDevice| device.safety_box(safety_box);
     let safety_box = devices.iter().fold(settings.safety_box, narrowed);
     SessionSettings { safety_box, ..settings }
 }
 
-/// The settings of the rigs, each with a live view of its own if one is asked for.
+/// The settings of the rigs, and their live views; without `--live` the views are empty.
 fn opened(
     arguments: &Arguments,
     devices: Vec<ChosenDevice>,
@@ -200,7 +202,7 @@ fn opened(
         };
         let mut rig_settings =
             session::rig_settings(&mut device, folder, &of_rig, consent, arguments.check)?;
-        // Two boards have two serial numbers, emulated ones too.
+        // An emulated board takes its serial number from this seed, and two boards must differ.
         let board = SeedFor::RigQube { rig: number };
         rig_settings.emulator.seed = derived_seed(settings.seed, board);
         let live = arguments.live.of_rig(number)?.serve("session", stop)?;

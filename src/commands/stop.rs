@@ -1,5 +1,5 @@
-//! Stop requests by Ctrl-C, SIGTERM, SIGHUP and the space bar: the motor is braked, the state is kept, and
-//! the exit code names the signal.
+//! Stop requests by Ctrl-C, SIGTERM, SIGHUP and the space bar: the motor is braked, the state is
+//! kept, and the exit code names the signal.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -19,8 +19,9 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Handles the signals. The first Ctrl-C requests a stop, also after a stop by a key, the live view or another
-    /// signal. A second Ctrl-C ends the program at once; the device's watchdog then switches the motor off.
+    /// Installs the handlers of the signals. The first Ctrl-C requests a stop, also after a stop by
+    /// a key, the live view or another signal. A second Ctrl-C ends the program at once; the
+    /// device's watchdog then switches the motor off.
     pub fn on_signals() -> Result<Self, Failure> {
         let flag = Arc::new(AtomicBool::new(false));
         let signal = Arc::new(AtomicUsize::new(0));
@@ -33,7 +34,7 @@ impl Stop {
                 terminal::restore();
                 std::process::exit(128 + SIGINT);
             }
-            // The exit code names the signal that came first.
+            // After SIGTERM or SIGHUP, a Ctrl-C does not change the exit code.
             if !interrupt.swap(true, Ordering::Relaxed) {
                 interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
             }
@@ -53,7 +54,8 @@ impl Stop {
         self.flag.load(Ordering::Relaxed)
     }
 
-    /// The failure that ends a stopped command.
+    /// The failure that ends a stopped command, with the exit code of its signal. A stop by a key
+    /// or by the live view has the exit code of Ctrl-C.
     pub fn failure(&self, message: impl ToString) -> Failure {
         let signal = match self.signal.load(Ordering::Relaxed) {
             0 => SIGINT,

@@ -1,4 +1,5 @@
-//! The terminal of an operator: single keys without echo while a Qube is driven, the screen, and back again.
+//! The terminal of an operator: reads single keys without echo while a Qube is driven, shows the
+//! screen, and restores the terminal afterwards.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -12,7 +13,7 @@ use rustix::termios::{
     LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcgetpgrp, tcsetattr,
 };
 
-/// Terminal settings before keys were read singly; `None` while they are in force.
+/// The terminal's settings before single keys were read; `None` while these settings are in force.
 static COOKED: Mutex<Option<Termios>> = Mutex::new(None);
 
 /// The terminal of the screen; `None` without a screen.
@@ -24,11 +25,12 @@ static REDRAW: AtomicBool = AtomicBool::new(false);
 /// Switches to the alternate screen and hides the cursor.
 const ENTER: &[u8] = b"\x1b[?1049h\x1b[?25l\x1b[2J";
 
-/// Switches back to what the terminal showed before, with its cursor.
+/// Leaves the alternate screen, so that the terminal's earlier contents and its cursor are shown
+/// again.
 const LEAVE: &[u8] = b"\x1b[0m\x1b[?25h\x1b[?1049l";
 
 struct ScreenTerminal {
-    /// Stderr as it was, which is the terminal.
+    /// A duplicate of stderr as it was before its capture: the terminal.
     terminal: File,
     /// Whether the terminal shows the screen; not while the program is suspended.
     is_shown: bool,
@@ -63,7 +65,7 @@ pub fn enter_screen() -> io::Result<()> {
     Ok(())
 }
 
-/// Ends the screen: the terminal shows what it did before.
+/// Ends the screen: the terminal's earlier contents are shown again.
 pub fn leave_screen() {
     if let Some(mut screen) = SCREEN.lock().unwrap_or_else(PoisonError::into_inner).take() {
         screen.hide();
@@ -88,12 +90,13 @@ pub fn write_screen(frame: &[u8]) {
     }
 }
 
-/// Whether the next frame must be drawn whole; asking answers it.
+/// Returns whether the next frame must be drawn whole, and resets this request.
 pub fn take_redraw() -> bool {
     REDRAW.swap(false, Ordering::Relaxed)
 }
 
-/// Hides the screen for a while, unless a frame has been on its way to a halted terminal for too long.
+/// Hides the screen; [`resume_screen`] shows it again. Gives up after 0.2 s if another thread is
+/// writing a frame to a halted terminal.
 fn hide_screen() {
     for _ in 0..20 {
         let mut screen = match SCREEN.try_lock() {
@@ -111,7 +114,8 @@ fn hide_screen() {
     }
 }
 
-/// Restores the terminal, also for exits that drop nothing.
+/// Hides the screen and restores the terminal's settings. Exits that run no destructors call this
+/// function, too.
 pub fn restore() {
     hide_screen();
     let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -138,7 +142,8 @@ pub fn set_single_keys() {
     }
 }
 
-/// Whether the terminal belongs to this process group; reading another's terminal would stop the program.
+/// Whether the terminal's foreground is this process group. A program in the background that reads
+/// the terminal is stopped by the system.
 pub fn is_foreground() -> bool {
     tcgetpgrp(stdin()).is_ok_and(|group| group == rustix::process::getpgrp())
 }

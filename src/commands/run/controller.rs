@@ -10,9 +10,12 @@ use crate::policy::{
 use crate::qube::{MAX_STEPS, PlantModel};
 use crate::rig::RigError;
 
-/// The controller of the rollouts: its name for the header, and the bytes of its file for each rollout.
+/// The controller of the rollouts: its name for the header, and the files from which each rollout
+/// loads it.
 pub struct RunController {
     pub name: String,
+    /// Contents of the files. The rollouts take them in turn: an excitation has two, which start in
+    /// opposite directions.
     pub files: Vec<Vec<u8>>,
     pub steps: u32,
     /// Notes for the operator before the first rollout.
@@ -57,7 +60,7 @@ impl RunController {
         checked.map_err(|other| Failure::usage(format!("{}: {other}", self.name)))
     }
 
-    /// The file of a rollout.
+    /// The contents of a rollout's file.
     pub fn file(&self, rollout: u32) -> &[u8] {
         &self.files[rollout as usize % self.files.len()]
     }
@@ -76,7 +79,7 @@ pub fn policy(name: &str) -> Result<Policy, Failure> {
     Ok(policy)
 }
 
-/// The distribution of the simulated Qubes in which a policy was trained, if its file names it.
+/// The distribution of the simulated Qubes in which a policy was trained, if its file contains it.
 pub fn randomisation(policy: &Policy) -> Option<&Randomisation> {
     match policy {
         Policy::Network(policy) => policy.training.randomisation.as_ref(),
@@ -84,7 +87,7 @@ pub fn randomisation(policy: &Policy) -> Option<&Randomisation> {
     }
 }
 
-/// Whether a policy was trained on states that no Qube shows.
+/// Whether a policy was trained on true states, which no Qube shows.
 pub fn trained_on_true_states(policy: &Policy) -> bool {
     matches!(policy, Policy::Network(it) if it.training.sensors == SimulatedSensors::TrueState)
 }

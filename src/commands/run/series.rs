@@ -28,7 +28,8 @@ pub struct Series<'a> {
 }
 
 impl Series<'_> {
-    /// Runs the rollouts and adds their results.
+    /// Runs the rollouts and adds their results to `results`, also those before a failure or a
+    /// stop.
     pub fn run(&mut self, rollouts: u32, results: &mut Results) -> Result<(), Failure> {
         self.progress.update(|state| {
             state.phase = "opening the Qube, checking and homing it".into();
@@ -120,7 +121,8 @@ impl Series<'_> {
         }
     }
 
-    /// Restarts the rig after a fault, where the fault or the operator allows it.
+    /// Restarts the rig after a fault, if the fault allows it or the operator acknowledges the
+    /// doubt.
     fn after_fault(&mut self, mut rig: Rig, fault: Fault) -> Result<Rig, Failure> {
         match rig.start_again() {
             Ok(()) => Ok(rig),

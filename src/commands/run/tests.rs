@@ -1,4 +1,4 @@
-//! Tests the ends of a run in virtual time, so that no computer is too busy for them.
+//! Tests how a run ends, in virtual time, so that the load of the computer does not matter.
 
 use std::path::Path;
 
@@ -73,7 +73,7 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
         let recovery = Recovery { memory: memory.clone(), acknowledged, ..Recovery::default() };
         RigSettings { recovery, skip_check: true, ..settings(fault) }
     };
-    // The first rollout is over by then, and the fourth is not.
+    // The stall comes after the end of the first rollout and before the end of the fourth.
     let (ended, results) = run(remembering(Some("stall@27"), false), &directory.join("one"), 6);
     let ended_by = ended.unwrap_err().ended_by();
     // The results so far are printed, with the reason why there are no more.
@@ -113,7 +113,7 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
 #[test]
 fn a_cable_that_is_plugged_in_again_voids_one_rollout_and_the_run_goes_on() {
     let directory = tempfile::tempdir().unwrap();
-    // In the box alone a rollout lasts until the cable is pulled.
+    // Without foresight a rollout lasts until the cable is pulled.
     let settings = settings(Some("unplug@9+3"));
     let (ended, results) = run_within(SafetyBox::THESIS, settings, directory.path(), 3);
     ended.unwrap();
