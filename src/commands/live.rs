@@ -13,7 +13,7 @@ use crate::live::{LiveError, LiveSettings, LiveView, Status};
 use crate::recording::Viewer;
 use crate::session::{Purpose, SessionEvent};
 
-/// Port of Foxglove's protocol by custom.
+/// Usual port of Foxglove's protocol.
 const PORT: u16 = 8765;
 
 /// The arguments of commands that can be watched.
@@ -64,7 +64,11 @@ impl LiveArguments {
         self.live.is_some()
     }
 
-    /// The live view of one rig among several, from 1: each has a port of its own, counted up from the first.
+    /// The arguments for the live view of one rig of several, from 1. Each rig has its own port,
+    /// counted up from the given one.
+    ///
+    /// # Errors
+    /// The port would be larger than 65 535.
     pub fn of_rig(&self, rig: u32) -> Result<Self, Failure> {
         let mut one = self.clone();
         if let Some(address) = one.live.as_mut().filter(|address| address.port() != 0) {
@@ -75,7 +79,7 @@ impl LiveArguments {
         Ok(one)
     }
 
-    /// Serves the live view, if it is asked for, and says where.
+    /// Serves the live view if `--live` is given, and prints its address.
     pub fn serve(&self, command: &str, stop: &Stop) -> Result<Live, Failure> {
         let Some(address) = self.live else { return Ok(Live::default()) };
         let settings = LiveSettings { address, origins: self.live_origin.clone() };
@@ -103,11 +107,11 @@ impl LiveArguments {
     }
 }
 
-/// The live view of a command, if there is one.
+/// The live view of a command; without `--live` it is empty and shows nothing.
 #[derive(Default)]
 pub struct Live {
     view: Option<LiveView>,
-    /// Numbers of the excitations.
+    /// Numbers of the candidates that are excitations.
     excitations: Vec<u32>,
 }
 
@@ -122,12 +126,12 @@ impl Live {
         self.view.as_ref().map(LiveView::url).unwrap_or_default()
     }
 
-    /// Says what the command does, in words.
+    /// Shows in words what the command is doing.
     pub fn doing(&self, what: &str) {
         self.change(|status| what.clone_into(&mut status.doing));
     }
 
-    /// Says that a rollout of several begins.
+    /// Shows that rollout number `rollout`, from 0, begins, of `of` rollouts.
     pub fn rollout(&self, rollout: u32, of: u32) {
         self.change(|status| {
             status.doing = format!("rollout {} of {of}", rollout + 1);
@@ -135,12 +139,13 @@ impl Live {
         });
     }
 
-    /// Says that a rollout has had this return.
+    /// Shows the return of a rollout if it is the best so far.
     pub fn returned(&self, return_: Option<f64>) {
         self.change(|status| better(status, return_));
     }
 
-    /// Shows one event of a session that has at most this number of candidates, and takes this time until the last.
+    /// Shows one event of a session. `candidates` is its largest number of candidates, and `left`
+    /// the time until the last of them is done.
     pub fn tell(&mut self, news: &SessionEvent, candidates: u32, left: Option<Duration>) {
         let Some(view) = &self.view else { return };
         match news {

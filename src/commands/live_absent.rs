@@ -1,4 +1,5 @@
-//! The live view of a program that is built without it: the option says how to get it, and nothing is watched.
+//! A replacement of the live view in a program that is built without it: the option `--live` is
+//! refused with the way to get it.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -41,7 +42,7 @@ impl LiveArguments {
     }
 }
 
-/// No live view.
+/// An empty live view, which ignores all events.
 #[derive(Default)]
 pub struct Live {}
 

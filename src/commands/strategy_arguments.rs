@@ -2,7 +2,8 @@ use super::device_arguments::ChosenDevice;
 use super::exit::Failure;
 use crate::experiment::{Method, StrategySettings};
 
-/// Spread of the simulations around an identified Qube, the default of `train --profile`.
+/// Spread of the simulations around an identified Qube, as a fraction of each value: the default of
+/// `train --profile`.
 const SPREAD: f64 = 0.1;
 
 /// The arguments that compare methods of finding a policy instead of recipes.
@@ -43,7 +44,7 @@ pub struct StrategyArguments {
 }
 
 impl StrategyArguments {
-    /// The settings; `None` where no methods are compared.
+    /// The settings of the comparison; `None` if `--strategies` is not given.
     pub fn settings(&self) -> Option<StrategySettings> {
         (!self.strategies.is_empty()).then(|| StrategySettings {
             methods: self.strategies.clone(),

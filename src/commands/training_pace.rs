@@ -3,15 +3,16 @@ use std::time::{Duration, Instant};
 
 use super::screen::time_left;
 
-/// The pace at which a session trains its candidates, from which its time left is expected.
+/// The pace at which a session trains its candidates, from which its time left is estimated.
 ///
-/// Only what this process trains counts: several candidates may be proposed at once, and an excitation takes less time.
+/// Only trainings that take place in this process count. Proposals do not: several candidates may
+/// be proposed at once, and an excitation takes less time.
 pub struct TrainingPace {
     /// Number of updates of a candidate, over all its trainings.
     updates: u32,
     /// When the first update was made, and the number of its candidate.
     began: Option<(Instant, u32)>,
-    /// Number of candidates that are trained.
+    /// Number of candidates whose trainings this process has finished.
     trained: u32,
     /// Updates so far of each candidate that is in training.
     in_training: BTreeMap<u32, u32>,
@@ -23,7 +24,7 @@ impl TrainingPace {
         Self { updates, began: None, trained: 0, in_training: BTreeMap::new() }
     }
 
-    /// Counts one more update of a candidate. The very first only begins the count of time.
+    /// Counts one more update of a candidate. The first update of all only starts the clock.
     pub fn update(&mut self, candidate: u32, now: Instant) {
         match self.began {
             None => self.began = Some((now, candidate)),
@@ -31,7 +32,8 @@ impl TrainingPace {
         }
     }
 
-    /// Ends the trainings of a candidate; `by_this_process` is whether they took place and were not found done.
+    /// Ends the trainings of a candidate. `by_this_process` is false if its policy was found
+    /// finished.
     pub fn trained(&mut self, candidate: u32, by_this_process: bool) {
         self.in_training.remove(&candidate);
         self.trained += u32::from(by_this_process);
@@ -40,7 +42,8 @@ impl TrainingPace {
     /// Time left for a session of this number of candidates; `None` before the second update.
     pub fn time_left(&self, candidates: u32, now: Instant) -> Option<Duration> {
         let (began, first) = self.began?;
-        // Trainings that failed and were begun again have more updates than one that is done.
+        // A training that failed and began again makes more updates than planned; it counts at most
+        // as one candidate.
         let part = |updates: &u32| f64::from((*updates).min(self.updates));
         let parts = self.in_training.values().map(part).sum::<f64>();
         let done = f64::from(self.trained) + parts / f64::from(self.updates.max(1));
@@ -69,7 +72,8 @@ mod tests {
         pace.trained(1, true);
         pace.trained(2, true);
         assert_eq!(pace.time_left(12, after_s(60)), Some(Duration::from_secs(270)));
-        // Found done, and proposed but not begun: both say nothing of the time that they take.
+        // Candidate 3 was found trained; others are not begun. Neither shows how long a training
+        // takes.
         pace.trained(3, false);
         assert_eq!(pace.time_left(12, after_s(60)), Some(Duration::from_secs(270)));
         for _ in 0..30 {

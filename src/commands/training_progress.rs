@@ -3,7 +3,7 @@ use std::time::Instant;
 use super::screen::{Progress, in_words, time_left};
 use crate::learning::TrainUpdate;
 
-/// Number of lines of a training without a screen.
+/// Number of lines that a training without a screen writes.
 const LINES: u32 = 10;
 
 /// The display of a single training: a curve on the screen, or ten lines.
@@ -15,7 +15,8 @@ pub struct TrainingProgress {
 }
 
 impl TrainingProgress {
-    /// A display of a training with this number of updates. With a checkpoint a stopped training can go on.
+    /// A display of a training with this number of updates. A stopped training can be resumed if it
+    /// has a checkpoint.
     pub fn new(updates: u32, has_checkpoint: bool, progress: &Progress) -> Self {
         progress.update(|state| {
             state.has_rollouts = false;
@@ -37,7 +38,7 @@ impl TrainingProgress {
         self.best_return = self.best_return.max(update.mean_return);
         let best_return = self.best_return;
         let began = *self.began.get_or_insert_with(Instant::now);
-        // The first update of this process begins before the count of time.
+        // The clock starts when the first update is done, so that this update does not count.
         let left = time_left(
             began.elapsed(),
             done.saturating_sub(1).into(),

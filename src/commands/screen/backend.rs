@@ -1,4 +1,4 @@
-//! Draws cells on a terminal by the control sequences that every terminal of the last decades knows.
+//! Draws cells on a terminal with ANSI control sequences, which every terminal understands.
 
 use std::fmt::Write as _;
 use std::io;
@@ -11,7 +11,8 @@ use rustix::termios::tcgetwinsize;
 
 use super::super::terminal;
 
-/// A terminal that is written in whole frames, so that a slow line never shows half of one for long.
+/// A terminal to which whole frames are written, so that a slow line does not show half of a frame
+/// for long.
 #[derive(Debug, Default)]
 pub struct Ansi {
     frame: String,
@@ -31,7 +32,8 @@ pub fn size() -> Option<Size> {
     (found.ws_col > 0 && found.ws_row > 0).then(|| Size::new(found.ws_col, found.ws_row))
 }
 
-/// The control sequence of a style: colours as numbers of the 16 that the user's own theme defines.
+/// The control sequence for the style of a cell. Colours are numbers of the terminal's basic 16,
+/// which the user's theme defines.
 fn style(cell: &Cell) -> String {
     let mut codes = String::from("\x1b[0");
     for (modifier, code) in [

@@ -1,4 +1,4 @@
-//! Takes what the program writes to stderr while the screen has the terminal.
+//! Captures the lines that the program writes to stderr while the screen has the terminal.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::os::fd::OwnedFd;
@@ -7,10 +7,10 @@ use std::thread::{Builder, JoinHandle};
 use rustix::io::fcntl_dupfd_cloexec;
 use rustix::stdio::{dup2_stderr, stderr};
 
-/// Longest line that is taken as one, bytes.
+/// Longest line, bytes; a longer one is handed on in parts.
 const LONGEST_LINE: u64 = 4096;
 
-/// Stderr goes to a function, line by line, until this is dropped.
+/// A capture of stderr: until it is dropped, each line goes to a function.
 #[derive(Debug)]
 pub struct CapturedStderr {
     before: OwnedFd,
@@ -18,7 +18,10 @@ pub struct CapturedStderr {
 }
 
 impl CapturedStderr {
-    /// Hands each line to `take`.
+    /// Begins the capture; a thread hands each line to `take`.
+    ///
+    /// # Errors
+    /// The pipe, the duplicate of stderr or the thread cannot be made.
     pub fn begin(mut take: impl FnMut(String) + Send + 'static) -> io::Result<Self> {
         let (lines, writer) = io::pipe()?;
         let before = fcntl_dupfd_cloexec(stderr(), 3)?;
@@ -37,7 +40,7 @@ impl CapturedStderr {
 
 impl Drop for CapturedStderr {
     fn drop(&mut self) {
-        // This closes the only other end of the pipe, so the reader takes the rest and ends.
+        // This closes the only writing end of the pipe, so the reader takes the rest and ends.
         if dup2_stderr(&self.before).is_ok()
             && let Some(reader) = self.reader.take()
         {

@@ -13,14 +13,15 @@ use super::state::{Overlay, Pause, ScreenState, Training, in_words};
 use crate::qube::MAX_STEPS;
 use crate::telemetry::Phase;
 
-/// The largest return of a training's evaluation.
+/// The largest return of a training's evaluation: each step earns at most 1.
 const LARGEST_RETURN: f64 = MAX_STEPS as f64;
 
-/// Part of a limit beyond which its use is coloured.
+/// Fraction of a limit above which a quantity is highlighted.
 const NEAR: f64 = 0.8;
 
-/// Rows that the middle needs, and the smallest height of a screen that has it.
+/// Rows of the middle, which shows trainings and the rollout.
 const MIDDLE_ROWS: u16 = 8;
+/// Smallest height of a screen that has the middle, rows.
 const MIDDLE_FROM: u16 = 18;
 
 /// The styles, without colours where the user wants none.
@@ -168,7 +169,7 @@ fn draw_middle(
     now: Instant,
     styles: Styles,
 ) {
-    // A narrow terminal has room for one of them.
+    // A narrow terminal has room for either the trainings or the rollout.
     let is_narrow = area.width < 60;
     if !state.has_rollouts || (is_narrow && state.has_trainings && !rollout.is_running) {
         return draw_trainings(frame, area, state, now, styles);
@@ -199,7 +200,7 @@ fn draw_trainings(
         );
         return;
     }
-    // The latest that fit; each has a curve and two lines of text.
+    // Only the latest trainings fit; each has a curve and two lines of text.
     let shown = usize::from(inner.height / 3).clamp(1, state.trainings.len());
     let parts = vec![Constraint::Fill(1); shown];
     let areas = Layout::vertical(parts).split(inner);
@@ -226,11 +227,11 @@ fn draw_training(frame: &mut Frame, area: Rect, training: &Training, now: Instan
     frame.render_widget(Line::from(format!("update {done}/{all}, best {best:.0}{left}")), numbers);
 }
 
-/// The curve over the whole training in this many columns: the best return of each column's updates, nothing where none
-/// is done yet.
+/// The curve of the whole training in at most `width` columns: each column has the best return of
+/// its updates, or 0 before any of them is done.
 fn columns(training: &Training, width: usize) -> Vec<u64> {
     let updates = training.updates.max(1) as usize;
-    // Few updates have one column each.
+    // A training with fewer updates than columns has one column for each update.
     let width = width.min(updates);
     let mut columns = vec![0; width];
     for (update, mean_return) in training.returns.iter().enumerate() {
@@ -311,7 +312,8 @@ fn draw_rollout(frame: &mut Frame, area: Rect, rollout: &RolloutState, styles: S
     frame.render_widget(Paragraph::new(lines.to_vec()), inner);
 }
 
-/// A quantity as a number and as a place between its limits, with the part of them that was used so far.
+/// A line with a quantity as a number and as a mark on a scale from -`limit` to `limit`. `used` is
+/// the largest fraction of the limit that was reached so far.
 fn quantity<'a>(
     name: &'a str,
     value: f64,
@@ -327,7 +329,7 @@ fn quantity<'a>(
     Line::from(vec![Span::styled(number, style), Span::raw(format!("├{bar}┤"))])
 }
 
-/// A scale from -1 to 1 with a mark at the value, and a thick line over the part that was used so far.
+/// A scale from -1 to 1 with a mark at `value`, and a thick line from -`used` to `used`.
 fn scale(value: f64, used: f64, width: usize) -> String {
     if width < 3 {
         return String::new();
@@ -423,7 +425,7 @@ fn capital(text: &str) -> String {
     letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// Draws a text in a box over the middle.
+/// Draws a text in a box in the middle of the screen.
 fn draw_box(frame: &mut Frame, title: &str, text: &str, styles: Styles) {
     let area = frame.area();
     let width = area.width.min(66);

@@ -1,8 +1,9 @@
 //! The screen of long work at a terminal: phase, progress, training, rollout, messages, keys.
 //!
-//! A thread draws it a few times a second from a state that the work updates. The control thread takes no part: the
-//! recorder's thread hands ticks to a [`RolloutView`]. While the screen has the terminal, everything that is written to
-//! stderr becomes a message on it, and is printed there when the screen is gone.
+//! A thread draws the screen five times a second from a state that the work updates. The control
+//! thread takes no part: the recorder's thread hands ticks to a [`RolloutView`]. While the screen
+//! has the terminal, every line that is written to stderr becomes a message on the screen; the
+//! messages are printed on stderr when the screen is gone.
 
 mod backend;
 mod capture;
@@ -37,7 +38,7 @@ use crate::recording::Viewer;
 /// Interval between frames.
 const FRAME: Duration = Duration::from_millis(200);
 
-/// Messages that a frame may show.
+/// Largest number of messages that a frame gets.
 const SHOWN_MESSAGES: usize = 200;
 
 /// The smallest terminal that has a screen; a smaller one gets lines.
@@ -66,7 +67,8 @@ pub struct Progress {
     shared: Option<Arc<Shared>>,
 }
 
-/// The screen, until it is dropped.
+/// The screen at a terminal, or no screen. Dropping it restores the terminal and prints the
+/// messages on stderr.
 #[derive(Debug)]
 pub struct Screen {
     shared: Option<Arc<Shared>>,
@@ -75,8 +77,9 @@ pub struct Screen {
 }
 
 impl ScreenArgument {
-    /// Opens the screen of a command if stdin and stderr are a terminal that can show it, in the foreground, and
-    /// the user wants it; otherwise the screen is none, and its progress is lines.
+    /// Opens the screen of a command if the user wants it, and stdin and stderr are a terminal in
+    /// the foreground that can show it. Otherwise there is no screen, and progress is written as
+    /// lines.
     pub fn open(self, title: &str, output: &Output, stop: &Stop) -> Screen {
         let is_dumb = std::env::var_os("TERM").is_none_or(|term| term.is_empty() || term == "dumb");
         let is_wanted = !self.plain && !output.is_for_scripts() && !is_dumb;
@@ -123,7 +126,7 @@ impl Screen {
         Progress { shared: self.shared.clone() }
     }
 
-    /// The viewer of rollouts for the screen; `None` without one.
+    /// The viewer that shows rollouts on the screen; `None` without a screen.
     pub fn viewer(&self) -> Option<Arc<dyn Viewer>> {
         let shared = self.shared.as_ref()?;
         Some(Arc::clone(&shared.rollout) as Arc<dyn Viewer>)
@@ -142,7 +145,8 @@ impl Drop for Screen {
         self.captured = None;
         let mut stderr = std::io::stderr().lock();
         for message in &shared.state().messages {
-            // A terminal that is gone shows nothing, and nothing may panic here: this may be part of a panic's way out.
+            // A terminal that is gone shows nothing. Nothing may panic here, because this may run
+            // while a panic unwinds.
             let _ = writeln!(stderr, "{message}");
         }
     }
@@ -155,7 +159,7 @@ impl Progress {
         Self { shared: None }
     }
 
-    /// Whether a screen shows it.
+    /// Whether a screen shows this progress.
     pub fn has_screen(&self) -> bool {
         self.shared.is_some()
     }
@@ -169,14 +173,14 @@ impl Progress {
         }
     }
 
-    /// Changes what the screen shows; without one it does nothing.
+    /// Changes the state that the screen shows; does nothing without a screen.
     pub fn update(&self, change: impl FnOnce(&mut ScreenState)) {
         if let Some(shared) = &self.shared {
             change(&mut shared.state());
         }
     }
 
-    /// Waits here as long as the operator wants a pause, until a stop is requested.
+    /// Waits while the operator wants a pause; a request to stop ends the pause.
     pub fn wait_while_paused(&self, stop: &AtomicBool) {
         let Some(shared) = &self.shared else { return };
         loop {
@@ -207,20 +211,20 @@ impl Progress {
         self.update(|state| state.overlay = Overlay::None);
     }
 
-    /// Reacts to a key; true if a stop is requested by it.
+    /// Reacts to a key; returns whether the key requests a stop.
     pub fn pressed(&self, key: u8) -> bool {
         self.shared.as_ref().is_some_and(|shared| pressed(&mut shared.state(), key))
     }
 }
 
-/// Changes the state as a key asks for; true if a stop is requested.
+/// Changes the state according to a key; returns whether the key requests a stop.
 fn pressed(state: &mut ScreenState, key: u8) -> bool {
     let overlay = std::mem::take(&mut state.overlay);
     match (overlay, key) {
         (_, b' ') | (Overlay::Quit, b'y' | b'Y') => {
             return true;
         }
-        // Any other key closes what lies over the screen.
+        // Any other key closes the help or the question whether to quit.
         (Overlay::Help | Overlay::Quit, _) => {}
         (_, b'?' | b'h') => state.overlay = Overlay::Help,
         (_, b'q' | b'Q') => state.overlay = Overlay::Quit,
@@ -237,7 +241,8 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The state for a frame, so that no lock is held while a slow terminal takes the frame.
+    /// A copy of the state for one frame, so that no lock is held while a slow terminal takes the
+    /// frame.
     fn for_frame(&self) -> ScreenState {
         let mut state = self.state();
         let messages = std::mem::take(&mut state.messages);
@@ -254,7 +259,7 @@ impl Shared {
 fn keep_drawing(shared: &Shared) {
     let Some(size) = backend::size() else { return };
     let Ok(mut frames) = Terminal::new(Ansi::new(size)) else { return };
-    // An empty value counts as none: https://no-color.org
+    // An empty value counts as unset: https://no-color.org
     let colours = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
     let styles = Styles::new(colours);
     while !shared.ended.load(Ordering::Relaxed) {

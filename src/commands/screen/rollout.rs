@@ -1,4 +1,4 @@
-//! The state of the present rollout, as the recorder sees it.
+//! The state of the current rollout, as the recorder sees it.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -10,34 +10,36 @@ use crate::telemetry::{LatencySummary, Phase, RolloutHeader, RolloutOutcome, Tic
 /// The state of a rollout on the screen.
 #[derive(Clone, Debug, Default)]
 pub struct RolloutState {
-    /// Candidate, where a session has one.
+    /// Number of the candidate; `None` outside of a session.
     pub candidate: Option<u32>,
     /// Number of the rollout.
     pub rollout: u32,
     /// Whether an excitation runs rather than a policy.
     pub is_excitation: bool,
-    /// Whether it goes on.
+    /// Whether the rollout is still going on.
     pub is_running: bool,
     /// Limits of the box; `None` before the first rollout.
     pub limits: Option<SafetyBox>,
-    /// Largest voltage, V.
+    /// Largest voltage of the plant's limits, V.
     pub largest_voltage_v: f64,
     /// Last tick.
     pub tick: TickRecord,
-    /// Ticks of the policy.
+    /// Ticks under the policy so far.
     pub steps: u32,
-    /// Largest part of each limit that was used under the policy: theta, alpha, theta_dot, alpha_dot.
+    /// Largest fraction of each limit that was reached under the policy: of theta, alpha, theta_dot
+    /// and alpha_dot.
     pub nearest: [f64; 4],
     /// Lateness of the wake-ups of this rollout, microseconds.
     pub lateness_us: LatencySummary,
     /// Ticks since the program began.
     pub ticks: u64,
-    /// Missed deadlines since then.
+    /// Missed deadlines since the program began.
     pub missed: u64,
 }
 
 impl RolloutState {
-    /// The limit that the policy came nearest to, and the part of it that was used; `None` before the policy's first tick.
+    /// The limit that the policy came nearest to, and the fraction of it that was reached; `None`
+    /// before the policy's first tick.
     pub fn nearest_limit(&self) -> Option<(&'static str, f64)> {
         let names = ["θ", "α", "θ velocity", "α velocity"];
         let nearest = names.into_iter().zip(self.nearest).max_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -52,13 +54,13 @@ pub struct RolloutView {
 }
 
 impl RolloutView {
-    /// The present state.
+    /// A copy of the current state.
     pub fn state(&self) -> RolloutState {
         let (mut state, latencies) = {
             let locked = self.state.lock().unwrap_or_else(PoisonError::into_inner);
             (locked.0.clone(), locked.1.clone())
         };
-        // Sorted here, so that the recorder does not wait for it.
+        // The percentiles need a sorting, which must not keep the recorder waiting for the lock.
         state.lateness_us = latencies.lateness_us();
         state
     }

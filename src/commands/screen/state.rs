@@ -1,4 +1,4 @@
-//! The state of the work on the screen, apart from the present rollout.
+//! The state of the work that the screen shows, without the current rollout.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 /// The effect of a stop while a Qube is driven.
 pub const STOP_EFFECT: &str = "the arm is braked and the state is kept";
 
-/// Messages that are kept for the end.
+/// Largest number of messages that are kept and printed at the end.
 const KEPT: usize = 10_000;
 
 /// A training under way.
@@ -23,12 +23,13 @@ pub struct Training {
 }
 
 impl Training {
-    /// The best mean return so far.
+    /// The best mean return so far; `None` before the first update.
     pub fn best(&self) -> Option<f64> {
         self.returns.iter().copied().max_by(f64::total_cmp)
     }
 
-    /// The time left, from that of the updates so far; `None` after the first.
+    /// Time left if the other updates take as long as those so far; `None` before the second
+    /// update.
     pub fn left(&self, now: Instant) -> Option<Duration> {
         let done = u32::try_from(self.returns.len()).unwrap_or(u32::MAX);
         let each = now.saturating_duration_since(self.began).checked_div(done.saturating_sub(1))?;
@@ -54,11 +55,11 @@ pub enum Overlay {
     /// Nothing.
     #[default]
     None,
-    /// The keys and words.
+    /// The help: keys and symbols.
     Help,
     /// The question whether to stop.
     Quit,
-    /// A question of the program, which waits for a key.
+    /// A question of the program, which waits for a key as its answer.
     Question(String),
 }
 
@@ -73,16 +74,16 @@ pub struct ScreenState {
     pub work: String,
     /// Description of the present work.
     pub phase: String,
-    /// Finished and all pieces of work.
+    /// Number of finished pieces of work, and of all pieces.
     pub done: Option<(u64, u64)>,
     /// Whether the work may end before all pieces.
     pub may_end_early: bool,
-    /// Expected end of the whole.
+    /// Expected end of all work.
     pub ends: Option<Instant>,
     /// The best result so far.
     pub best: String,
-    /// Trainings under way, by recipe or search (empty where there is one), number of what is trained, and number of its
-    /// training.
+    /// Trainings under way. A key is the name of the recipe or search (empty if there is only one),
+    /// the number of the trained candidate or policy, and the number of its training.
     pub trainings: BTreeMap<(String, u32, u32), Training>,
     /// Address of the live view; empty without one.
     pub live: String,
@@ -129,7 +130,7 @@ impl ScreenState {
         }
     }
 
-    /// Adds a message, whose lines become messages of their own.
+    /// Adds each line of a text as a message; beyond `KEPT` the oldest message is dropped.
     pub fn add_message(&mut self, text: &str) {
         for line in text.lines().filter(|line| !line.trim().is_empty()) {
             if self.messages.len() == KEPT {
@@ -156,14 +157,15 @@ impl ScreenState {
         training.returns.push(mean_return);
     }
 
-    /// Expects the end after this time, if it is known.
+    /// Sets the expected end to this time from now; `None` means that it is not known.
     pub fn expect_end(&mut self, left: Option<Duration>) {
         self.ends = left.map(|left| Instant::now() + left);
     }
 }
 
-/// Time that `to_do` more pieces of work take if they take as long as the `done` ones of this process, in which a piece under
-/// way counts in part; `None` before any is done.
+/// Time that `to_do` more pieces of work take if each takes as long as the `done` pieces that this
+/// process has finished in the time `elapsed`. A piece under way counts as a fraction. `None`
+/// before any work is done.
 pub fn time_left(elapsed: Duration, done: f64, to_do: f64) -> Option<Duration> {
     let left_s = elapsed.as_secs_f64() / done * to_do.max(0.0);
     let is_known = done > 0.0 && left_s.is_finite() && left_s < 1e9;

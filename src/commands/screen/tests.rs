@@ -147,7 +147,7 @@ fn keys_stop_pause_ask_and_help() {
     for (key, overlay) in [(b'?', Overlay::Help), (b'q', Overlay::Quit)] {
         assert!(!pressed(&mut state, key));
         assert_eq!(state.overlay, overlay);
-        // Another key closes it and does nothing else.
+        // Another key closes the overlay and does nothing else.
         assert!(!pressed(&mut state, b'p'));
         assert_eq!((&state.overlay, state.pause), (&Overlay::None, Pause::No));
     }
@@ -178,7 +178,7 @@ fn a_rollout_is_followed_tick_by_tick() {
             ..TickRecord::default()
         }
     };
-    // The way to the start angle is not the policy's.
+    // The ticks of settling do not count: the policy does not control them.
     view.ticked(&tick(0, Phase::Settling, 0.9));
     assert_eq!(view.state().nearest_limit(), None);
     view.ticked(&tick(1, Phase::Running, 0.5));
@@ -254,6 +254,6 @@ fn a_panic_leaves_the_terminal_clean() {
     let afterwards = terminal();
     tmux(&["kill-server"]);
     assert_eq!((with_screen.trim(), afterwards.trim()), ("1 0", "0 1"));
-    // Messages and the panic's own are there to read.
+    // The messages and that of the panic can still be read.
     assert!(shown.contains("said before") && shown.contains("this is the end"), "{shown}");
 }
