@@ -23,9 +23,9 @@ use crate::storage::{Disk, MachineDisk, write_whole};
 
 /// The finished work of an experiment, read once for its table, JSON, CSV and figures.
 pub enum ExperimentReport {
-    /// Of recipes.
+    /// The results of recipes.
     Recipes(Results),
-    /// Of a comparison of strategies.
+    /// The results of a comparison of strategies.
     Strategies(StrategyResults),
 }
 
@@ -65,7 +65,7 @@ impl ExperimentReport {
         }
     }
 
-    /// Whether a file is such a CSV file, of this experiment or another.
+    /// Whether a file begins as the CSV file of an experiment, this one or another.
     pub fn is_csv(path: &Path) -> bool {
         let mut begins = String::new();
         let read = File::open(path).and_then(|file| file.take(64).read_to_string(&mut begins));
@@ -97,7 +97,8 @@ impl ExperimentReport {
         .map_err(|error| error.to_string())
     }
 
-    /// The figures; those of recipes need the searches, distributions and trainings too.
+    /// The data of the figures; figures of recipes need the searches, distributions and trainings,
+    /// too.
     ///
     /// # Errors
     /// A search or a learning curve cannot be read.
@@ -120,10 +121,11 @@ impl ExperimentReport {
 /// Largest number of recipes and plants whose rollouts a page shows.
 const SHOWN: usize = 20;
 
-/// The first rollout of the best and of the worst policy of each recipe on each plant; what cannot be read is left out.
+/// The first rollout of the best and of the worst policy of each recipe on each plant. Rollouts
+/// that cannot be read are left out.
 fn examples(results: &Results) -> NamedRollouts {
     let mut rollouts = NamedRollouts::new();
-    // The rows of all plants together repeat the policies of the others.
+    // The rows for all plants together repeat the policies of the other rows.
     let rows = results.recipes.iter().filter(|row| row.plant != ALL_PLANTS);
     for result in rows.take(SHOWN) {
         let earned = |policy: &PolicyResult| policy.mean_return().unwrap_or(f64::NEG_INFINITY);
@@ -144,7 +146,8 @@ fn examples(results: &Results) -> NamedRollouts {
     rollouts
 }
 
-/// The share of successful repetitions of a method at a budget; `None` before one is finished.
+/// The fraction of successful repetitions of a method at a budget; `None` without a budget, or
+/// before a repetition is finished.
 fn share_of_plant(result: &RecipeResult) -> Option<ShareOfPlant> {
     let budget = result.budget.filter(|_| !result.policies.is_empty())?;
     let method = result.recipe.strip_suffix(&format!(" {budget}")).unwrap_or(&result.recipe);
@@ -160,9 +163,9 @@ fn share_of_plant(result: &RecipeResult) -> Option<ShareOfPlant> {
 
 /// The figures of an experiment as data.
 pub enum Figures<'a> {
-    /// Success against real rollouts, of a comparison of strategies.
+    /// Success against the number of real rollouts, for a comparison of strategies.
     Strategies(&'a StrategyResults),
-    /// Success after fixed numbers of real rollouts, of a comparison of methods.
+    /// Success after fixed numbers of real rollouts, for a comparison of methods.
     Budgets(Vec<ShareOfPlant>),
     /// The distributions, searches and trainings of recipes.
     Recipes {
@@ -174,7 +177,7 @@ pub enum Figures<'a> {
 }
 
 impl Figures<'_> {
-    /// The figures by the names of their files.
+    /// Draws the figures as SVG, each with the name of its file.
     fn drawn(&self) -> Result<Vec<(&'static str, String)>, DrawingError> {
         let mut drawn = Vec::new();
         match self {

@@ -6,7 +6,7 @@ use super::comparison_table;
 use crate::experiment::{RecipeResult, Results};
 use crate::scoring::{Behaviour, Quietness};
 
-/// Width of the column of names.
+/// Width of the column of names, characters; longer names are cut.
 const NAME: usize = 20;
 
 /// The table for people, 80 columns wide: a block for each plant.

@@ -47,7 +47,7 @@ pub struct Arguments {
     force: bool,
 }
 
-/// Parses the folder: the name of a table is a mistake.
+/// Parses the folder of `--out`; refuses the name of a table, a likely mistake.
 fn folder(text: &str) -> Result<PathBuf, String> {
     let extension = Path::new(text).extension().and_then(|it| it.to_str());
     match extension.map(str::to_ascii_lowercase).as_deref() {
@@ -75,7 +75,7 @@ impl Format {
         }
     }
 
-    /// The bytes of a recording's table.
+    /// The contents of a recording's table in this format.
     fn table(self, recording: &Recording) -> Result<Vec<u8>, Failure> {
         match self {
             Self::Csv => Ok(csv_table(recording).into_bytes()),
@@ -144,7 +144,7 @@ fn shown(paths: &[PathBuf]) -> Vec<String> {
     paths.iter().map(|path| path.display().to_string()).collect()
 }
 
-/// The table of a recording, or the model of a policy.
+/// The path of the table or model that is made from a file: in `folder`, or beside the file.
 fn written_of(file: &Path, folder: Option<&Path>, extension: &str) -> PathBuf {
     let written = file.with_extension(extension);
     match (folder, written.file_name()) {

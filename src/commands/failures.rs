@@ -59,8 +59,9 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
     failure.caused_by(fault)
 }
 
-/// Writes the second before a fault of homing, which has no recording, to a file with one tick a line.
-/// Returns a sentence with its path for the error message; empty for other errors.
+/// Writes the last second before a fault or a lost link ended homing, which has no recording, to a
+/// file with one tick a line. Returns a sentence with its path for the error message; empty for
+/// other errors.
 pub fn with_last_ticks(error: &RigError) -> String {
     let last_ticks = match error {
         RigError::Homing { last_ticks, .. } | RigError::LinkLost { last_ticks, .. } => last_ticks,
@@ -91,7 +92,8 @@ pub fn recording(error: &RecordingError) -> Failure {
     }
 }
 
-/// The failure for an error of a policy file, which may come from anybody.
+/// The failure for an error of a policy file. The file may come from anybody, so the message is
+/// kept on one line.
 pub fn policy(error: &PolicyError) -> Failure {
     Failure::usage(one_line(&error.to_string()))
 }
@@ -118,7 +120,7 @@ pub fn not_written(path: &Path, error: &io::Error) -> Failure {
     if is_bad_place(error) { Failure::usage(message) } else { Failure::failed(message) }
 }
 
-/// Whether this user can never write there, in contrast to a disk that is full or fails.
+/// Whether this user can never write to the place; false for a disk that is full or fails.
 fn is_bad_place(error: &io::Error) -> bool {
     use ErrorKind::*;
     matches!(
@@ -149,7 +151,7 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
             let what = what.trim_end_matches('.');
             Failure::fault(format!("{what}. Then go on with {resume}.{last_ticks}"))
         }
-        // With its fault and the command that helps.
+        // `rig` adds the fault, and a command that helps.
         SessionError::Rig(error) => return rig(error, stop),
         SessionError::Recording(error) => recording(&error),
         SessionError::Folder(error) => folder(&error),

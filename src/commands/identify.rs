@@ -164,15 +164,16 @@ fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
     Ok(unknowns)
 }
 
-/// The series of a recording: its path without the number at the end of its name, such as `chirps/rollout-` of
-/// `chirps/rollout-2.mcap`. Recordings of a series are made after one homing.
+/// The series of a recording: its path without the number and ending of its name, such as
+/// `chirps/rollout-` of `chirps/rollout-2.mcap`. The recordings of a series are made after one
+/// homing.
 fn series_of(path: &Path) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     path.with_file_name(stem.trim_end_matches(|character: char| character.is_ascii_digit()))
 }
 
-/// Reads recordings and refuses those that cannot be fitted. All are of one plant: of the given one, or of the first
-/// recording's.
+/// Reads recordings and refuses those that cannot be fitted. All must be of the plant in `plant`;
+/// if that is `None`, the first recording sets the plant.
 fn read(files: &[PathBuf], plant: &mut Option<PlantModel>) -> Result<Vec<MotionLog>, Failure> {
     let mut read_one = |path: &PathBuf| {
         let log = MotionLog::read_of(path, &plant.unwrap_or_default()).map_err(Failure::usage)?;
@@ -194,7 +195,7 @@ fn read(files: &[PathBuf], plant: &mut Option<PlantModel>) -> Result<Vec<MotionL
     files.iter().map(&mut read_one).collect()
 }
 
-/// The first file that is named twice, under whatever path.
+/// The first file that is named twice, even if by different paths.
 fn twice<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Option<&'a PathBuf> {
     let mut seen = BTreeSet::new();
     files.into_iter().find(|path| {
@@ -240,7 +241,7 @@ fn table(identified: &Identified) -> String {
     text
 }
 
-/// Correlation from which two estimates are named as hard to tell apart.
+/// Absolute correlation from which two estimates are listed as hard to tell apart.
 const HARD_TO_TELL: f64 = 0.8;
 
 /// The pairs of estimates that the recordings hardly tell apart.
@@ -263,7 +264,8 @@ fn correlated(identified: &Identified) -> String {
     if text.is_empty() { text } else { format!("\nHard to tell apart (correlation):\n{text}") }
 }
 
-/// The cable's rest angle in each recording, where there are several.
+/// The cable's rest angle in each recording; empty if the angle does not scatter between
+/// recordings.
 fn rests(identified: &Identified, files: &[PathBuf]) -> String {
     let scatter_rad = identified.scatter.cable_rest_rad;
     if scatter_rad == 0.0 {
@@ -279,7 +281,8 @@ fn rests(identified: &Identified, files: &[PathBuf]) -> String {
     text
 }
 
-/// The verdict in words.
+/// The verdict on the model in words, with a note if the standard errors are larger than noise
+/// alone explains.
 fn assessment(identified: &Identified) -> String {
     let tests = &identified.assessment;
     let doubts: Vec<String> = tests.doubts.iter().map(ToString::to_string).collect();
@@ -306,17 +309,17 @@ fn combination(direction: &Blind) -> String {
     direction.iter().map(term).collect::<Vec<_>>().join(" ")
 }
 
-/// The errors of predicting some recordings.
+/// The errors of the predictions of a group of recordings.
 struct Errors {
     name: &'static str,
-    /// Of the recordings whose pendulum never comes upright.
+    /// Errors for the recordings whose pendulum never comes upright, by horizon.
     horizons: [HorizonError; 3],
-    /// Of the others, by phase.
+    /// Errors for the other recordings, by phase.
     phases: [(Phase, HorizonError); 2],
 }
 
 impl Errors {
-    /// The errors of each recording's own model.
+    /// Predicts each recording with its own model.
     fn of(name: &'static str, logs: &[MotionLog], models: &[QubeModel]) -> Self {
         let pairs = || logs.iter().zip(models);
         let horizon = |horizon_s: f64| {

@@ -68,12 +68,13 @@ pub struct Arguments {
     force: bool,
 }
 
-/// The usual reason why there is no file: the exporter has failed and written none.
+/// Advice if the ONNX file does not exist: usually the exporter has failed and written none.
 const EXPORT_FAILED: &str = ". If torch.onnx.export failed, as its default exporter does for the policies of \
     Stable-Baselines3, use Policy.from_sb3 or Policy.from_torch of the Python package, or export with dynamo=False";
 
 impl Arguments {
-    /// The conventions of a foreign file, from the options; `None` where the file has them.
+    /// The conventions of a foreign file, from the options; `None` without `--action-scale`, for a
+    /// file that names its own.
     fn foreign(&self) -> Option<ForeignConventions> {
         let own = || Sight::own(self.history.unwrap_or_default().into());
         self.action_scale.map(|action_scale_v| ForeignConventions {
@@ -112,18 +113,18 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Parses a scale from -100 to 100 that is not 0.
+/// Parses a scale from -100 to 100 V that is not 0.
 fn scale(text: &str) -> Result<f64, String> {
     let scale_v = between(text, -100.0, 100.0)?;
     if scale_v == 0.0 { Err("give a voltage other than 0".into()) } else { Ok(scale_v) }
 }
 
-/// Parses a filter's corner.
+/// Parses a filter's corner from 1 to 10 000 rad/s.
 fn corner(text: &str) -> Result<f64, String> {
     between(text, 1.0, 10_000.0)
 }
 
-/// Parses a limit of the observation's entries.
+/// Parses a limit of the observation's entries from 0.001 to 1e6.
 fn limit(text: &str) -> Result<f64, String> {
     between(text, 0.001, 1e6)
 }

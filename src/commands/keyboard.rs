@@ -1,4 +1,5 @@
-//! The keys of an operator at a terminal: the space bar requests a stop, and `a` acknowledges a doubt.
+//! The keys of an operator at a terminal: the space bar requests a stop, and `a` acknowledges a
+//! doubt.
 
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
@@ -21,7 +22,7 @@ use crate::rig::Doubt;
 /// Longest wait for a key before the thread checks whether the program was suspended.
 const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
-/// Reads single keys from the terminal until it is dropped, which restores the terminal.
+/// A reader of single keys from the terminal; dropping it restores the terminal.
 ///
 /// Ctrl-C and Ctrl-Z remain signals. In the background, and if stdin is not a terminal, the
 /// keyboard reads and changes nothing.
@@ -75,8 +76,8 @@ impl Keyboard {
         }
     }
 
-    /// Asks at a terminal whether the operator has looked at the Qube; false without a terminal or after a
-    /// stop request.
+    /// Asks at a terminal whether the operator has looked at the Qube; returns whether the answer
+    /// is `a`. False without a terminal or after a stop request.
     pub fn acknowledges(&self, doubt: &Doubt, stop: &Stop) -> bool {
         let Some(Watched { shared, keys, .. }) = &self.watched else { return false };
         let question = format!(
@@ -115,7 +116,8 @@ impl Watched {
         });
         let (sender, keys) = bounded(16);
         let watched = Arc::clone(&shared);
-        // Set here rather than in the thread, so that no key is lost or echoed from the first line on.
+        // Set here rather than in the thread, so that from the first line on no key is lost or
+        // echoed.
         terminal::set_single_keys();
         let spawned = std::thread::Builder::new()
             .name("keyboard".into())

@@ -1,10 +1,10 @@
-//! Parsers of values that the library names.
+//! Parsers of values whose names and descriptions come from the library.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use crate::learning::Preset;
 
-/// A parser of names, each with a description for the help and its value.
+/// A parser of these names. Each has a description for the help, and a value.
 pub fn named<T: Clone + Send + Sync + 'static>(
     values: impl Iterator<Item = (&'static str, &'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {

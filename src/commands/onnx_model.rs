@@ -7,7 +7,7 @@ use super::failures;
 use crate::policy::Policy;
 use crate::policy::onnx::to_onnx;
 
-/// The bytes of the model of a policy's file.
+/// The contents of the ONNX file for the policy in this file.
 pub fn onnx_model(file: &Path) -> Result<Vec<u8>, Failure> {
     match Policy::load(file).map_err(|error| failures::policy(&error))? {
         Policy::Network(policy) => Ok(to_onnx(&policy)),

@@ -41,7 +41,8 @@ impl Output {
         }
     }
 
-    /// Prints a result in one of its two forms.
+    /// Prints a result: `text` for people, or `value` for scripts as JSON on one line.
+    /// [`Self::finish`] reports an error of printing.
     pub fn print(&self, text: &str, value: &impl Serialize) {
         let mut stdout = io::stdout().lock();
         let written = match (self.json, serde_json::to_string(value)) {
@@ -50,7 +51,7 @@ impl Output {
         };
         self.printed.set(true);
         match written.and_then(|()| stdout.flush()) {
-            // The reader has closed the pipe on purpose.
+            // A broken pipe is no error: the reader has closed it on purpose.
             Err(error) if error.kind() != ErrorKind::BrokenPipe => {
                 *self.error.borrow_mut() = Some(error);
             }

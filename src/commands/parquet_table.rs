@@ -11,7 +11,11 @@ use parquet::schema::types::{Type, TypePtr};
 
 use crate::recording::{COLUMNS, Field, Recording, table_rows};
 
-/// A recording as a Parquet file with the columns and rows of its CSV table. A field without a value is null.
+/// A recording as the contents of a Parquet file, with the columns and rows of its CSV table. A
+/// field without a value is null.
+///
+/// # Errors
+/// The library that writes Parquet fails.
 pub fn parquet_table(recording: &Recording) -> Result<Vec<u8>> {
     let rows: Vec<_> = table_rows(recording).collect();
     let Some(first) = rows.first() else { return whole_file(&[], &rows) };
@@ -20,7 +24,8 @@ pub fn parquet_table(recording: &Recording) -> Result<Vec<u8>> {
 
 fn whole_file(kinds: &[Field], rows: &[[Field; COLUMNS.len()]]) -> Result<Vec<u8>> {
     let columns = COLUMNS.iter().enumerate().map(|(index, name)| {
-        // A recording without a tick has no kinds, and its columns no values.
+        // A recording without a tick has no row that shows the kinds of its columns; any kind will
+        // do.
         column(name, kinds.get(index).copied().unwrap_or(Field::Number(None)))
     });
     let fields = columns.collect::<Result<Vec<TypePtr>>>()?;
@@ -56,7 +61,7 @@ fn whole_file(kinds: &[Field], rows: &[[Field; COLUMNS.len()]]) -> Result<Vec<u8
     Ok(file)
 }
 
-/// The column of this name, whose fields are of this one's kind.
+/// The schema of the column of this name, for fields of the same kind as `field`.
 fn column(name: &str, field: Field) -> Result<TypePtr> {
     let (physical, converted) = match field {
         Field::Number(_) => (Physical::DOUBLE, ConvertedType::NONE),
@@ -88,7 +93,7 @@ fn single(field: Field) -> Option<f32> {
     }
 }
 
-/// The bits of a whole number; an unsigned column has the same.
+/// A whole number as the bits that Parquet stores; the bits of an unsigned number stay as they are.
 fn whole(field: Field) -> Option<i64> {
     match field {
         Field::Whole(value) => value,

@@ -39,7 +39,8 @@ impl PlantArguments {
         Ok(self.emulated.settings(plant)?.is_some())
     }
 
-    /// The emulated specimens of a plant on which policies run, at least one.
+    /// The emulated specimens of a plant on which policies run: those in the file of `--plants`, or
+    /// the one that the other options describe.
     pub fn plants(&self, plant: &PlantModel) -> Result<Vec<Plant>, Failure> {
         let Some(path) = &self.plants else {
             let emulated = self.emulated.of_plant(plant)?;
@@ -58,7 +59,7 @@ impl PlantArguments {
     }
 }
 
-/// The specimen of a plant in an entry of a file.
+/// The specimen of a plant that an entry of the file describes.
 fn specimen(entry: PlantEntry, path: &Path, plant: &PlantModel) -> Result<Plant, Failure> {
     let emulated = EmulatedArguments::of_entry(&entry).map_err(|reason| {
         Failure::usage(format!("{}: plant {}: {reason}", path.display(), entry.name))

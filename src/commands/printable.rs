@@ -1,25 +1,25 @@
-//! Makes foreign text safe for a terminal: file names, names in policies and recordings, and a device's
-//! description of itself.
+//! Makes foreign text safe for a terminal: file names, names in policies and recordings, and a
+//! device's description of itself.
 
 use std::borrow::Cow;
 use std::io::Write;
 
 use crate::report::is_obeyed;
 
-/// Escapes everything that a terminal would obey instead of showing: control characters (except line ends
-/// and tabs, which the program's own tables contain), and characters that change the direction of writing
-/// or have no width.
+/// Escapes everything that a terminal would obey instead of showing: control characters (except
+/// line ends and tabs, which the program's own tables contain), and characters that change the
+/// direction of writing or have no width.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escaped(text, |letter| !matches!(letter, '\n' | '\t') && is_obeyed(letter))
 }
 
-/// Escapes text and keeps it on one line, so that foreign text in a sentence cannot start a line of its
-/// own.
+/// Escapes text and keeps it on one line, so that foreign text in a sentence cannot begin a line.
 pub fn one_line(text: &str) -> Cow<'_, str> {
     escaped(text, is_obeyed)
 }
 
-/// Escapes JSON on one line, whose own escapes cover the rest.
+/// Escapes the characters in one line of JSON that a terminal would obey and that JSON itself
+/// leaves as they are. The JSON keeps its meaning.
 pub fn printable_json(line: &str) -> Cow<'_, str> {
     if !line.contains(is_obeyed) {
         return Cow::Borrowed(line);
@@ -38,10 +38,11 @@ pub fn printable_json(line: &str) -> Cow<'_, str> {
     Cow::Owned(whole)
 }
 
-/// Digits of a number that is shown as it is; those of a `u64` are fewer.
+/// Largest number of digits, with the point, of a number that is shown as it is; a `u64` has at
+/// most 20.
 const MAX_DIGITS: usize = 24;
 
-/// The text with very long numbers, as `1e300` in full, in scientific notation.
+/// The text with its very long numbers, such as `1e300` written in full, in scientific notation.
 pub fn with_short_numbers(text: &str) -> String {
     let mut short = String::with_capacity(text.len());
     let mut rest = text;
@@ -64,8 +65,9 @@ pub fn with_short_numbers(text: &str) -> String {
     short + rest
 }
 
-/// Prints a message to the user on stderr. One that cannot be written is lost: a full disk or a reader that has gone away
-/// must not end a motion, or change the exit code that names its fault.
+/// Prints a message to the user on stderr. A message that cannot be written is lost: neither a full
+/// disk nor a reader that has gone away may end a motion, or change the exit code that names its
+/// fault.
 pub fn tell(text: &str) {
     let _ = writeln!(std::io::stderr(), "{}", printable(text.trim_end()));
 }
@@ -89,8 +91,8 @@ fn escaped(text: &str, is_hidden: impl Fn(char) -> bool) -> Cow<'_, str> {
 mod tests {
     use super::*;
 
-    /// A text with ESC, CSI in one and in two characters, OSC, a bell, a backspace, DEL, bidi overrides and
-    /// isolates, a line separator, and a tag.
+    /// A text with ESC, CSI in one and in two characters, OSC, a bell, a backspace, DEL, bidi
+    /// overrides and isolates, a line separator, and a tag.
     const HOSTILE: &str = "a\u{1b}[2Jb\u{9b}31mc\u{1b}]0;title\u{7}d\u{8}e\u{7f}f\u{202e}g\u{2066}h\
                            \u{2028}i\u{e0041}j\r";
 

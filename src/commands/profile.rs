@@ -4,18 +4,19 @@ use super::exit::Failure;
 use crate::qube::{PlantModel, Profile, QubeModel};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
-/// Name of the thesis's Qube.
+/// Name of the nominal specimen of a plant; of a Qube, that is the thesis's.
 pub const IDEAL: &str = "ideal";
 
-/// Profile that comes with the program: a real Qube of which recordings are published.
+/// The profile `lab`, which comes with the program: a real Qube whose recordings are published.
 const LAB: &str = include_str!("../../profiles/lab.toml");
 
-/// The model of the specimen of a plant with this name: `ideal`, `lab`, or a profile file.
+/// The model of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a profile file.
 pub fn named(name: &str, plant: &PlantModel) -> Result<QubeModel, Failure> {
     Ok(named_profile(name, plant)?.model())
 }
 
-/// The profile of the specimen of a plant with this name: `ideal`, `lab`, or a profile file.
+/// The profile of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a profile
+/// file.
 pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure> {
     Ok(match name {
         IDEAL => Profile::exact(IDEAL, &plant.nominal()),
@@ -31,8 +32,8 @@ pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure>
     })
 }
 
-/// The profile with this name, a specimen of any plant: `lab` or a profile file. `None` for `ideal`, which is the nominal
-/// specimen of whatever plant is looked at.
+/// The profile with this name, of a specimen of any plant: `lab`, or the path of a profile file.
+/// `None` for `ideal`, which means the nominal specimen of each plant.
 pub fn of_any_plant(name: &str) -> Result<Option<Profile>, Failure> {
     match name {
         IDEAL => Ok(None),
@@ -41,7 +42,10 @@ pub fn of_any_plant(name: &str) -> Result<Option<Profile>, Failure> {
     }
 }
 
-/// Checks that a profile, of this name, describes a specimen of this plant; describes why not.
+/// Checks that a profile describes a specimen of this plant.
+///
+/// # Errors
+/// A sentence that begins with `name` and says which plant the profile describes.
 pub fn check_plant(name: &str, profile: &Profile, plant: &PlantModel) -> Result<(), String> {
     if profile.plant == plant.name {
         return Ok(());

@@ -200,8 +200,8 @@ fn replay_file(
         problem = rerun_recording(&recording, report)?;
         match MotionLog::of_recording(&recording) {
             Some(log) => log,
-            // There is nothing to simulate: settling failed, or the file was truncated before the policy
-            // started.
+            // Without a tick of the policy there is nothing to simulate: settling failed, or the
+            // file was truncated before the policy started.
             None => return problem.map_or(Ok(()), Err),
         }
     };
@@ -213,7 +213,7 @@ fn replay_file(
     if arguments.simulate {
         let model = match profile {
             Some(profile) => {
-                // A table does not say of which plant it is.
+                // A CSV file does not name its plant.
                 if let (Some(name), false) = (&arguments.profile, is_csv) {
                     profile::check_plant(name, profile, &log.plant).map_err(|why| {
                         Problem::usage(format!("{}: --profile {why}", path.display()))
@@ -228,8 +228,8 @@ fn replay_file(
     problem.map_or(Ok(()), Err)
 }
 
-/// Replays the tick of a recording. Returns the problem of a replay that differs or misses parts of the
-/// recording.
+/// Feeds the measurements of a recording to the tick again, and enters the comparison into
+/// `report`. Returns the problem of a decision that differs, or of a recording with missing parts.
 ///
 /// # Errors
 /// The recording cannot be replayed.
@@ -292,7 +292,7 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
     }
 }
 
-/// The prediction for which foresight ended a rollout, for people.
+/// The prediction for which foresight ended a rollout, in a sentence for people.
 fn foreseen_text(foreseen: &Foreseen) -> String {
     let Foreseen { identified, particle, beyond_rad } = foreseen;
     let whose = if *identified {
@@ -346,7 +346,7 @@ fn rmse_text(rmse: Rmse) -> String {
     )
 }
 
-/// The error over several recordings with equal weights.
+/// The RMS error over several recordings, all with the same weight; `None` without a recording.
 fn overall(errors: &[Rmse]) -> Option<Rmse> {
     let mean = |angle: fn(&Rmse) -> f64| {
         let squares: f64 = errors.iter().map(|rmse| angle(rmse).powi(2)).sum();

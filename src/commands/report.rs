@@ -52,7 +52,7 @@ pub struct Arguments {
     profile: Option<String>,
 }
 
-/// Writes the page and says where it is.
+/// Writes the page and prints its path.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let asked = match &arguments.out {
         Some(path) => Some((path.clone(), OutputFile::prepare(path, arguments.force)?)),
@@ -148,7 +148,8 @@ fn page_of_experiment(
     results.page(experiment, &commands)
 }
 
-/// The page of the finished work of an experiment. The rig is there for its type alone: nothing moves.
+/// The page of the finished work of an experiment. [`Experiment::new`] requires settings of a rig,
+/// but nothing is driven.
 fn of_experiment(folder: &Path) -> Result<String, Failure> {
     let folder = ExperimentFolder::open(folder).map_err(Failure::usage)?;
     let settings = ExperimentSettings::load(&folder.settings()).map_err(Failure::usage)?;
@@ -222,7 +223,7 @@ fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, Strin
     commands
 }
 
-/// A path as a shell reads it.
+/// A path as one word for a shell, in quotes if it needs them.
 fn quoted(path: &OsStr) -> String {
     let path = path.to_string_lossy();
     let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-+=:@,".contains(letter);

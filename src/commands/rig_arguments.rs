@@ -13,7 +13,7 @@ use super::number_arguments::between;
 use crate::rig::{ClockChoice, DeviceChoice};
 use crate::session::{QUBE_FILE, RigSessions};
 
-/// Relative width in which several emulated Qubes differ without --vary.
+/// Relative width in which several emulated Qubes differ without `--vary`.
 const VARY: f64 = 0.05;
 
 /// The arguments that select the Qubes of a session.
@@ -83,7 +83,7 @@ impl RigArguments {
         self.vary.unwrap_or(VARY)
     }
 
-    /// Selects the only Qube.
+    /// Selects the only Qube; refuses several Qubes and the options for them.
     pub fn choose_one(&self) -> Result<ChosenDevice, Failure> {
         let several =
             [(self.rig_policy.is_some(), "--rig-policy"), (self.vary.is_some(), "--vary")];
@@ -136,7 +136,7 @@ impl RigArguments {
     }
 }
 
-/// Refuses a port or card that is named twice, by whichever of its names.
+/// Refuses a port or card that is named twice, a port also by different paths.
 fn refuse_twice(chosen: &[ChosenDevice]) -> Result<(), Failure> {
     let mut known = BTreeSet::new();
     for device in chosen {

@@ -169,7 +169,7 @@ fn tell_results(
     ended
 }
 
-/// A line for each rig: its Qube, and the policy that its session recommends.
+/// A table with a line for each rig: its number and the best policy that its session has verified.
 fn summary(results: &[Value]) -> String {
     let mut text = String::from("\n rig  mean return  balance  best policy\n");
     for result in results {

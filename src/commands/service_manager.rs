@@ -1,5 +1,5 @@
-//! Notifications to systemd where it started this program (`Type=notify`, `WatchdogSec=`); elsewhere
-//! nothing happens.
+//! Notifications to systemd, if systemd has started this program (`Type=notify`, `WatchdogSec=`);
+//! otherwise nothing happens.
 
 use sd_notify::{NotifyState, notify};
 
@@ -8,8 +8,8 @@ pub fn ready() {
     tell(NotifyState::Ready);
 }
 
-/// Reports that work was finished. The work itself reports, rather than a separate thread, so that a
-/// session that hangs falls silent and is restarted.
+/// Reports that work was finished. The work itself reports, rather than a separate thread, so that
+/// a session that hangs sends no report and systemd restarts it.
 pub fn alive() {
     tell(NotifyState::Watchdog);
 }

@@ -26,7 +26,8 @@ use crate::telemetry::Ending;
 /// Largest growth of the program's memory over a soak, bytes.
 const MAX_GROWTH_BYTES: i64 = 5_000_000;
 
-/// Number of rollouts after which everything has its final size: buffers, stacks, caches.
+/// Number of rollouts after which buffers, stacks and caches have their final size; the growth of
+/// the memory counts from there.
 const WARM_UP_ROLLOUTS: u64 = 20;
 
 /// Run for hours: rollout after rollout by the classical controller, each recorded, read back and checked;
@@ -93,7 +94,8 @@ impl Folder {
         let keeps = keep.is_some();
         let name = format!("qube-hil-soak-{}", std::process::id());
         let path = keep.unwrap_or_else(|| std::env::temp_dir().join(name));
-        // Others may create folders there too, so the soak removes in the end only a folder of its own.
+        // Other programs may create folders in the temporary folder, too. So `create_dir` must have
+        // made this one before the soak may delete it in the end.
         let made = if keeps { std::fs::create_dir_all(&path) } else { std::fs::create_dir(&path) };
         made.map_err(|error| failures::not_written(&path, &error))?;
         OutputFolder::make(Some(&path), "soak")?.check_for_recordings(u64::MAX)?;
@@ -117,7 +119,8 @@ impl Drop for Folder {
     }
 }
 
-/// The statistics so far, of constant size.
+/// The statistics so far. Their size is constant, so that they add nothing to the growth of the
+/// memory.
 #[derive(Debug, Default)]
 struct Soaked {
     rollouts: u64,
@@ -221,7 +224,7 @@ impl Soaked {
         (self.ticks * CONTROL_PERIOD_NS) as f64 / 3600e9
     }
 
-    /// `None` for a soak that ended before it had warmed up.
+    /// Growth of the program's memory since the warm-up, bytes; `None` before its end.
     fn growth_bytes(&self) -> Option<i64> {
         self.memory_at_start_bytes.map(|start| self.memory_bytes - start)
     }
@@ -275,7 +278,8 @@ impl Soaked {
     }
 }
 
-/// Memory of this process in use: `VmRSS:  1234 kB` in /proc/self/status.
+/// Resident memory of this process, bytes, from the line `VmRSS:  1234 kB` of /proc/self/status; 0
+/// if the file cannot be read.
 fn resident_bytes() -> i64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));

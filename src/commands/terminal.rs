@@ -124,8 +124,8 @@ pub fn restore() {
     }
 }
 
-/// Sets the terminal to single keys without echo. Ctrl-\\ is disabled meanwhile, because it would end the
-/// program without restoring the terminal.
+/// Sets the terminal to single keys without echo. Until [`restore`], Ctrl-\\ is disabled, because
+/// it would end the program without restoring the terminal.
 pub fn set_single_keys() {
     let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
     if cooked.is_some() || !is_foreground() {

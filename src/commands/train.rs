@@ -168,10 +168,10 @@ impl From<InstructionSet> for Level {
     }
 }
 
-/// The name of a distribution by a psi file on the command line.
+/// Name of the model whose distribution a psi file gives.
 const PSI: &str = "psi";
 
-/// The parser of the names of models; a model whose psi a file gives has the name `psi`.
+/// The parser of `--model`; `psi` stands for the model whose quantities `--psi` gives.
 fn models() -> impl TypedValueParser<Value = Model> {
     let plain = [Model::Nominal, Model::Handcrafted, Model::NominalHandcrafted, Model::Robust];
     let by_file = "Quantities that --psi names follow it, the others are nominal";
@@ -299,17 +299,17 @@ fn simulation(
     Ok(simulation)
 }
 
-/// Parses a weight from 0 to 10.
+/// Parses a weight from 0 to 10, 1/V^2.
 fn weight(text: &str) -> Result<f64, String> {
     between(text, 0.0, 10.0)
 }
 
-/// Parses a part from 0 to 1.
+/// Parses a spread from 0 to 1, as a fraction of each value.
 fn spread(text: &str) -> Result<f64, String> {
     between(text, 0.0, 1.0)
 }
 
-/// Parses a delay in ms, or a range of delays, to s.
+/// Parses a delay, or a range of delays, in ms; returns the shortest and the longest delay, s.
 fn delays_s(text: &str) -> Result<(f64, f64), String> {
     let (from, to) = text.split_once("..").unwrap_or((text, text));
     let delay_s = |text| between(text, 0.0, 1e3 * MAX_COMMAND_DELAY_S).map(|ms| 1e-3 * ms);
@@ -319,7 +319,7 @@ fn delays_s(text: &str) -> Result<(f64, f64), String> {
     }
 }
 
-/// The policy to go on from.
+/// The network policy from whose weights the training starts.
 fn start(path: &Path) -> Result<NetworkPolicy, Failure> {
     match Policy::load(path).map_err(|error| failures::policy(&error))? {
         Policy::Network(policy) => Ok(policy),

@@ -3,7 +3,8 @@
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
-/// A parser of the names of an enum that also recognises one retired word and explains its replacement.
+/// A parser of the names of an enum, which also recognises the retired word `gone`: it refuses the
+/// word with the message `why`, which names a replacement.
 pub fn names_but<T>(gone: &'static str, why: &'static str) -> impl TypedValueParser<Value = T>
 where
     T: ValueEnum + Clone + Send + Sync + 'static,

@@ -44,12 +44,13 @@ pub struct Arguments {
     instruction_set: InstructionSet,
 }
 
-/// Parses a time up to a day.
+/// Parses a time from 0 s to a day.
 fn seconds(text: &str) -> Result<f64, String> {
     between(text, 0.0, 86_400.0)
 }
 
-/// Works in a folder of jobs.
+/// Trains policies from a folder of jobs until there was no work for the time `--linger`, the
+/// session has ended, or a stop is requested.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     crate::elementary::Level::from(arguments.instruction_set).forbid_better();

@@ -189,7 +189,8 @@ impl Homing {
         }
     }
 
-    /// Enters the next stage at the end of the current one; returns the ending of homing.
+    /// Updates the current stage and enters the next stage at its end; returns the ending once
+    /// homing is over.
     fn advance(&mut self, measurement: &Measurement) -> Option<Ending> {
         let seen = self.seen();
         let encoders = self.settings.plant.encoders;

@@ -25,7 +25,8 @@ pub enum ControlState {
     Settling,
     /// Amplifier on: the policy controls the motor.
     Running,
-    /// Amplifier on: the arm is stopped at the regular end of a rollout.
+    /// Amplifier on: the arm is stopped after its time is up, a limit was left or a stop was
+    /// requested.
     Braking,
     /// Amplifier on: the arm is stopped because of a fault.
     Faulting,

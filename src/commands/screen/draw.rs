@@ -370,7 +370,8 @@ fn draw_messages(frame: &mut Frame, area: Rect, state: &ScreenState, styles: Sty
     frame.render_widget(Paragraph::new(rows), inner);
 }
 
-/// A message in rows of this many letters, broken between words; the rows after the first are indented.
+/// A message in rows of at most `width` characters, broken between words; a longer word has a row
+/// of its own. The rows after the first are indented.
 fn wrapped(message: &str, width: usize) -> Vec<String> {
     let mut rows = vec![String::new()];
     for word in message.split(' ') {

@@ -254,6 +254,6 @@ fn a_panic_leaves_the_terminal_clean() {
     let afterwards = terminal();
     tmux(&["kill-server"]);
     assert_eq!((with_screen.trim(), afterwards.trim()), ("1 0", "0 1"));
-    // The messages and that of the panic can still be read.
+    // The messages, and the panic's own message, can still be read.
     assert!(shown.contains("said before") && shown.contains("this is the end"), "{shown}");
 }
