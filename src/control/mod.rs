@@ -1,10 +1,11 @@
-//! The real-time thread: one tick (read, estimate, decide, guard, write, record), deadlines, homing.
+//! The real-time thread: ticks (read, estimate, decide, guard, write, record), deadlines, and the
+//! homing of the arm.
 //!
-//! May import `clock`, `device`, `estimation`, `policy`, `safety`, `telemetry`, `qube`, `elementary`; never
-//! anything that allocates, locks or touches a file.
+//! May import `clock`, `device`, `estimation`, `policy`, `safety`, `telemetry`, `qube`,
+//! `elementary`; never anything that allocates, locks or touches a file.
 //!
-//! Reading order: [`Tick`] decides, [`drive()`] runs it against a device and a clock,
-//! [`ControlThread`] gives it a thread of its own.
+//! Reading order: [`Tick`] decides, [`drive()`] runs a tick against a device and a clock,
+//! [`ControlThread`] runs [`drive()`] on a thread of its own.
 
 mod asking_push;
 mod between_motions;
@@ -55,8 +56,8 @@ pub use tick::Tick;
 pub use undriven::{Moved, RestWatch, RestingCounts};
 pub use watch::Alarm;
 
-/// Capacity of the ring from the tick to the recorder, in records. It holds the longest rollout (15 s of
-/// settling, 6 s of running, 15 s of braking), so that even a stalled recorder loses nothing.
+/// Capacity of the ring from the tick to the recorder, in records. It holds the longest rollout (15
+/// s of settling, 6 s of running, 15 s of braking), so that even a stalled recorder loses nothing.
 pub const RING_CAPACITY: usize = 4096;
 
 #[cfg(test)]

@@ -3,51 +3,54 @@
 use crate::elementary::Scalar;
 use crate::qube::{Measurement, PlantModel};
 
-/// Samples kept: one more than the longest window.
+/// Number of samples kept: three more than the longest window, in ticks, that is tested.
 const KEPT: usize = 26;
 
 /// Shortest window with a constant count that is tested, ticks.
 const LEAST_TICKS: usize = 5;
 
-/// Acceleration that friction, cable and dead zone may suppress in an arm at rest, rad/s^2: four
-/// times the friction of the profile `lab`, its cable at the far stop, and an arm that is 30 %
-/// lighter.
+/// Acceleration that friction, cable and dead zone may suppress in an arm at rest, rad/s^2. The
+/// value covers four times the friction of the profile `lab`, its cable at the far stop, and an arm
+/// that is 30 % lighter.
 const HOLDS_RAD_S2: f64 = 24.0;
 
 /// Change of velocity that quantisation and one degree of play explain, rad/s.
 const LEAST_RAD_S: f64 = 1.0;
 
-/// Relative uncertainty of the pendulum's share of the momentum for masses and lengths that are 30
-/// % off.
+/// Relative uncertainty of the pendulum's part of the momentum when masses and lengths are 30 %
+/// off.
 const SWING_SHARE: f64 = 0.4;
 
-/// Relative uncertainty of the motor's push.
+/// Relative uncertainty of the velocity that the motor gives the arm.
 const MOTOR_SHARE: f64 = 0.5;
 
-/// Least change of velocity that the pendulum's own equation must show as well, rad/s.
+/// Least change of the arm's velocity that the pendulum's equation must show as well, rad/s.
 const FELT_RAD_S: f64 = 0.5;
 
-/// Relative uncertainty of that equation.
+/// Relative uncertainty of the change of velocity that the pendulum's equation shows.
 const FELT_SHARE: f64 = 0.15;
 
-/// Current that proves a working sensor, A.
+/// Motor current that proves a working current sensor, A. Before the first such reading the watch
+/// computes the current from the voltage.
 const ALIVE_A: f32 = 0.03;
 
-/// Ticks without a change after which a count counts as constant.
+/// Ticks without a change after which an arm count that steps again has resumed a motion.
 const RESUMES_AFTER_TICKS: usize = 4;
 
-/// Largest step of an arm in the first period of its motion, counts. The lightest arm with the
-/// strongest motor reaches 1200 rad/s^2, which is 32 counts if the encoder hides the first two of
-/// them.
+/// Step in the first period after a constant count, in counts of a Qube, from which on the arm must
+/// have been moving before. The lightest arm with the strongest motor accelerates at 1200 rad/s^2;
+/// it travels 32 counts in a period if it has travelled two counts before, which the watch takes
+/// for a constant count.
 const RESUMES_COUNTS: i32 = 40;
 
-/// Least step in the period after that for a count that resumes a motion.
+/// Least step in the next period and the same direction, in counts of a Qube: the count has resumed
+/// a motion, while a single jump would not continue.
 const GOES_ON_COUNTS: i32 = 12;
 
-/// Coefficients of the two equations.
+/// Coefficients of the two equations of [`MomentumWatch`].
 #[derive(Clone, Copy, Debug)]
 struct Coefficients {
-    /// Torque of the motor for each ampere, N m/A.
+    /// Torque of the motor per ampere, N m/A.
     torque_per_a: f64,
     /// Moment of inertia of the arm with the pendulum's mass at its end, kg m^2.
     arm_inertia: f64,
@@ -57,9 +60,10 @@ struct Coefficients {
     weight: f64,
     /// L_p / L_r.
     lengths: f64,
-    /// Change of the arm's velocity for each change of the pendulum's.
+    /// Change of the arm's velocity for each rad/s by which cos(alpha) alpha_dot changes, in the
+    /// opposite direction: M_p L_p L_r / 2 over `arm_inertia`, dimensionless.
     throw: f64,
-    /// Counts of the arm's encoder for each count of a Qube's.
+    /// Counts of the arm's encoder for each count of a Qube's encoder.
     counts_per_qube_count: f64,
 }
 
@@ -85,16 +89,22 @@ impl Coefficients {
     }
 }
 
-/// Tests a constant arm count with two equations, neither of which needs the parameters of the
-/// other:
+/// Detects a frozen arm encoder by the equations of motion of arm and pendulum, neither of which
+/// needs the parameters of the other:
 ///
 /// ```text
 /// A th'' = k V - d/dt (c cos a a') - friction        cos a th'' = -(2 L_p / 3 L_r) a'' - (g / L_r) sin a
 /// ```
 ///
-/// The first contains neither gravity nor the pendulum's period, the second neither motor nor
-/// masses. For an arm at rest both sides of both are zero. An arm that is held violates only the
-/// first.
+/// Here c = M_p L_p L_r / 2, A is the inertia of the arm with the pendulum's mass at its end, k V
+/// the motor's torque, a the pendulum's angle and th the arm's; L_p and L_r are the lengths of
+/// pendulum and arm, M_p is the pendulum's mass. The first equation contains neither gravity nor
+/// the pendulum's period, the second neither motor nor masses.
+///
+/// While the arm is at rest, both sides of both equations are zero. The watch integrates the right
+/// sides over windows in which the arm's count is constant; if both show a change of velocity, in
+/// the same direction, the arm moves and its encoder is frozen. An arm that is held violates the
+/// first equation only.
 #[derive(Clone, Copy, Debug)]
 pub struct MomentumWatch {
     coefficients: Coefficients,
@@ -114,14 +124,14 @@ struct Entry {
     alpha: f64,
     /// Integral of the acceleration by the motor, rad/s.
     pushed_rad_s: f64,
-    /// Integral of its absolute value, rad/s.
+    /// Integral of the absolute acceleration by the motor, rad/s.
     push_rad_s: f64,
     /// Integral of the acceleration by the pendulum's weight, rad/s.
     pulled_rad_s: f64,
 }
 
 impl MomentumWatch {
-    /// A watch of a plant that has seen nothing yet.
+    /// A watch of a plant, without any samples.
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
         Self::new(Coefficients::of(plant))
@@ -141,9 +151,9 @@ impl MomentumWatch {
         }
     }
 
-    /// Takes a sample, the pendulum's angle, the last voltage sent and the current that it drew,
-    /// both in the convention's signs. Returns whether the arm's count is constant although the arm
-    /// moves.
+    /// Takes a sample with the pendulum's angle `alpha`, rad, 0 at hanging, the last voltage sent,
+    /// V, and the motor current, A, both in the signs of the equations of motion. Returns whether
+    /// the arm's count is constant although the arm moves.
     pub fn is_frozen(
         &mut self,
         sample: &Measurement,
@@ -167,7 +177,8 @@ impl MomentumWatch {
         self.push(time_s, elapsed_s, alpha, self.accelerates_rad_s2(voltage_v, current_a));
         self.has_taken_current |= current_a.abs() > ALIVE_A;
 
-        // A count that resumes in mid-motion was frozen.
+        // The arm has speed in the first period in which its count changes, so the count was
+        // frozen.
         let resumed = self.resumed_counts;
         self.resumed_counts = 0;
         if resumed != 0
@@ -190,7 +201,7 @@ impl MomentumWatch {
         (LEAST_TICKS..=longest).any(|ticks| self.moves_over(ticks))
     }
 
-    /// Counts of this plant's arm that cover the same angle as these of a Qube's.
+    /// Converts counts of a Qube's arm encoder to counts of this plant's for the same angle.
     fn of_qube(&self, counts: i32) -> i32 {
         (f64::from(counts) * self.coefficients.counts_per_qube_count) as i32
     }
@@ -219,14 +230,15 @@ impl MomentumWatch {
         };
     }
 
-    /// Whether both equations show that the arm has gained velocity within so many ticks.
+    /// Whether both equations show that the arm has gained velocity within the last `ticks` ticks.
     fn moves_over(&self, ticks: usize) -> bool {
         let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
         let alpha_dot = |back: usize| {
             let (end, start) = (at(back), at(back + 2));
             (end.alpha - start.alpha) / (end.time_s - start.time_s)
         };
-        // The velocities are those of one tick earlier.
+        // `alpha_dot(back)` is the velocity in the middle of two periods, one tick before
+        // `at(back)`.
         let (now, before) = (at(1), at(ticks));
         let (now_rad_s, before_rad_s) = (alpha_dot(0), alpha_dot(ticks - 1));
         let cos = |entry: &Entry| Scalar::sin_cos(entry.alpha).1;

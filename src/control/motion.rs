@@ -3,12 +3,12 @@ use crate::qube::{Measurement, State};
 use crate::safety::Foreseen;
 use crate::telemetry::{Ending, Phase};
 
-/// Input of one tick. All of it is recorded, so that replay can decide the tick again.
+/// Input of one tick. The recording holds every field, so that replay can decide the tick again.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TickInput {
     /// Deadline of the tick by the host's clock, ns.
     pub deadline_ns: u64,
-    /// Time from the deadline until the tick woke, ns.
+    /// Time from the deadline until the thread woke, ns.
     pub lateness_ns: u64,
     /// Number of whole periods skipped before this tick.
     pub skipped_periods: u32,
@@ -18,9 +18,10 @@ pub struct TickInput {
     pub measurement: Option<Measurement>,
     /// Whether the port is gone, so that no later sample will come.
     pub link_gone: bool,
-    /// Whether the device has restarted: it has forgotten the hello.
+    /// Whether the device has restarted; it then requires a new hello.
     pub board_restarted: bool,
-    /// Whether the motor must cool down, by the samples and voltages before this tick.
+    /// Whether the motor must cool down, by the heat computed from the samples and voltages before
+    /// this tick.
     pub motor_overheated: bool,
 }
 
@@ -36,12 +37,14 @@ pub struct TickOutput {
     pub wanted_v: Option<f64>,
     /// Voltage to send, mV, in the convention's sign.
     pub voltage_mv: i16,
-    /// Ending of the motion; then nothing more is sent and the amplifier goes off.
+    /// Ending of the motion, if it ends in this tick; the drive then sends no further voltage and
+    /// switches the amplifier off.
     pub ending: Option<Ending>,
 }
 
 impl TickOutput {
-    /// The output of a motion other than a rollout, which asks for nothing and ends nothing.
+    /// The output of a motion other than a rollout, in a tick that asks for no voltage and does not
+    /// end the motion.
     pub fn settling(state: State, voltage_mv: i16) -> Self {
         Self { phase: Phase::Settling, state, wanted_v: None, voltage_mv, ending: None }
     }
@@ -53,7 +56,7 @@ pub trait Motion: Send {
     /// Decides one tick without allocating, locking, logging or waiting.
     fn decide(&mut self, input: &TickInput) -> TickOutput;
 
-    /// Current state in the state table.
+    /// State of the control thread that the motion has reached in the table of [`ControlState`].
     fn control_state(&self) -> ControlState;
 
     /// Number of times the observer lost track of the Qube and was reset.
@@ -61,11 +64,12 @@ pub trait Motion: Send {
         0
     }
 
-    /// Prediction for which foresight ended the motion; `None` if it did not.
+    /// Prediction because of which foresight ended the motion; `None` if foresight did not end it.
     fn foreseen(&self) -> Option<Foreseen> {
         None
     }
 
-    /// The voltage in the sign of the device's wiring, mV.
+    /// Converts a voltage, mV, from the sign of the equations of motion to the sign of the device's
+    /// wiring.
     fn device_mv(&self, voltage_mv: i16) -> i16;
 }

@@ -1,5 +1,5 @@
-//! A simulated Qube behind the device trait for the tests of this room. There is no wire in
-//! between, so that faults can be placed at chosen ticks.
+//! A simulated Qube behind the trait [`Device`] for the tests of this room. There is no wire in
+//! between, so that a test can place a fault at a chosen tick.
 
 use crate::clock::{Clock, Nanoseconds, VirtualClock};
 use crate::device::{Device, DeviceError, Identity, LinkFault};
@@ -11,7 +11,7 @@ use crate::qube::{
 /// A disturbance of a tick's sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TestFault {
-    /// No answer.
+    /// The sample is not answered.
     Lost,
     /// The port is gone.
     Gone,

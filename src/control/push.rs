@@ -1,23 +1,24 @@
-//! Detects a motor voltage that does not move the arm.
+//! Detects that a motor voltage does not move the arm.
 
 use crate::qube::Measurement;
 
 /// Growth of cos(alpha) alpha_dot in the direction of the voltage above which the pendulum absorbs
-/// the push, rad/s. An arm that moves although its count is frozen makes the pendulum swing the
-/// other way.
+/// the push, rad/s. An arm that moves while its count is frozen makes the pendulum swing the other
+/// way.
 const CARRIED_RAD_S: f64 = 2.0;
 
-/// The two inputs that accelerate the arm, in the signs of the convention.
+/// The two inputs that accelerate the arm, in the signs of the equations of motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ArmInput {
     /// Last voltage sent, mV. The voltage that the device reports between two acts may hide one
     /// sign of an alternating voltage.
     pub voltage_mv: i16,
-    /// Estimate of cos(alpha) alpha_dot at that time, rad/s: the pendulum's share of the momentum.
+    /// Estimate of cos(alpha) alpha_dot at the time of that voltage, rad/s: the pendulum's part of
+    /// the momentum.
     pub swing_rad_s: f64,
 }
 
-/// A voltage in one direction against an arm that hardly moves.
+/// Detector of a voltage that keeps its direction while the arm hardly moves.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Push {
     since_us: Option<u64>,

@@ -11,21 +11,21 @@ const PAUSES_NS: [Nanoseconds; 5] = [100 * MS, 200 * MS, 500 * MS, 1000 * MS, 20
 /// Interval at which a pause checks for a request to stop, ns.
 const LOOK_NS: Nanoseconds = 50 * MS;
 
-/// Timing of the hellos that look for a device after a fault.
+/// Timing of the hellos to a device that has fallen silent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Patience {
-    /// Pause before the first hello, ns: a delayed link may stay delayed for seconds.
+    /// Pause before the first hello, ns. A delayed link may stay delayed for seconds.
     pub pause_ns: Nanoseconds,
-    /// Time for which a silent device is asked again, ns.
+    /// Time after that pause for which hellos to a silent device are repeated, ns.
     pub limit_ns: Nanoseconds,
 }
 
-/// Sends hellos until the device answers or the patience is over, and reopens the port before each
-/// further attempt.
+/// Sends hellos until the device answers or the time of `patience` is over, and reopens the port
+/// before each further attempt.
 ///
 /// # Errors
-/// The error of the last hello. A version mismatch, which waiting cannot cure, and a request to
-/// stop end the attempts.
+/// The error of the last hello. A version mismatch, which no waiting cures, ends the attempts at
+/// once; so does a request to stop.
 pub(super) fn greet_patiently(
     device: &mut dyn Device,
     clock: &dyn Clock,

@@ -1,15 +1,16 @@
-//! Detectors of rest: both at rest before a rollout, the arm centred after one, the arm still
-//! before homing. Also the extremes of the pendulum's swing.
+//! Detectors of rest: arm and pendulum at rest before a rollout, the arm centred after a rollout,
+//! the arm still before homing. Also the extremes of the pendulum's swing.
 
 use crate::qube::{State, wrap_angle};
 
 /// Velocity below which the arm counts as stopped, rad/s.
 pub const STOPPED_RAD_S: f64 = 0.5;
 
-/// Additional motion of an arm at rest for each rad of the pendulum's swing, whatever the signs.
+/// Largest motion of an arm at rest that the pendulum's swing causes, rad for each rad of the
+/// swing, whatever the signs of the encoders.
 pub const RECOIL: f64 = 0.7;
 
-/// Ticks at rest that a rollout requires: 0.3 s.
+/// Ticks at rest that a rollout requires before its policy starts: 0.3 s.
 const REST_TICKS: u32 = 30;
 
 /// Detects when arm and pendulum have been at rest for 0.3 s.
@@ -19,7 +20,8 @@ pub struct RestDetector {
 }
 
 impl RestDetector {
-    /// Takes the next state; true once the last 0.3 s were quiet.
+    /// Takes the next state and the arm's target angle, rad; returns true once the last 0.3 s were
+    /// quiet.
     ///
     /// The tolerances leave room for one encoder count (0.003 rad, and 0.3 rad/s as a difference)
     /// and for friction that holds the arm a little off its target.
@@ -39,12 +41,12 @@ const CENTRED_RANGE_RAD: f64 = 0.05;
 /// Largest distance of a centred arm from the middle, rad.
 const CENTRED_REACH_RAD: f64 = 0.5;
 
-/// Ticks for which both must hold: longer than a swing of the pendulum, so that the pendulum's
-/// remaining energy cannot throw the arm far once the amplifier is off.
+/// Ticks for which range and distance must hold: 0.6 s, longer than a swing of the pendulum, so
+/// that the pendulum's remaining energy cannot throw the arm far once the amplifier is off.
 const CENTRED_TICKS: u32 = 60;
 
-/// Distance from the nearer stop at which an arm at rest counts as centred, rad: a cable may hold
-/// it off the middle for as long as the brake works.
+/// Distance from the nearer stop beyond which an arm at rest counts as centred, rad: the cable may
+/// hold the arm off the middle for as long as the brake is on.
 const OFF_STOPS_RAD: f64 = 1.5;
 
 /// Detects when the arm is centred and the pendulum no longer moves it.
@@ -55,21 +57,22 @@ pub struct CentredDetector {
 }
 
 impl Default for CentredDetector {
-    /// Centred means near the middle.
+    /// A detector that accepts an arm within 0.5 rad of the middle.
     fn default() -> Self {
         Self { stay: Stay::default(), reach_rad: CENTRED_REACH_RAD }
     }
 }
 
 impl CentredDetector {
-    /// Centred means far from both stops; `nearer_rad` is the distance of the nearer stop from the
-    /// middle, rad.
+    /// A detector that accepts an arm at least 1.5 rad from both stops, or within 0.5 rad of the
+    /// middle; `nearer_rad` is the distance of the nearer stop from the middle, rad.
     pub fn off_stops(nearer_rad: f64) -> Self {
         let reach_rad = (nearer_rad - OFF_STOPS_RAD).max(CENTRED_REACH_RAD);
         Self { stay: Stay::default(), reach_rad }
     }
 
-    /// Takes the next arm angle; true once the last 0.6 s stayed within the range.
+    /// Takes the next arm angle, rad; returns true once the arm has stayed for 0.6 s in a range of
+    /// 0.05 rad and near enough to the middle.
     pub fn is_centred(&mut self, theta: f64) -> bool {
         let reach_rad = self.reach_rad;
         let quiet = |width_rad| width_rad <= CENTRED_RANGE_RAD && theta.abs() < reach_rad;
@@ -90,7 +93,7 @@ pub struct StillnessDetector {
 }
 
 impl StillnessDetector {
-    /// Takes the next arm angle; true once the arm has been still for 1 s.
+    /// Takes the next arm angle, rad; returns true once the arm has been still for 1 s.
     pub fn is_still(&mut self, theta: f64) -> bool {
         self.stay.update(theta, |width_rad| width_rad < STILL_RANGE_RAD) > STILL_TICKS
     }
@@ -105,8 +108,8 @@ struct Stay {
 }
 
 impl Stay {
-    /// Takes the next arm angle and returns the ticks of the stay. A stay ends with the angle that
-    /// makes its range, rad, fail `quiet`.
+    /// Takes the next arm angle, rad, and returns the ticks of the stay. A stay ends when `quiet`
+    /// rejects its range, rad.
     fn update(&mut self, theta: f64, quiet: impl Fn(f64) -> bool) -> u32 {
         let lowest_rad = self.lowest_rad.min(theta);
         let highest_rad = self.highest_rad.max(theta);
@@ -140,7 +143,8 @@ pub struct SwingWindow {
 }
 
 impl Swing {
-    /// Takes the next angle of the pendulum; returns a window when it is complete.
+    /// Takes the next angle of the pendulum, rad; returns the swing's extent at the end of each
+    /// window.
     pub fn update(&mut self, alpha_rad: f64) -> Option<SwingWindow> {
         if self.ticks == 0 {
             (self.lowest_rad, self.highest_rad) = (alpha_rad, alpha_rad);

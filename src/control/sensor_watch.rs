@@ -8,68 +8,72 @@ use crate::estimation::Calibration;
 use crate::qube::{CONTROL_PERIOD_S, Measurement, PlantModel};
 use crate::telemetry::Fault;
 
-/// Largest step of a count in a control period (61 rad/s); a larger one is a jump.
+/// Largest step of a count in a control period, in counts of a Qube (61 rad/s); a larger step is a
+/// jump.
 const JUMP_COUNTS: f64 = 200.0;
 
-/// Largest excess of a step over both its neighbours, counts; a larger one is a jump too. A blow
-/// changes the arm's velocity for more than one period.
+/// Largest excess of a step over both its neighbours, in counts of a Qube; a larger excess is a
+/// jump, too. A blow changes the arm's velocity for more than one period.
 const SPIKE_COUNTS: i32 = 40;
 
-/// Voltage at which no arm stays fast enough for its back-EMF to cancel the current, mV.
+/// Voltage at which no arm is fast enough for its back EMF to cancel the current for long, mV.
 const DRIVEN_MV: i16 = 800;
 
 /// Current of a driven motor below which it counts as zero, A.
 const LEAST_DRIVEN_A: f32 = 0.012;
 
-/// Samples without current after which the motor is dead.
+/// Consecutive driven samples without current after which the motor counts as dead.
 const WITHOUT_CURRENT_TICKS: u32 = 15;
 
 /// Voltage that moves every arm, mV: no friction holds an arm against 1 V.
 const FROZEN_DRIVE_MV: i16 = 1000;
 
-/// Duration of that voltage in one direction by which the arm's count must have moved, us.
+/// Duration of `FROZEN_DRIVE_MV` in one direction within which the arm's count must move, us.
 const FROZEN_US: u64 = 300_000;
 
 /// Range within which an encoder counts as not moved, counts.
 const FROZEN_COUNTS: i32 = 2;
 
-/// Voltage that turns every arm, mV.
+/// Voltage that turns every arm faster than `STALL_RAD_S`, mV.
 const STALL_DRIVE_MV: i16 = 2000;
 
-/// Duration of that voltage in one direction after which an arm that hardly turns is stalled, us.
+/// Duration of `STALL_DRIVE_MV` in one direction after which an arm that hardly turns is stalled,
+/// us.
 const STALL_US: u64 = 500_000;
 
 /// Velocity below which an arm hardly turns, rad/s.
 const STALL_RAD_S: f64 = 0.5;
 
-/// Shortest interval that gives a velocity, us: one count in it is 0.6 rad/s. The tick after a late
-/// one may follow within 0.2 ms, where one count would be 15 rad/s.
+/// Shortest interval over which a velocity is computed, us: one count in it is 0.6 rad/s. The tick
+/// after a late tick may follow within 0.2 ms, where one count would be 15 rad/s.
 const LEAST_STEP_US: u64 = 5_000;
 
-/// Absolute tolerance between counter and tachometer, counts/s (1.5 rad/s).
+/// Absolute tolerance between counter and tachometer, counts/s of a Qube (1.5 rad/s).
 const TACHOMETER_COUNTS_S: f64 = 500.0;
 
-/// Additional tolerance, as a fraction of the faster of the two.
+/// Additional tolerance between counter and tachometer, as a fraction of the faster reading.
 const TACHOMETER_SHARE: f64 = 0.25;
 
-/// Time for which they may differ by more, us: a tachometer that measures the time between edges
-/// shows the last velocity for 0.21 s after a sudden stop.
+/// Time for which counter and tachometer may differ by more than the tolerances, us: a tachometer
+/// that measures the time between edges shows the last velocity for 0.21 s after a sudden stop.
 const TACHOMETER_US: u64 = 300_000;
 
-/// Velocity below which the pendulum has felt no push, rad/s: the arm is held.
+/// Change of the arm's velocity, as the pendulum implies it, up to which the arm counts as held,
+/// rad/s.
 const FELT_RAD_S: f64 = 0.4;
 
-/// Cross-checks encoders, motor current and tachometer, over the device's own time.
+/// Cross-checks of encoders, motor current and tachometer, on the device's clock.
 ///
-/// Its limits of steps and velocities are in a Qube's counts; those of another plant's encoders cover the same
-/// angles. Limits within which a count counts as constant are the plant's own counts.
+/// Limits of steps and velocities are in counts of a Qube; for another plant's encoders they are
+/// converted to the same angles. Limits within which a count counts as constant are the plant's own
+/// counts.
 #[derive(Clone, Copy, Debug)]
 pub struct SensorWatch {
     plant: PlantModel,
-    /// Counts of arm and pendulum for each count of a Qube's.
+    /// Counts of the arm's and of the pendulum's encoder for each count of a Qube's.
     counts_per_qube_count: [f64; 2],
     previous: Option<Measurement>,
-    /// Last sample with a sufficient interval to the one before.
+    /// Last sample that came at least `LEAST_STEP_US` after the one used before.
     stepped: Option<Measurement>,
     /// Last steps of both counts, counts a period, newest last.
     theta_steps: [i32; 3],
@@ -84,7 +88,7 @@ pub struct SensorWatch {
     frozen: Push,
     stall: Push,
     pendulum: Pendulum,
-    /// Time since which counter and tachometer disagree.
+    /// Device time since which counter and tachometer disagree, us.
     disagree_since_us: Option<u64>,
 }
 
@@ -107,7 +111,7 @@ impl Step {
 }
 
 impl SensorWatch {
-    /// A watch of a plant without the cross-check of the two encoders.
+    /// A watch of a plant, without the cross-check of the two encoders.
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
         let encoders = &plant.encoders;
@@ -130,21 +134,22 @@ impl SensorWatch {
         }
     }
 
-    /// A watch that includes the cross-check of the two encoders.
+    /// A watch of a plant, with the cross-check of the two encoders. `calibration` gives the signs
+    /// and zeros of their angles.
     #[must_use]
     pub fn witnessed(plant: &PlantModel, calibration: Calibration) -> Self {
         Self { witness: Some((calibration, Witness::of(plant))), ..Self::of(plant) }
     }
 
-    /// Starts the cross-check of the encoders with these zeros; the pendulum's zero is known within
-    /// `zero_within_rad`.
+    /// Starts the cross-check of the encoders with the zeros of `calibration`; the pendulum's zero
+    /// is known within `zero_within_rad`, rad.
     pub fn call_witness(&mut self, calibration: Calibration, zero_within_rad: f64) {
         let witness = Witness::with_zero_within(&self.plant, zero_within_rad, RIG_SHARE);
         self.witness = Some((calibration, witness));
     }
 
-    /// Widens the thresholds for a policy's motion: no healthy Qube of the whole domain may raise
-    /// an alarm, which would void the rollout.
+    /// Widens the thresholds of the cross-check for a policy's motion: no healthy Qube of the whole
+    /// domain may raise an alarm, which would void the rollout.
     pub fn allow_the_whole_domain(&mut self) {
         if let Some((_, witness)) = &mut self.witness {
             witness.allow(WHOLE_DOMAIN_SHARE);
@@ -157,7 +162,7 @@ impl SensorWatch {
         self.witness.as_ref().map(|(_, witness)| witness)
     }
 
-    /// The fault of an arm whose count is constant under a voltage that moves any arm.
+    /// Names the fault of an arm whose count is constant under a voltage, mV, that moves any arm.
     #[must_use]
     pub fn why_arm_stands(&self, sample: &Measurement, voltage_mv: i16) -> Fault {
         if takes_nothing(sample, voltage_mv) {
@@ -174,11 +179,12 @@ impl SensorWatch {
         }
     }
 
-    /// Checks one sample. Pass no `drive` while the arm is meant to push against its stops.
+    /// Checks one sample. `drive` is `None` while the arm is meant to push against its stops; the
+    /// tests of an arm that does not follow its voltage are then left out.
     ///
-    /// A fault of the arm switches the amplifier off: a brake would rely on the doubtful count, or
-    /// work against the hand that holds the arm. A fault of the pendulum brakes: the arm may be
-    /// moving, and the brake can do without the pendulum.
+    /// A fault of the arm gives [`Alarm::Zero`]: a brake would rely on the doubtful count, or work
+    /// against the hand that holds the arm. A fault of the pendulum gives [`Alarm::Brake`]: the arm
+    /// may be moving, and the brake does not need the pendulum.
     pub fn check(&mut self, sample: &Measurement, drive: Option<ArmInput>) -> Option<Alarm> {
         let Some(previous) = self.previous.replace(*sample) else {
             self.pendulum = Pendulum::seen(sample);
@@ -207,7 +213,8 @@ impl SensorWatch {
             witness.update(sample, theta, alpha)
         });
         if self.witness.is_some() {
-            // A step that may turn out to be a jump proves nothing.
+            // Whether a step is a jump is known one sample later, so a sudden step is no evidence
+            // yet.
             let leaps = |steps: &[i32; 3], step: f64, of_qube: f64| {
                 (step - f64::from(steps[2])).abs() > of_qube * 40.0
             };
@@ -238,7 +245,7 @@ impl SensorWatch {
         match testimony {
             Some(Contradiction::ArmStands) => return Some(Alarm::Zero(Fault::EncoderFrozen)),
             Some(Contradiction::PendulumStands) => {
-                // The brake works without the pendulum.
+                // The brake does not need the pendulum; the cross-check does and ends here.
                 self.witness = None;
                 return Some(Alarm::Brake(Fault::PendulumFrozen));
             }
@@ -255,8 +262,8 @@ impl SensorWatch {
             let rad_per_count = self.plant.encoders.theta.rad_per_count();
             self.pendulum.is_frozen(sample, step.theta / step.elapsed_s * rad_per_count)
         });
-        // The arm first: a pendulum's fault lasts while the brake works and must not hide a fault
-        // of the arm.
+        // The arm's tests come first: a fault of the pendulum lasts while the brake works and must
+        // not hide a fault of the arm.
         let held = drive.and_then(|drive| self.held(sample, drive, counts_s, elapsed_s));
         if let Some(fault) = held {
             return Some(Alarm::Zero(fault));
@@ -282,7 +289,8 @@ impl SensorWatch {
         })
     }
 
-    /// The fault of an arm that is driven and does not follow.
+    /// The fault of an arm that is driven and does not follow, if there is one; `counts_s` is the
+    /// arm's velocity in counts/s.
     fn held(
         &mut self,
         sample: &Measurement,
@@ -293,7 +301,7 @@ impl SensorWatch {
         let is_dead = self.witness.is_some() && takes_nothing(sample, drive.voltage_mv);
         if self.frozen.moves_nothing(sample, drive, (FROZEN_DRIVE_MV, FROZEN_COUNTS, FROZEN_US)) {
             return Some(match self.witness {
-                // The pendulum does not show any motion of the arm.
+                // The cross-check has not contradicted the count, so the arm does not move.
                 Some(_) if is_dead => Fault::MotorDead,
                 Some(_) => Fault::ArmHeld,
                 None => Fault::EncoderFrozen,
@@ -301,8 +309,8 @@ impl SensorWatch {
         }
         let rad_per_count = self.plant.encoders.theta.rad_per_count();
         let crept_counts = (STALL_RAD_S * STALL_US as f64 * 1e-6 / rad_per_count) as i32;
-        // An arm that the pendulum throws to and fro also stays near one place, but not at constant
-        // speed.
+        // An arm that the pendulum throws to and fro also stays near one place, but its velocity
+        // changes; only a slow arm can be stalled.
         if counts_s.abs() > STALL_RAD_S / rad_per_count + 1.0 / elapsed_s {
             self.stall = Push::default();
         }
@@ -336,7 +344,8 @@ impl SensorWatch {
     }
 }
 
-/// Appends the next step of a count, which has this many counts for each count of a Qube's; returns whether the step before it was a jump.
+/// Appends the next step of a count, counts a period, and returns whether the step before it was a
+/// jump. `counts_per_qube_count` scales the limit to the plant's encoder.
 fn is_spike(steps: &mut [i32; 3], step: f64, counts_per_qube_count: f64) -> bool {
     let spike_counts = (f64::from(SPIKE_COUNTS) * counts_per_qube_count) as i32;
     *steps = [steps[1], steps[2], step as i32];
@@ -351,7 +360,7 @@ mod tests {
     use super::*;
     use crate::qube::RAD_PER_COUNT;
 
-    /// Samples every 10 ms until the first alarm, and the tick of the alarm.
+    /// Feeds a watch with a sample every 10 ms; returns tick and fault of the first alarm.
     fn first_alarm(
         ticks: u32,
         at: impl Fn(u32, &mut Measurement),
@@ -371,7 +380,7 @@ mod tests {
 
     #[test]
     fn one_count_between_two_samples_that_follow_each_other_at_once_is_no_jerk() {
-        // A computer that stalled for 20 ms, and the tick after that.
+        // A computer stalls for 20 ms, and the next tick follows at once.
         for close_us in [141, 242, 2_000] {
             let mut watch = SensorWatch::of(&PlantModel::QUBE);
             let before = (0..60).map(|tick| (10_000 * tick, 0));

@@ -15,38 +15,40 @@ const PUSH_TICKS: u32 = 10;
 /// Longest braking, ticks.
 const BRAKE_TICKS: u32 = 15;
 
-/// Length of the whole probe, ticks: half a swing of the pendulum is seen after the push.
+/// Length of the whole probe, ticks: the samples show half a swing of the pendulum after the push.
 const PROBE_TICKS: u32 = 75;
 
-/// Ticks after the end of a voltage in which the arm may still respond to it: one round trip, and a
-/// motor that gets its command 15 ms late.
+/// Ticks after the end of a voltage in which the arm may still respond to it: one round trip on the
+/// link, and a motor that gets its command 15 ms late.
 const LAG_TICKS: usize = 3;
 
 /// Travel of arm or pendulum that ends the push, rad.
 const REACH_RAD: f64 = 0.05;
 
-/// Least travel that counts as driven, counts.
+/// Least travel that counts as a response to the voltage, counts.
 const MOVED_COUNTS: f64 = 10.0;
 
-/// Largest travel that counts as standing still, counts: play and the pendulum's pull cause as much.
+/// Largest travel of an arm that counts as at rest, counts: play and the pendulum's pull cause as
+/// much.
 pub const STOOD_COUNTS: f64 = 4.0;
 
-/// Least limit of the braking voltage, V: the voltage of the push may lie within the motor's dead
-/// zone.
+/// Least value of the limit on the braking voltage, V: the voltage of the push may lie within the
+/// motor's dead zone.
 const BRAKE_V: f64 = 1.0;
 
-/// Currents below this are not evaluated, A: the smallest push drives 0.02 A through a motor at rest.
+/// Currents below this are not evaluated, A: the smallest push drives 0.02 A through a motor at
+/// rest.
 const LEAST_CURRENT_A: f64 = 0.02;
 
 /// Difference between two readings of the current that rounding, offset and noise explain, A.
 const CURRENT_ERROR_A: f64 = 0.005;
 
-/// A short push of the arm that shows how encoders and motor are wired. It is open-loop, because
-/// feedback needs the signs that are still unknown.
+/// A short push of the arm that shows how encoders and motor are wired. The voltage is open-loop,
+/// because feedback needs the signs that are still unknown.
 ///
-/// The probe listens at 0 V, pushes until something has moved a little, pushes for as long the
-/// other way, brakes an arm whose motion it has seen, and listens again. It records and does not
-/// judge.
+/// The probe waits at 0 V, pushes until arm or pendulum has moved a little, pushes for as long the
+/// other way, brakes an arm whose motion it has measured, and waits at 0 V again. It only records;
+/// the examination evaluates the samples.
 #[derive(Debug)]
 pub struct SignProbe {
     plant: PlantModel,
@@ -55,7 +57,7 @@ pub struct SignProbe {
     estimator: Estimator,
     watch: Watch,
     stage: ProbeStage,
-    /// Ticks of this stage, and of the whole probe.
+    /// Ticks of the current stage, and of the whole probe.
     ticks: u32,
     all_ticks: u32,
     pushed_ticks: u32,
@@ -73,9 +75,9 @@ pub enum ProbeStage {
     /// No voltage.
     #[default]
     Listen,
-    /// Push.
+    /// The voltage of the push.
     Push,
-    /// Push the other way for as long, which leaves a free arm nearly at rest.
+    /// The opposite voltage for as long, which leaves a free arm nearly at rest.
     Counter,
     /// Velocity feedback with the sign that the push has shown.
     Brake,
@@ -83,7 +85,7 @@ pub enum ProbeStage {
     Coast,
 }
 
-/// One sample of a probe, in the assumed signs.
+/// One sample of a probe, with angles in the assumed signs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProbeSample {
     /// Time by the device's clock, s.
@@ -147,7 +149,7 @@ impl ProbeTrace {
         MOVED_COUNTS * self.encoders.theta.rad_per_count()
     }
 
-    /// The arm's response to the push, or to the voltage the other way if the push did not move it.
+    /// The arm's response to the push, or to the opposite voltage if the push did not move the arm.
     /// `None` if the arm moved too little, or if either voltage may have moved it.
     #[must_use]
     pub fn arm_response(&self) -> Option<ArmResponse> {
@@ -161,8 +163,9 @@ impl ProbeTrace {
             .then_some(ArmResponse { voltage_v: -self.push_v, theta_rad: countered })
     }
 
-    /// Largest travel of the arm in response to a stage's voltage, rad. The response extends
-    /// `LAG_TICKS` beyond the stage; that of the second voltage also begins that much later.
+    /// Largest travel of the arm in response to a stage's voltage, rad. The response lasts
+    /// `LAG_TICKS` longer than the stage; the response to the opposite voltage also begins that
+    /// much later.
     fn travel(&self, stage: ProbeStage) -> Option<f64> {
         let samples = self.samples();
         let first = samples.iter().position(|sample| sample.stage == stage)?;
@@ -180,9 +183,9 @@ impl ProbeTrace {
         self.samples().iter().map(|sample| sample.current_a).fold(0.0, f64::max)
     }
 
-    /// Fraction by which the motor current had fallen at the end of the push from its largest
-    /// value: a turning motor draws less. Both values are means of two readings. 0 if no current
-    /// flowed or if the fall is within the error of a reading.
+    /// Fraction, 0 to 1, by which the motor current had fallen at the end of the push from its
+    /// largest value: a turning motor draws less. Both values are means of two readings. 0 if no
+    /// current flowed or if the fall is within the error of a reading.
     #[must_use]
     pub fn current_drop(&self) -> f64 {
         let mut pushed = self.samples().iter().filter(|sample| {
@@ -207,7 +210,7 @@ impl ProbeTrace {
 }
 
 impl SignProbe {
-    /// A probe of a plant that pushes with `push_v`, V, and assumes these signs.
+    /// A probe of a plant that pushes with `push_v`, V, and assumes the signs of `signs`.
     #[must_use]
     pub fn new(plant: &PlantModel, signs: Calibration, push_v: f64) -> Self {
         Self {
@@ -327,7 +330,7 @@ impl Motion for SignProbe {
         self.output(Some(wanted_v), None)
     }
 
-    /// A probe is part of an examination, which evaluates the result.
+    /// Always [`ControlState::Checking`], because a probe is part of an examination.
     fn control_state(&self) -> ControlState {
         ControlState::Checking
     }

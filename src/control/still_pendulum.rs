@@ -1,19 +1,19 @@
-//! Detects a frozen pendulum encoder: its count stays although the arm throws the pendulum.
+//! Detects a frozen pendulum encoder: its count is constant although the arm throws the pendulum.
 
 use crate::qube::Measurement;
 
-/// Range within which a pendulum's count has not moved.
+/// Range within which a pendulum's count counts as constant, counts.
 const STAYS_COUNTS: i32 = 2;
 
-/// Change of the arm's velocity that moves the pendulum by more than [`STAYS_COUNTS`], rad/s: the
-/// change reaches the pendulum in full, except near level, where the pendulum falls.
+/// Change of the arm's velocity that moves the pendulum by more than [`STAYS_COUNTS`], rad/s. The
+/// pendulum takes up the whole change, except when it is nearly horizontal; there gravity moves it.
 const VELOCITY_STEP_RAD_S: f64 = 6.0;
 
-/// Time for which a count may stay after such a change, us: it may hit a pendulum at its turning
-/// point.
+/// Time for which the count of a healthy pendulum may be constant around such a change, us: the
+/// change may come while the pendulum turns back.
 const PENDULUM_US: u64 = 300_000;
 
-/// A constant pendulum count, and the range of the arm's velocity meanwhile.
+/// Range of the pendulum's count since it last moved, and range of the arm's velocity since then.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pendulum {
     since_us: u64,
@@ -24,7 +24,7 @@ pub(super) struct Pendulum {
 }
 
 impl Pendulum {
-    /// Starts with the count of this sample.
+    /// A detector that starts with the count of this sample.
     pub(super) fn seen(sample: &Measurement) -> Self {
         Self {
             since_us: sample.device_time_us,
@@ -34,7 +34,8 @@ impl Pendulum {
         }
     }
 
-    /// Whether the arm's velocity has changed by more than a constant count allows.
+    /// Takes the next sample and the arm's velocity, rad/s; returns whether that velocity has
+    /// changed by more than a constant count of a healthy pendulum allows.
     pub(super) fn is_frozen(&mut self, sample: &Measurement, arm_rad_s: f64) -> bool {
         let counts = sample.alpha_counts;
         let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));

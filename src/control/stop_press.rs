@@ -8,16 +8,16 @@ use crate::telemetry::Ending;
 /// Distance from a nominal stop within which the arm counts as at the stop, rad.
 const NEAR_STOP_RAD: f64 = 0.3;
 
-/// Ticks until the arm has come to rest against its stop and its angle is stored.
+/// Ticks after which the arm is at rest against its stop and its angle is stored.
 const REST_TICKS: u32 = 50;
 
-/// Distance from the stop that only a push by hand explains, rad: 4 mm at the arm's end.
+/// Distance from that angle that only a push by hand explains, rad: 4 mm at the arm's end.
 const PUSHED_RAD: f64 = 0.05;
 
-/// Distance from the stop within which a pushed arm has come back, rad.
+/// Distance from that angle within which a pushed arm has come back, rad.
 const BACK_RAD: f64 = 0.025;
 
-/// Distance from the stop at which the voltage does not hold the arm, rad.
+/// Distance from that angle beyond which the voltage evidently does not hold the arm, rad.
 const AWAY_RAD: f64 = 0.5;
 
 /// Ticks within which a pushed arm must come back: 3 s.
@@ -25,10 +25,10 @@ const RETURN_TICKS: u32 = 300;
 
 /// Presses the arm outward against the stop that it touches.
 ///
-/// The arm is at its stop already, so it cannot move far even if the host vanishes while the voltage is on. A
-/// rehearsal tests the voltage before the operator unplugs the board: it ends when a hand has pushed the arm off its
-/// stop and the arm has come back. Any press ends when the voltage does not hold the arm, time is up, or the link is
-/// lost.
+/// The arm is at its stop already, so it cannot move far even if the host vanishes while the
+/// voltage is on. A rehearsal tests the voltage before the operator unplugs the board: it ends when
+/// a hand has pushed the arm off its stop and the motor has brought the arm back. Any press ends
+/// when the voltage does not hold the arm, when time is up, or when the link is lost.
 #[derive(Debug)]
 pub struct StopPress {
     plant: PlantModel,
@@ -41,7 +41,8 @@ pub struct StopPress {
     ticks: u32,
     /// Direction of the stop, 1 or -1; 0 before the first sample.
     outward: f64,
-    /// Angle at which the arm rests against the stop, positive outward, rad; `None` until it rests.
+    /// Angle at which the arm rests against the stop, positive outward, rad; `None` until the arm
+    /// is at rest there.
     rest_rad: Option<f64>,
     pushed_ticks: u32,
     state: State,
@@ -64,8 +65,8 @@ pub enum PressOutcome {
 }
 
 impl StopPress {
-    /// Presses with `push_v` volts, above 0, for at most `most_ticks`. A rehearsal ends as soon as
-    /// a pushed arm has come back or has failed to.
+    /// A press with `push_v` volts, above 0, for at most `most_ticks` ticks. A rehearsal ends as
+    /// soon as a pushed arm has come back or has failed to come back.
     #[must_use]
     pub fn new(
         plant: &PlantModel,
@@ -98,7 +99,7 @@ impl StopPress {
         self.seen
     }
 
-    /// Updates the result from the arm's angle; returns whether that ends the press.
+    /// Updates the result from the arm's angle; returns whether the press ends.
     fn update(&mut self) -> bool {
         let reach_rad = self.state.theta * self.outward;
         if self.outward == 0.0 {
@@ -212,7 +213,8 @@ mod tests {
         assert!(device.voltages_mv.iter().all(|voltage_mv| *voltage_mv == 0));
     }
 
-    /// Writes the push of a finger into the samples.
+    /// Runs a rehearsal whose arm is off its stop by `off_rad` of the tick, rad; returns the last
+    /// tick and the result.
     fn after_a_push(off_rad: impl Fn(u32) -> f64) -> Option<(u32, PressOutcome)> {
         let mut press = StopPress::new(&PlantModel::QUBE, Calibration::IDENTITY, 0.5, 6000, true);
         (0..6000).find_map(|tick| {

@@ -2,19 +2,21 @@
 
 use crate::qube::CONTROL_PERIOD_S;
 
-/// Largest lead of the moving target over the arm, rad: the arm presses against a stop with 1.6 V.
-/// On `lab` cable, friction and dead zone together take at most 0.9 V of it.
+/// Largest lead of the moving target over the arm, rad: the arm then presses against a stop with
+/// 1.6 V. On the Qube of the profile `lab`, cable, friction and dead zone together take at most 0.9
+/// V of it.
 const LEAD_RAD: f64 = 0.95;
 
 /// Velocity below which an arm at the full lead gets an additional push, rad/s.
 const SLOWEST_RAD_S: f64 = 0.35;
 
-/// Growth of the additional push for each rad that the arm lags behind, V/rad: 2.1 V/s at rest.
+/// Growth of the additional push for each rad that the arm lags behind a motion at `SLOWEST_RAD_S`,
+/// V/rad: 2.1 V/s for an arm at rest.
 const PUSH_V_RAD: f64 = 6.0;
 
-/// Largest additional push, V: with the lead 2.75 V, which is also the largest push of the
-/// examination. 1.5 times the nonidealities of the profile `lab` with four times its friction take
-/// 2.5 V towards the stop that its cable pulls away from.
+/// Largest additional push, V. Together with the lead it gives 2.75 V, which is also the largest
+/// push of the examination. 1.5 times the nonidealities of the profile `lab` with four times its
+/// friction take 2.5 V towards the stop from which the cable pulls away.
 const MOST_PUSH_V: f64 = 1.12;
 
 /// Least gain of travel that counts as progress, rad.
@@ -24,16 +26,16 @@ const PROGRESS_RAD: f64 = 0.01;
 /// swings of the pendulum, whose pull may lift the arm off the stop for a while.
 const BLOCKED_TICKS: u32 = 100;
 
-/// The seek of both stops, one after the other.
+/// Search for both stops, one after the other.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StopSeek {
-    /// Angle of the stop at negative theta, once the arm has stood at it.
+    /// Angle of the stop at negative theta, rad, once the arm has reached it.
     negative_rad: Option<f64>,
-    /// The approach to the next stop; it begins with the first angle after the last stop.
+    /// Approach to the next stop; it begins with the first angle after the last stop.
     approach: Option<Approach>,
 }
 
-/// Angles at which the arm stood at its stops, rad.
+/// Angles of the two stops, rad, in the coordinates of the angles given.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
     /// The stop at negative theta.
@@ -45,7 +47,7 @@ pub struct Found {
 /// The approach to one stop.
 #[derive(Clone, Copy, Debug)]
 struct Approach {
-    /// Target angle, which moves ahead of the arm.
+    /// Target angle, which moves ahead of the arm, rad.
     target_rad: f64,
     furthest_rad: f64,
     last_rad: f64,
@@ -56,8 +58,8 @@ struct Approach {
 }
 
 impl StopSeek {
-    /// Takes the next arm angle and moves the target by at most `lead_rad_s`; returns the stops
-    /// once both are found.
+    /// Takes the next arm angle, rad, and moves the target by `lead_rad_s`, rad/s, for one period,
+    /// up to the largest lead; returns the stops once both are found.
     pub fn update(&mut self, theta: f64, lead_rad_s: f64) -> Option<Found> {
         let direction = if self.negative_rad.is_none() { -1.0 } else { 1.0 };
         let approach = self.approach.get_or_insert(Approach {
@@ -76,12 +78,12 @@ impl StopSeek {
         Some(Found { lowest_rad, highest_rad: stop_rad })
     }
 
-    /// Target angle of the arm, rad; `None` in the tick in which the arm stands at a stop.
+    /// Target angle of the arm, rad; `None` before the first angle and in a tick that finds a stop.
     pub fn target_rad(&self) -> Option<f64> {
         self.approach.map(|approach| approach.target_rad)
     }
 
-    /// Additional push, V.
+    /// Additional push in the direction of the seek, V, negative towards negative theta.
     pub fn push_v(&self) -> f64 {
         let push_v = self.approach.map_or(0.0, |approach| approach.push_v);
         if self.negative_rad.is_none() { -push_v } else { push_v }
@@ -89,7 +91,7 @@ impl StopSeek {
 }
 
 impl Approach {
-    /// Moves the target; returns the angle of the stop once the arm stands at it.
+    /// Moves the target; returns the angle of the stop, rad, once the arm is held there.
     fn update(&mut self, theta: f64, direction: f64, lead_rad_s: f64) -> Option<f64> {
         let ahead_rad = direction * (self.target_rad - theta) + lead_rad_s * CONTROL_PERIOD_S;
         self.target_rad = theta + direction * ahead_rad.min(LEAD_RAD);

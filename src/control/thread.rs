@@ -20,13 +20,14 @@ use crate::telemetry::{TickRecord, TickSettings};
 /// The result of a homing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Homed {
-    /// Zeros and stops; `None` unless homing completed.
+    /// Zeros of the encoders and angles of the stops; `None` unless homing completed.
     pub rig: Option<MeasuredRig>,
     /// Distance between the stops, rad; `None` unless both were touched.
     pub travel_rad: Option<f64>,
 }
 
-/// A command with everything loaded before the first tick.
+/// A command to the thread. It carries everything that the motion needs, so that the tick neither
+/// allocates nor loads a file.
 enum Command {
     Hello(Patience),
     Cool,
@@ -36,7 +37,7 @@ enum Command {
     Lend(Borrower),
 }
 
-/// A task that uses the device, its clock and the request to stop.
+/// A task that uses the device, its clock, the motor's heat and the request to stop.
 type Borrower = Box<dyn FnOnce(&mut dyn Device, &dyn Clock, &mut MotorHeat, &AtomicBool) + Send>;
 
 enum Event {
@@ -48,8 +49,8 @@ enum Event {
     Cooled(MotorHeat),
 }
 
-/// The thread that owns the device. It executes one command at a time; in between the amplifier is
-/// off.
+/// Handle of the thread that owns the device. The thread executes one command at a time; in between
+/// the amplifier is off.
 pub struct ControlThread {
     commands: Option<Sender<Command>>,
     events: Receiver<Event>,
@@ -59,8 +60,8 @@ pub struct ControlThread {
 }
 
 impl ControlThread {
-    /// Starts the thread. With `realtime` it asks for SCHED_FIFO and locked memory, which a virtual
-    /// clock does not need. Setting `stop` ends each motion by braking.
+    /// Starts the thread. With `realtime` the thread asks for SCHED_FIFO and locked memory, which
+    /// it does not need on a virtual clock. Setting `stop` ends each motion by braking.
     ///
     /// # Errors
     /// The operating system cannot start a thread.
@@ -112,7 +113,8 @@ impl ControlThread {
         self.hello_patiently(Patience::default())
     }
 
-    /// Sends hellos to the device until it answers, the patience is over, or `stop` is set.
+    /// Sends hellos to the device until it answers, the time of `patience` is over, or `stop` is
+    /// set.
     ///
     /// # Errors
     /// As for [`hello`](Self::hello).
@@ -144,11 +146,11 @@ impl ControlThread {
         }
     }
 
-    /// Runs one rollout to its end and sends its records to `records`.
+    /// Runs one rollout to its end and writes a record of each tick to `records`.
     ///
     /// # Errors
-    /// The thread is gone; the device has not been homed since its hello or could not be armed; arm or pendulum has moved
-    /// since the last motion, or the link failed.
+    /// The thread is gone; the device has not been homed since its hello or could not be armed; arm
+    /// or pendulum has moved since the last motion; or the link failed.
     pub fn rollout(
         &self,
         settings: TickSettings,
@@ -161,7 +163,7 @@ impl ControlThread {
         }
     }
 
-    /// Sets the motor's rating and heat; at the start the motor is a nominal one and cold.
+    /// Sets the motor's rating and heat. A new thread assumes a nominal motor that is cold.
     ///
     /// # Errors
     /// The thread is gone.
@@ -181,9 +183,9 @@ impl ControlThread {
         }
     }
 
-    /// Lends the device to a task between motions. The task runs on this thread with its priority,
-    /// so that a check measures the latencies that a tick will have. It updates the motor's heat with what it drives, and
-    /// begins when the motor is cool enough.
+    /// Lends the device to a task between motions, once the motor is cool enough. The task runs on
+    /// this thread with its priority, so that a check measures the latencies that a tick will have.
+    /// A task that drives the motor updates the motor's heat.
     ///
     /// # Errors
     /// The thread is gone; the device has not answered a hello, or a fault is latched.
@@ -303,7 +305,7 @@ fn allowed(state: &mut ControlState, wanted: ControlEvent) -> Result<(), Control
     }
 }
 
-/// Drives a motion and takes over the state in which it ends.
+/// Drives a motion and adopts the state in which the motion ends.
 fn driven(
     state: &mut ControlState,
     motor: &mut Motor,
@@ -340,7 +342,7 @@ mod tests {
     use crate::safety::SafetyBox;
     use crate::telemetry::{Ending, Fault};
 
-    /// A thread whose device loses its port at this sample, and settings for a short rollout on it.
+    /// A thread whose device loses its port at sample `gone_at`, and settings for a short rollout.
     fn control(gone_at: u32) -> (ControlThread, TickSettings) {
         let mut device = PlantDevice::new(State::default());
         device.mishap = Box::new(move |sample| (sample == gone_at).then_some(TestFault::Gone));

@@ -14,7 +14,8 @@ use crate::safety::{
 };
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
-/// Most ticks for settling: 15 s. It takes less than 2 s from any state in which a rollout may end.
+/// Most ticks for settling: 15 s. Settling takes less than 2 s from any state in which a rollout
+/// may end.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
 /// Most ticks for a brake that only stops the arm: 1 s.
@@ -23,24 +24,24 @@ const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 /// Most ticks for a brake that centres the arm and waits for the pendulum: 15 s.
 const MAX_RETURN_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
-/// Error with which homing measures the stops, rad: on a nominal Qube it may find them this much
-/// nearer.
+/// Error with which homing measures the stops, rad: homing of a nominal Qube may place a stop this
+/// much nearer than it is.
 const STOPS_MEASURED_WITHIN_RAD: f64 = 0.02;
 
-/// Ticks below that velocity after which the arm counts as stopped.
+/// Consecutive ticks below `STOPPED_RAD_S` after which the arm counts as stopped.
 const STOPPED_TICKS: u32 = 3;
 
-/// Shares of the brake's voltage that foresight tries in turn. After lost samples the arm may move against its
-/// estimated velocity already, hence the last one.
+/// Shares of the brake's voltage that foresight tries in turn. The negative share is for an arm
+/// that, after lost samples, already moves against its estimated velocity.
 const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
 
-/// Velocity at the end of braking above which the arm does not obey the motor, rad/s.
+/// Velocity after the longest braking above which the arm does not obey the motor, rad/s.
 const RUNAWAY_RAD_S: f64 = 5.0;
 
 /// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it. The table
 /// of [`ControlState`] holds the transitions.
 ///
-/// The same code drives a real Qube and the emulated one, runs in virtual time and in replay.
+/// The same code runs against a real Qube, against the emulated one in virtual time, and in replay.
 #[derive(Debug)]
 pub struct Tick<C = Policy> {
     settings: TickSettings,
@@ -48,8 +49,8 @@ pub struct Tick<C = Policy> {
     estimator: Estimator,
     watch: Watch,
     sensors: SensorWatch,
-    /// Tests with a push whether an arm with a constant count can move; `None` under the first
-    /// rules.
+    /// Tests with a push whether an arm with a constant count can move; `None` before the policy
+    /// runs and under [`TickRules::First`].
     asking: Option<AskingPush>,
     settler: Settler,
     gentle: GentleSettler,
@@ -61,18 +62,19 @@ pub struct Tick<C = Policy> {
     stopped_ticks: u32,
     /// Simulates the brake before each voltage is sent; `None` unless the guard is foresight.
     foresight: Option<TrustedForesight>,
-    /// Prediction for the voltage that the policy asked for in this tick, if it did and foresight guards it.
+    /// Prediction for the voltage that the policy asked for in this tick; `None` without foresight,
+    /// and in ticks in which the policy does not decide.
     angle: Option<ForeseenAngle>,
-    /// Prediction for which foresight ended the policy; `None` if it did not.
+    /// Prediction because of which foresight ended the policy; `None` if foresight did not end it.
     foreseen: Option<Foreseen>,
     brake: Brake,
     /// Whether the brake uses the arm's velocity alone, because the arm's count is doubted.
     damps: bool,
     /// Control periods since the last sample.
     periods_without_sample: u32,
-    /// Last voltages sent, newest first, V; some may not have reached the motor yet.
+    /// Voltages sent in the last periods, newest first, V; some may not have reached the motor yet.
     sent_v: [f32; MAX_HISTORY],
-    /// Ending of the rollout.
+    /// Ending of the rollout, if it has begun to end.
     reason: Ending,
     /// State estimates: one for the policy, one for guard, settling and brake.
     estimates: Estimates,
@@ -130,7 +132,8 @@ impl<C: Controller> Tick<C> {
         tick
     }
 
-    /// The angle that foresight predicted in the last tick for the voltage that the policy asked for.
+    /// The angle that foresight predicted in the last tick for the voltage that the policy asked
+    /// for; `None` without foresight, or if the policy did not decide.
     #[must_use]
     pub fn foreseen_angle(&self) -> Option<ForeseenAngle> {
         self.angle
@@ -174,7 +177,8 @@ impl<C: Controller> Tick<C> {
         action == ControlAction::Off
     }
 
-    /// The event that state or time cause in this phase, if any.
+    /// The event that the Qube's state or the time causes in this phase; `unpredicted` is whether
+    /// the Qube's motion contradicts its profile.
     fn event(&mut self, input: &TickInput, unpredicted: bool) -> Option<(ControlEvent, Ending)> {
         let stopped = input.stop_requested.then_some((ControlEvent::Stop, Ending::Stopped));
         match self.phase {
@@ -206,8 +210,8 @@ impl<C: Controller> Tick<C> {
         let State { theta, theta_dot, .. } = self.estimates.guarded;
         let speed_rad_s = theta_dot.abs();
         let (stands, most_ticks) = match self.settings.safety_box.guard {
-            // A frozen count would look at rest at once although the arm may move, so this waits
-            // for the full time.
+            // A frozen count looks stopped at once although the arm may move, so the count must
+            // stay in place for the longer time of the detector.
             _ if self.damps => (self.centred.is_centred(theta), MAX_RETURN_TICKS),
             Guard::Box => {
                 let slow = speed_rad_s < STOPPED_RAD_S;
@@ -247,9 +251,12 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    /// The voltage of the brake, or another share of it where foresight finds that the brake's own, held while
-    /// samples are lost, would drive some particle's arm into its stop: a firm brake throws a light arm back.
-    /// Where no share passes, it is the brake's own.
+    /// The voltage of the brake, V, times the first of `BRAKE_SHARES` for which foresight finds
+    /// that no simulated Qube's arm hits its stop.
+    ///
+    /// A firm brake whose voltage is held while samples are lost may throw a light arm back. If no
+    /// share passes, the brake's full voltage is returned. It is also returned under the rules
+    /// before [`TickRules::Tried`] and while the arm's count is doubted.
     fn braking_voltage(&mut self) -> f64 {
         let wanted_v = self.brake.voltage_v(&self.estimates.guarded);
         if self.settings.rules < TickRules::Tried || self.damps {
@@ -263,7 +270,8 @@ impl<C: Controller> Tick<C> {
         BRAKE_SHARES.into_iter().find(passes).unwrap_or(1.0) * wanted_v
     }
 
-    /// The alarm for an arm that has not responded to a push that moves any arm.
+    /// The alarm for an arm that has not responded to a test push that moves any arm, if there is
+    /// one.
     fn unanswered(&mut self, sample: &Measurement) -> Option<Alarm> {
         let asking = self.asking.as_mut().filter(|_| self.phase == Phase::Running)?;
         let (_, alpha) = self.settings.calibration.angles_rad(sample);
@@ -277,14 +285,15 @@ impl<C: Controller> Tick<C> {
         foresight.is_contradicted(&self.estimates.guarded, device_time_us, &self.sent_v)
     }
 
-    /// A possible Qube that the brake would stop too late after this voltage, mV.
+    /// The first simulated Qube that the brake would stop too late after this voltage, mV; `None`
+    /// if there is none, or without foresight.
     fn too_late_for(&mut self, voltage_mv: i16) -> Option<Foreseen> {
         let state = self.estimates.guarded.cast();
         let voltage_v = f32::from(voltage_mv) * 1e-3;
         self.foresight.as_mut()?.too_late_for(&state, &self.sent_v, voltage_v)
     }
 
-    /// Appends the last voltage to the history for this period and `more_periods` skipped ones.
+    /// Puts the last voltage into the history, for this period and for `more_periods` skipped ones.
     fn remember_sent(&mut self, more_periods: u32) {
         for _ in 0..=more_periods.min(MAX_HISTORY as u32) {
             self.sent_v.rotate_right(1);
@@ -295,7 +304,7 @@ impl<C: Controller> Tick<C> {
     /// Tells a running policy which voltage the motor has had since the last tick.
     fn tell_policy_what_was_applied(&mut self, skipped_periods: u32) {
         if self.phase == Phase::Running {
-            // The longest history holds no more than this.
+            // A policy looks back over at most `MAX_HISTORY` periods.
             for _ in 0..=skipped_periods.min(MAX_HISTORY as u32) {
                 self.policy.applied(f64::from(self.voltage_mv) * 1e-3);
             }
@@ -317,7 +326,7 @@ impl<C: Controller> Tick<C> {
     }
 }
 
-/// The brake of a rollout before its first period; `damps` is whether the arm's count is doubted.
+/// The brake of a rollout, before its first period; `damps` is whether the arm's count is doubted.
 fn brake_of(settings: &TickSettings, damps: bool) -> Brake {
     let stops_only = damps || settings.safety_box.guard.is_box();
     let brake = if stops_only {
@@ -345,8 +354,9 @@ impl<C: Controller> Motion for Tick<C> {
         let seen =
             input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, Some(drive)));
         let unanswered = input.measurement.as_ref().and_then(|sample| self.unanswered(sample));
-        // With the motor off, a moving arm whose count is doubted wrongly would coast into its
-        // stop; for an arm at rest the damping asks for 0 V anyway.
+        // The count may be right although a test doubts it; with the motor off, a moving arm would
+        // then coast into its stop. The brake damps such an arm by its velocity. For an arm at rest
+        // it asks for 0 V anyway.
         let since =
             if self.phase == Phase::Settling { TickRules::Yielding } else { TickRules::Damped };
         let damps = self.settings.rules >= since;
@@ -380,8 +390,8 @@ impl<C: Controller> Motion for Tick<C> {
         }
         let unpredicted = self.contradicts_profile(measurement.device_time_us);
 
-        // Guard: change the phase if the state demands it. A brake that has just begun may find the
-        // arm at rest, hence the second pass.
+        // Guard: change the phase if the state demands it. The second pass ends a brake that has
+        // just begun and finds the arm at rest.
         for _ in 0..2 {
             let was = self.phase;
             if let Some((event, reason)) = self.event(input, unpredicted)
@@ -394,7 +404,7 @@ impl<C: Controller> Motion for Tick<C> {
             }
         }
 
-        // Decide, and send nothing that is not a number.
+        // Decide; a voltage that is not a number starts the brake.
         let largest_v = self.settings.plant.limits.largest_voltage_v;
         let mut wanted_v = self.wanted_voltage();
         self.voltage_mv = match clamp_to_mv(wanted_v, largest_v) {
@@ -406,8 +416,8 @@ impl<C: Controller> Motion for Tick<C> {
             }
         };
 
-        // Simulate the brake unless it is on. If it would come too late after this voltage, it
-        // takes over: for good while the policy runs, for this tick while settling.
+        // Simulate the brake, unless it is on. If braking after this voltage would come too late,
+        // the brake takes over: for good while the policy runs, for this tick while settling.
         if self.phase != Phase::Braking
             && let Some(foreseen) = self.too_late_for(self.voltage_mv)
         {

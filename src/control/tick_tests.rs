@@ -139,7 +139,8 @@ fn foresight_ends_no_swing_up_of_a_nominal_qube() {
     assert_eq!(tick.control_state(), ControlState::Ready);
 }
 
-/// A controller that asks for another voltage each time and stores what it is told.
+/// A controller that asks for a different voltage each time and stores the voltages that it is
+/// told.
 #[derive(Default)]
 struct Listener {
     starts: u32,

@@ -5,29 +5,30 @@ use thiserror::Error;
 
 use crate::qube::{CONTROL_PERIOD_S, Encoder, Encoders, Measurement};
 
-/// Samples within the widths below that count as rest: 0.6 s, more than a swing of the pendulum, so
-/// that a swing shows its full width.
+/// Samples within the widths below that count as rest: 0.6 s, longer than a swing of the pendulum,
+/// so that the samples of a swing show its full width.
 const REST_SAMPLES: u32 = 60;
 
-/// Largest range of the arm's samples at rest, counts of a Qube, like all counts here. An arm without dry friction that still
-/// creeps this much moves on by 8 counts before it stops. A lower limit would cost 8 s after each
-/// rollout with a cable that pulls the arm slowly.
+/// Largest range of the arm's samples at rest. All constants in counts on this page are counts of a
+/// Qube. An arm without dry friction that still creeps this much moves on by 8 counts before it
+/// stops. A smaller width would cost 8 s after each rollout on a Qube whose cable pulls the arm
+/// slowly.
 const ARM_WIDTH: f64 = 5.0;
 
 /// Largest range of the pendulum's samples at rest, counts: 0.3 rad to either side. On an arm held
-/// by dry friction the pendulum swings for a minute, and the middle of a whole swing is where it
-/// hangs.
+/// by dry friction the pendulum swings for a minute; the middle of a whole swing is the count at
+/// which it hangs.
 const PENDULUM_WIDTH: f64 = 200.0;
 
 /// Largest change of a count that leaves its zero valid, counts: 0.05 rad. A cable may pull the arm
 /// farther within seconds; then the arm is homed before the next rollout, which is always safe.
 const TOLERANCE: f64 = 16.0;
 
-/// Largest change of an undriven arm's velocity within a tick, counts a tick: 5 rad/s. More is a
-/// jump of the count, or a blow.
+/// Largest change of an undriven arm's velocity within a tick, counts a tick: 5 rad/s. A larger
+/// change is a jump of the count, or a blow.
 const LARGEST_KICK: f64 = 16.0;
 
-/// Counts of an encoder that cover the angle of these counts of a Qube's, at least one.
+/// Converts counts of a Qube to counts of `encoder` for the same angle, rounded up.
 fn of_qube(counts: f64, encoder: Encoder) -> i32 {
     (counts * encoder.counts_per_qube_count()).ceil() as i32
 }
@@ -50,17 +51,17 @@ pub enum Moved {
     /// The pendulum rests at a count at which it did not hang before.
     #[error("the pendulum rests {0:.2} rad from where it hung (a hand, or its encoder's cable)")]
     Pendulum(f64),
-    /// Arm and pendulum were not seen at rest, before or now.
+    /// Arm and pendulum were not seen at rest, either after the last motion or before this one.
     #[error("arm and pendulum were not seen at rest since the last motion")]
     Unseen,
 }
 
 impl RestingCounts {
-    /// Checks whether the zeros of the last rollout hold for the next: the arm is still at
-    /// `before`, and the pendulum hangs at this count or whole turns from it.
+    /// Checks whether the zeros of the last motion hold for the next one: the arm is still at
+    /// `before`, and the pendulum hangs at `alpha_zero_counts` or whole turns from it.
     ///
     /// # Errors
-    /// They do not hold, and homing must measure them again.
+    /// The zeros do not hold, and homing must measure them again.
     pub fn compare(
         self,
         before: Option<Self>,
@@ -74,8 +75,9 @@ impl RestingCounts {
         }
         let whole_turn = encoders.alpha.counts_per_revolution();
         let half_turn = whole_turn / 2;
-        // A power of two divides the counter's range, so that a wrapping counter does no harm. With any other number,
-        // a counter that wraps means homing again.
+        // If the counts of a turn are a power of two, they divide the counter's range, and a
+        // counter that wraps does no harm. With any other number, a counter that wraps means homing
+        // again.
         let pendulum = self.alpha.wrapping_sub(alpha_zero_counts).wrapping_add(half_turn);
         let pendulum = pendulum.rem_euclid(whole_turn) - half_turn;
         if pendulum.abs() > of_qube(TOLERANCE, encoders.alpha) {
@@ -85,7 +87,7 @@ impl RestingCounts {
     }
 }
 
-/// Watches arm and pendulum, with the amplifier off, until both are at rest.
+/// Detector of the rest of arm and pendulum while the amplifier is off.
 #[derive(Clone, Copy, Debug)]
 pub struct RestWatch {
     encoders: Encoders,
@@ -104,7 +106,7 @@ struct Last {
     velocity: Option<f64>,
 }
 
-/// Range of some counts, relative to the first of them.
+/// Range of some counts, relative to the first count.
 #[derive(Clone, Copy, Debug, Default)]
 struct Spread {
     origin: i32,
@@ -151,7 +153,7 @@ impl RestWatch {
         Self { last, ..Self::new(encoders) }
     }
 
-    /// Takes the next sample; returns the resting counts once both are at rest.
+    /// Takes the next sample; returns the resting counts once arm and pendulum are at rest.
     pub fn update(&mut self, sample: &Measurement) -> Option<RestingCounts> {
         self.follow(sample);
         let theta = self.theta.with(sample.theta_counts);

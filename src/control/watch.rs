@@ -1,35 +1,37 @@
 use super::TickInput;
 use crate::telemetry::Fault;
 
-/// Longest time without a valid sample, ns. Single late or lost answers are tolerated: stalls of 13
+/// Longest time without a valid sample, ns. Single late or lost answers are no fault: stalls of 13
 /// to 20 ms occur on healthy links.
 const MAX_BLIND_NS: u64 = 35_000_000;
 
-/// Lateness of a late tick, ns.
+/// Lateness above which a tick counts as late, ns.
 const MAX_LATENESS_NS: u64 = 10_000_000;
 
 /// Consecutive late ticks that are a fault.
 const MAX_LATE_TICKS: u32 = 5;
 
-/// Lead of the device's clock over the computer's between two samples that is an error, us.
+/// Time by which the device's clock may gain on the computer's between two samples, us; a larger
+/// gain is a wrong clock.
 const CLOCK_LEAP_US: u64 = 1_000_000;
 
-/// Consecutive intervals that prove a wrong clock: less than half or more than twice the
-/// computer's, at 10 ms a tick less than 5 ms or more than 20 ms. Fewer can result from one late
-/// and one early sample.
+/// Consecutive odd intervals that prove a wrong device clock. An interval is odd if it is less than
+/// half or more than twice the computer's: less than 5 ms or more than 20 ms for a tick of 10 ms.
+/// Fewer odd intervals can result from one late and one early sample.
 const MAX_ODD_PACES: u32 = 3;
 
-/// Interval of the more precise comparison of the clocks, us.
+/// Interval of the second, more precise comparison of the clocks, us.
 const LONG_PACE_US: u64 = 500_000;
 
-/// Tolerance of that comparison, as a fraction: a crystal is off by 0.005, and answers come up to
-/// 10 ms later.
+/// Tolerance of the second comparison, as a fraction: a crystal is off by 0.005, and answers come
+/// up to 10 ms late.
 const LONG_PACE_SHARE: f64 = 0.1;
 
 /// The reaction that a fault requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alarm {
-    /// Switch the amplifier off at once, because link or amplifier cannot be trusted.
+    /// Switch the amplifier off at once, because link, amplifier, motor or the arm's count cannot
+    /// be trusted. A rollout first damps the arm if only the arm's count is in doubt.
     Zero(Fault),
     /// Stop the arm first, because the link works.
     Brake(Fault),
@@ -47,16 +49,16 @@ pub struct Watch {
 /// Compares the device's clock with the computer's.
 #[derive(Clone, Copy, Debug, Default)]
 struct ClockWatch {
-    /// Request time and device time of the last sample.
+    /// Request time, ns, and device time, us, of the last sample.
     last: Option<(u64, u64)>,
     odd_in_a_row: u32,
-    /// Request time and device time of the sample with which the longer comparison began.
+    /// Request time, ns, and device time, us, of the sample with which the second comparison began.
     long_since: Option<(u64, u64)>,
 }
 
 impl ClockWatch {
-    /// Whether the device's clock is wrong: it stops (a repeated sample), goes back, or runs
-    /// at another rate.
+    /// Whether the device's clock is wrong: it stops (as for a repeated sample), goes back, or runs
+    /// at another rate. `asked_ns` is the computer's time of the request.
     fn is_wrong(&mut self, asked_ns: u64, device_us: u64) -> bool {
         let Some((last_ns, last_us)) = self.last.replace((asked_ns, device_us)) else {
             return false;
@@ -71,7 +73,7 @@ impl ClockWatch {
             || self.is_wrong_for_long(asked_ns, device_us)
     }
 
-    /// Whether the rate is wrong by less than single periods show.
+    /// Whether the clock's rate is wrong by an amount that single periods do not show.
     fn is_wrong_for_long(&mut self, asked_ns: u64, device_us: u64) -> bool {
         let (since_ns, since_us) = *self.long_since.get_or_insert((asked_ns, device_us));
         let host_us = asked_ns.saturating_sub(since_ns) / 1000;
@@ -85,14 +87,14 @@ impl ClockWatch {
 }
 
 impl Watch {
-    /// Watches by the first rules, those of recordings of protocol 1: the device's clock is not
-    /// compared.
+    /// A watch by the first rules, under which recordings of protocol 1 were made: it does not
+    /// compare the clocks.
     #[must_use]
     pub fn of_the_first_rules() -> Self {
         Self { ignores_clock: true, ..Self::default() }
     }
 
-    /// Checks one tick's input.
+    /// Checks one tick's input; returns the first alarm.
     pub fn check(&mut self, input: &TickInput) -> Option<Alarm> {
         if input.link_gone {
             return Some(Alarm::Zero(Fault::LinkGone));
@@ -151,7 +153,8 @@ mod tests {
         }
     }
 
-    /// The tick at which a device with these sample times is found to have a wrong clock, if any.
+    /// Feeds a watch with samples at these device times; returns the tick at which it reports a
+    /// wrong clock, if it does.
     fn ticks_until_wrong(device_time_us: impl Fn(u64) -> u64) -> Option<u64> {
         let mut watch = Watch::default();
         (0..200).find(|&tick| {
@@ -173,7 +176,7 @@ mod tests {
         assert_eq!(ticks_until_wrong(back), Some(20));
         assert_eq!(ticks_until_wrong(|tick| 4_900 * tick), Some(3));
         assert_eq!(ticks_until_wrong(|tick| 20_100 * tick), Some(3));
-        // A rate that each single period may have, but not fifty of them.
+        // A rate that is in order for each single period, but not over fifty of them.
         assert_eq!(ticks_until_wrong(|tick| 19_000 * tick), Some(51));
         assert_eq!(ticks_until_wrong(|tick| 8_900 * tick), Some(51));
         // A crystal's error, answers that are late in turn, and a single late answer are no error.

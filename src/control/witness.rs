@@ -12,79 +12,82 @@ const SHORT: usize = 3;
 /// Number of samples kept.
 const KEPT: usize = DRIFT + 1;
 
-/// Threshold for the long window, rad/s: a change of velocity that only one encoder shows.
-/// Quantisation explains 0.1 and one degree of play between motor and arm 0.35.
+/// Least change of velocity in the long window that, shown by only one encoder, is a contradiction,
+/// rad/s. Quantisation explains 0.1 rad/s, and one degree of play between motor and arm 0.35 rad/s.
 const LONG_RAD_S: f64 = 0.5;
 
-/// Threshold for the short window, rad/s: quantisation explains 0.4, one degree of play 1.2.
+/// Least such change in the short window, rad/s: quantisation explains 0.4 rad/s, and one degree of
+/// play 1.2 rad/s.
 const SHORT_RAD_S: f64 = 1.8;
 
-/// Relative uncertainty of the comparison when lengths or gravity are up to 30 % off: the domain in
-/// which a rollout is safe.
+/// Relative uncertainty of the comparison when lengths or gravity are up to 30 % off, which is the
+/// domain in which a rollout is safe.
 pub const WIDE_DOMAIN_SHARE: f64 = 0.65;
 
-/// Relative uncertainty while a policy moves the arm and all lengths may be off at once. Wider
-/// means fewer false alarms, which leave the arm without a brake: with 0.65 a search for policies
-/// that throw the arm against its stop often succeeds, with 0.9 in 3 of 60 attempts, with 1.2 in
-/// none. Narrower means faster detection: with 1.2 an arm whose encoder freezes under the brake
-/// touches its stop at 2.1 rad/s.
+/// Relative uncertainty of the comparison while a policy moves the arm and all lengths may be off
+/// at once. A larger value means fewer false alarms, which leave the arm without a brake: with 0.65
+/// a search for policies that throw the arm against its stop often succeeds, with 0.9 in 3 of 60
+/// attempts, with 1.2 in none. A smaller value means faster detection: with 1.2 an arm whose
+/// encoder freezes under the brake touches its stop at 2.1 rad/s.
 pub const WHOLE_DOMAIN_SHARE: f64 = 0.9;
 
-/// Relative uncertainty for lengths within 10 %, while homing moves the arm slowly and a false
-/// alarm costs nothing.
+/// Relative uncertainty of the comparison for lengths within 10 %, while homing moves the arm
+/// slowly and a false alarm costs nothing.
 pub const RIG_SHARE: f64 = 0.2;
 
 /// Ticks within one count after which a count counts as constant.
 const STANDS_TICKS: u32 = 4;
 
-/// Consecutive ticks for which the encoders must contradict each other.
+/// Consecutive ticks for which the encoders must contradict each other before the cross-check
+/// reports it.
 const STREAK: u32 = 2;
 
-/// Largest velocity that the pendulum may report for an arm whose count is constant, rad/s.
+/// Largest change of the arm's velocity that the pendulum may imply while the arm's count is
+/// constant, rad/s.
 const DRIFT_RAD_S: f64 = 0.45;
 
-/// Longest window of the drift test, control periods; half of it is tested too. The weight from an
-/// error of the pendulum's zero accumulates over it.
+/// Longest window of the drift test, control periods; half of it is tested, too. An error of the
+/// pendulum's zero acts like a constant weight, whose effect grows with the window.
 const DRIFT: usize = 80;
 
-/// Interval between samples that counts as a hole, us: what came before it is dropped.
+/// Interval between samples that counts as a hole, us; the samples before a hole are dropped.
 const HOLE_US: u64 = 15_000;
 
-/// Sum of squared changes of the arm's velocity from which on the sign between arm and pendulum is
-/// known, (rad/s)^2.
+/// Sum of squared changes of the arm's velocity from which on the relative sign of the two encoders
+/// is known, (rad/s)^2.
 const ENOUGH: f64 = 2.0;
 
-/// Changes of the arm's velocity below this may be rounding, which a long and slow motion
-/// accumulates, rad/s.
+/// Change of the arm's velocity below which it may be rounding, rad/s; a long and slow motion
+/// accumulates such changes.
 const ROUNDING_RAD_S: f64 = 0.15;
 
-/// Least correlation, as a fraction of the expected one, that proves a wrong sign: below it the
-/// pendulum's encoder may be frozen.
+/// Least negative correlation, as a fraction of the expected one, that proves a wrong sign: with
+/// less, the pendulum's encoder may be frozen.
 const LEADS: f64 = 0.4;
 
-/// Changes of velocity with a larger uncertain fraction than this are left out of the comparison of
-/// scales.
+/// Largest uncertain fraction of a change of velocity that takes part in the comparison of scales.
 const UNKNOWN_SHARE: f64 = 0.35;
 
 /// Sum of squared changes of velocity, of arm and pendulum each, from which on the arm encoder's
 /// scale is known, (rad/s)^2.
 const ENOUGH_FOR_SCALE: f64 = 1.0;
 
-/// Least squared correlation between the two for a verdict about the scale.
+/// Least squared correlation between the changes of velocity that arm and pendulum show, for a
+/// verdict about the scale.
 const ALIKE: f64 = 0.85;
 
-/// Ratio of scales that proves a wrong arm encoder: lengths that are 10 % off give 1.2, an encoder
-/// with half or twice the lines 2.
+/// Ratio of scales that proves an arm encoder with a wrong number of lines: lengths that are 10 %
+/// off give a ratio of 1.2, an encoder with half or twice the lines a ratio of 2.
 const WRONG_SCALE: f64 = 1.5;
 
-/// Error of the pendulum's zero after homing, rad: two counts.
+/// Largest error of the pendulum's zero after homing, rad: two counts.
 #[must_use]
 pub fn zero_within_rad(plant: &PlantModel) -> f64 {
     2.0 * plant.encoders.alpha.rad_per_count()
 }
 
-/// Last step of a pendulum's count, in counts a period, above which a pendulum that then stays
-/// still has not come to rest by itself.
+/// Size of the last step of a pendulum's count, counts a period, from which on a pendulum whose
+/// count is then constant has not come to rest by itself.
 const SWINGING_COUNTS: i32 = 3;
 
 /// Coefficients of the pendulum's equation: they depend on lengths and gravity, on no mass.
@@ -116,20 +119,21 @@ pub enum Contradiction {
     PendulumStands,
 }
 
-/// Compares changes of the arm's velocity as its encoder counts them with those that the pendulum's
-/// motion implies.
+/// Cross-check of the two encoders: compares changes of the arm's velocity, as the arm's encoder
+/// counts them, with the changes that the pendulum's motion implies.
 ///
 /// Divided by 1/2 M_p L_p L_r, the pendulum's equation of motion contains neither motor nor
-/// friction of the arm, nor any mass:
+/// friction of the arm, nor any mass (a is alpha, th is theta, L_p and L_r are the lengths of
+/// pendulum and arm):
 ///
 /// ```text
 /// cos a th'' + (2 L_p / 3 L_r) a'' - (L_p / 2 L_r) cos a sin a th'^2 + (g / L_r) sin a = 0
 /// ```
 ///
 /// Integrated over both halves of a window, the first term gives the change of velocity that the
-/// arm's encoder counts, the others the change that the pendulum's encoder implies. While both
-/// encoders are right the two are equal, also for an arm that is held, that meets its stop, or that
-/// the pendulum carries along.
+/// arm's encoder counts; the other terms give the change that the pendulum's encoder implies. While
+/// both encoders are right, the two changes are equal, also for an arm that is held, that meets its
+/// stop, or that the pendulum carries along.
 #[derive(Clone, Copy, Debug)]
 pub struct Witness {
     coefficients: Coefficients,
@@ -142,7 +146,7 @@ pub struct Witness {
     unknown_share: f64,
     /// Size of the pendulum's last step, counts.
     last_step_counts: i32,
-    /// Integral of weight and centrifugal terms, rad/s.
+    /// Integral of the equation's weight and centrifugal terms, rad/s.
     pull_rad_s: f64,
     arm_stands_ticks: u32,
     pendulum_stands_ticks: u32,
@@ -151,14 +155,14 @@ pub struct Witness {
     /// counted ones.
     together: f64,
     squares: f64,
-    /// These sums, restricted to changes above rounding while the pendulum's count moves.
+    /// The same two sums over changes above rounding, while the pendulum's count moves.
     sure_together: f64,
     sure_squares: f64,
     scale: Scale,
 }
 
 /// Comparison of the arm encoder's scale with the motion that the pendulum implies: sums over all
-/// changes of velocity with a small uncertain fraction.
+/// changes of velocity whose uncertain fraction is small.
 #[derive(Clone, Copy, Debug, Default)]
 struct Scale {
     together: f64,
@@ -192,15 +196,15 @@ impl Scale {
 #[derive(Clone, Copy, Debug, Default)]
 struct Entry {
     time_s: f64,
-    /// Integral of cos(alpha) d theta.
+    /// Integral of cos(alpha) d theta, rad.
     arm_rad: f64,
-    /// The pendulum's own angle, scaled.
+    /// The pendulum's angle times 2 L_p / 3 L_r, rad.
     swing_rad: f64,
-    /// Double integral of the pull on the pendulum.
+    /// Double integral of the weight and centrifugal terms, rad.
     pull_rad: f64,
-    /// Integral of the absolute pull.
+    /// Integral of the absolute value of these terms, rad/s.
     strain_rad_s: f64,
-    /// Integral of the pull.
+    /// Integral of these terms, rad/s.
     pulled_rad_s: f64,
 }
 
@@ -223,14 +227,14 @@ struct Change {
 }
 
 impl Witness {
-    /// A cross-check of a plant whose pendulum's zero is known as after homing.
+    /// A cross-check of a plant whose pendulum's zero is known as exactly as after homing.
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
         Self::with_zero_within(plant, zero_within_rad(plant), WIDE_DOMAIN_SHARE)
     }
 
-    /// A cross-check of a plant for a pendulum whose zero is known within `zero_within_rad`, and for lengths known up
-    /// to the fraction `unknown_share`.
+    /// A cross-check of a plant whose pendulum's zero is known within `zero_within_rad`, rad, and
+    /// whose lengths are known up to the fraction `unknown_share`.
     #[must_use]
     pub fn with_zero_within(plant: &PlantModel, zero_within_rad: f64, unknown_share: f64) -> Self {
         Self::new(Coefficients::of(plant), zero_within_rad, unknown_share)
@@ -258,25 +262,26 @@ impl Witness {
         }
     }
 
-    /// Sets the uncertain fraction.
+    /// Sets the relative uncertainty of the comparison.
     pub fn allow(&mut self, unknown_share: f64) {
         self.unknown_share = unknown_share;
     }
 
-    /// Forgets the correlation of signs.
+    /// Restarts the sums from which [`Self::pendulum_rather_leads`] and
+    /// [`Self::pendulum_seems_to_lead`] tell the relative sign.
     pub fn forget_signs(&mut self) {
         (self.together, self.squares) = (0.0, 0.0);
     }
 
-    /// Whether the pendulum leads the arm where it should lag behind it, which means a wrong sign;
-    /// `None` until enough has moved.
+    /// Whether the pendulum leads the arm instead of lagging behind it, which means that a sign is
+    /// wrong; `None` until the motion suffices for a verdict.
     #[must_use]
     pub fn pendulum_leads(&self) -> Option<bool> {
         let leads = self.sure_together < -LEADS * self.sure_squares;
         (self.sure_squares > ENOUGH).then_some(leads)
     }
 
-    /// Whether enough has moved to compare the arm encoder's scale.
+    /// Whether the motion suffices to compare the arm encoder's scale.
     #[must_use]
     pub fn scale_is_known(&self) -> bool {
         self.scale.is_known()
@@ -294,8 +299,8 @@ impl Witness {
         self.together < 0.0
     }
 
-    /// Whether the evidence so far shows a pendulum that leads the arm, by the same threshold as
-    /// [`Self::pendulum_leads`] but without its amount of evidence.
+    /// Whether the evidence so far shows a pendulum that leads the arm, by the threshold of
+    /// [`Self::pendulum_leads`] but however little has moved.
     #[must_use]
     pub fn pendulum_seems_to_lead(&self) -> bool {
         self.together < -LEADS * self.squares
@@ -309,7 +314,8 @@ impl Witness {
         felt(SHORT).max(felt(LONG))
     }
 
-    /// Takes the next sample with its angles, rad; alpha is 0 at hanging.
+    /// Takes the next sample with its angles, rad, where `alpha` is 0 at hanging; returns a
+    /// contradiction that has lasted long enough.
     pub fn update(
         &mut self,
         sample: &Measurement,
@@ -367,7 +373,7 @@ impl Witness {
             self.coefficients.weight * self.zero_within_rad * LONG as f64 * CONTROL_PERIOD_S;
         let contradicts = |change: &Option<Change>, least_rad_s: f64| {
             change.is_some_and(|change| {
-                // Sizes only: a wrong sign has a test of its own.
+                // Only sizes are compared, because a wrong sign has a test of its own.
                 let differ_rad_s = (change.arm_rad_s.abs() - change.felt_rad_s.abs()).abs();
                 differ_rad_s > least_rad_s + change.unknown_rad_s + zero_rad_s
             })
@@ -378,8 +384,8 @@ impl Witness {
         let stands = arm_stands || pendulum_stands;
         self.streak = if contradict && stands { self.streak + 1 } else { 0 };
         // If both counts are constant, a pendulum that stopped in full swing is the frozen one;
-        // otherwise the count that has been constant for longer, because it explains the other's
-        // rest.
+        // otherwise the frozen one is the count that has been constant for longer, because it
+        // explains why the other count rests.
         let is_the_arm = !pendulum_stands
             || self.arm_stands_ticks > self.pendulum_stands_ticks
                 && self.last_step_counts < SWINGING_COUNTS;
@@ -462,7 +468,8 @@ impl Witness {
     }
 }
 
-/// The count about which an encoder is constant; `ticks` counts for how long it has been.
+/// Returns the count about which an encoder is constant; `ticks` becomes the number of ticks for
+/// which it has been.
 fn about(now: i32, stood: i32, ticks: &mut u32) -> i32 {
     if now.wrapping_sub(stood).wrapping_abs() <= 1 {
         *ticks = ticks.saturating_add(1);
