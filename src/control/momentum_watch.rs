@@ -93,7 +93,8 @@ impl Coefficients {
 /// needs the parameters of the other:
 ///
 /// ```text
-/// A th'' = k V - d/dt (c cos a a') - friction        cos a th'' = -(2 L_p / 3 L_r) a'' - (g / L_r) sin a
+/// A th'' = k V - d/dt (c cos a a') - friction
+/// cos a th'' = -(2 L_p / 3 L_r) a'' - (g / L_r) sin a
 /// ```
 ///
 /// Here c = M_p L_p L_r / 2, A is the inertia of the arm with the pendulum's mass at its end, k V

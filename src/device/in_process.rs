@@ -7,21 +7,22 @@ use super::emulator::{Board, EmulatorSettings, UsbBridge};
 use super::{LinkFault, SerialLink, Transport};
 use crate::clock::{Clock, Nanoseconds, VirtualClock};
 
-/// Time of one byte on the line, ns: 20 microseconds.
+/// Time of one byte on the line, ns: 20 us.
 const BYTE_NS: Nanoseconds = 1_000_000_000 * BITS_PER_BYTE as u64 / BAUD_RATE as u64;
 
-/// Time from the last byte of a request to the first of its reply, ns: an 8-bit microcontroller at 16 MHz
-/// checks one frame and builds another.
+/// Time from the last byte of a request to the first byte of its reply, ns: an 8-bit
+/// microcontroller at 16 MHz checks one frame and builds another.
 const TURNAROUND_NS: Nanoseconds = 100_000;
 
-/// Time that a hello may stay unanswered, ns: PROTOCOL.md allows it to a board that restarts.
+/// Time that a hello may stay unanswered, ns: PROTOCOL.md allows this time to a board that
+/// restarts.
 const BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 
 /// An emulated board on a line in memory, in virtual time.
 ///
-/// Each byte takes its time at the line's rate in either direction, and a reply starts a fixed turnaround
-/// after its request. Writing takes no time, as with a port's buffer; reading moves the clock to the
-/// arrival of the bytes or to the deadline.
+/// Each byte takes its time at the line's rate in either direction, and a reply starts a fixed
+/// turnaround after its request. Writing takes no time, as with a port's buffer; reading moves the
+/// clock to the arrival of the bytes or to the deadline.
 #[derive(Debug)]
 pub struct InProcessWire {
     board: Board,
@@ -31,7 +32,7 @@ pub struct InProcessWire {
     to_host: Line,
 }
 
-/// Size of a port's buffer; bytes that arrive at a full buffer are lost, as in a real port.
+/// Size of a port's buffer, bytes; bytes that arrive at a full buffer are lost, as in a real port.
 const BUFFER_BYTES: usize = 4096;
 
 /// Bytes in transit, each with its time of arrival.
@@ -62,7 +63,7 @@ impl Line {
 }
 
 impl InProcessWire {
-    /// A wire to a board that starts now.
+    /// A wire to a board that starts at this call.
     #[must_use]
     pub fn new(settings: EmulatorSettings, clock: VirtualClock) -> Self {
         Self {
@@ -74,13 +75,15 @@ impl InProcessWire {
         }
     }
 
-    /// The board at the current time, for tests that inspect state that the wire does not show.
+    /// The board, advanced to the current time, for tests that inspect state that the wire does not
+    /// show.
     pub fn board(&mut self) -> &mut Board {
         self.run_board_until(self.clock.now_ns());
         &mut self.board
     }
 
-    /// Runs the board up to a time.
+    /// Runs the board up to a time, ns: it receives the bytes that arrive until then and sends its
+    /// replies.
     fn run_board_until(&mut self, time_ns: Nanoseconds) {
         while let Some((arrival_ns, byte)) = self.to_board.receive_by(time_ns) {
             self.board.advance_to(arrival_ns / 1000);
@@ -109,7 +112,8 @@ impl Transport for InProcessWire {
             if let Some((arrival_ns, _)) = self.to_host.under_way.front() {
                 break (*arrival_ns).min(deadline_ns);
             }
-            // Bytes are passed one at a time, so that a reply is read before the next request is sent.
+            // The board gets one byte at a time, so that a reply is read before the next request is
+            // sent.
             match self.to_board.under_way.front() {
                 Some((arrival_ns, _)) if *arrival_ns <= deadline_ns => {
                     self.run_board_until(*arrival_ns);

@@ -1,9 +1,9 @@
-//! Access to a Qube: the serial link of the host, the vendor's library for a Qube with the USB panel, and
-//! separately the emulator, which speaks the protocol from the device's side.
+//! Access to a Qube: the serial link of the host, the vendor's library for a Qube with the USB
+//! panel, and separately the emulator, which speaks the protocol from the device's side.
 //!
-//! The control thread sees a Qube only through the trait [`Device`]. The room may import `clock`, `qube`
-//! and the crate `firmware_protocol`. The emulator never imports the host's side of the link, because
-//! shared code would hide faults of the protocol.
+//! The control thread sees a Qube only through the trait [`Device`]. The room may import `clock`,
+//! `qube` and the crate `firmware_protocol`. The emulator never imports the host's side of the
+//! link, because shared code would hide faults of the protocol.
 //!
 //! ```
 //! use qube_hil::clock::VirtualClock;
@@ -38,47 +38,52 @@ use thiserror::Error;
 use crate::clock::Nanoseconds;
 use crate::qube::Measurement;
 
-/// A Qube as the control thread sees it: five calls and their settings.
+/// A Qube as the control thread sees it: five calls, and settings of the link.
 ///
-/// The tick calls `sample` and `act`: they do not allocate, and they wait no longer than they are told. The
-/// other three are called outside the tick and may take up to a second.
+/// The tick calls `sample` and `act`: they do not allocate; `sample` waits until its deadline at
+/// most, and `act` does not wait. The other calls are made outside the tick and may take seconds,
+/// because a board may be restarting and a card must be opened.
 pub trait Device: Send {
-    /// Greets the device and reads its identity. The motor is off afterwards, whatever state the device was
-    /// in.
+    /// Greets the device and reads its identity. The motor is off afterwards, whatever the device
+    /// did before.
     ///
     /// # Errors
     /// The device does not answer, is not a Qube, or speaks another protocol version.
     fn hello(&mut self) -> Result<Identity, DeviceError>;
 
-    /// Arms the amplifier at 0 V; it then follows acts. A hello must precede it.
+    /// Arms the amplifier at 0 V; from then on the amplifier follows acts. A hello must precede
+    /// this call.
     ///
     /// # Errors
     /// The device refuses or does not answer.
     fn arm(&mut self) -> Result<(), DeviceError>;
 
-    /// Reads one sample and waits for it until `deadline_ns`.
+    /// Requests one sample and waits for it until `deadline_ns`.
     ///
     /// # Errors
     /// No complete, valid answer to this request arrives in time.
     fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault>;
 
-    /// Sends a voltage in mV that was decided from the sample of this [`Measurement::device_time_us`].
-    /// It reaches the motor at once on receipt and feeds the watchdog.
+    /// Sends a voltage, mV, that was decided from the sample with this
+    /// [`Measurement::device_time_us`]. The device applies the voltage as soon as it receives the
+    /// act, which also feeds its watchdog.
     ///
     /// # Errors
-    /// The bytes cannot be written without waiting. The link refuses to send when the sample is not the
-    /// last one that [`sample`](Self::sample) returned since the last hello, or was requested more than 20
-    /// ms ago.
+    /// The bytes cannot be written without waiting; the device is not armed, or its watchdog has
+    /// tripped. The link refuses to send when the sample is not the last one that
+    /// [`sample`](Self::sample) returned since the last hello, or was requested more than 20 ms
+    /// ago.
     fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault>;
 
     /// Switches the amplifier off.
     ///
     /// # Errors
-    /// The device does not confirm. Its watchdog then switches the amplifier off within 50 ms.
+    /// The device does not confirm. Its watchdog then switches the amplifier off within 50 ms of
+    /// the last arm or act.
     fn disarm(&mut self) -> Result<(), DeviceError>;
 
-    /// Opens the connection again after its port was gone, under a name that stays with the device. The
-    /// caller then sends a [`hello`](Self::hello), whose identity shows whether it [is the same
+    /// Opens the connection again after its port was gone, under a name that stays with the device.
+    /// The caller then sends a [`hello`](Self::hello), whose identity shows whether it [is the same
     /// board](Identity::is_same_board). A backend without a port does nothing.
     ///
     /// # Errors
@@ -87,15 +92,15 @@ pub trait Device: Send {
         Ok(())
     }
 
-    /// Whether [`Measurement::device_time_us`] comes from a clock of the device. A backend without one
-    /// fills in the computer's time of the request; a sample that was delayed in transit then goes
-    /// unnoticed.
+    /// Whether [`Measurement::device_time_us`] comes from a clock of the device. A backend without
+    /// such a clock fills in the computer's time of the request; a sample that was delayed in
+    /// transit then goes unnoticed.
     fn has_device_clock(&self) -> bool {
         true
     }
 
-    /// Time that a tick waits for its sample, ns, if the link has been measured; `None` selects the largest
-    /// wait.
+    /// Time that a tick waits for its sample, ns, if the link has been measured; with `None` the
+    /// tick waits for the longest time that it allows any link.
     fn sample_time_ns(&self) -> Option<Nanoseconds> {
         None
     }
@@ -103,7 +108,8 @@ pub trait Device: Send {
     /// Sets the time that a tick waits for its sample, ns. A backend without a link ignores it.
     fn set_sample_time_ns(&mut self, _sample_time_ns: Nanoseconds) {}
 
-    /// Whether a real motor may be behind the backend. A backend that cannot tell counts as hardware.
+    /// Whether a real motor may be behind the backend. A backend that cannot tell counts as
+    /// hardware.
     fn is_hardware(&self) -> bool {
         true
     }
@@ -112,15 +118,18 @@ pub trait Device: Send {
 /// The identity of a device that answered a hello.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Kind of device: `emulator`, `atmega328p` ...
+    /// Kind of device, for example `emulator` or `atmega328p`; behind the vendor's library the card
+    /// type.
     pub kind: String,
-    /// Serial number, 16 hexadecimal digits.
+    /// Serial number: 16 hexadecimal digits of a board; behind the vendor's library the card's own
+    /// text, or its identifier if it has none.
     pub serial: String,
-    /// Version of the firmware.
+    /// Version of the firmware, or `unknown`.
     pub firmware_version: String,
     /// Version of the protocol; 0 for a card behind the vendor's library.
     pub protocol_version: u16,
-    /// Number that differs after each start of the device, so that the next hello reveals a restart.
+    /// Number that differs after each start of a board, or each opening of a card, so that the next
+    /// hello reveals a restart.
     #[serde(default)]
     pub boot_id: u16,
     /// Port under which the device was opened.
@@ -128,20 +137,21 @@ pub struct Identity {
 }
 
 impl Identity {
-    /// Whether both are the same board, even after a restart or on another port.
+    /// Whether both identities are of the same board, even after a restart or on another port.
     #[must_use]
     pub fn is_same_board(&self, other: &Self) -> bool {
         self.kind == other.kind && self.serial == other.serial
     }
 
-    /// Whether both are the same board without a restart between, so that zeros of its counts still hold.
+    /// Whether both identities are of the same board without a restart in between, so that the
+    /// zeros of its counts still hold.
     #[must_use]
     pub fn is_same_start(&self, other: &Self) -> bool {
         self.is_same_board(other) && self.boot_id == other.boot_id
     }
 }
 
-/// A failure of one exchange in the tick. Small and `Copy`, so that it can be recorded.
+/// A failure of one exchange in the tick. The type is small and `Copy`, so that it can be recorded.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LinkFault {
@@ -160,7 +170,7 @@ pub enum LinkFault {
     /// The watchdog of the device has switched the amplifier off.
     #[error("the device's watchdog switched the motor off")]
     WatchdogTripped,
-    /// The act does not answer a sample of the last 20 ms.
+    /// The act does not answer the last sample, or that sample was requested more than 20 ms ago.
     #[error("the command answers no sample of the last 20 ms")]
     StaleSample,
 }
@@ -195,7 +205,7 @@ pub enum DeviceError {
     NotAQube {
         /// The port.
         port: String,
-        /// Answer that came instead.
+        /// The answer that came instead, or that none came.
         reason: String,
     },
     /// A device that answered before no longer answers.
@@ -208,7 +218,7 @@ pub enum DeviceError {
         port: String,
         /// Time since its last valid answer, s.
         silent_s: f64,
-        /// Bytes that arrived since.
+        /// The bytes that arrived since then, or the number of unanswered hellos, in words.
         since: String,
     },
     /// The device has restarted since its last hello.

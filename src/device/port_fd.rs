@@ -2,7 +2,8 @@ use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 
 use rustix::fs::{FlockOperation, flock};
 
-/// An open port that lends its file descriptor; the port's own type gives it only as a number.
+/// An open port that lends its file descriptor as a [`BorrowedFd`]; the port's own type gives only
+/// the number.
 #[derive(Debug)]
 pub(super) struct PortFd<P: AsRawFd>(P);
 
@@ -11,8 +12,8 @@ impl<P: AsRawFd> PortFd<P> {
         Self(port)
     }
 
-    /// Sets the driver's low-latency mode: an FTDI adapter otherwise holds bytes back for up to 16 ms.
-    /// Ports without such a mode, such as ptys, stay as they are.
+    /// Sets the driver's low-latency mode, because an FTDI adapter otherwise holds bytes back for
+    /// up to 16 ms. Ports without this mode, for example ptys, stay as they are.
     pub(super) fn ask_for_low_latency(&self) {
         // struct serial_struct of <linux/serial.h>: 72 bytes at most, `flags` its fifth int.
         const FLAGS: usize = 4;
@@ -26,7 +27,8 @@ impl<P: AsRawFd> PortFd<P> {
             return;
         }
         settings[FLAGS] |= ASYNC_LOW_LATENCY;
-        // SAFETY: as above; the kernel only reads what it wrote before, one flag changed.
+        // SAFETY: the descriptor is open as long as `self`; the kernel only reads the structure
+        // that it wrote before, with one flag changed.
         unsafe { libc::ioctl(fd, libc::TIOCSSERIAL, settings.as_ptr()) };
     }
 }
@@ -40,9 +42,10 @@ impl<P: AsRawFd> AsFd for PortFd<P> {
 }
 
 impl<P: AsRawFd> Drop for PortFd<P> {
-    /// Gives up the port's lock, which the serial library leaves to the closing of the descriptor. A process that another
-    /// thread starts at this moment has a copy of it until it begins its own program: the port that is to be opened again
-    /// would be in use.
+    /// Gives up the port's lock before the descriptor is closed. Closing alone is not enough: while
+    /// another thread starts a process, that process holds a copy of the descriptor until it
+    /// executes its own program, and the lock would last as long. The port could not be opened
+    /// again in that time.
     fn drop(&mut self) {
         let _ = flock(self.as_fd(), FlockOperation::Unlock);
     }

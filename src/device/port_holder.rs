@@ -2,8 +2,8 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-/// The process that has a port open, for messages: `process 1234 (name)`, or `another program` where the
-/// user may not see it.
+/// Describes the process that has a port open, for messages: `process 1234 (name)`, or `another
+/// program` where the user may not see the process.
 pub(super) fn holder_of(port: &str) -> String {
     let port = Path::new(port);
     let Some(pid) = find_locker(port).or_else(|| find_opener(port)) else {
@@ -15,7 +15,8 @@ pub(super) fn holder_of(port: &str) -> String {
     }
 }
 
-/// The process whose file lock refused ours. Every user may read the list of locks.
+/// The id of the process that holds a lock on the port's file. Every user may read the list of
+/// locks.
 fn find_locker(port: &Path) -> Option<u32> {
     let port = fs::metadata(port).ok()?;
     let (major, minor) = (rustix::fs::major(port.dev()), rustix::fs::minor(port.dev()));
@@ -24,7 +25,8 @@ fn find_locker(port: &Path) -> Option<u32> {
     locks.lines().find_map(|lock| locker(lock, &file))
 }
 
-/// Reads a line such as `1: FLOCK  ADVISORY  WRITE 708 00:14:3 0 EOF`.
+/// The id of the process in a line of `/proc/locks` that locks `file`, given as
+/// `major:minor:inode`. Example: `1: FLOCK ADVISORY WRITE 708 00:14:3 0 EOF`.
 fn locker(lock: &str, file: &str) -> Option<u32> {
     let mut words = lock.split_whitespace().skip(1);
     (words.next()? == "FLOCK").then_some(())?;
@@ -32,7 +34,7 @@ fn locker(lock: &str, file: &str) -> Option<u32> {
     (words.next()? == file).then_some(pid)
 }
 
-/// A process that has the port open; the user sees only their own processes.
+/// The id of a process that has the port open; a user sees only their own processes.
 fn find_opener(port: &Path) -> Option<u32> {
     let port = fs::canonicalize(port).ok()?;
     fs::read_dir("/proc").ok()?.flatten().find_map(|process| {

@@ -1,7 +1,8 @@
 use std::fs;
 use std::path::Path;
 
-/// Folder in which Linux links serial ports by device name, independent of the order of plugging in.
+/// Folder in which Linux links serial ports by device name, which does not depend on the order of
+/// plugging in.
 const BY_ID: &str = "/dev/serial/by-id";
 
 /// The serial ports of this computer by their kernel names.
@@ -11,7 +12,8 @@ pub fn available_ports() -> Vec<String> {
     ports.into_iter().map(|port| port.port_name).collect()
 }
 
-/// A name that stays with the device: the link by id if there is one, otherwise the given name.
+/// A name that stays with the device: the link in `/dev/serial/by-id` if there is one, otherwise
+/// the given name.
 #[must_use]
 pub fn stable_port_name(port: &str) -> String {
     linked_name(Path::new(BY_ID), port).unwrap_or_else(|| port.to_owned())

@@ -11,25 +11,26 @@ use crate::qube::{Measurement, Status};
 
 const MS: Nanoseconds = 1_000_000;
 
-/// Interval between hellos, ns: a booting device misses some.
+/// Interval between hellos, ns; a device that boots misses some of them.
 const HELLO_INTERVAL_NS: Nanoseconds = 100 * MS;
 
-/// Time that an arm or disarm may stay unanswered before it is repeated, ns.
+/// Time after which an unanswered arm or disarm is repeated, ns.
 const ANSWER_TIME_NS: Nanoseconds = 100 * MS;
 
 /// Number of attempts to arm or disarm: a healthy line may lose a frame.
 const ATTEMPTS: u32 = 3;
 
-/// Largest age of the sample that an act answers, ns. The device refuses older ones, unless its clock is
-/// wrong.
+/// Largest age of the sample that an act answers, ns, by the computer's clock. The device refuses
+/// older samples as well, unless its clock is wrong.
 const MAX_SAMPLE_AGE_NS: Nanoseconds = MAX_SAMPLE_AGE_US as Nanoseconds * 1000;
 
-/// Size of a read: several of the largest frame.
+/// Size of a read, bytes: several frames of the largest size.
 const READ_BYTES: usize = 256;
 
 /// The host's end of the wire: a [`Device`] over any [`Transport`].
 ///
-/// It accepts only replies with the sequence number of the current request and drops late ones.
+/// The link accepts only replies with the sequence number of the current request and drops late
+/// replies.
 pub struct SerialLink<T: Transport> {
     transport: T,
     clock: Arc<dyn Clock>,
@@ -41,13 +42,14 @@ pub struct SerialLink<T: Transport> {
     is_emulator: bool,
     /// Boot id that the caller's last hello returned.
     boot_id: Option<u16>,
-    /// Whether the device has restarted since then.
+    /// Whether the device has restarted since that hello.
     has_restarted: bool,
     motor: Motor,
     device_time: DeviceTime,
     /// Last sample since the last hello, the only one that an act may answer.
     last_sample: Option<LastSample>,
-    /// Whether the last write was cut short; a delimiter must then end the broken frame.
+    /// Whether a frame may be incomplete on the wire; the next request then begins with a delimiter
+    /// that ends that frame.
     broken_frame: bool,
     heard: Heard,
     sample_time_ns: Option<Nanoseconds>,
@@ -61,10 +63,11 @@ enum Motor {
     Tripped,
 }
 
-/// The traffic since the last answer, from which an error message explains a silent or foreign device.
+/// The traffic since the last answer, from which an error message explains a silent or foreign
+/// device.
 #[derive(Clone, Copy, Debug, Default)]
 struct Heard {
-    /// Time of the last valid answer.
+    /// Time of the last valid answer, ns; `None` before the first.
     answered_ns: Option<Nanoseconds>,
     /// Bytes received since then, or since the first hello.
     bytes: u64,
@@ -78,7 +81,8 @@ struct LastSample {
     asked_ns: Nanoseconds,
 }
 
-/// Widens the device's 32-bit clock to 64 bits. Correct while two samples are less than 71 minutes apart.
+/// Widens the device's 32-bit clock to 64 bits, us. The result is right while two samples are less
+/// than 71 minutes apart.
 #[derive(Clone, Copy, Debug, Default)]
 struct DeviceTime {
     time_us: Option<u64>,
@@ -96,7 +100,7 @@ impl DeviceTime {
 }
 
 impl<T: Transport> SerialLink<T> {
-    /// A link over an open wire. The clock must be that of the transport's deadlines.
+    /// A link over an open wire. `clock` must be the clock of the transport's deadlines.
     #[must_use]
     pub fn new(transport: T, clock: Arc<dyn Clock>) -> Self {
         Self {
@@ -138,8 +142,8 @@ impl<T: Transport> SerialLink<T> {
         Ok(self.sequence)
     }
 
-    /// Waits for the reply with this sequence number. Older replies are dropped, but the refusal of an act
-    /// is recorded.
+    /// Waits for the reply with this sequence number. Older replies are dropped, except that the
+    /// refusal of an act updates the amplifier's known state.
     fn await_reply(&mut self, sequence: u16, deadline_ns: Nanoseconds) -> Result<Reply, LinkFault> {
         let mut buffer = [0; READ_BYTES];
         loop {
@@ -194,9 +198,9 @@ impl<T: Transport> SerialLink<T> {
         self.await_reply(sequence, deadline_ns)
     }
 
-    /// Repeats hellos until one is answered or the time is over.
+    /// Repeats hellos until one is answered or the transport's boot time is over.
     fn greet(&mut self) -> Result<HelloReply, DeviceError> {
-        // Any device may have restarted a moment ago, including one that has answered before.
+        // Any device may have restarted a moment ago, even if it has answered before.
         let wait_ns = self.transport.boot_time_ns();
         self.nonce = None;
         self.last_sample = None;
@@ -265,8 +269,9 @@ impl<T: Transport> SerialLink<T> {
         DeviceError::Restarted { port: self.name() }
     }
 
-    /// Greets within an arm or disarm. A device that has restarted in the meantime may count from any
-    /// value, so only a hello of the caller may continue.
+    /// Sends a hello within an arm or disarm. A device that has restarted in the meantime may start
+    /// its counts at any value, so this call then fails, and the caller must send a hello of its
+    /// own.
     fn greet_same_start(&mut self) -> Result<(), DeviceError> {
         let reply = self.greet()?;
         let identity = self.accept(&reply)?;
@@ -344,7 +349,8 @@ impl<T: Transport> Device for SerialLink<T> {
         Ok(identity)
     }
 
-    /// Arms the device; when the answer is lost or a frame arrives twice, greets and arms again.
+    /// Arms the device; if the answer is lost or a frame arrives twice, sends a hello and arms
+    /// again, three attempts in all.
     fn arm(&mut self) -> Result<(), DeviceError> {
         let Some(mut nonce) = self.nonce.take() else {
             if self.has_restarted {
@@ -359,8 +365,8 @@ impl<T: Transport> Device for SerialLink<T> {
                     self.has_restarted = true;
                     return Err(self.restarted());
                 }
-                // A hello that arrives twice invalidates its first nonce; an arm that arrives twice is
-                // refused the second time.
+                // A hello that arrives twice invalidates its first nonce; an arm that arrives twice
+                // is refused the second time.
                 Ok(Reply::Refusal { reason, .. })
                     if attempt == ATTEMPTS || !is_cured_by_greeting(reason) =>
                 {
@@ -383,7 +389,7 @@ impl<T: Transport> Device for SerialLink<T> {
         let sequence = self.send(Request::Sample)?;
         match self.await_reply(sequence, deadline_ns)? {
             Reply::Sample(sample) => Ok(self.measurement(&sample, asked_ns)),
-            // The device restarted and knows of no hello.
+            // The device has restarted and has had no hello since.
             Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => {
                 self.motor = Motor::Off;
                 Err(LinkFault::NotArmed)
@@ -406,7 +412,7 @@ impl<T: Transport> Device for SerialLink<T> {
         if !is_fresh {
             return Err(LinkFault::StaleSample);
         }
-        // The wire carries the lowest 32 bits, from which the 64 were widened.
+        // The wire carries the lowest 32 bits of the time, as the device sent them.
         self.send(Request::Act { voltage_mv, sampled_at_us: sampled_at_us as u32 }).map(|_| ())
     }
 
@@ -425,8 +431,9 @@ impl<T: Transport> Device for SerialLink<T> {
             match self.exchange(Request::Disarm, ANSWER_TIME_NS) {
                 Ok(Reply::Disarm(reply)) => {
                     self.nonce = (reply.nonce != 0).then_some(reply.nonce);
-                    // The watchdog tripped while a lost disarm was awaited. That is not a fault; a trip
-                    // before it is, and stays latched.
+                    // The watchdog tripped while this call waited for the answer to a lost disarm.
+                    // That is no fault, so a hello clears it; a trip before this call is a fault
+                    // and stays latched.
                     if was_armed && attempt > 1 && reply.state == DeviceState::Tripped {
                         self.greet_same_start()?;
                     }
@@ -455,8 +462,8 @@ impl<T: Transport> Device for SerialLink<T> {
 }
 
 impl<T: Transport> Drop for SerialLink<T> {
-    /// Disarms at once when an armed link is dropped, for instance by a panic, rather than leave it to the
-    /// watchdog.
+    /// Disarms at once when an armed link is dropped, for instance by a panic, rather than leave it
+    /// to the watchdog.
     fn drop(&mut self) {
         if self.motor == Motor::Armed {
             let _ = self.send(Request::Disarm);

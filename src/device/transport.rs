@@ -3,8 +3,8 @@ use crate::clock::Nanoseconds;
 
 /// A wire that carries bytes: a serial port, or its substitute in memory.
 pub trait Transport: Send {
-    /// Reads the bytes that have arrived and returns their number; waits for the first until `deadline_ns`.
-    /// Returns 0 when none came; with a deadline in the past it does not wait.
+    /// Reads the bytes that have arrived and returns their number; waits for the first byte until
+    /// `deadline_ns`. Returns 0 if none came; with a deadline in the past it does not wait.
     ///
     /// # Errors
     /// [`LinkFault::Gone`] when the wire is gone.
@@ -13,8 +13,8 @@ pub trait Transport: Send {
     /// Writes all bytes without waiting, or fails.
     ///
     /// # Errors
-    /// [`LinkFault::Full`] when not all were taken (some may have been), [`LinkFault::Gone`] when
-    /// the wire is gone.
+    /// [`LinkFault::Full`] when the wire did not take all bytes (it may have taken some),
+    /// [`LinkFault::Gone`] when the wire is gone.
     fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault>;
 
     /// Opens the wire again after it was gone. A wire in memory does nothing.
@@ -28,6 +28,7 @@ pub trait Transport: Send {
     /// The wire's name for users: the path of the port.
     fn name(&self) -> &str;
 
-    /// Time that the device may take to answer its first hello, ns; opening the port may have restarted it.
+    /// Time that the device may take to answer its first hello, ns; opening the port may have
+    /// restarted it.
     fn boot_time_ns(&self) -> Nanoseconds;
 }

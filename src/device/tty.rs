@@ -12,12 +12,13 @@ use super::port_name::{available_ports, stable_port_name};
 use super::{DeviceError, LinkFault, SerialLink, Transport};
 use crate::clock::{Clock, Nanoseconds};
 
-/// Time that an Uno or Mega needs before it answers, ns: opening the port restarts it, and its boot loader
-/// listens for up to two seconds.
+/// Time that an Uno or Mega may need before it answers, ns: opening the port restarts the board,
+/// and its boot loader listens for up to two seconds.
 const BOOT_TIME_NS: Nanoseconds = 3_000_000_000;
 
-/// Time that a device behind a pty may need before it answers, ns. A pty has no modem lines and restarts nothing, but the device behind it may
-/// restart by itself, and PROTOCOL.md allows it this time.
+/// Time that a device behind a pty may need before it answers, ns. A pty has no modem lines and
+/// restarts nothing, but the device behind it may restart by itself, and PROTOCOL.md allows it this
+/// time.
 const PTY_BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 
 /// A serial port of the operating system, opened exclusively.
@@ -32,7 +33,7 @@ pub struct Tty {
 }
 
 impl Tty {
-    /// Opens a port at the protocol's rate, with its low-latency mode if it has one.
+    /// Opens a port at the protocol's rate, in low-latency mode if the driver has one.
     ///
     /// # Errors
     /// No such port, in use, not permitted, not a serial port.
@@ -42,7 +43,7 @@ impl Tty {
         Ok(Self { fd: Some(fd), name: port.to_owned(), stable_name, clock, has_modem_lines })
     }
 
-    /// Time until the deadline; zero when it has passed.
+    /// Time until the deadline; zero if it has passed.
     fn timeout(&self, deadline_ns: Nanoseconds) -> Timespec {
         let wait_ns = deadline_ns.saturating_sub(self.clock.now_ns());
         Timespec {
@@ -87,7 +88,8 @@ impl Transport for Tty {
         }
     }
 
-    /// The old port is closed first, because it would prevent opening the new one exclusively.
+    /// Opens the port again under its stable name. The old port is closed first, because it would
+    /// prevent opening the new one exclusively.
     fn reopen(&mut self) -> Result<(), DeviceError> {
         self.fd = None;
         let (fd, has_modem_lines) = open_port(&self.stable_name)?;
@@ -114,7 +116,7 @@ impl SerialLink<Tty> {
     }
 }
 
-/// The port, and whether it has modem lines.
+/// Opens a port in non-blocking mode; returns it and whether it has modem lines.
 fn open_port(port: &str) -> Result<(PortFd<TTYPort>, bool), DeviceError> {
     let mut tty = serialport::new(port, firmware_protocol::BAUD_RATE)
         .dtr_on_open(true)
@@ -143,7 +145,8 @@ fn open_error(port: &str, error: serialport::Error) -> DeviceError {
     }
 }
 
-/// Whether a file is not a terminal; the library reports that as "not a typewriter".
+/// Whether a file can be opened and is not a terminal; the serial library reports such a file as
+/// "not a typewriter".
 fn is_no_terminal(port: &str) -> bool {
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
     rustix::fs::open(port, flags, Mode::empty()).is_ok_and(|file| !rustix::termios::isatty(file))

@@ -3,20 +3,21 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-/// First word of an address.
+/// First word of each address.
 const SCHEME: &str = "hil";
 
-/// Card type without a name: the panel that most Qubes have.
+/// Card type of an address that names none: the panel that most Qubes have.
 const USUAL_CARD: &str = "qube_servo2_usb";
 
-/// Card identifier without a name: the first of its type.
+/// Card identifier of an address that names none: the first card of its type.
 const FIRST: &str = "0";
 
-/// Longest name of a card type in the vendor's `hil.h` (`MAX_CARD_TYPE_LENGTH`), and of an identifier here.
+/// Largest lengths, bytes: of a card type, as in the vendor's `hil.h` (`MAX_CARD_TYPE_LENGTH`), and
+/// of an identifier, set by this program.
 const LONGEST: [usize; 2] = [64, 256];
 
-/// The name of a card of the vendor's library: `hil`, or `hil:CARD@ID`, for example
-/// `hil:qube_servo3_usb@0`. An ID of a virtual card contains a second `@`.
+/// The address of a card of the vendor's library: `hil`, or `hil:CARD@ID`, for example
+/// `hil:qube_servo3_usb@0`. The ID of a virtual card contains a second `@`.
 ///
 /// ```
 /// use qube_hil::device::HilAddress;
@@ -40,7 +41,7 @@ pub struct HilAddress {
 pub struct NotAnAddress(String);
 
 impl HilAddress {
-    /// Whether a device's name is meant as an address of a card, whether or not it is a valid one.
+    /// Whether a device's name is meant as an address of a card, valid or not.
     #[must_use]
     pub fn is_meant(name: &str) -> bool {
         name == SCHEME || name.starts_with("hil:")

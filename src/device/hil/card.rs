@@ -6,8 +6,8 @@ use super::library::{Channels, Handle, Library, TextProperty};
 use super::{HilAddress, HilError};
 use crate::clock::Clock;
 
-/// Error codes of the vendor's `quanser_errors.h`, by its names, from the table in gym-brt's
-/// `quanser_wrapper/error_codes.py`. Functions return them negated.
+/// Error codes of the vendor's `quanser_errors.h` under its names, from the table in gym-brt's
+/// `quanser_wrapper/error_codes.py`. Functions return these codes negated.
 mod code {
     pub const NO_PERMISSION: i32 = 11;
     pub const HOST_NOT_FOUND: i32 = 36;
@@ -29,11 +29,12 @@ mod code {
     pub const BOARD_ALREADY_OPEN: i32 = 1073;
 }
 
-/// Options of a Servo 3: analog output, and no voltage that the driver adds by itself. The vendor's code
-/// generator sets `deadband_compensation=0.3`: then the motor would get more than was sent, and more than 5 V.
+/// Options of a Servo 3: analog output, and no voltage that the driver adds by itself. The vendor's
+/// code generator sets `deadband_compensation=0.3`; the motor would then get a larger voltage than
+/// was sent, and more than 5 V.
 const SERVO_3_OPTIONS: &CStr = c"deadband_compensation=0.0;pwm_en=0";
 
-/// A function of the library, for messages about one that fails or does not return.
+/// The name of a library function, for messages about a call that fails or does not return.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Function(pub(super) &'static str);
 
@@ -60,7 +61,8 @@ const NAMES: [&str; 16] = [
 /// Bits of the index in [`Calling`].
 const INDEX_BITS: u32 = 4;
 
-/// The call that is under way, for another thread to look at: its index and when it began, in one word.
+/// The call that is under way, if any, readable by another thread: one word holds the function's
+/// index and the time, ns, at which the call began; 0 means no call.
 #[derive(Debug, Default)]
 pub(super) struct Calling(AtomicU64);
 
@@ -74,7 +76,7 @@ impl Calling {
         self.0.store(0, Ordering::Relaxed);
     }
 
-    /// The function that has not returned, and since when, ns.
+    /// The function that has not returned, and the time, ns, at which it was called.
     pub(super) fn under_way(&self) -> Option<(Function, u64)> {
         let word = self.0.load(Ordering::Relaxed);
         let index = (word & ((1 << INDEX_BITS) - 1)) as usize;
@@ -89,7 +91,8 @@ pub(super) struct CallFailed {
     pub(super) code: c_int,
 }
 
-/// An open card. All calls come from one thread. It is not closed by being dropped.
+/// An open card. One thread makes all calls. Dropping the value does not close the card;
+/// [`close`](Self::close) does.
 pub(super) struct Card {
     library: Arc<Library>,
     handle: Handle,
@@ -154,7 +157,8 @@ impl Card {
         if code < 0 { Err(CallFailed { function: Function(name), code }) } else { Ok(code) }
     }
 
-    /// A call that some cards do not support and that may then be left out.
+    /// Makes a call that may be left out: succeeds also if the card does not support it, which the
+    /// library reports by the code `unsupported`.
     fn call_if_supported(
         &self,
         name: &'static str,
@@ -191,8 +195,9 @@ impl Card {
         self.call("hil_write_digital", |library| library.enable(self.handle, is_on)).map(|_| ())
     }
 
-    /// Configures what the outputs become when the watchdog expires: 0 V and disabled. The header says that
-    /// most cards have this fixed; what a card really does is measured.
+    /// Configures the outputs for an expired watchdog: 0 V and disabled. According to the vendor's
+    /// header most cards have fixed states; the examination measures how a real card's watchdog
+    /// acts.
     pub(super) fn set_expiration_states(&self) -> Result<(), CallFailed> {
         self.call_if_supported(
             "hil_watchdog_set_analog_expiration_state",
@@ -211,7 +216,7 @@ impl Card {
             .map(|_| ())
     }
 
-    /// Feeds the watchdog; false if it has expired before.
+    /// Feeds the watchdog; returns false if it had expired before.
     pub(super) fn watchdog_reload(&self) -> Result<bool, CallFailed> {
         self.call("hil_watchdog_reload", |library| library.watchdog_reload(self.handle))
             .map(|code| code != 0)
@@ -235,7 +240,7 @@ impl Card {
         self.call("hil_watchdog_stop", |library| library.watchdog_stop(self.handle)).map(|_| ())
     }
 
-    /// A text of the card; `None` where it has none.
+    /// A text of the card; `None` if it has none.
     pub(super) fn text(&self, property: TextProperty) -> Option<String> {
         self.calling.begin("hil_get_string_property", self.clock.now_ns());
         let text = self.library.text(self.handle, property);

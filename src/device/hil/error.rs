@@ -9,10 +9,11 @@ pub enum HilError {
          name its libhil.so in the environment variable QUBE_HIL_LIBHIL"
     )]
     NoLibrary {
-        /// Names that were tried, each with the loader's reason.
+        /// Names under which the library was looked for; for a path that the user named, with the
+        /// loader's reason.
         tried: String,
     },
-    /// A library of another version.
+    /// The library found is of another version.
     #[error(
         "{library} has no function {function}, so it is of another version. Install the vendor's current \
          package quanser-sdk, or name another file in QUBE_HIL_LIBHIL"
@@ -23,7 +24,7 @@ pub enum HilError {
         /// Missing function.
         function: &'static str,
     },
-    /// The library finds no such card.
+    /// The library finds no card at this address.
     #[error(
         "{port} is not there: {reason}. Switch the Qube on, plug its USB cable in, and check that the \
          address names this Qube's panel"
@@ -112,7 +113,8 @@ pub enum HilError {
 }
 
 impl HilError {
-    /// Whether the card, which was there, does not answer: a lost link and no wrong request.
+    /// Whether a card that was there no longer answers, which is a lost link and not a wrong
+    /// request.
     #[must_use]
     pub fn is_silence(&self) -> bool {
         matches!(self, Self::Hung { .. })

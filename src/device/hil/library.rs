@@ -1,11 +1,12 @@
-//! The vendor's library: where it is looked for, and the signatures of its functions. The one file of this
-//! module that calls foreign code.
+//! The vendor's library: the places where it is looked for, and the signatures of its functions.
+//! Only this file of the module calls foreign code.
 //!
-//! Signatures are those of `hil.h`, `quanser_types.h` and `quanser_messages.h` as the vendor publishes them
-//! (copyright Quanser; nothing is copied but names and types): the C declarations in the vendor's Python
-//! module `quanser/hardware.py` (`ffi.cdef`), checked against `hil.h` in public repositories. `t_error`,
-//! `t_int` are `int`, `t_uint32` is `unsigned int`, `t_boolean` is `char`, `t_double` is `double`,
-//! `t_card` is a pointer to an opaque structure, and `t_digital_state` is an `enum`.
+//! Signatures are those of `hil.h`, `quanser_types.h` and `quanser_messages.h` as the vendor
+//! publishes them (copyright Quanser; nothing is copied but names and types): the C declarations in
+//! the vendor's Python module `quanser/hardware.py` (`ffi.cdef`), checked against `hil.h` in public
+//! repositories. `t_error`, `t_int` are `int`, `t_uint32` is `unsigned int`, `t_boolean` is `char`,
+//! `t_double` is `double`, `t_card` is a pointer to an opaque structure, and `t_digital_state` is
+//! an `enum`.
 
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
 use std::ptr;
@@ -14,11 +15,11 @@ use libloading::os::unix::{Library as Loaded, RTLD_LOCAL, RTLD_NOW};
 
 use super::HilError;
 
-/// Environment variable with the library's path; then nothing else is tried.
+/// Environment variable with the library's path; if it is set, no other name is tried.
 const NAMED: &str = "QUBE_HIL_LIBHIL";
 
-/// Names that are tried in order: those that the loader finds (package `quanser-sdk`), then those of the older
-/// HIL SDK for Linux, which put its files beside.
+/// Names that are tried in order: first the names that the loader finds (package `quanser-sdk`),
+/// then the paths at which the older HIL SDK for Linux installs its files.
 const NAMES: [&str; 5] = [
     "libhil.so.1",
     "libhil.so",
@@ -27,16 +28,17 @@ const NAMES: [&str; 5] = [
     "/opt/quanser/lib/libhil.so",
 ];
 
-/// Libraries that hold the error texts, where libhil.so does not lead to them.
+/// Libraries with the function for error texts, for a libhil.so through which that function cannot
+/// be found.
 const COMMON: [&str; 2] = ["libquanser_common.so.1", "libquanser_common.so"];
 
-/// A handle of an open card, of the library's own.
+/// The library's handle of an open card.
 pub(super) type Handle = *mut c_void;
 
 /// Largest length of a text that the library returns, bytes.
 const TEXT_BYTES: usize = 1024;
 
-/// The functions that are used.
+/// The functions of the library that this program uses.
 #[derive(Clone, Copy)]
 struct Functions {
     open: unsafe extern "C" fn(*const c_char, *const c_char, *mut Handle) -> c_int,
@@ -68,22 +70,23 @@ struct Functions {
     watchdog_is_expired: unsafe extern "C" fn(Handle) -> c_int,
     watchdog_clear: unsafe extern "C" fn(Handle) -> c_int,
     watchdog_stop: unsafe extern "C" fn(Handle) -> c_int,
-    /// Absent in old versions; the card's own names then take the place of its serial number.
+    /// Absent in old versions; the address's identifier then takes the place of the serial number.
     get_string_property: Option<unsafe extern "C" fn(Handle, c_int, *mut c_char, usize) -> c_int>,
-    /// Of `libquanser_common`; errors are numbers without it.
+    /// From `libquanser_common`; without this function errors are shown as numbers.
     get_error_message:
         Option<unsafe extern "C" fn(*const c_char, c_int, *mut c_char, usize) -> c_int>,
 }
 
-/// The loaded library. It is never unloaded: threads of its own may outlive a card.
+/// The loaded library. It is never unloaded, because its own threads may outlive a card.
 pub(super) struct Library {
     functions: Functions,
-    /// Name under which it was found.
+    /// Name under which the library was found.
     pub(super) name: String,
 }
 
-/// Channels of a Qube's card, the same for `qube_servo2_usb` and `qube_servo3_usb`: the vendor's pages of
-/// these cards, gym-brt's `QubeServo2`, the vendor's `qube_servo2_usb_read_example.py`.
+/// Channels of a Qube's card, the same for `qube_servo2_usb` and `qube_servo3_usb`. Sources: the
+/// vendor's pages of these cards, gym-brt's `QubeServo2`, and the vendor's
+/// `qube_servo2_usb_read_example.py`.
 const MOTOR: [c_uint; 1] = [0];
 const CURRENT: [c_uint; 1] = [0];
 const ENCODERS: [c_uint; 2] = [0, 1];
@@ -100,13 +103,13 @@ pub(super) struct Channels {
     pub current_a: f64,
     /// Counts of the arm's encoder and of the pendulum's.
     pub counts: [i32; 2],
-    /// Amplifier fault, stall detected, stall error.
+    /// Amplifier fault, stall detected and stall error, in this order.
     pub flags: [bool; 3],
     /// Velocity of the arm, counts/s.
     pub tachometer_counts_s: f64,
 }
 
-/// A text of a card (`t_hil_string_property`).
+/// The texts of a card that are read, with their numbers in `t_hil_string_property`.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum TextProperty {
     SerialNumber = 3,
@@ -114,7 +117,7 @@ pub(super) enum TextProperty {
 }
 
 impl Library {
-    /// Loads the library and looks every function up.
+    /// Loads the library and looks up every function.
     pub(super) fn load() -> Result<Self, HilError> {
         let named = std::env::var(NAMED).ok().filter(|name| !name.is_empty());
         let names: Vec<&str> = named.as_deref().map_or(NAMES.to_vec(), |name| vec![name]);
@@ -123,7 +126,7 @@ impl Library {
             match open(name) {
                 Ok(library) => {
                     let functions = find_functions(&library, name)?;
-                    // Never unloaded.
+                    // Forgotten, so that it is never unloaded.
                     std::mem::forget(library);
                     return Ok(Self { functions, name: name.to_owned() });
                 }
@@ -133,11 +136,13 @@ impl Library {
         Err(HilError::NoLibrary { tried: tried.join(", ") })
     }
 
-    /// The library's words for an error code, or the number alone.
+    /// The library's text for an error code, followed by the number; the number alone if there is
+    /// no text.
     pub(super) fn words(&self, code: c_int) -> String {
         let mut text = [0; TEXT_BYTES];
         let found = self.functions.get_error_message.is_some_and(|message| {
-            // SAFETY: the buffer has the length that is passed, and a null locale is the default one.
+            // SAFETY: the buffer has the length that is passed, and a null locale is the default
+            // one.
             unsafe { message(ptr::null(), code, text.as_mut_ptr(), TEXT_BYTES) >= 0 }
         });
         let words = if found { plain(&text) } else { String::new() };
@@ -153,7 +158,7 @@ impl Library {
     }
 
     pub(super) fn is_valid(&self, handle: Handle) -> bool {
-        // SAFETY: the function is there to be asked about any handle.
+        // SAFETY: the function accepts any handle, also one that is no longer open.
         unsafe { (self.functions.is_valid)(handle) != 0 }
     }
 
@@ -164,7 +169,8 @@ impl Library {
 
     pub(super) fn set_options(&self, handle: Handle, options: &CStr) -> c_int {
         let size = options.to_bytes_with_nul().len();
-        // SAFETY: the text has this size with its null byte, as the vendor's generated code passes it.
+        // SAFETY: the text has this size with its null byte, as the vendor's generated code passes
+        // it.
         unsafe { (self.functions.set_card_specific_options)(handle, options.as_ptr(), size) }
     }
 
@@ -173,7 +179,8 @@ impl Library {
         let mut counts = [0; ENCODERS.len()];
         let mut flags: [c_char; FLAGS.len()] = [0; FLAGS.len()];
         let mut tachometer = [0.0; TACHOMETER.len()];
-        // SAFETY: each array of channels is passed with its length, and each buffer has that length.
+        // SAFETY: each array of channels is passed with its length, and each buffer has that
+        // length.
         let code = unsafe {
             (self.functions.read)(
                 handle,
@@ -230,26 +237,26 @@ impl Library {
     }
 
     pub(super) fn watchdog_reload(&self, handle: Handle) -> c_int {
-        // SAFETY: as above.
+        // SAFETY: the handle is opaque to this program; the library checks it.
         unsafe { (self.functions.watchdog_reload)(handle) }
     }
 
     pub(super) fn watchdog_is_expired(&self, handle: Handle) -> c_int {
-        // SAFETY: as above.
+        // SAFETY: the handle is opaque to this program; the library checks it.
         unsafe { (self.functions.watchdog_is_expired)(handle) }
     }
 
     pub(super) fn watchdog_clear(&self, handle: Handle) -> c_int {
-        // SAFETY: as above.
+        // SAFETY: the handle is opaque to this program; the library checks it.
         unsafe { (self.functions.watchdog_clear)(handle) }
     }
 
     pub(super) fn watchdog_stop(&self, handle: Handle) -> c_int {
-        // SAFETY: as above.
+        // SAFETY: the handle is opaque to this program; the library checks it.
         unsafe { (self.functions.watchdog_stop)(handle) }
     }
 
-    /// A text of the card; `None` where the library has none.
+    /// A text of the card; `None` if the library or the card has none.
     pub(super) fn text(&self, handle: Handle, property: TextProperty) -> Option<String> {
         let function = self.functions.get_string_property?;
         let mut text = [0; TEXT_BYTES];
@@ -304,7 +311,7 @@ fn find_functions(library: &Loaded, name: &str) -> Result<Functions, HilError> {
         watchdog_is_expired: function!("hil_watchdog_is_expired"),
         watchdog_clear: function!("hil_watchdog_clear"),
         watchdog_stop: function!("hil_watchdog_stop"),
-        // SAFETY: as above.
+        // SAFETY: the handle is opaque to this program; the library checks it.
         get_string_property: unsafe { library.get(b"hil_get_string_property") }
             .ok()
             .map(|found| *found),
@@ -312,7 +319,8 @@ fn find_functions(library: &Loaded, name: &str) -> Result<Functions, HilError> {
     })
 }
 
-/// The function for error texts: of the library or what it depends on, else of the vendor's common library.
+/// The function for error texts: from the library or one of its dependencies, otherwise from the
+/// vendor's common library.
 fn find_message(
     library: &Loaded,
 ) -> Option<unsafe extern "C" fn(*const c_char, c_int, *mut c_char, usize) -> c_int> {
@@ -322,9 +330,9 @@ fn find_message(
         return Some(*found);
     }
     let common = COMMON.iter().find_map(|name| open(name).ok())?;
-    // SAFETY: as above.
+    // SAFETY: the handle is opaque to this program; the library checks it.
     let found = unsafe { common.get(NAME) }.ok().map(|found| *found);
-    // Never unloaded.
+    // Forgotten, so that it is never unloaded.
     std::mem::forget(common);
     found
 }

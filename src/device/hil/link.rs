@@ -10,11 +10,12 @@ use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, DeviceError, Identity, LinkFault};
 use crate::qube::Measurement;
 
-/// Longest wait for a hello: opening a card, or a connection to a virtual one, takes its time.
+/// Longest wait for a hello: opening a card, or connecting to a virtual one, may take seconds.
 const HELLO_TIME: Duration = Duration::from_secs(5);
 
-/// Longest wait for an arm and for the amplifier to go off.
+/// Longest wait for an arm.
 const ARM_TIME: Duration = Duration::from_secs(1);
+/// Longest wait for the amplifier to go off.
 const OFF_TIME: Duration = Duration::from_millis(500);
 
 /// Largest age of the sample that an act answers, ns.
@@ -22,8 +23,8 @@ const MAX_SAMPLE_AGE_NS: Nanoseconds = MAX_SAMPLE_AGE_US as Nanoseconds * 1000;
 
 /// A Qube with the USB panel, as a [`Device`] over the vendor's library.
 ///
-/// The library gives no time of a sample: [`Measurement::device_time_us`] is the computer's time at which the
-/// read began, and how old the counts were then is unknown.
+/// The library gives no time of a sample. [`Measurement::device_time_us`] is the computer's time at
+/// which the read began; the age of the counts at that time is unknown.
 pub struct HilLink {
     worker: Worker,
     address: HilAddress,
@@ -32,7 +33,7 @@ pub struct HilLink {
     /// Whether a hello was answered and no fault has been latched since.
     is_greeted: bool,
     is_armed: bool,
-    /// Time of the last sample since the last hello, and when it was asked for, us and ns.
+    /// Device time, us, of the last sample since the last hello, and the time of its request, ns.
     last_sample: Option<(u64, Nanoseconds)>,
     is_tripped: bool,
     sample_time_ns: Option<Nanoseconds>,
@@ -58,7 +59,8 @@ impl HilLink {
         })
     }
 
-    /// Has a job done between motions.
+    /// Has the library's thread do a job between motions, and waits for the result for at most
+    /// `longest`.
     fn perform<T>(
         &self,
         job: impl FnOnce(crossbeam_channel::Sender<Result<T, HilError>>) -> Job,
@@ -114,7 +116,7 @@ impl Device for HilLink {
         if self.is_armed && !measurement.status.armed {
             self.is_armed = false;
             self.is_tripped = measurement.status.watchdog_tripped;
-            // Latched until the next hello.
+            // The fault stays latched until the next hello.
             self.is_greeted = false;
         }
         self.last_sample = Some((measurement.device_time_us, asked_ns));
@@ -154,7 +156,7 @@ impl Device for HilLink {
 }
 
 impl Drop for HilLink {
-    /// Switches the amplifier off and closes the card, on every way out of the control thread.
+    /// Switches the amplifier off and closes the card, however the control thread ends.
     fn drop(&mut self) {
         self.worker.end(OFF_TIME);
     }

@@ -10,18 +10,18 @@ use crate::clock::{Clock, Nanoseconds};
 use crate::device::Identity;
 use crate::qube::{MAX_VOLTAGE_V, Measurement, Status};
 
-/// Time limit of the library's watchdog, s: that of the boards.
+/// Time limit of the library's watchdog, s, equal to that of the boards' firmware.
 const WATCHDOG_S: f64 = WATCHDOG_MS as f64 * 1e-3;
 
-/// Time without an act after which a sample asks whether the watchdog has expired, ns. Acts come every
-/// 10 ms, so a tick is spared the question.
+/// Time without a successful act after which a sample first asks whether the watchdog has expired,
+/// ns. Acts come every 10 ms, so a running tick does not spend time on this call.
 const DOUBTED_NS: Nanoseconds = 30_000_000;
 
-/// Consecutive acts that fail before the amplifier is switched off: their voltages have not reached the motor,
-/// which keeps an older one.
+/// Consecutive failed acts after which the amplifier is switched off: their voltages have not
+/// reached the motor, which keeps an older one.
 const MAX_FAILED_ACTS: u32 = 2;
 
-/// The known state of the amplifier.
+/// The state of the amplifier as far as it is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Motor {
     Off,
@@ -29,7 +29,7 @@ enum Motor {
     Tripped,
 }
 
-/// A sample that the library did not give.
+/// The reason why the library gave no sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NoSample {
     /// The card is not open, or the library no longer knows it.
@@ -38,13 +38,13 @@ pub(super) enum NoSample {
     Failed,
 }
 
-/// A sample, as the tick gets it.
+/// A sample in the form in which the tick gets it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Reading {
     pub(super) measurement: Measurement,
 }
 
-/// A Qube's panel behind the library. It lives in the one thread that calls the library.
+/// A Qube's panel behind the vendor's library. It belongs to the one thread that calls the library.
 pub(super) struct Panel {
     library: Arc<Library>,
     address: HilAddress,
@@ -52,15 +52,15 @@ pub(super) struct Panel {
     clock: Arc<dyn Clock>,
     card: Option<Card>,
     motor: Motor,
-    /// Counts at the first read since the card was opened, which are this program's zeros. The card's own
-    /// counters are never set: a Servo 3 loses counts then.
+    /// Counts at the first read since the card was opened; all counts are reported relative to
+    /// them. The card's own counters are never set, because a Servo 3 loses counts when they are.
     base_counts: Option<[i32; 2]>,
-    /// Number that differs after each opening.
+    /// Number that differs after each opening of the card.
     boot_id: u16,
     last: Measurement,
     fed_ns: Nanoseconds,
     applied_mv: i16,
-    /// Time from the last sample to the act that answered it, until the next sample reports it.
+    /// Time from the last sample to the act that answered it, us, until the next sample reports it.
     sample_to_act_us: Option<u32>,
     failed_acts: u32,
 }
@@ -160,7 +160,8 @@ impl Panel {
         }
     }
 
-    /// Arms the amplifier at 0 V, with the watchdog running. It is off after any error.
+    /// Arms the amplifier at 0 V, with the watchdog running. After any error the amplifier is
+    /// switched off.
     pub(super) fn arm(&mut self) -> Result<(), HilError> {
         let armed = self.try_arm();
         if armed.is_err() {
@@ -184,8 +185,8 @@ impl Panel {
         Ok(())
     }
 
-    /// Reads one sample. The tick hears of an expired watchdog by the sample's flags; its counts are then
-    /// those of the last sample, because the library gives none in that state.
+    /// Reads one sample. An expired watchdog shows in the sample's flags; the counts are then those
+    /// of the sample before, because the library gives none in that state.
     pub(super) fn sample(&mut self) -> Result<Reading, NoSample> {
         let Some(card) = &self.card else { return Err(NoSample::Gone) };
         let asked_ns = self.clock.now_ns();
@@ -230,8 +231,8 @@ impl Panel {
         };
     }
 
-    /// Writes a voltage and feeds the watchdog if the write succeeded, so that a motor that keeps an old
-    /// voltage is not fed. Does nothing unless the amplifier is armed.
+    /// Writes a voltage, mV, and feeds the watchdog only if the write succeeded: the watchdog then
+    /// stops a motor that would keep an old voltage. Does nothing unless the amplifier is armed.
     pub(super) fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) {
         let voltage_v = f64::from(voltage_mv) * 1e-3;
         if self.motor != Motor::Armed || voltage_v.abs() > MAX_VOLTAGE_V {
@@ -257,17 +258,19 @@ impl Panel {
         }
     }
 
-    /// Switches the amplifier off: disabled and at 0 V, then the watchdog is stopped. If the library refuses because
-    /// the watchdog has expired, once more after clearing that. If even that fails, nobody feeds the watchdog, which
-    /// is left its time to switch off, and the card is closed.
+    /// Switches the amplifier off: disables it, writes 0 V, then stops the watchdog. If the library
+    /// refuses because the watchdog has expired, clears the watchdog and tries once more. If the
+    /// amplifier cannot be switched off even so, starts the watchdog, waits until it has had time
+    /// to do that, and closes the card.
     pub(super) fn off(&mut self) -> Result<(), HilError> {
         self.motor = Motor::Off;
         self.applied_mv = 0;
         let Some(card) = &self.card else { return Ok(()) };
         let mut off = switched_off(card);
         if off.is_err() && card.watchdog_is_expired() {
-            // Clearing may bring the outputs back that were before, and with them the motor. So the watchdog runs
-            // again before anything that might not return, and both outputs are written at once.
+            // Clearing may restore the outputs' earlier values and with them drive the motor. So
+            // the watchdog is started again before any call that might not return, and both outputs
+            // are written at once.
             let _ = card.watchdog_clear();
             let _ = card.watchdog_start(WATCHDOG_S);
             off = switched_off(card);
@@ -293,15 +296,16 @@ impl Panel {
     }
 }
 
-/// Disables the amplifier and writes 0 V. Each is tried whatever becomes of the other; a disabled amplifier at
-/// another voltage is off, an enabled one at 0 V is not.
+/// Disables the amplifier and writes 0 V, each even if the other fails. A disabled amplifier is off
+/// at any voltage, while an enabled one at 0 V is not off.
 fn switched_off(card: &Card) -> Result<(), CallFailed> {
     let disabled = card.enable(false);
     let at_zero = card.write_voltage(0.0);
     disabled.and(at_zero)
 }
 
-/// A name of the card for messages and file names: letters, digits and a few signs.
+/// Shortens a text of the card for messages and file names: at most 64 letters, digits and the
+/// signs `.`, `_`, `-`.
 fn short(text: &str) -> String {
     const LONGEST: usize = 64;
     let is_plain = |letter: &char| letter.is_ascii_alphanumeric() || "._-".contains(*letter);

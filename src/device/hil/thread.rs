@@ -3,21 +3,23 @@ use std::sync::{Mutex, PoisonError};
 
 use crossbeam_channel::Sender;
 
-/// A worker's whole time at the library, from loading it to closing the card.
+/// A worker's whole use of the library, from loading it to closing the card.
 pub(super) type Work = Box<dyn FnOnce() + Send>;
 
 /// The one thread of this process that calls the vendor's library, once it has been started.
 static THREAD: Mutex<Option<Sender<Work>>> = Mutex::new(None);
 
-/// Has the library's thread do this work, after the work that it was given before.
+/// Has the library's thread do this work, after all work given earlier; starts the thread if it
+/// does not run.
 ///
-/// Nobody outside the vendor knows whether a library that one thread has called may be called from another one, even
-/// after the card was closed. A session opens its card several times, so the thread outlives them.
+/// The vendor does not publish whether several threads of a process may call the library one after
+/// the other, even once the card is closed. A session opens its card several times, so the thread
+/// outlives all of them.
 pub(super) fn give(work: Work) -> io::Result<()> {
     let mut thread = THREAD.lock().unwrap_or_else(PoisonError::into_inner);
     let work = match &*thread {
         None => work,
-        // Work that panicked has ended its thread.
+        // The channel is closed if earlier work has panicked, which ended its thread.
         Some(to_do) => match to_do.send(work) {
             Ok(()) => return Ok(()),
             Err(unsent) => unsent.into_inner(),
@@ -48,7 +50,7 @@ mod tests {
         assert_eq!(first, second);
         assert_ne!(first, std::thread::current().id());
         give(Box::new(|| panic!("as planned"))).unwrap();
-        // Work that is given before the thread has ended goes with it.
+        // Work that is given before the thread has ended is lost with the thread.
         let next = std::iter::repeat_with(|| {
             tell();
             heard.recv_timeout(std::time::Duration::from_millis(200))
