@@ -1,18 +1,19 @@
 //! Compiles one body of code for several instruction sets and picks one at run time.
 //!
-//! Users install without target flags, so the compiler assumes an x86-64 processor of 2003. A [`VectorKernel`] is
-//! therefore compiled again inside functions that enable AVX-512, or AVX2 with FMA, and [`dispatch()`] calls
-//! the best one that this processor supports. On 64-bit ARM the plain path suffices: NEON and its fused
-//! multiply-add belong to every such processor.
+//! Users install without target flags, so the compiler assumes an x86-64 processor of 2003. A
+//! [`VectorKernel`] is therefore compiled again inside functions that enable AVX-512, or AVX2 with
+//! FMA, and [`dispatch()`] calls the best one that this processor supports. On 64-bit ARM the plain
+//! path suffices: NEON and its fused multiply-add belong to every such processor.
 //!
-//! All paths compute the same bits as long as a kernel sums in a fixed order: vector instructions round
-//! like scalar ones, and `mul_add` is correctly rounded everywhere. Only x86 processors without FMA (before
-//! 2013) pay for this, because `mul_add` is a slow library call there. A kernel that need not repeat bit
-//! for bit may look at [`InstructionSet::LEVEL`] and avoid it.
+//! All paths compute the same bits as long as a kernel sums in a fixed order: vector instructions
+//! round like scalar ones, and `mul_add` is correctly rounded everywhere. Only x86 processors
+//! without FMA (before 2013) pay for this, because `mul_add` is a slow library call there. A kernel
+//! whose results need not be the same everywhere may avoid `mul_add` where
+//! [`InstructionSet::LEVEL`] says so.
 //!
-//! Trap: everything that a kernel calls must be `#[inline(always)]` or small enough to be inlined. A
-//! function that is not inlined is compiled without the instruction set, and its `mul_add` is that library
-//! call.
+//! Trap: every function that a kernel calls must be `#[inline(always)]` or small enough to be
+//! inlined. A function that is not inlined is compiled without the instruction set, and each
+//! `mul_add` in it becomes the slow library call.
 
 use std::sync::atomic::{AtomicU8, Ordering};
 
@@ -22,15 +23,16 @@ pub trait VectorKernel {
     /// Result of the computation.
     type Output;
 
-    /// Runs the computation. Implementations must be `#[inline(always)]`, or they run on the plain path.
+    /// Runs the computation. Implementations must be `#[inline(always)]`, or they run on the plain
+    /// path.
     ///
-    /// `I` names the instruction set, for kernels that choose the shape of a tile by it.
+    /// `I` is the instruction set, for kernels whose tiles have a different shape on each.
     fn run<I: InstructionSet>(self) -> Self::Output;
 }
 
 /// The instruction set for which a kernel is being compiled.
 pub trait InstructionSet {
-    /// Identifies the instruction set.
+    /// The level to which the instruction set belongs.
     const LEVEL: Level;
 }
 
@@ -45,7 +47,8 @@ pub enum Level {
     Plain,
 }
 
-/// Index in [`Level::ALL`] of the best level that may be used. It changes speed, never results.
+/// Index in [`Level::ALL`] of the best level that may be used. It changes the speed, and the
+/// results of those kernels alone that depend on [`InstructionSet::LEVEL`].
 static FIRST_ALLOWED: AtomicU8 = AtomicU8::new(0);
 
 impl Level {
@@ -60,7 +63,8 @@ impl Level {
         allowed.iter().copied().find(|level| level.is_available()).unwrap_or(Self::Plain)
     }
 
-    /// Forbids every better level in this process from now on, to reproduce another processor's behaviour.
+    /// Forbids every better level in this process for all later calls, to reproduce another
+    /// processor's behaviour.
     pub fn forbid_better(self) {
         FIRST_ALLOWED.store(self as u8, Ordering::Relaxed);
     }
@@ -94,18 +98,18 @@ pub fn dispatch<K: VectorKernel>(kernel: K) -> K::Output {
     dispatch_at(Level::best(), kernel)
 }
 
-/// Runs a kernel with the given instruction set, for comparisons; falls back to the plain one when the
-/// processor does not support it.
+/// Runs a kernel with the given instruction set, for comparisons; runs the plain path if the
+/// processor does not support that set.
 #[inline]
 pub fn dispatch_at<K: VectorKernel>(level: Level, kernel: K) -> K::Output {
     if !level.is_available() {
         return kernel.run::<Plain>();
     }
     match level {
-        // SAFETY: `is_available` has just found every feature that the function switches on.
+        // SAFETY: `is_available` has just found every feature that the function enables.
         #[cfg(target_arch = "x86_64")]
         Level::Avx512 => unsafe { x86::run_avx512(kernel) },
-        // SAFETY: as above.
+        // SAFETY: `is_available` has just found every feature that the function enables.
         #[cfg(target_arch = "x86_64")]
         Level::Avx2 => unsafe { x86::run_avx2(kernel) },
         _ => kernel.run::<Plain>(),

@@ -1,8 +1,9 @@
 //! Elementary functions with fixed bits: sin, cos, tanh, exp, 1 / sqrt and normal draws.
 //!
-//! The standard library leaves the last bits to the platform. Here they are fixed, so that a recording
-//! replays bit for bit on any processor, and the code has no branches, so that loops over many pendulums
-//! become vector code. The room imports nothing.
+//! The standard library's functions may differ in their last bits between platforms. Here all bits
+//! are fixed, so that a recording replays bit for bit on any processor, and the `f32` functions
+//! have no branches, so that loops over many pendulums become vector code. The room imports
+//! nothing.
 //!
 //! The `f32` functions are fast only inside a [`VectorKernel`] that [`dispatch()`] runs.
 //!

@@ -1,10 +1,10 @@
 use std::f64::consts::TAU;
 
-/// Converts two independent numbers that are uniform in [0, 1) to two independent ones from N(0, 1), by the
-/// transform of Box and Muller (1958).
+/// Converts two independent numbers that are uniform in [0, 1) to two independent numbers from N(0,
+/// 1), by the transform of Box and Muller (1958).
 #[must_use]
 pub fn normal_pair([first, second]: [f64; 2]) -> [f64; 2] {
-    // 1 - [0, 1) excludes zero, whose logarithm is infinite.
+    // `1 - first` is never 0, whose logarithm is infinite.
     let radius = libm::sqrt(-2.0 * libm::log(1.0 - first));
     let (sin, cos) = libm::sincos(TAU * second);
     [radius * cos, radius * sin]

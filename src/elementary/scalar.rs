@@ -1,7 +1,7 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// The arithmetic that the equations of motion need, so that they are written once for the `f64` of the
-/// emulator and for the `f32` lanes of the simulation.
+/// The arithmetic that the equations of motion need, so that they are written once for the `f64` of
+/// the emulator and for the `f32` lanes of the simulation.
 pub trait Scalar:
     Copy
     + PartialOrd
@@ -17,8 +17,8 @@ pub trait Scalar:
     /// The magnitude.
     fn abs(self) -> Self;
 
-    /// `self * factor + summand`. `f32` rounds once, because its kernels run where that is one fast
-    /// instruction; `f64` runs outside of kernels and rounds twice.
+    /// `self * factor + summand`. `f32` rounds once, because its kernels run where a fused
+    /// multiply-add is one fast instruction; `f64` runs outside of kernels and rounds twice.
     fn mul_add(self, factor: Self, summand: Self) -> Self;
 
     /// The largest integer that is not above the value.

@@ -1,30 +1,32 @@
 //! Elementary functions for `f32`.
 //!
-//! Each is a polynomial (or a quotient of two) after a range reduction, built only from [`f32::mul_add`],
-//! division and bit operations in a fixed order, so every processor computes the same bits. None has a
-//! branch, so a loop over a slice becomes vector code when it is compiled for vectors (see
-//! [`super::VectorKernel`]).
+//! Each function is a polynomial (or a quotient of two) after a range reduction, built only from
+//! [`f32::mul_add`], division and bit operations in a fixed order, so every processor computes the
+//! same bits. No function has a branch, so a loop over a slice becomes vector code when it is
+//! compiled for vectors (see [`super::VectorKernel`]).
 //!
-//! The coefficients are minimax fits of this project: iteratively reweighted least squares (Lawson's
-//! algorithm) in double precision on 4,000 Chebyshev-spaced points, the quotient linearised with the
-//! denominator of the previous round. They are then rounded; for cos one after the other, with the rest
-//! fitted again. The error bounds below include `f32` rounding and are tested on dense grids.
+//! The coefficients are minimax fits of this project: iteratively reweighted least squares
+//! (Lawson's algorithm) in double precision on 4,000 Chebyshev-spaced points, the quotient
+//! linearised with the denominator of the previous round. The fitted coefficients are then rounded
+//! to `f32`; those of cos one after the other, with the remaining ones fitted again each time. The
+//! error bounds below include `f32` rounding and are tested on dense grids.
 
 use super::Scalar;
 
 /// Largest |x| for which tanh is computed; beyond it tanh is constant: 1 - tanh(8) = 2.3e-7.
 const TANH_SATURATION: f32 = 8.0;
 
-/// Coefficients of s, s^2 ... in the numerator of tanh.
+/// Coefficients of s, s^2, s^3 and s^4 in the numerator of tanh, where s = x^2; the constant term
+/// is 1.
 const TANH_NUMERATOR: [f32; 4] = [1.271_166_4e-1, 2.695_739_8e-3, 7.157_679e-6, -6.134_338e-9];
 
-/// Coefficients of s, s^2 and s^3 in the denominator of tanh.
+/// Coefficients of s, s^2 and s^3 in the denominator of tanh; the constant term is 1.
 const TANH_DENOMINATOR: [f32; 3] = [4.604_484_6e-1, 2.284_745_3e-2, 1.966_603_7e-4];
 
 /// Hyperbolic tangent; absolute error at most 5e-7, never beyond +-1. NaN stays NaN.
 ///
-/// Computes x P4(x^2) / Q3(x^2) on [-8, 8]. Both constant terms are 1, so that small x keep their relative
-/// accuracy. (A quotient one degree smaller is off by 2.6e-6.)
+/// Computes x P4(x^2) / Q3(x^2) on [-8, 8]. Both constant terms are 1, so that small x keep their
+/// relative accuracy. (A quotient one degree smaller is off by 2.6e-6.)
 #[inline(always)]
 pub fn tanh(x: f32) -> f32 {
     let x = x.clamp(-TANH_SATURATION, TANH_SATURATION);
@@ -39,11 +41,12 @@ pub fn tanh(x: f32) -> f32 {
 /// Sine and cosine of an angle in radians; absolute error of each at most 2e-7 on +-17 and 1e-6 on
 /// +-1e4. NaN and infinities give NaN.
 ///
-/// Subtracts the nearest multiple of pi in two parts, then evaluates polynomials of degree 9 and 8 on
-/// [-pi/2, pi/2].
+/// Subtracts the nearest multiple of pi in two parts, then evaluates polynomials of degree 9 and 8
+/// on [-pi/2, pi/2].
 #[inline(always)]
 pub fn sin_cos(x: f32) -> (f32, f32) {
-    /// 1.5 * 2^23: adding it rounds to an integer, which the low bits then hold.
+    /// 1.5 * 2^23: adding this number rounds a value to an integer, which the low bits of the sum
+    /// then hold.
     const ROUND: f32 = 12_582_912.0;
     const PI_HIGH: f32 = std::f32::consts::PI;
     /// pi - PI_HIGH.
@@ -66,10 +69,10 @@ pub fn sin_cos(x: f32) -> (f32, f32) {
     (f32::from_bits(sin.to_bits() ^ sign), f32::from_bits(cos.to_bits() ^ sign))
 }
 
-/// e^x; relative error at most 2e-7 on [-87, 88]. Outside that range the result stays at the end's value
-/// (1.6e-38 or 1.7e38), so that it remains a normal number. NaN stays NaN.
+/// e^x; relative error at most 2e-7 on [-87, 88]. Outside that range the result is that of the
+/// nearer end (1.6e-38 or 1.7e38), so that it remains a normal number. NaN stays NaN.
 ///
-/// Multiplies 2^n by a polynomial of degree 5 on +-ln 2 / 2.
+/// Multiplies 2^n by a polynomial of degree 5 in the remainder, which is within +-ln 2 / 2.
 #[inline(always)]
 pub fn exp(x: f32) -> f32 {
     const ROUND: f32 = 12_582_912.0;
@@ -94,10 +97,10 @@ pub fn exp(x: f32) -> f32 {
 
 /// 1 / sqrt(x) of a positive normal number; relative error at most 8e-7. Zero gives a large number.
 ///
-/// Halving the exponent in the bits gives a first guess within 3 %; each of two Newton steps squares that
-/// error. The integer and the constants beside 3/2 balance the largest error on both sides after each step.
-/// Division and square root are avoided because they are slow, the processor's own approximations because
-/// they differ between processors.
+/// Halving the exponent in the bits gives a first guess within 3 %; each of two Newton steps
+/// squares that error. The integer constant, and the constants near 3/2, balance the largest errors
+/// of both signs. Division and square root are avoided because they are slow, the processor's own
+/// approximations because they differ between processors.
 #[inline(always)]
 pub fn inverse_square_root(x: f32) -> f32 {
     let half = 0.5 * x;
@@ -162,8 +165,8 @@ mod tests {
         assert!(tanh(f32::NAN).is_nan());
     }
 
-    /// Fits the quotient as the module's page describes, on fewer points and in fewer rounds. Returns the
-    /// coefficients of the numerator, then of the denominator.
+    /// Fits the quotient of tanh as the module's page describes, on fewer points and in fewer
+    /// rounds. Returns the coefficients of the numerator, then those of the denominator.
     fn fitted_tanh() -> [f64; 7] {
         const POINTS: u32 = 400;
         const ROUNDS: usize = 100;

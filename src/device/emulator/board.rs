@@ -13,33 +13,35 @@ use super::{EmulatorFault, EmulatorSettings, Plant};
 
 const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
 
-/// First message type of replies. A board that receives one hears another device, or an echo.
+/// First message type of replies. A board that receives a reply hears another device, or an echo.
 const FIRST_REPLY_TYPE: u8 = 0x80;
 
 /// Random stream of the nonces, separate from the plant's.
 const NONCE_STREAM: u64 = 1;
 
-/// Random stream of the numbers drawn at a start.
+/// Random stream of the boot id and of the counters' shifts at a restart.
 const START_STREAM: u64 = 3;
 
-/// Time from a dip of the supply to the program's first frame, us: the chip's start-up time of 65 ms with
-/// Arduino's fuses, and the program's own.
+/// Time from a dip of the supply to the program's first frame, us: the chip's start-up time of 65
+/// ms with Arduino's fuses, and the program's own start.
 const BROWN_OUT_DARK_US: u64 = 70_000;
 
-/// Time from a pulse at the reset pin to the program's first frame, us: the Uno's boot loader listens for
-/// about a second.
+/// Time from a pulse at the reset pin to the program's first frame, us: the Uno's boot loader
+/// listens for about a second.
 const RESTART_DARK_US: u64 = 1_000_000;
 
 /// Time for which the emergency stop is pressed, us.
 const STOP_PRESSED_US: u64 = 2_000_000;
 
-/// Largest difference between the counters of the Qube and of a restarted board: the protocol does not
-/// promise that counts continue, so no host may rely on it.
+/// Largest difference between the counts before and after a restart: the protocol does not promise
+/// that counts continue, so no host may rely on it.
 const RESTART_COUNTS: i32 = 400;
 
-/// The microcontroller's program over an emulated Qube: bytes in, bytes out, its own clock.
+/// The microcontroller's program over an emulated Qube: it takes bytes, returns replies, and has a
+/// clock of its own.
 ///
-/// It performs no I/O: its owner advances its clock and delivers bytes at their time of arrival.
+/// The board performs no I/O: its owner advances its clock and delivers bytes at their time of
+/// arrival.
 #[derive(Clone, Debug)]
 pub struct Board {
     settings: EmulatorSettings,
@@ -49,9 +51,10 @@ pub struct Board {
     starts: ChaCha8Rng,
     boot_id: u16,
     now_us: u64,
-    /// Time at which the program started, the zero of its clock.
+    /// Time at which the program started, us; the program's clock counts from here.
     booted_us: u64,
-    /// Time until which no program runs, `u64::MAX` for ever. The Qube keeps its last motor command.
+    /// Time until which no program runs, us; `u64::MAX` is for ever. Meanwhile the Qube keeps its
+    /// last motor command.
     dark_until_us: Option<u64>,
     state: DeviceState,
     /// Nonce for the next arm; 0 is none.
@@ -63,7 +66,7 @@ pub struct Board {
     /// Latched state of the emergency stop.
     emergency_stop: bool,
     frozen_alpha_counts: Option<i32>,
-    /// Offset that a restart added to the counts.
+    /// Shifts that the last restart added to the counts.
     theta_shift: i32,
     alpha_shift: i32,
     watchdog_fed_us: u64,
@@ -71,9 +74,11 @@ pub struct Board {
     switched_off_us: Option<u64>,
     motor_counts: i16,
     last_act_sequence: u16,
-    /// Last sample sent, until an act answers it; it gives the time between the two.
+    /// Time of the last sample sent, us, until an act answers it; the two times give
+    /// `sample_to_act_us`.
     previous_sample_us: Option<u64>,
-    /// Last sample sent since the last hello, by the device's clock, which an act must name.
+    /// Time of the last sample sent since the last hello, by the device's clock, us; an act must
+    /// name this time.
     given_us: Option<u32>,
     sample_to_act_us: u16,
     dropped_frames: u16,
@@ -122,7 +127,8 @@ impl Board {
         board
     }
 
-    /// Advances the clock. Watchdog and fault act at their own instants on the way.
+    /// Advances the clock to `now_us`, us. Watchdog, fault and restart take effect at their own
+    /// times on the way.
     pub fn advance_to(&mut self, now_us: u64) {
         while let Some(event_us) = self.next_event_us().filter(|event_us| *event_us <= now_us) {
             self.now_us = self.now_us.max(event_us);
@@ -138,7 +144,8 @@ impl Board {
         self.now_us = self.now_us.max(now_us);
     }
 
-    /// Time of the next event without any traffic; the owner then calls [`advance_to`](Self::advance_to).
+    /// Time of the next event that comes without any traffic, us; the owner then calls
+    /// [`advance_to`](Self::advance_to).
     #[must_use]
     pub fn next_event_us(&self) -> Option<u64> {
         let fault_us =
@@ -183,8 +190,8 @@ impl Board {
         })
     }
 
-    /// Time at which the cable is plugged in again, by the board's clock; `None` if it is not pulled or
-    /// stays out.
+    /// Time at which the cable is plugged in again, by the board's clock, us; `None` if the cable
+    /// is not pulled or stays out.
     #[must_use]
     pub fn plugged_in_us(&self) -> Option<u64> {
         match self.settings.fault {
@@ -204,7 +211,7 @@ impl Board {
         }
     }
 
-    /// The true state of the Qube, which the wire does not show.
+    /// The Qube at the current time, with the true state that the wire does not show.
     pub fn plant(&mut self) -> &Plant {
         self.plant.advance_to(self.now_us);
         &self.plant
@@ -216,13 +223,14 @@ impl Board {
         self.state
     }
 
-    /// Time of the last valid command, an arm or an accepted act, by the board's clock.
+    /// Time of the last valid command, an arm or an accepted act, by the board's clock, us.
     #[must_use]
     pub fn last_command_us(&self) -> u64 {
         self.watchdog_fed_us
     }
 
-    /// Time at which the amplifier last went off, by the board's clock; `None` if it never was on.
+    /// Time at which the amplifier last went off, by the board's clock, us; `None` if it never was
+    /// on.
     #[must_use]
     pub fn switched_off_us(&self) -> Option<u64> {
         self.switched_off_us
@@ -407,7 +415,7 @@ impl Board {
         self.plant.set_voltage(sense * f64::from(motor_voltage_mv(motor_counts)) * 1e-3);
     }
 
-    /// The program's clock in the wire's format.
+    /// The program's clock in the wire's format: 32 bits, us.
     fn device_time_us(&self) -> u32 {
         (self.now_us - self.booted_us) as u32
     }
@@ -419,8 +427,8 @@ impl Board {
         self.decoder.reset();
     }
 
-    /// Starts the program: its first frame switches the motor off, and it forgets everything except the
-    /// EEPROM.
+    /// Starts the program: the first frame switches the motor off, and the program has forgotten
+    /// everything that is not in its EEPROM.
     fn boot(&mut self) {
         if self.motor_counts != 0 {
             self.switched_off_us = Some(self.now_us);
@@ -451,7 +459,8 @@ impl Board {
         }
     }
 
-    /// 1, or -1 for a reversed connection.
+    /// 1, or -1 if the connection that this fault flips is reversed, by the fault or by the wiring
+    /// but not by both.
     fn sense(&self, flipped: EmulatorFault) -> i32 {
         let wiring = self.settings.wiring;
         let is_wired_so = match flipped {
@@ -553,7 +562,7 @@ fn refusal(frame: &Frame, reason: RefusalReason) -> Reply {
     Reply::Refusal { refused_type: frame.message_type, reason }
 }
 
-/// The program's own version, since the emulator is released with it.
+/// The version of this program, with which the emulator is released.
 fn firmware_version() -> [u8; 3] {
     let mut parts = env!("CARGO_PKG_VERSION").split('.').map(|part| part.parse().unwrap_or(0));
     std::array::from_fn(|_| parts.next().unwrap_or(0))

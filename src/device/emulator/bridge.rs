@@ -3,17 +3,18 @@ use std::str::FromStr;
 
 use crate::clock::Nanoseconds;
 
-/// Interval of the timer by which the 16U2 of a genuine Uno or Mega passes received bytes to USB: timer 0
-/// overflows after 256 x 256 clocks of 16 MHz (public source of its firmware).
+/// Interval of the timer by which the 16U2 of a genuine Uno or Mega passes received bytes to USB,
+/// ns: timer 0 overflows after 256 x 256 clocks of 16 MHz (public source of its firmware).
 const FLUSH_NS: Nanoseconds = 4_096_000;
 
-/// Length of a frame of full-speed USB; bytes in either direction wait for the next one at most.
+/// Length of a frame of full-speed USB, ns; bytes in either direction wait for the next frame.
 const FRAME_NS: Nanoseconds = 1_000_000;
 
-/// Time from the end of a frame until the computer's driver delivers its bytes.
+/// Time from the end of a frame until the computer's driver delivers its bytes, ns.
 const HAND_OVER_NS: Nanoseconds = 300_000;
 
-/// Phases of timer and frame in the host's clock; they are unknown, so the values are arbitrary.
+/// Phases of timer and frame in the host's clock, ns. On a real bridge they are unknown, so the
+/// values are arbitrary.
 const FLUSH_PHASE_NS: Nanoseconds = 1_234_000;
 const FRAME_PHASE_NS: Nanoseconds = 567_000;
 
@@ -22,7 +23,7 @@ const FRAME_PHASE_NS: Nanoseconds = 567_000;
 pub enum UsbBridge {
     /// The second microcontroller of a genuine Uno or Mega.
     Atmega16u2,
-    /// A bridge that flushes by a timer of 20 ms, too slow for control.
+    /// A bridge that passes bytes on every 20 ms, too slowly for control.
     Slow,
 }
 
@@ -34,14 +35,16 @@ impl UsbBridge {
         }
     }
 
-    /// Time at which the computer receives a byte that the bridge got from the board at this time.
+    /// Time, ns, at which the computer receives a byte that the bridge got from the board at
+    /// `arrival_ns`.
     #[must_use]
     pub fn reaches_host_ns(self, arrival_ns: Nanoseconds) -> Nanoseconds {
         let flushed_ns = next(arrival_ns, self.flush_ns(), FLUSH_PHASE_NS);
         next(flushed_ns, FRAME_NS, FRAME_PHASE_NS) + HAND_OVER_NS
     }
 
-    /// Time at which the bridge begins to pass on bytes that the computer wrote at this time.
+    /// Time, ns, at which the bridge begins to pass on bytes that the computer wrote at
+    /// `written_ns`.
     #[must_use]
     pub fn leaves_bridge_ns(self, written_ns: Nanoseconds) -> Nanoseconds {
         next(written_ns, FRAME_NS, FRAME_PHASE_NS)

@@ -1,48 +1,51 @@
-//! Effects of a real Qube that no equation of the library has, so that identification and training meet them as they
-//! would meet a stranger. Only the emulated plant has them.
+//! Effects of a real Qube that the equations of the library omit. Only the emulated plant has these
+//! effects, so that identification and training meet differences that their model cannot express.
 
 use serde::{Deserialize, Serialize};
 
 use crate::qube::{Acceleration, Dynamics, EquationsOfMotion, NonidealDynamics, State};
 
-/// Velocity at which Stribeck's additional friction has fallen to a third, rad/s.
+/// Velocity at which Stribeck's additional friction has fallen to 1/e, rad/s.
 const STRIBECK_VELOCITY_RAD_S: f64 = 0.3;
 
-/// Velocity at which a friction without presliding has three quarters of its torque, rad/s.
+/// Velocity at which the additional friction without presliding has three quarters of its torque,
+/// rad/s.
 const SLIDING_RAD_S: f64 = 0.05;
 
-/// Angle over which the cable's elastoplastic torque builds up, rad.
+/// Angle over which the torque of the cable's hysteresis builds up, rad.
 const CABLE_YIELD_RAD: f64 = 0.1;
 
 /// Time constant of the winding's temperature, s.
 const WINDING_S: f64 = 20.0;
 
-/// Angle of the arm at which an encoder off its centre counts right, rad.
+/// Angle of the arm at which an encoder off its centre has no error, rad.
 const ECCENTRIC_ZERO_RAD: f64 = -0.7;
 
 /// Longest integration step with any of these effects, us.
 pub(super) const EFFECTS_STEP_US: u64 = 100;
 
-/// The effects beyond the equations; each is absent at 0.
+/// The effects beyond the equations; a value of 0 switches an effect off.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Effects {
     /// Angle by which the arm's friction gives way like a spring before it slides, rad (Dahl 1968).
     #[serde(skip_serializing_if = "is_zero")]
     pub presliding_rad: f64,
-    /// Part of the friction's torque that it has in addition near standstill (Stribeck 1902).
+    /// Additional friction near standstill, as a fraction of the Coulomb friction (Stribeck 1902).
     #[serde(skip_serializing_if = "is_zero")]
     pub stribeck: f64,
-    /// Torque by which the cable lags behind the arm, N m.
+    /// Largest torque of the cable's hysteresis, which opposes the arm's last motion, N m.
     #[serde(skip_serializing_if = "is_zero")]
     pub hysteresis_n_m: f64,
-    /// Part of its stiffness that the cable lacks on the negative side of its rest angle.
+    /// Fraction of the cable's stiffness that is missing on the negative side of its rest angle, 0
+    /// to 1.
     #[serde(skip_serializing_if = "is_zero")]
     pub slack: f64,
-    /// Part by which the winding's resistance grows for each watt that it loses, after a long time.
+    /// Relative growth of the winding's resistance for each watt of heat lost in it, after a long
+    /// time, 1/W.
     #[serde(skip_serializing_if = "is_zero")]
     pub warming_per_w: f64,
-    /// Largest error of the arm's encoder, which is off its centre, rad.
+    /// Largest angle error of an arm encoder that is mounted off its centre, rad.
     #[serde(skip_serializing_if = "is_zero")]
     pub eccentricity_rad: f64,
 }
@@ -52,7 +55,7 @@ fn is_zero(value: &f64) -> bool {
 }
 
 impl Effects {
-    /// No effect.
+    /// Every effect switched off.
     pub const NONE: Self = Self {
         presliding_rad: 0.0,
         stribeck: 0.0,
@@ -75,10 +78,11 @@ impl Effects {
         ]
     }
 
-    /// Checks that each effect is within its range; describes the first that is not.
+    /// Checks that each effect is within its range, which ends at the value in
+    /// [`named`](Self::named).
     ///
     /// # Errors
-    /// An effect is out of its range.
+    /// A description of the first effect that is out of its range.
     pub fn check(mut self) -> Result<(), String> {
         for (name, value, most) in self.named() {
             if !(0.0..=most).contains(value) {
@@ -89,20 +93,21 @@ impl Effects {
     }
 }
 
-/// The effects of a plant, with what they remember.
+/// The effects of a plant, with their internal state.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ActingEffects {
     effects: Effects,
-    /// Angle by which the friction has given way, in its largest.
+    /// Elastic deflection of the friction, in multiples of `presliding_rad`.
     friction_strain: f64,
-    /// Angle by which the cable has yielded, in its largest.
+    /// Elastic deflection of the cable's hysteresis, in multiples of `CABLE_YIELD_RAD`.
     cable_strain: f64,
-    /// Loss of the winding with the winding's inertia of temperature, W.
+    /// Copper loss of the winding, W, averaged with the time constant `WINDING_S`, so that it
+    /// follows the winding's temperature.
     slow_loss_w: f64,
 }
 
 impl ActingEffects {
-    /// The effects of a cold plant at rest; `None` without any.
+    /// The effects of a cold plant at rest; `None` if all are switched off.
     pub fn new(effects: Effects) -> Option<Self> {
         (effects != Effects::NONE).then_some(Self {
             effects,
@@ -112,28 +117,30 @@ impl ActingEffects {
         })
     }
 
-    /// Factor on the motor's resistance after a step with this copper loss.
+    /// Factor on the motor's resistance after a step of `step_s`, s, with the copper loss `loss_w`,
+    /// W.
     pub fn resistance_factor(&mut self, loss_w: f64, step_s: f64) -> f64 {
         self.slow_loss_w += step_s / WINDING_S * (loss_w - self.slow_loss_w);
         1.0 + self.effects.warming_per_w * self.slow_loss_w
     }
 
-    /// The angle that the arm's encoder counts.
+    /// The angle that the arm's encoder counts at the true angle `theta`, rad.
     pub fn counted_theta(&self, theta: f64) -> f64 {
         theta + self.effects.eccentricity_rad * (theta - ECCENTRIC_ZERO_RAD).sin()
     }
 
-    /// The plant's equations without what these effects replace.
+    /// The plant's equations without the terms that these effects replace.
     pub fn equations(&self, dynamics: &NonidealDynamics) -> NonidealDynamics {
         let coulomb_torque =
             if self.effects.presliding_rad > 0.0 { 0.0 } else { dynamics.coulomb_torque };
         NonidealDynamics { coulomb_torque, ..*dynamics }
     }
 
-    /// The state after the effects' torques have acted on the arm for a step.
+    /// The state after the torques of the effects have acted on the arm for `step_s`, s.
     pub fn push(&mut self, dynamics: &NonidealDynamics, state: State, step_s: f64) -> State {
         let torque_n_m = self.torque_n_m(dynamics, &state, step_s);
-        // The equations are linear in the torque, and these torques are small.
+        // The equations are linear in the torque, so the difference of two accelerations is the
+        // effects' part; as their torques are small, an Euler step suffices.
         let unit = Dynamics { torque_per_volt: 1.0, ..dynamics.ideal };
         let with: Acceleration = unit.acceleration(&state, torque_n_m);
         let without: Acceleration = unit.acceleration(&state, 0.0);
@@ -165,9 +172,10 @@ impl ActingEffects {
     }
 }
 
-/// The strain of an elastoplastic element after a step: it follows a rate and slips at its largest strain.
+/// The strain of an elastoplastic element after a step: the strain follows `rate`, 1/s, and slips
+/// at `largest`.
 fn strained(strain: f64, rate: f64, largest: f64, step_s: f64) -> f64 {
-    // Implicit in the strain, so that a fast arm cannot make it ring.
+    // The step is implicit in the strain, so that a fast arm cannot make the strain oscillate.
     (strain + step_s * rate) / (1.0 + step_s * rate.abs() / largest)
 }
 
@@ -187,7 +195,7 @@ mod tests {
         Plant::new(&EmulatorSettings { model, effects, ..EmulatorSettings::default() })
     }
 
-    /// Where the arm is after a voltage for a time, from its start.
+    /// Applies a voltage until `until_us`; returns the angle by which the arm has moved, rad.
     fn moved(plant: &mut Plant, voltage_v: f64, until_us: u64) -> f64 {
         let start = plant.state().theta;
         plant.set_voltage(voltage_v);

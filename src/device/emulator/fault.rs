@@ -6,9 +6,10 @@ use thiserror::Error;
 /// Default size of an encoder's jump, counts.
 const USUAL_JUMP_COUNTS: i32 = 300;
 
-/// A fault of an emulated Qube; each is known from real ones.
+/// A fault of an emulated Qube; real Qubes and boards show each of them.
 ///
-/// Times are seconds of the device's clock. In text form: `silent@2`, `garble@10`, `wrong-version` ...
+/// Times are seconds of the device's clock. [`forms`](Self::forms) lists the text forms, for
+/// example `silent@2`, `garble@10`, `wrong-version`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum EmulatorFault {
     /// The program stops answering; only its watchdog still works.
@@ -21,14 +22,15 @@ pub enum EmulatorFault {
         /// Interval n, replies.
         every: u32,
     },
-    /// The firmware has the previous protocol version.
+    /// The firmware speaks the previous version of the protocol.
     WrongVersion,
     /// The pendulum's encoder cable is loose: its count freezes.
     FrozenAlpha {
         /// Onset, s.
         after_s: f64,
     },
-    /// The arm's encoder cable is loose: its count freezes, and its tachometer shows an arm at rest.
+    /// The arm's encoder cable is loose: its count freezes, and its tachometer shows an arm at
+    /// rest.
     FrozenTheta {
         /// Onset, s.
         after_s: f64,
@@ -58,28 +60,28 @@ pub enum EmulatorFault {
         /// Onset, s.
         after_s: f64,
     },
-    /// The USB cable is pulled from a board with its own supply: the port is gone, but the board runs on,
-    /// and its watchdog switches the motor off. A board that is fed by USB loses its power instead:
-    /// [`PowerLoss`](Self::PowerLoss).
+    /// The USB cable is pulled from a board with its own supply: the port is gone, but the board
+    /// runs on, and its watchdog switches the motor off. A board that is fed by USB loses its power
+    /// instead: [`PowerLoss`](Self::PowerLoss).
     Unplugged {
         /// Onset, s.
         after_s: f64,
     },
-    /// The board loses its supply, for instance with the USB cable that feeds it: the port is gone, and the
-    /// Qube keeps the last motor command, because nothing replaces it.
+    /// The board loses its supply, for instance with the USB cable that feeds it: the port is gone,
+    /// and the Qube keeps the last motor command, because nothing replaces it.
     PowerLoss {
         /// Onset, s.
         after_s: f64,
     },
-    /// The board's supply dips and its brown-out detector restarts it. Its pins float meanwhile, and the
-    /// chip-select pull-up keeps the Qube from reading noise, so that the last motor command stays until
-    /// the program's first frame, 70 ms later.
+    /// The board's supply dips and its brown-out detector restarts it. Meanwhile the board's pins
+    /// float, and the chip-select pull-up keeps the Qube from reading noise. So the last motor
+    /// command stays until the program's first frame, 70 ms later.
     BrownOut {
         /// Onset, s.
         after_s: f64,
     },
-    /// The reset pin restarts the board: its boot loader listens for 1 s, and the last motor command stays
-    /// until the program's first frame.
+    /// The reset pin restarts the board: its boot loader listens for 1 s, and the last motor
+    /// command stays until the program's first frame.
     BoardRestart {
         /// Onset, s.
         after_s: f64,
@@ -91,12 +93,13 @@ pub enum EmulatorFault {
     },
     /// The USB cable is pulled and plugged in again; the board has its own supply meanwhile.
     Replugged {
-        /// Time at which it is pulled, s.
+        /// Time at which the cable is pulled, s.
         after_s: f64,
-        /// Time for which it stays out, s.
+        /// Time for which the cable stays out, s.
         away_s: f64,
     },
-    /// The arm's encoder cable is loose: its count freezes, and its tachometer keeps the last velocity.
+    /// The arm's encoder cable is loose: its count freezes, and its tachometer keeps the last
+    /// velocity.
     StuckTheta {
         /// Onset, s.
         after_s: f64,
@@ -129,9 +132,9 @@ pub enum EmulatorFault {
         /// Size of the jump, counts.
         counts: i32,
     },
-    /// The motor has a bad contact: only a share of the current flows.
+    /// The motor has a bad contact: only a fraction of the current flows.
     WeakMotor {
-        /// Share of the current, above 0 and at most 1.
+        /// Fraction of the current, above 0 and at most 1.
         share: f64,
     },
     /// The amplifier drives in one direction only and gives 0 V in the other.
@@ -143,7 +146,7 @@ pub enum EmulatorFault {
     },
     /// The arm's encoder has another number of lines than a Qube's.
     ScaledTheta {
-        /// Ratio of its counts to a Qube's, above 0 and at most 10.
+        /// Ratio of the encoder's counts to a Qube's, above 0 and at most 10.
         factor: f64,
     },
     /// A hand pushes the arm.
@@ -152,7 +155,7 @@ pub enum EmulatorFault {
         after_s: f64,
         /// Duration, s.
         lasts_s: f64,
-        /// Motor voltage that would push as strongly, V.
+        /// Motor voltage that would push as strongly, V, positive towards positive theta.
         like_v: f64,
     },
     /// A hand holds the pendulum.
@@ -170,8 +173,8 @@ pub enum EmulatorFault {
     FlippedMotor,
 }
 
-/// The text form of each fault, and its effect. S, D, N, F and V are numbers: seconds after the start,
-/// seconds, counts, a factor, volts.
+/// The text form of each fault, and its effect. S, D, N, F and V are numbers: S is a time after the
+/// start, s, D a duration, s, N a number of counts or replies, F a factor, V a voltage, V.
 const FORMS: [(&str, &str); 24] = [
     ("silent@S", "answers nothing from S on"),
     ("garble@N", "a bit of each N-th reply is flipped"),
@@ -208,7 +211,7 @@ pub struct UnknownFault {
 }
 
 impl EmulatorFault {
-    /// The onset in microseconds of the device's clock; 0 for faults that are there from the start.
+    /// The onset in microseconds of the device's clock; 0 for faults that exist from the start.
     #[must_use]
     pub fn onset_us(&self) -> u64 {
         match *self {
@@ -246,7 +249,7 @@ impl EmulatorFault {
 }
 
 impl EmulatorFault {
-    /// All faults as they are written, a line each, with what they do.
+    /// The text forms of all faults, one a line, each with its effect.
     #[must_use]
     pub fn forms() -> String {
         let lines = FORMS.map(|(form, what)| format!("  {form:22} {what}"));
@@ -320,7 +323,7 @@ impl FromStr for EmulatorFault {
         let number = |value: &str| {
             value.parse::<f64>().ok().filter(|number| number.is_finite() && *number >= 0.0)
         };
-        // The form S+D: from S on, for D.
+        // The form S+D: from S on, for the duration D.
         let lapse = || {
             let (after, lasts) = value?.split_once('+')?;
             Some((number(after)?, number(lasts)?))

@@ -1,4 +1,4 @@
-//! Faults of an emulated Qube's encoders and motor over its own time.
+//! Faults of an emulated Qube's encoders and motor, over the Qube's own time.
 
 use firmware_protocol::scaling::{TACHOMETER_NEGATIVE, TACHOMETER_STILL};
 
@@ -11,18 +11,19 @@ pub struct TrueReadings {
     pub theta_counts: i32,
     /// Count of the pendulum's encoder.
     pub alpha_counts: i32,
-    /// Register of the tachometer.
+    /// Register of the tachometer, as [`Plant::tachometer_raw`](super::Plant::tachometer_raw)
+    /// describes it.
     pub tachometer_raw: u32,
 }
 
-/// The progress of a fault of encoders or motor.
+/// The progress of a fault that concerns encoders, motor, arm or pendulum.
 #[derive(Clone, Copy, Debug)]
 pub struct FaultProgress {
     fault: Option<EmulatorFault>,
     stage: Stage,
     /// Readings at the onset of the fault.
     held: TrueReadings,
-    /// Counts that were lost, or that a jump added.
+    /// Shift of the counts: counts that were lost, or that a jump added.
     theta_shift: i32,
     alpha_shift: i32,
 }
@@ -41,7 +42,7 @@ impl FaultProgress {
         Self { fault, stage: Stage::Before, held, theta_shift: 0, alpha_shift: 0 }
     }
 
-    /// Time of the next change, us.
+    /// Time at which the fault begins or ends, whichever is next, us; `None` if it stays as it is.
     pub fn next_us(&self) -> Option<u64> {
         let fault = self.fault?;
         let lasts_s = match fault {
@@ -58,7 +59,8 @@ impl FaultProgress {
         }
     }
 
-    /// Enters the next stage; returns the motor's new share of the current if that changes.
+    /// Enters the next stage, with the readings of intact encoders at this time; returns the
+    /// fraction of the current that the motor draws from here on, if the fault changes it.
     pub fn go_on(&mut self, truly: TrueReadings) -> Option<f64> {
         match (self.stage, self.fault?) {
             (Stage::Before, fault) => {
@@ -88,7 +90,7 @@ impl FaultProgress {
         None
     }
 
-    /// The readings of the encoders with the fault.
+    /// The readings that the faulty encoders give in place of the intact ones `truly`.
     pub fn readings(&self, truly: TrueReadings) -> TrueReadings {
         let mut seen = TrueReadings {
             theta_counts: truly.theta_counts.wrapping_add(self.theta_shift),
@@ -118,7 +120,7 @@ impl FaultProgress {
         seen
     }
 
-    /// The voltage at the motor for a commanded voltage, V.
+    /// The voltage that drives the motor, V, when the amplifier is told `voltage_v`.
     pub fn driven_v(&self, voltage_v: f64) -> f64 {
         match self.fault {
             Some(EmulatorFault::OneSidedMotor { positive, .. }) if self.stage == Stage::During => {
@@ -147,7 +149,7 @@ impl FaultProgress {
     }
 }
 
-/// The tachometer's register for `factor` times as many edges.
+/// The tachometer's register when `factor` times as many edges pass as for `raw`.
 fn scaled_tachometer(raw: u32, factor: f64) -> u32 {
     if raw == TACHOMETER_STILL {
         return raw;

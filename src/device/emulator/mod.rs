@@ -1,7 +1,8 @@
-//! An emulated Qube that speaks the protocol from the device's side: plant, board, pty.
+//! An emulated Qube, which speaks the protocol from the device's side: plant, board and
+//! pseudo-terminal (pty).
 //!
-//! It may import `clock`, `qube` and `firmware_protocol`; never the host's side of the link or `control`,
-//! because shared code would hide faults of the protocol.
+//! This module may import `clock`, `qube` and `firmware_protocol`, but neither the host's side of
+//! the link nor `control`, because shared code would hide faults of the protocol.
 
 mod board;
 mod bridge;
@@ -28,7 +29,7 @@ pub struct EmulatorSettings {
     pub model: QubeModel,
     /// Largest deviation of a command's delay from the model's, s.
     pub command_jitter_s: f64,
-    /// Backlash between motor and arm, rad: the angle by which one turns without the other.
+    /// Backlash between motor and arm, rad: the angle by which either turns without the other.
     pub play_rad: f64,
     /// Effects beyond the equations.
     pub effects: Effects,
@@ -36,24 +37,24 @@ pub struct EmulatorSettings {
     pub wiring: Wiring,
     /// Bridge between board and computer; `None` is a plain serial line.
     pub bridge: Option<UsbBridge>,
-    /// Initial state; `None` gives a state at rest that the seed determines.
+    /// Initial state; with `None` the Qube is at rest and the seed determines the arm's angle.
     pub start: Option<State>,
-    /// Finger that pushes the arm during the test.
+    /// Hand and finger that move the arm for the power test; `None` leaves the arm alone.
     pub finger: Option<Finger>,
     /// Seed of the initial position, the counters' start values and the nonces.
     pub seed: u64,
     /// Fault of the Qube.
     pub fault: Option<EmulatorFault>,
-    /// Positions of the arm's two hard stops, the lower first, rad.
+    /// Angles of the arm's two hard stops, the lower first, rad.
     pub stops_rad: [f64; 2],
     /// Resolution of the encoders.
     pub encoders: Encoders,
 }
 
-/// Positions of the stops of a Qube of the published design, rad.
+/// Angles of the stops of a Qube of the published design, the lower first, rad.
 pub const NOMINAL_STOPS_RAD: [f64; 2] = stops_of(&PlantModel::QUBE);
 
-/// Positions of the nominal stops of a plant, rad.
+/// Angles of the nominal stops of a plant, the lower first, rad.
 const fn stops_of(plant: &PlantModel) -> [f64; 2] {
     [-plant.limits.hard_stop_rad, plant.limits.hard_stop_rad]
 }
@@ -85,10 +86,11 @@ impl Default for EmulatorSettings {
     }
 }
 
-/// A hand that carries the arm to its positive stop, and a finger that then pushes it off again and again.
+/// A hand that carries the arm to its positive stop, and a finger that then pushes it off again and
+/// again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Finger {
-    /// Time at which the arm is carried to its stop, us.
+    /// Time at which the hand carries the arm to its stop, us.
     pub from_us: u64,
     /// Interval between pushes, us.
     pub every_us: u64,
@@ -96,7 +98,8 @@ pub struct Finger {
     pub counts: i32,
 }
 
-/// The signs of an emulated Qube's encoders and motor: a real one may have any of the eight combinations.
+/// The signs of an emulated Qube's encoders and motor; a real Qube may have any of the eight
+/// combinations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Wiring {
     /// The arm's encoder counts down when theta grows.

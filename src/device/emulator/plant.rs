@@ -13,38 +13,38 @@ use super::play::Play;
 use super::{EmulatorSettings, Finger};
 use crate::qube::{Encoder, Encoders, NonidealDynamics, QubeModel, State, runge_kutta_4};
 
-/// Longest integration step, us: the error is 6e-6 rad at the worst speeds of a swing-up, 1/500 of an
-/// encoder count.
+/// Longest integration step, us: the error is 6e-6 rad at the worst speeds of a swing-up, 1/500 of
+/// an encoder count.
 const MAX_STEP_US: u64 = 5_000;
 
-/// Longest step while the arm touches a stop, us: each such step ends in an impact, and finer steps keep
-/// the arm in place.
+/// Longest step while the arm touches a stop, us: each such step ends in an impact, and finer steps
+/// keep the arm in place.
 const CONTACT_STEP_US: u64 = 500;
 
-/// Longest step of an arm with backlash, us: the instants at which motor and arm meet and part must be
-/// resolved.
+/// Longest step of an arm with backlash, us: the instants at which motor and arm meet and part must
+/// be resolved.
 const PLAY_STEP_US: u64 = 250;
 
-/// Longest step in time constants of the damping: Runge-Kutta is stable up to 2.78, and friction near rest
-/// is the stiffest term.
+/// Longest step in time constants of the damping: Runge-Kutta is stable up to 2.78, and friction
+/// near rest is the stiffest term.
 const LONGEST_STEP_IN_TIME_CONSTANTS: f64 = 2.5;
 
-/// Largest distance of the arm from the centre at the start, rad.
+/// Largest distance of the arm from its middle at the start, rad.
 const START_RANGE_RAD: f64 = 1.0;
 
-/// Capacity of the queue of commands in transit: more than a tenth of a second of acts.
+/// Capacity of the queue of commands in transit: 0.64 s of acts at 100 Hz.
 const COMMANDS_UNDER_WAY: usize = 64;
 
-/// Random stream of the jitter, separate so that it does not change the initial state.
+/// Random stream of the jitter, separate so that the jitter does not change the initial state.
 const JITTER_STREAM: u64 = 2;
 
-/// Largest start value of the counters.
+/// Largest absolute start value of the counters, counts.
 const START_COUNTS: i32 = 10_000;
 
 /// The mechanics and electronics of a Qube: a voltage goes in, counts and readings come out.
 ///
-/// An amplifier that is off is modelled as 0 V: the motor brakes by its back EMF as at 0 V. The behaviour
-/// of a real amplifier is not published.
+/// An amplifier that is off is modelled as 0 V at the motor, which brakes by its back EMF. The
+/// behaviour of a real amplifier is not published.
 #[derive(Clone, Debug)]
 pub struct Plant {
     model: QubeModel,
@@ -59,7 +59,7 @@ pub struct Plant {
     /// Longest step while the arm touches nothing, us.
     longest_step_us: u64,
     voltage_v: f64,
-    /// Time at which each voltage reaches the motor, in order.
+    /// Voltages in transit to the motor: arrival time, us, and voltage, V, in order.
     under_way: VecDeque<(u64, f64)>,
     time_us: u64,
     theta_offset_counts: i32,
@@ -74,7 +74,9 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// A Qube at rest: the pendulum hangs, and the seed determines the positions of arm and counters.
+    /// A Qube in the initial state of the settings; without one it is at rest, the pendulum hangs,
+    /// and the seed determines the arm's angle. The seed also determines the counters' start
+    /// values.
     #[must_use]
     pub fn new(settings: &EmulatorSettings) -> Self {
         let EmulatorSettings {
@@ -137,7 +139,7 @@ impl Plant {
         }
     }
 
-    /// Advances the time to `time_us` since the start; time never goes back.
+    /// Advances the time to `time_us` since the start, us; a time in the past changes nothing.
     pub fn advance_to(&mut self, time_us: u64) {
         while self.time_us < time_us {
             while let Some(&(arrives_us, voltage_v)) = self.under_way.front()
@@ -194,8 +196,8 @@ impl Plant {
         self.let_mishap_go_on();
     }
 
-    /// The current through the motor, (V - k_m theta') / R_m, A. A hand at the arm adds no voltage, and with play the motor
-    /// has a velocity of its own.
+    /// The current through the motor, (V - k_m theta') / R_m, A. The push of a hand counts as a
+    /// torque and not as a voltage here, and with backlash the motor has a velocity of its own.
     fn current_a(&self) -> f64 {
         if self.motor_is_open {
             return 0.0;
@@ -229,7 +231,8 @@ impl Plant {
         }
     }
 
-    /// Carries the arm to its positive stop at the finger's first time; later pushes it off a stop that it touches.
+    /// Moves the arm as hand and finger do: carries it to its positive stop at the first time, and
+    /// later pushes it off a stop that it touches.
     fn push_by_finger(&mut self) {
         let Some(finger) = self.finger.filter(|_| self.time_us >= self.next_finger_us) else {
             return;
@@ -260,7 +263,7 @@ impl Plant {
         }
     }
 
-    /// Sets the motor's voltage, V, which takes effect after the delay and jitter.
+    /// Sets the motor's voltage, V, which takes effect after the delay and its jitter.
     pub fn set_voltage(&mut self, voltage_v: f64) {
         let jitter_s = self.command_jitter_s;
         let late_s =
@@ -279,13 +282,14 @@ impl Plant {
         self.under_way.push_back(((self.time_us + delay_us).max(last_us), voltage_v));
     }
 
-    /// Holds the arm in its position from now on.
+    /// Holds the arm at its current angle for good.
     pub fn block_arm(&mut self) {
         self.arm_blocked = true;
         self.stop_arm_at(self.state.theta);
     }
 
-    /// Opens the motor's circuit from now on: no current, hence neither torque nor back-EMF braking.
+    /// Opens the motor's circuit for good: no current flows, so there is neither torque nor braking
+    /// by the back EMF.
     pub fn disconnect_motor(&mut self) {
         self.motor_is_open = true;
         self.dynamics.ideal.torque_per_volt = 0.0;
@@ -316,7 +320,8 @@ impl Plant {
         self.mishap.readings(self.true_readings()).alpha_counts
     }
 
-    /// The 24-bit tachometer: ticks of 25 ns between edges of the arm's encoder, and direction.
+    /// The 24-bit register of the tachometer: ticks of 25 ns between edges of the arm's encoder,
+    /// and the direction.
     #[must_use]
     pub fn tachometer_raw(&self) -> u32 {
         self.mishap.readings(self.true_readings()).tachometer_raw
@@ -336,7 +341,7 @@ impl Plant {
         }
     }
 
-    /// The motor current as the Qube's converter reads it.
+    /// The motor current as the Qube's converter reads it, in the converter's counts.
     #[must_use]
     pub fn current_raw(&self) -> u16 {
         let raw = f64::from(CURRENT_ZERO) + self.current_a() * f64::from(CURRENT_COUNTS_PER_A);
@@ -355,7 +360,7 @@ fn tachometer_register(encoder: Encoder, theta_dot: f64) -> u32 {
     direction | ticks.round().max(1.0) as u32
 }
 
-/// The longest step with which friction at rest does not make a resting arm oscillate.
+/// The longest step, us, with which friction does not make an arm at rest oscillate.
 fn stable_step_us(dynamics: &NonidealDynamics) -> u64 {
     let ideal = &dynamics.ideal;
     let arm_inertia = ideal.arm_inertia - ideal.coupling * ideal.coupling / ideal.pendulum_inertia;

@@ -2,8 +2,8 @@
 
 use crate::qube::{EquationsOfMotion, NonidealDynamics, State, runge_kutta_4};
 
-/// Inertia of the motor's rotor and hub, kg m^2 (data sheet of the QUBE-Servo 2: 4.0e-6 and 0.6e-6): the
-/// share of the arm's inertia on the motor's side of the backlash.
+/// Inertia of the motor's rotor and hub, kg m^2 (data sheet of the QUBE-Servo 2: 4.0e-6 and
+/// 0.6e-6): the part of the arm's inertia that is on the motor's side of the backlash.
 const ROTOR_INERTIA_KG_M2: f64 = 4.6e-6;
 
 /// Largest share of a light arm's inertia that is assigned to the rotor.
@@ -11,22 +11,24 @@ const LARGEST_ROTOR_SHARE: f64 = 0.2;
 
 /// Backlash through which the motor turns the arm.
 ///
-/// The motor's side has the rotor's inertia, the damping and the friction; the arm's side has the remaining
-/// inertia, the cable, and the encoder with its tachometer. While the motor touches one side of the gap,
-/// both move together, exactly like a Qube without backlash. Contact begins with an inelastic impact. The
-/// encoder is assumed to be on the arm's side: the control loop then sees the arm at rest while the motor
-/// crosses the gap, and moving freely inside it.
+/// The motor's side has the rotor's inertia, the damping and the friction; the arm's side has the
+/// remaining inertia, the cable, and the encoder with its tachometer. While the motor touches
+/// either end of the gap, both sides move together, exactly like a Qube without backlash. Contact
+/// begins with an inelastic impact. The encoder is assumed to be on the arm's side: while the motor
+/// crosses the gap, the control loop sees an arm that rests or moves freely.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Play {
     half_gap_rad: f64,
     motor_rad: f64,
     motor_rad_s: f64,
-    /// Side on which the motor touches the arm: 1 where it pushes towards positive theta.
+    /// End of the gap at which the motor touches the arm: 1 where it pushes towards positive theta,
+    /// -1 at the other end; `None` inside the gap.
     contact: Option<f64>,
 }
 
 impl Play {
-    /// Backlash of this width with the motor in its middle, at the arm's velocity.
+    /// Backlash of width `gap_rad`, rad, with the motor in the middle of the gap, at the arm's
+    /// velocity.
     pub(super) fn new(gap_rad: f64, arm: &State) -> Self {
         let (motor_rad, motor_rad_s) = (arm.theta, arm.theta_dot);
         Self { half_gap_rad: 0.5 * gap_rad, motor_rad, motor_rad_s, contact: None }
@@ -37,7 +39,7 @@ impl Play {
         self.motor_rad_s
     }
 
-    /// Integrates one step of both sides.
+    /// Integrates both sides for `step_s`, s; returns the state of arm and pendulum.
     pub(super) fn step(
         &mut self,
         whole: &NonidealDynamics,
@@ -48,8 +50,8 @@ impl Play {
         let rotor_inertia = ROTOR_INERTIA_KG_M2.min(LARGEST_ROTOR_SHARE * whole.ideal.arm_inertia);
         let arm = arm_alone(whole, rotor_inertia);
         if let Some(side) = self.contact {
-            // The contact pushes and cannot pull: both move together only while the arm alone would fall
-            // behind.
+            // The contact pushes and cannot pull: both move together only while the arm alone would
+            // fall behind.
             let together = whole.acceleration(&before, voltage_v).theta;
             if side * (together - arm.acceleration(&before, 0.0).theta) >= 0.0 {
                 let after = runge_kutta_4(whole, before, voltage_v, step_s);
@@ -63,7 +65,7 @@ impl Play {
         self.meet(&arm, rotor_inertia, after)
     }
 
-    /// Moves the motor along with an arm that it touches, after something else has moved the arm.
+    /// Moves a motor in contact along with the arm, after something else has moved the arm.
     pub(super) fn follow(&mut self, state: &State) {
         if let Some(side) = self.contact {
             self.motor_rad = state.theta + side * self.half_gap_rad;
@@ -71,8 +73,8 @@ impl Play {
         }
     }
 
-    /// Moves the motor inside the gap. Friction is applied last and never reverses the velocity; an
-    /// explicit step would, with so little inertia.
+    /// Moves the motor inside the gap. Friction is applied last and never reverses the velocity; in
+    /// an explicit step it would, because the rotor's inertia is so small.
     fn turn_motor(
         &mut self,
         whole: &NonidealDynamics,
@@ -90,7 +92,7 @@ impl Play {
         self.motor_rad += step_s * self.motor_rad_s;
     }
 
-    /// Applies the impact when the motor has reached one side of the gap.
+    /// Applies the impact when the motor has reached an end of the gap; returns the state after it.
     fn meet(&mut self, arm: &NonidealDynamics, rotor_inertia: f64, state: State) -> State {
         let ahead_rad = self.motor_rad - state.theta;
         if ahead_rad.abs() < self.half_gap_rad {
@@ -101,8 +103,8 @@ impl Play {
         let closing_rad_s = self.motor_rad_s - state.theta_dot;
         let mut after = state;
         if side * closing_rad_s > 0.0 {
-            // The impact conserves m12 theta' + m22 alpha', because the pendulum swings freely about its
-            // bearing.
+            // The impact conserves m12 theta' + m22 alpha', because the pendulum swings freely
+            // about its bearing.
             let coupling = arm.ideal.coupling * state.alpha.cos();
             let sin = state.alpha.sin();
             let arm_inertia = arm.ideal.arm_inertia + arm.ideal.quarter_inertia * sin * sin
@@ -165,7 +167,8 @@ mod tests {
         plant.set_voltage(0.0);
         plant.advance_to(8_000_000);
         let rests = plant.state().theta;
-        // The push is so slow that nothing coasts: the motor crosses the gap and then takes the arm along.
+        // The push is so slow that nothing coasts: the motor crosses the gap and then takes the arm
+        // along.
         plant.set_voltage(-0.104);
         let mut first_us = None;
         for time_us in (8_000_000..9_000_000).step_by(1_000) {

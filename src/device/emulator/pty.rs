@@ -18,14 +18,15 @@ use crate::clock::{Clock, MonotonicClock, Nanoseconds, enter_realtime};
 /// Interval at which an idle server checks its port, us.
 const HOUSEKEEPING_US: u64 = 100_000;
 
-/// An emulated Qube behind a real pty, served by its own thread at wall-clock speed until it is dropped.
-/// Hosts open [`port`](Self::port) like a serial port.
+/// An emulated Qube behind a real pseudo-terminal (pty), served by its own thread at wall-clock
+/// speed until it is dropped. Hosts open [`port`](Self::port) like a serial port.
 #[derive(Debug)]
 pub struct EmulatedQube {
     port: PathBuf,
     link: Arc<Mutex<Link>>,
     stop: Arc<OwnedFd>,
-    /// Ends with the name of a port whose cable stays out.
+    /// The serving thread; if it ends because the cable stays out, its result keeps the port's name
+    /// reserved.
     server: Option<JoinHandle<io::Result<Option<ReservedName>>>>,
 }
 
@@ -63,10 +64,10 @@ impl Link {
 /// The two ends of a pty.
 struct Pty {
     master: OwnedFd,
-    /// The server's own descriptor of the port. It keeps the pty from hanging up while no host has it open,
-    /// and it can clear the exclusive mode that a killed host leaves: the kernel does not do so while the
-    /// pty lives, and only root could open the port again. (Hosts exclude each other by file locks, which
-    /// end with them.)
+    /// The server's own descriptor of the port. It keeps the pty from hanging up while no host has
+    /// the port open. With it the server also clears the exclusive mode that a killed host leaves:
+    /// the kernel keeps that mode while the pty lives, and only root could open the port again.
+    /// (Hosts exclude each other by file locks, which end with the host.)
     port_side: OwnedFd,
     port: PathBuf,
 }
@@ -78,7 +79,8 @@ impl Pty {
         unlockpt(&master)?;
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let port_side = ioctl_tiocgptpeer(&master, flags)?;
-        // Raw mode from the start: until the host sets it, an echo would send the board its own replies.
+        // Raw mode from the start: a pty echoes until a host sets raw mode, and would send the
+        // board its own replies.
         let mut attributes = tcgetattr(&port_side)?;
         attributes.make_raw();
         tcsetattr(&port_side, OptionalActions::Now, &attributes)?;
@@ -89,8 +91,8 @@ impl Pty {
     }
 }
 
-/// Keeps the kernel from giving the name of a port whose cable is out to the next pty: a program that opens its lost
-/// port again would find a stranger there.
+/// Reserves the name of a port whose cable is out. Otherwise the kernel would give this name to the
+/// next pty, and a program that opens its lost port again would find another program's pty.
 struct ReservedName {
     _port_side: OwnedFd,
 }
@@ -107,8 +109,8 @@ impl EmulatedQube {
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let (stopped, linked) = (Arc::clone(&stop), Arc::clone(&link));
         let server = std::thread::Builder::new().name("emulated-qube".into()).spawn(move || {
-            // The thread stands for a microcontroller, which nothing delays. Where real time is refused it
-            // serves at ordinary priority, and late ticks show it.
+            // The thread stands for a microcontroller, which no other program delays. If real-time
+            // priority is refused, the thread serves at ordinary priority, and ticks may be late.
             let _ = enter_realtime();
             let mut server = Server::new(&stopped, settings);
             let mut pty = pty;
@@ -131,15 +133,15 @@ impl EmulatedQube {
         Ok(Self { port, link, stop, server: Some(server) })
     }
 
-    /// The path of the first port. A port that was pulled may return under another path; the [second
-    /// name](Self::link_as) then leads there.
+    /// The path of the first port. After the cable was pulled, the port may return under another
+    /// path, to which the [second name](Self::link_as) then leads.
     #[must_use]
     pub fn port(&self) -> &Path {
         &self.port
     }
 
-    /// Gives the port a second name, a symbolic link that is removed with the Qube. It replaces an old
-    /// symbolic link but no other file.
+    /// Gives the port a second name, a symbolic link that is removed with the Qube. It replaces an
+    /// old symbolic link but no other file.
     ///
     /// # Errors
     /// A file of that name exists, or the link cannot be created.
@@ -179,11 +181,11 @@ impl Drop for EmulatedQube {
     }
 }
 
-/// Time of a request and its reply on the board's serial line, us: the pty omits it and a bridge waits for
-/// it.
+/// Time that request and reply take on the board's serial line, us. It is added to the replies
+/// behind a bridge; without a bridge the pty delivers them at once.
 const ON_THE_LINE_US: u64 = 1_000;
 
-/// Replies that a bridge holds back, each with its time of arrival at the host.
+/// Replies that a bridge holds back, each with its time of arrival at the host, us.
 #[derive(Debug, Default)]
 struct UnderWay {
     bridge: Option<UsbBridge>,
@@ -219,9 +221,9 @@ fn write(master: &impl AsFd, bytes: &[u8]) -> io::Result<()> {
 /// The reason why serving a pty ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Served {
-    /// The Qube is dropped, or its cable stays out.
+    /// The Qube was dropped, or its cable stays out.
     Stopped,
-    /// The cable is pulled, or plugged in again.
+    /// The cable was pulled, or plugged in again.
     Plug,
 }
 
@@ -246,7 +248,7 @@ impl<'a> Server<'a> {
         (MonotonicClock.now_ns() - self.start_ns) / 1000
     }
 
-    /// Time until a time of the board's clock.
+    /// Time from the present until `wake_us` of the board's clock; zero if that has passed.
     fn timeout(&self, wake_us: u64) -> Timespec {
         let wake_ns = self.start_ns.saturating_add(wake_us.saturating_mul(1000));
         let wait_ns = wake_ns.saturating_sub(MonotonicClock.now_ns());
@@ -287,8 +289,9 @@ impl<'a> Server<'a> {
         }
     }
 
-    /// Reads all bytes and answers them. The board's time is read after the bytes, so that no request is
-    /// handled at a time before it came, however long this thread was delayed.
+    /// Reads all bytes and answers them. The board's time is read after the bytes, so that the
+    /// board handles no request at a time before the request came, however long this thread was
+    /// delayed.
     fn exchange(&mut self, master: &impl AsFd) -> io::Result<()> {
         let mut buffer = [0; 256];
         loop {
@@ -298,7 +301,8 @@ impl<'a> Server<'a> {
                 Err(Errno::INTR) => continue,
                 Err(error) => return Err(error.into()),
             };
-            // The plant is advanced first, so that its computing time does not count as the board's.
+            // The plant is advanced first, so that its computing time does not count as the
+            // board's.
             self.board.advance_to(self.now_us());
             self.board.plant();
             let now_us = self.now_us();

@@ -244,7 +244,7 @@ fn a_restart_shows_in_the_next_hello() {
         assert!(before.is_same_start(&link.hello().unwrap()));
         clock.sleep_until(500 * MS);
         assert_eq!(link.sample(clock.now_ns() + 6 * MS), Err(LinkFault::Timeout));
-        // One call of hello waits through the boot.
+        // A single call of `hello` waits until the device has booted.
         let after = link.hello().unwrap();
         assert!(clock.now_ns() >= (500 + dark_ms) * MS);
         assert!(before.is_same_board(&after) && !before.is_same_start(&after));

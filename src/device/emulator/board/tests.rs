@@ -26,7 +26,7 @@ fn act(board: &mut Board, voltage_mv: i16, sequence: u16) {
     assert_eq!(send(board, Request::Act { voltage_mv, sampled_at_us }, sequence), None);
 }
 
-/// A board that drives its arm with 5 V until a fault occurs after 0.1 s.
+/// A board that drives its arm with 5 V until the fault occurs, 0.1 s after the start.
 fn driving(fault: EmulatorFault) -> Board {
     let mut board = armed();
     board.settings.fault = Some(fault);
@@ -38,7 +38,8 @@ fn driving(fault: EmulatorFault) -> Board {
     board
 }
 
-/// The time at which the arm touches a stop, and its largest speed before, rad/s.
+/// The time at which the arm touches a stop, us, and its largest speed before, rad/s; `None` if it
+/// touches no stop before `until_us`.
 fn slam(board: &mut Board, until_us: u64) -> Option<(u64, f64)> {
     let mut fastest_rad_s = 0.0_f64;
     for now_us in (100_000..until_us).step_by(500) {
