@@ -73,7 +73,8 @@ pub struct SensorWatch {
     /// Counts of the arm's and of the pendulum's encoder for each count of a Qube's.
     counts_per_qube_count: [f64; 2],
     previous: Option<Measurement>,
-    /// Last sample that came at least `LEAST_STEP_US` after the one used before.
+    /// Sample from which the next step is counted; each such sample comes at least `LEAST_STEP_US`
+    /// after the previous one.
     stepped: Option<Measurement>,
     /// Last steps of both counts, counts a period, newest last.
     theta_steps: [i32; 3],

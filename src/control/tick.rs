@@ -74,7 +74,7 @@ pub struct Tick<C = Policy> {
     periods_without_sample: u32,
     /// Voltages sent in the last periods, newest first, V; some may not have reached the motor yet.
     sent_v: [f32; MAX_HISTORY],
-    /// Ending of the rollout, if it has begun to end.
+    /// Ending of the rollout; it holds once the rollout has begun to end.
     reason: Ending,
     /// State estimates: one for the policy, one for guard, settling and brake.
     estimates: Estimates,

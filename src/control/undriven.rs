@@ -242,7 +242,8 @@ mod tests {
         assert!(
             matches!(now(0, 2500), Err(Moved::Pendulum(rad)) if (rad.abs() - std::f64::consts::PI).abs() < 0.01)
         );
-        // A jump of 40 counts is one on a Qube and not on an encoder that is four times as fine.
+        // A change of 40 counts is a jump on a Qube, but not on an encoder that is four times as
+        // fine.
         let jumps = |counts: i32| {
             let encoders = Encoders { theta: encoder(counts), ..fine };
             let mut watch = RestWatch::after(Some(&sample(0, 0, 0)), encoders);

@@ -6,18 +6,20 @@ use crate::qube::{CONTROL_PERIOD_S, Measurement, PlantModel};
 /// Length of each half of the long window, control periods.
 const LONG: usize = 10;
 
-/// Length of each half of the short window, control periods; it detects strong pushes sooner.
+/// Length of each half of the short window, control periods; the short window detects strong pushes
+/// sooner.
 const SHORT: usize = 3;
 
 /// Number of samples kept.
 const KEPT: usize = DRIFT + 1;
 
-/// Least change of velocity in the long window that, shown by only one encoder, is a contradiction,
-/// rad/s. Quantisation explains 0.1 rad/s, and one degree of play between motor and arm 0.35 rad/s.
+/// Largest difference between the changes of velocity of the two encoders that is no contradiction
+/// in the long window, on top of the uncertainties, rad/s. Quantisation explains 0.1 rad/s, and one
+/// degree of play between motor and arm 0.35 rad/s.
 const LONG_RAD_S: f64 = 0.5;
 
-/// Least such change in the short window, rad/s: quantisation explains 0.4 rad/s, and one degree of
-/// play 1.2 rad/s.
+/// Largest difference that is no contradiction in the short window, rad/s: quantisation explains
+/// 0.4 rad/s, and one degree of play 1.2 rad/s.
 const SHORT_RAD_S: f64 = 1.8;
 
 /// Relative uncertainty of the comparison when lengths or gravity are up to 30 % off, which is the

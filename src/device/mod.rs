@@ -38,7 +38,8 @@ use thiserror::Error;
 use crate::clock::Nanoseconds;
 use crate::qube::Measurement;
 
-/// A Qube as the control thread sees it: five calls, and settings of the link.
+/// Access to a Qube as the control thread needs it: hello, arm, sample, act and disarm, and
+/// settings of the link.
 ///
 /// The tick calls `sample` and `act`: they do not allocate; `sample` waits until its deadline at
 /// most, and `act` does not wait. The other calls are made outside the tick and may take seconds,

@@ -36,7 +36,7 @@ impl Tty {
     /// Opens a port at the protocol's rate, in low-latency mode if the driver has one.
     ///
     /// # Errors
-    /// No such port, in use, not permitted, not a serial port.
+    /// The port does not exist, is in use, may not be opened by this user, or is not a serial port.
     pub fn open(port: &str, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
         let (fd, has_modem_lines) = open_port(port)?;
         let stable_name = stable_port_name(port);
@@ -110,7 +110,7 @@ impl SerialLink<Tty> {
     /// Opens a serial port to a Qube. The link sends nothing before the first hello.
     ///
     /// # Errors
-    /// No such port, in use, not permitted, not a serial port.
+    /// The port does not exist, is in use, may not be opened by this user, or is not a serial port.
     pub fn open(port: &str, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
         Ok(Self::new(Tty::open(port, Arc::clone(&clock))?, clock))
     }

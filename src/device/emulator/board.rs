@@ -158,7 +158,8 @@ impl Board {
         (self.state == DeviceState::Armed).then_some(self.watchdog_fed_us + WATCHDOG_US)
     }
 
-    /// Takes a byte that has arrived; the reply, if there is one, starts at once.
+    /// Takes a byte that has arrived; returns the reply if the byte completes a request that is
+    /// answered. The reply starts at once.
     pub fn receive(&mut self, byte: u8) -> Option<EncodedFrame> {
         if self.dark_until_us.is_some() {
             return None;

@@ -28,7 +28,8 @@ pub(super) const EFFECTS_STEP_US: u64 = 100;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Effects {
-    /// Angle by which the arm's friction gives way like a spring before it slides, rad (Dahl 1968).
+    /// Angle by which the arm's friction gives way like a spring before the arm slides, rad (Dahl
+    /// 1968).
     #[serde(skip_serializing_if = "is_zero")]
     pub presliding_rad: f64,
     /// Additional friction near standstill, as a fraction of the Coulomb friction (Stribeck 1902).

@@ -93,7 +93,7 @@ pub enum HilError {
         port: String,
         /// Function of the library.
         function: &'static str,
-        /// Time since it was called, s.
+        /// Time since the function was called, s.
         waited_s: f64,
     },
     /// The card was armed without a hello.

@@ -279,7 +279,8 @@ fn plain(text: &[c_char; TEXT_BYTES]) -> String {
 }
 
 fn open(name: &str) -> Result<Loaded, String> {
-    // SAFETY: loading runs the library's own start-up code. The user has installed it, or named it.
+    // SAFETY: loading runs the library's own start-up code; the user has installed this library, or
+    // named its file.
     let loaded = unsafe { Loaded::open(Some(name), RTLD_NOW | RTLD_LOCAL) };
     loaded.map_err(|error| match std::error::Error::source(&error) {
         Some(source) => format!("{name}: {source}"),
@@ -311,7 +312,7 @@ fn find_functions(library: &Loaded, name: &str) -> Result<Functions, HilError> {
         watchdog_is_expired: function!("hil_watchdog_is_expired"),
         watchdog_clear: function!("hil_watchdog_clear"),
         watchdog_stop: function!("hil_watchdog_stop"),
-        // SAFETY: the handle is opaque to this program; the library checks it.
+        // SAFETY: the type is the signature of the vendor's header, see the top of this file.
         get_string_property: unsafe { library.get(b"hil_get_string_property") }
             .ok()
             .map(|found| *found),
@@ -330,7 +331,7 @@ fn find_message(
         return Some(*found);
     }
     let common = COMMON.iter().find_map(|name| open(name).ok())?;
-    // SAFETY: the handle is opaque to this program; the library checks it.
+    // SAFETY: the type is the signature of the vendor's `quanser_messages.h`.
     let found = unsafe { common.get(NAME) }.ok().map(|found| *found);
     // Forgotten, so that it is never unloaded.
     std::mem::forget(common);

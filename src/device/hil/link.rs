@@ -43,7 +43,7 @@ impl HilLink {
     /// Loads the vendor's library. No card is opened before the first hello.
     ///
     /// # Errors
-    /// There is no such library, or it is of another version.
+    /// The library is not found, or a function is missing, so that it is of another version.
     pub fn open(address: &HilAddress, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
         let worker = Worker::start(address.clone(), Arc::clone(&clock))?;
         Ok(Self {

@@ -32,7 +32,7 @@ pub use link::HilLink;
 /// function that is used.
 ///
 /// # Errors
-/// No such library is found, or a function is missing, so that it is of another version.
+/// The library is not found, or a function is missing, so that it is of another version.
 pub fn find_library() -> Result<String, HilError> {
     library::Library::load().map(|library| library.name)
 }
