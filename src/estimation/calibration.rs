@@ -2,7 +2,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::qube::{Encoder, Encoders, Measurement};
 
-/// The map from one rig's counts to angles and volts: signs differ between rigs, zeros between days.
+/// Maps one rig's encoder counts to angles, and voltages to the device's sign. Signs differ between
+/// rigs; zeros change from day to day.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
@@ -10,19 +11,19 @@ pub struct Calibration {
     pub theta_zero_counts: i32,
     /// Count of the pendulum's encoder while it hangs.
     pub alpha_zero_counts: i32,
-    /// The arm's encoder counts opposite to the convention.
+    /// Whether the arm's encoder counts down while theta grows.
     pub theta_inverted: bool,
-    /// The pendulum's encoder counts opposite to the convention.
+    /// Whether the pendulum's encoder counts down while alpha grows.
     pub alpha_inverted: bool,
-    /// A positive voltage turns the arm towards negative theta.
+    /// Whether a positive voltage turns the arm towards negative theta.
     pub voltage_inverted: bool,
-    /// Resolution of the encoders; files that do not name it have a Qube's.
+    /// Resolution of the encoders; a file without this entry means a Qube's encoders.
     #[serde(default, skip_serializing_if = "Encoders::are_qube")]
     pub encoders: Encoders,
 }
 
 impl Calibration {
-    /// The convention's signs, and zeros at count zero.
+    /// The calibration without inverted signs and with both zeros at count 0.
     pub const IDENTITY: Self = Self {
         theta_zero_counts: 0,
         alpha_zero_counts: 0,
@@ -32,7 +33,8 @@ impl Calibration {
         encoders: Encoders::QUBE,
     };
 
-    /// Theta and alpha in rad. Differences wrap, so a counter that overflows does no harm.
+    /// Theta and alpha of a measurement, rad. The subtraction of counts wraps, so a counter that
+    /// overflows does no harm.
     #[must_use]
     pub fn angles_rad(&self, measurement: &Measurement) -> (f64, f64) {
         let Encoders { theta, alpha } = self.encoders;
@@ -57,7 +59,7 @@ impl Calibration {
         })
     }
 
-    /// The device voltage that produces a voltage in the convention's sign, mV.
+    /// The voltage to send to the device for a voltage in the convention's sign, mV.
     #[must_use]
     pub fn device_mv(&self, voltage_mv: i16) -> i16 {
         if self.voltage_inverted { voltage_mv.saturating_neg() } else { voltage_mv }

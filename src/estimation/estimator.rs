@@ -4,7 +4,7 @@ use super::observer::Observer;
 use super::{Calibration, EstimatorSettings, FilterGains, through_filters};
 use crate::qube::{Measurement, State, wrap_angle};
 
-/// Estimates the state from encoder samples over the device's clock.
+/// Estimates the state from encoder samples at times of the device's clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimator {
     settings: EstimatorSettings,
@@ -18,8 +18,9 @@ pub struct Estimator {
 pub struct Estimates {
     /// State for policy and reward, by the filter or observer of the settings.
     pub seen: State,
-    /// State for the guard and for homing, settling and braking the arm. It comes always from a filter,
-    /// never from one slower than [`super::GUARD_CORNER_RAD_S`], so no model can falsify it.
+    /// State for the guard and for homing, settling and braking the arm. A filter without a model
+    /// gives this state, with a corner of at least [`super::GUARD_CORNER_RAD_S`], so that no wrong
+    /// model can falsify it.
     pub guarded: State,
 }
 
@@ -30,7 +31,8 @@ struct Previous {
 }
 
 impl Estimator {
-    /// An estimator that treats the first measurement as one at rest.
+    /// An estimator that assumes rest at the first measurement: its estimates there have the
+    /// velocities 0.
     #[must_use]
     pub fn new(settings: EstimatorSettings, calibration: Calibration) -> Self {
         Self { settings, calibration, observer: None, previous: None }

@@ -26,8 +26,9 @@ pub struct KalmanGains<T = f64> {
 }
 
 impl KalmanGains {
-    /// The gains behind this encoder for an acceleration error of `noise_rad_s2` (standard deviation) over intervals of
-    /// `interval_s`; both above 0.
+    /// The gains for the angles of this encoder and an unmodelled acceleration of `noise_rad_s2`
+    /// (standard deviation) that is constant over intervals of `interval_s`; both numbers are above
+    /// 0.
     #[must_use]
     pub fn steady_state(encoder: Encoder, noise_rad_s2: f64, interval_s: f64) -> Self {
         let quantisation_rad = encoder.rad_per_count() / 12.0_f64.sqrt();

@@ -1,9 +1,10 @@
 //! Angles and velocities from encoder counts.
 //!
-//! One estimator serves simulation and machine, so that a policy trains on the estimates that it will see.
-//! [`Estimator`] gives two states: the policy's comes from the filter or the observer that the settings
-//! choose; the guard's comes from a filter that no setting can slow down and that uses no model.
-//! docs/estimation.md measures the lag and noise of each.
+//! Simulations and real Qubes use the same filter and the same observer equations, so that a policy
+//! trains on the estimates that it will see. [`Estimator`] gives two states: the policy's comes
+//! from the filter or the observer that the settings choose; the guard's comes from a filter that
+//! no setting can slow down and that uses no model. docs/estimation.md measures the lag and noise
+//! of each.
 //!
 //! The room is pure (no randomness, no clock, no I/O) and may import `qube` and `elementary`.
 

@@ -6,15 +6,16 @@ use crate::qube::{Encoders, NonidealDynamics, State, runge_kutta_4};
 /// encoder count.
 const MAX_STEP_US: u64 = 5_000;
 
-/// Longest interval between two samples that the observer predicts over, us. A link that is silent for as
-/// long has already ended the rollout.
+/// Longest interval between two samples that the observer predicts over, us. A rollout has ended
+/// before the link is silent for so long.
 const MAX_INTERVAL_US: u64 = 100_000;
 
-/// Bound on every entry of a state, rad and rad/s, far beyond any Qube's. A prediction beyond it, or one
-/// that is not a number, is discarded.
+/// Bound on every entry of a state, rad and rad/s, far beyond any motion of a Qube. A state with an
+/// entry beyond the bound, or with one that is not a number, is discarded.
 const SENSELESS: f64 = 1e4;
 
-/// The observer's equations, for the one Qube of the machine and for the lanes of a simulation.
+/// The observer's equations, for one real Qube or for the simulated Qubes that vector instructions
+/// compute side by side (lanes).
 #[derive(Clone, Copy, Debug)]
 pub struct ObserverEquations<T = f64> {
     dynamics: NonidealDynamics<T>,
@@ -37,9 +38,10 @@ impl<T: Scalar> ObserverEquations<T> {
         runge_kutta_4(&self.dynamics, state, voltage_v, step_s)
     }
 
-    /// Corrects a prediction by the measured angles, which are those of `filtered`. Returns the state and
-    /// whether the observer was reset: when the prediction error exceeds the limit, `filtered` takes the
-    /// prediction's place.
+    /// Corrects a prediction by the measured angles, which `filtered` holds together with filtered
+    /// velocities. Returns the state and whether the observer was reset: `filtered` replaces the
+    /// prediction when the prediction error exceeds the limit or the corrected state is
+    /// implausible.
     #[inline(always)]
     pub fn correct(
         &self,
@@ -62,7 +64,8 @@ impl<T: Scalar> ObserverEquations<T> {
         (choose(kept, &corrected, filtered), !kept)
     }
 
-    /// The state that the policy sees: the prediction ahead, or `filtered` where that is not plausible.
+    /// The state that the policy sees: `ahead`, which is predicted for the instant at which the
+    /// command acts, or `filtered` where the prediction is implausible.
     #[inline(always)]
     pub fn shown(ahead: &State<T>, filtered: &State<T>) -> State<T> {
         choose(makes_sense(ahead), ahead, filtered)
@@ -109,7 +112,7 @@ pub(super) struct Observer {
 }
 
 impl Observer {
-    /// An observer of a Qube in this state to which no voltage was sent.
+    /// An observer of a Qube in the state `estimate`, whose motor has had 0 V so far.
     pub(super) fn new(settings: &ObserverSettings, encoders: Encoders, estimate: State) -> Self {
         Self {
             settings: *settings,
@@ -121,8 +124,8 @@ impl Observer {
         }
     }
 
-    /// Takes the sample of `now_us`, which follows the one of `before_us`, with the guard's filtered state;
-    /// returns the state at the instant at which the command being computed will act.
+    /// Takes `filtered`, the guard's state at the sample of `now_us`; the sample before was at
+    /// `before_us`. Returns the state at the instant at which the command being computed will act.
     pub(super) fn update(&mut self, before_us: u64, now_us: u64, filtered: &State) -> State {
         let elapsed_us = now_us - before_us;
         let (estimate, astray) = if elapsed_us <= MAX_INTERVAL_US {

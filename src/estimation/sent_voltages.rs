@@ -9,7 +9,7 @@ const REMEMBERED: usize = 16;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SentVoltages<V = f64> {
     delay_us: u64,
-    /// Oldest first. The first acts since the beginning.
+    /// Commands, oldest first. The oldest also counts for all times before its own instant.
     commands: [Command<V>; REMEMBERED],
     count: usize,
 }

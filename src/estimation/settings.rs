@@ -28,12 +28,14 @@ pub struct ObserverSettings {
     /// Model of the Qube. Its delay counts from the instant of a sample until the voltage computed from it
     /// acts at the motor.
     pub model: QubeModel,
-    /// Standard deviation of the model's error in the arm's acceleration, rad/s^2.
+    /// Standard deviation of the model's error in the arm's acceleration, rad/s^2; above 0 and up
+    /// to 1e6.
     pub theta_noise_rad_s2: f64,
-    /// Standard deviation of the model's error in the pendulum's acceleration, rad/s^2.
+    /// Standard deviation of the model's error in the pendulum's acceleration, rad/s^2; above 0 and
+    /// up to 1e6.
     pub alpha_noise_rad_s2: f64,
-    /// Largest distance between encoder and prediction, rad. Beyond it the observer has lost the Qube and
-    /// restarts from the encoders and the guard's filter.
+    /// Largest difference between measured and predicted angle, rad; above 0 and up to 10. Beyond
+    /// it the observer restarts from the encoders and the guard's filter.
     pub astray_rad: f64,
 }
 
@@ -45,12 +47,12 @@ pub enum SettingsError {
     OutOfRange {
         /// Name of the entry.
         name: &'static str,
-        /// Its value.
+        /// Value of the entry.
         value: f64,
         /// Largest accepted value.
         largest: f64,
     },
-    /// The delay is longer than an observer can predict over.
+    /// The delay is negative, not a number, or longer than an observer can predict over.
     #[error("observer.model.gap.command_delay_s = {0}: give a number from 0 to 0.1")]
     Delay(f64),
     /// A domain parameter is not physical.
@@ -74,7 +76,7 @@ impl EstimatorSettings {
         Self { observer: Some(observer), ..Self::default() }
     }
 
-    /// Corner of the guard's filter, rad/s: the policy's own where that is faster.
+    /// Corner of the guard's filter, rad/s: `corner_rad_s`, but at least [`GUARD_CORNER_RAD_S`].
     #[must_use]
     pub fn guard_corner_rad_s(&self) -> f64 {
         self.corner_rad_s.max(GUARD_CORNER_RAD_S)

@@ -6,12 +6,12 @@ use super::fit::Fit;
 use super::residuals::{Noise, Residual, scale_of};
 use super::stretch::{Regime, Stretch};
 
-/// Largest residual over short windows of a model that fits, in standard deviations of the encoder's
-/// quantisation.
+/// Largest residual (root mean square) of a model that fits over windows of half a second, in
+/// standard deviations of the encoder's quantisation.
 const LARGEST_NOISE_RATIO: f64 = 1.2;
 
-/// Largest correlation of neighbouring residuals of a model that fits, over long recordings. Start states that are
-/// fitted make it a little negative.
+/// Largest [`Assessment::whiteness`] of a model that fits, over long recordings. The fit of the
+/// start states makes the correlation a little negative.
 const LARGEST_WHITENESS: f64 = 0.02;
 
 /// Largest correlation of neighbouring residuals times the root of the number of samples: over short recordings chance
@@ -21,11 +21,11 @@ const LARGEST_CHANCE: f64 = 0.9;
 /// Largest distance, in samples, of residuals whose correlation is tested.
 const LAGS: usize = 5;
 
-/// Largest residual over the fitted windows of a model that fits, in residuals over short windows of a Qube. Encoders
-/// that are finer show the same errors in smaller residuals.
+/// Largest [`Assessment::growth`] of a model that fits, with a Qube's encoders. Finer encoders
+/// leave smaller residuals over short windows and allow more growth in proportion.
 const LARGEST_GROWTH: f64 = 2.0;
 
-/// Residual over short windows beyond which a model does not fit, rad.
+/// Residual over windows of half a second beyond which a model does not fit, rad.
 const UNFIT_RAD: f64 = 0.03;
 
 /// Smallest score that counts as evidence for an effect outside the equations; if the model holds, the score is
@@ -40,9 +40,9 @@ const NAMED_SHARE: f64 = 0.2;
 pub enum ModelVerdict {
     /// The residuals are as large and as little correlated as the encoders' rounding.
     Fits,
-    /// The model predicts, but something is missing.
+    /// The model predicts windows of half a second, but the tests find signs of a missing effect.
     FitsBut,
-    /// Windows of half a second are not explained.
+    /// The model does not explain windows of half a second.
     DoesNotFit,
 }
 
@@ -63,7 +63,8 @@ impl ModelVerdict {
 pub enum MissingEffect {
     /// The residuals are larger, more correlated or faster growing than the encoders' rounding explains.
     Unexplained,
-    /// A torque builds up after the arm turns back: friction that gives way, or a cable with hysteresis.
+    /// A torque builds up after the arm turns back: friction that yields before it slides, or a
+    /// cable with hysteresis.
     Reversals,
     /// The motor changes in the course of the recordings: it warms.
     Warming,
@@ -111,14 +112,16 @@ pub struct Assessment {
     pub doubts: Vec<MissingEffect>,
     /// Residual over windows of half a second, in standard deviations of the encoder's quantisation.
     pub noise_ratio: f64,
-    /// Mean correlation of residuals of an angle that are one to five samples apart, in windows of half a second, the
-    /// larger of both angles: about 0 for white ones.
+    /// Mean correlation of residuals of one angle that are one to five samples apart, in windows of
+    /// half a second; the larger value of the two angles. White noise has about 0.
     pub whiteness: f64,
-    /// Ratio of the residual over the fitted windows of chirps to that over half a second.
+    /// Residual over the fitted windows of chirps and steps, divided by the residual over their
+    /// windows of half a second; the larger value of the two angles, and 1 without such recordings.
     pub growth: f64,
 }
 
-/// Tests the residuals of a fit over its own windows and over windows of half a second.
+/// Tests the residuals of a fit over its own windows and, with start states fitted anew, over the
+/// windows `short` of half a second.
 pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     let mut check = fit.with_unknowns(&[], short);
     check.noise = [Noise::of_resolution(fit.plant.encoders); 3];
@@ -163,7 +166,8 @@ fn counts_rad(fit: &Fit<'_>) -> [f64; 2] {
     [encoders.theta.rad_per_count(), encoders.alpha.rad_per_count()]
 }
 
-/// Ratio of the residuals over the fitted windows of chirps to those over short windows; 1 without chirps.
+/// The [`Assessment::growth`] of a fit; `check` is its model over the windows of half a second, and
+/// `short` has the residuals of `check`.
 fn growth(fit: &Fit<'_>, check: &Fit<'_>, short: &[Vec<Residual>]) -> f64 {
     let of = |fit: &Fit<'_>, residuals: &[Vec<Residual>]| {
         let hanging = fit.stretches.iter().zip(residuals);
@@ -183,7 +187,8 @@ fn growth(fit: &Fit<'_>, check: &Fit<'_>, short: &[Vec<Residual>]) -> f64 {
 
 /// Mean correlation of residuals of an angle that are one to five samples apart.
 ///
-/// While the angle moves by less than two counts, the encoder's errors of rounding are alike; such pairs do not count.
+/// Pairs between which the angle moves by at most two counts are left out, because the encoder
+/// rounds both alike.
 fn correlation(fit: &Fit<'_>, residuals: &[Vec<Residual>], angle: usize) -> f64 {
     let count_rad = counts_rad(fit)[angle];
     let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0.0_f64);

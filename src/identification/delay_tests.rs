@@ -7,8 +7,8 @@ use super::*;
 use crate::qube::{DomainParameter, Nonidealities, Nonideality, PlantModel, QubeModel, State};
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 
-/// A chirp of 4 s from 5 Hz down, sampled at 100 Hz on a clock that jitters by some microseconds, with
-/// angle noise of 1.6 mrad.
+/// A chirp of 4 s from 5 Hz down to 1.8 Hz, sampled at 100 Hz on a clock that jitters by up to 20
+/// us, with angle noise of 1.6 mrad (standard deviation).
 fn chirp(truth: &QubeModel, seed: u64) -> MotionLog {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut uniform = |reach: f64| reach * (2.0 * rng.random::<f64>() - 1.0);

@@ -20,12 +20,12 @@ const STRETCH_S: f64 = 0.5;
 /// Shortest motion that is used, s: a swing-up that left the box still counts.
 const SHORTEST_S: f64 = 1.0;
 
-/// The changes of a Qube since its profile was made.
+/// The quantities of a Qube that change from day to day, estimated from recent motions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriftEstimate {
     /// Delay from command to motor, s.
     pub command_delay: Estimate,
-    /// The cable's rest angle, rad.
+    /// Rest angle of the cable, rad.
     pub cable_rest: Estimate,
     /// Number of motions that could be used.
     pub motions: usize,

@@ -30,7 +30,8 @@ impl<const N: usize> Dual<N> {
         Self { value, slopes }
     }
 
-    /// A function's value, and its slope with respect to this number.
+    /// Applies the chain rule: `value` is a function of this number, and `slope` its derivative
+    /// with respect to this number.
     #[inline(always)]
     fn chain(self, value: f64, slope: f64) -> Self {
         Self { value, slopes: self.slopes.map(|own| slope * own) }

@@ -8,10 +8,10 @@ use super::stretch::Stretch;
 use crate::qube::QubeModel;
 use crate::replay::MotionSample;
 
-/// Voltage by which a motion is disturbed for its derivative, V.
+/// Disturbance of the voltage for the finite difference of a motion, V.
 const DISTURBANCE_V: f64 = 0.02;
 
-/// Angles by which the arm moves on after a reversal until a torque has built up, rad: the first for presliding
+/// Angles of the arm over which a torque builds up after a reversal, rad: the first for presliding
 /// friction, the second for a cable with hysteresis.
 const BUILD_UPS_RAD: [f64; 2] = [0.03, 0.2];
 
@@ -32,7 +32,7 @@ impl Effect {
     /// All effects.
     pub const ALL: [Self; 4] = [Self::Reversals, Self::Warming, Self::Angle, Self::Direction];
 
-    /// Number of columns by which the effect is described.
+    /// Number of columns that describe the effect in the linear regression of the residuals.
     fn columns(self) -> usize {
         match self {
             Self::Reversals | Self::Angle => 2,
@@ -40,8 +40,8 @@ impl Effect {
         }
     }
 
-    /// The disturbances of the voltages of a recording, in units of [`DISTURBANCE_V`], that act as the effect; empty for
-    /// an effect on the encoder.
+    /// The disturbances of a recording's voltages that act like the effect, in units of
+    /// [`DISTURBANCE_V`], one list for each column; empty for an effect on the encoder.
     fn disturbances(self, samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<f64>> {
         let delay_s = model.nonidealities.command_delay_s;
         match self {
@@ -67,7 +67,8 @@ impl Effect {
     }
 }
 
-/// For each sample the value at the time at which its command arrives, so that a disturbance of that command acts then.
+/// For each sample the entry of `values` at the time at which the sample's command reaches the
+/// motor, so that a disturbance of that command acts at this time.
 fn before_arrival(samples: &[MotionSample], values: &[f64], delay_s: f64) -> Vec<f64> {
     let last = values.len().saturating_sub(1);
     let at = |sample: &MotionSample| {
@@ -77,8 +78,8 @@ fn before_arrival(samples: &[MotionSample], values: &[f64], delay_s: f64) -> Vec
     samples.iter().map(at).collect()
 }
 
-/// The torque at each sample of an element that resists the arm elastically until it slides (Dahl's friction), as a
-/// share of its largest.
+/// The torque at each sample, as a share of its largest, of an element that resists the arm
+/// elastically until it slides (Dahl's friction).
 fn built_up(samples: &[MotionSample], angle_rad: f64) -> Vec<f64> {
     let mut share = 0.0_f64;
     let mut last_rad = samples[0].state.theta;
@@ -92,8 +93,9 @@ fn built_up(samples: &[MotionSample], angle_rad: f64) -> Vec<f64> {
     samples.iter().map(&mut one).collect()
 }
 
-/// For each effect the reduction of the squared residuals by it, in residual variances: a chi-squared number where the
-/// model holds. Unknowns and start states may move along.
+/// For each effect the reduction of the squared residuals when the effect joins the model, in
+/// residual variances; unknowns and start states adapt to the effect. Where the model holds, the
+/// reduction is a chi-squared number.
 pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
     let unknowns = check.unknowns.len();
     let columns: usize = Effect::ALL.iter().map(|effect| effect.columns()).sum();
@@ -138,7 +140,8 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
     reductions(check, &squares, count)
 }
 
-/// A recording with the voltages of each effect on the motor, in the order of the effects.
+/// Copies of a recording with disturbed voltages, one for each column of each effect on the motor,
+/// in the order of [`Effect::ALL`].
 fn all_disturbed(samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<MotionSample>> {
     let one = |by: Vec<f64>| {
         let add = |(sample, by): (&MotionSample, f64)| MotionSample {
@@ -155,7 +158,8 @@ fn all_disturbed(samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<MotionS
         .collect()
 }
 
-/// The reduction by each effect, from the products of all columns: unknowns, effects, residuals.
+/// The reduction by each effect, from the products of all columns: those of the unknowns, of the
+/// effects, and of the residuals.
 fn reductions(check: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effect, f64)> {
     let unknowns = check.unknowns.len();
     let size = squares.nrows();

@@ -19,24 +19,26 @@ const MAX_STEPS: usize = 30;
 /// Number of times a step is shortened before the fit counts as converged.
 const MAX_SHORTENINGS: usize = 10;
 
-/// Number of times the scales of the residuals are estimated.
+/// Number of rounds in which model and residual scales are estimated in turn.
 const SCALES: usize = 4;
 
-/// Number of updates of the scatter between recordings at a time.
+/// Number of updates of the scatter between recordings in each round.
 const SCATTERS: usize = 30;
 
-/// Smallest number of offsets that count as determined by the recordings.
+/// Lower bound on the number of offsets that the recordings determine (MacKay's effective number of
+/// parameters), against a division by 0.
 const LEAST_DETERMINED: f64 = 0.01;
 
-/// The model and start states that explain recordings best: the maximum of the posterior for normal
-/// residuals of unknown scale and the priors of [`Unknown::prior`] (multiple shooting). Each stretch has its own
-/// start state. Each regime has residuals of its own scale and correlation in time, and a stretch that the model
-/// explains much worse than others of its regime loses weight. Each recording may have a rest angle of the cable and a
-/// zero of the pendulum's angle of its own ([`Fit::with_offsets`]).
+/// A fit of a model and start states to recordings by multiple shooting: the maximum of the
+/// posterior for normal residuals of unknown scale and the priors of [`Unknown::prior`]. Each
+/// stretch has its own start state, and each regime its own scale and correlation in time of the
+/// residuals. A stretch that the model explains much worse than others of its regime loses weight.
+/// With [`Fit::with_offsets`], each recording has its own rest angle of the cable and its own zero
+/// of the pendulum's angle.
 #[derive(Clone, Debug)]
 pub(super) struct Fit<'a> {
     pub unknowns: &'a [Unknown],
-    /// Plant whose priors and encoders are meant.
+    /// Plant whose priors and encoders the fit uses.
     pub plant: &'a PlantModel,
     pub model: QubeModel,
     pub stretches: Vec<Stretch<'a>>,
@@ -51,8 +53,9 @@ pub(super) struct Fit<'a> {
     pub scatter: Option<Scatter>,
 }
 
-/// Blocks of J'J and J'r of one stretch: for the unknowns that all stretches share with the offsets of its recording
-/// (g), and for its own start state (s).
+/// Blocks of J'J and J'r of one stretch, where J holds the derivatives of its weighted residuals r.
+/// The letter g stands for the unknowns, which all stretches share, together with the offsets of
+/// the stretch's recording; s stands for the stretch's start state.
 struct Block {
     gg: DMatrix<f64>,
     gs: DMatrix<f64>,
@@ -62,7 +65,7 @@ struct Block {
 }
 
 impl<'a> Fit<'a> {
-    /// A fit that starts at `model`, each stretch in its measured state.
+    /// A fit that starts at `model`, and each stretch at its measured state.
     pub fn new(
         unknowns: &'a [Unknown],
         plant: &'a PlantModel,
@@ -77,12 +80,13 @@ impl<'a> Fit<'a> {
         Self { unknowns, plant, model, stretches, starts, noise, recording, offsets, scatter }
     }
 
-    /// Lets each recording have offsets of its own, at first with the likely scatter.
+    /// Lets each recording have its own offsets, whose scatter begins at [`Scatter::likely`].
     pub fn with_offsets(self) -> Self {
         Self { scatter: Some(Scatter::likely(self.plant.encoders)), ..self }
     }
 
-    /// A fit of other unknowns over other stretches with this one's model, noise and offsets.
+    /// A fit of other unknowns over other stretches, with the model, noise and offsets of this fit.
+    /// The offsets stay as they are.
     pub fn with_unknowns<'b>(&self, unknowns: &'b [Unknown], stretches: Vec<Stretch<'b>>) -> Fit<'b>
     where
         'a: 'b,
@@ -98,8 +102,8 @@ impl<'a> Fit<'a> {
         next
     }
 
-    /// A fit of the same unknowns over other stretches, from this one's result; stretches that both have keep
-    /// their start states.
+    /// A fit of the same unknowns over other stretches that starts from the result of this fit.
+    /// Stretches that belong to both fits keep their start states.
     pub fn over(&self, stretches: Vec<Stretch<'a>>) -> Self {
         let mut next = self.with_unknowns(self.unknowns, stretches);
         next.scatter = self.scatter;
@@ -112,7 +116,7 @@ impl<'a> Fit<'a> {
         next
     }
 
-    /// Fits model, start states and scales in turn until the scales settle.
+    /// Fits model, start states and scales in turn, in [`SCALES`] rounds.
     pub fn run(&mut self) {
         for _ in 0..SCALES {
             self.minimise();
@@ -122,7 +126,9 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// The quantities that are estimated for each recording. The rest angle of one recording alone is the typical one.
+    /// The quantities that are estimated for each recording. The rest angle of the cable is one of
+    /// them only if it is an unknown and there are several recordings: the rest angle of a single
+    /// recording is the unknown itself.
     pub fn locals(&self) -> &'static [Local] {
         let rest = Unknown::from(Nonideality::CableRest);
         match self.scatter {
@@ -132,7 +138,7 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// The scatter of the offsets that are estimated; 0 for the others.
+    /// The scatter of the estimated offsets; 0 for other offsets and for a single recording.
     pub fn own_scatter(&self) -> Scatter {
         let mut own = Scatter::default();
         for &local in self.locals() {
@@ -172,7 +178,8 @@ impl<'a> Fit<'a> {
         scatter
     }
 
-    /// Adds the matrix of a stretch, over unknowns and the offsets of its recording, to the matrix over all offsets.
+    /// Adds the matrix of a stretch, over the unknowns and the offsets of its recording, to a
+    /// matrix over the unknowns and the offsets of all recordings.
     fn add_matrix(&self, sum: &mut DMatrix<f64>, recording: usize, own: &DMatrix<f64>) {
         for row in 0..own.nrows() {
             for column in 0..own.ncols() {
@@ -187,7 +194,8 @@ impl<'a> Fit<'a> {
         if index < self.unknowns.len() { index } else { index + recording * self.locals().len() }
     }
 
-    /// Information and gradient of the priors of the unknowns, and of all offsets for this scatter.
+    /// Information and gradient of the priors: those of the unknowns, and those of all offsets for
+    /// this scatter.
     fn priors(&self, scatter: Scatter) -> (DMatrix<f64>, DVector<f64>) {
         let locals = self.locals();
         let count = self.unknowns.len();
@@ -210,7 +218,8 @@ impl<'a> Fit<'a> {
         (matrix, gradient)
     }
 
-    /// The Qube of a recording, and the zero of its pendulum's angle, rad.
+    /// The Qube with the rest angle of a recording, and the zero of the recording's pendulum angle,
+    /// rad.
     fn own(&self, model: &QubeModel, recording: usize, offsets: &[Offset]) -> (QubeModel, f64) {
         let offset = offsets[recording];
         (offset.applied(model), offset.alpha_zero_rad)
@@ -253,9 +262,9 @@ impl<'a> Fit<'a> {
         })
     }
 
-    /// For each stretch its information (J'J) and its gradient (J'r) about the unknowns, then about the offsets of its
-    /// recording, in the fit's units and without the priors; its start state is eliminated, and correlated
-    /// residuals count as fewer.
+    /// For each stretch the information (J'J) and the gradient (J'r) of the unknowns, then of the
+    /// offsets of its recording, in the fit's units and without the priors. The start state of the
+    /// stretch is eliminated, and correlated residuals count as fewer.
     pub fn reduced(&self) -> Vec<(DMatrix<f64>, DVector<f64>)> {
         let reduce = |block: Block| {
             let Some(inverse) = block.ss.try_inverse() else { return (block.gg, block.g) };
@@ -325,7 +334,8 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Derivatives with those by the recording's offsets, between those by the unknowns and those by the start.
+    /// Inserts the derivatives by the recording's offsets between those by the unknowns and those
+    /// by the start state.
     fn with_locals(&self, slopes: DMatrix<f64>, alpha_scale: f64) -> DMatrix<f64> {
         let (locals, count) = (self.locals(), self.unknowns.len());
         let rest = Unknown::from(Nonideality::CableRest);
@@ -348,7 +358,8 @@ impl<'a> Fit<'a> {
         slopes
     }
 
-    /// The next step; `None` when the normal equations have no solution at this damping.
+    /// Model, start states and offsets after the next step; `None` when the normal equations have
+    /// no solution at this damping.
     fn step(&self, blocks: &[Block], damping: f64) -> Option<(QubeModel, Vec<State>, Vec<Offset>)> {
         let (mut matrix, mut gradient) = self.priors(self.scatter.unwrap_or_default());
         for (block, &recording) in blocks.iter().zip(&self.recording) {
@@ -391,15 +402,16 @@ impl<'a> Fit<'a> {
         Some((model, starts.collect(), offsets))
     }
 
-    /// Adds the gradient of a stretch, over unknowns and the offsets of its recording, to the gradient over all offsets.
+    /// Adds the gradient of a stretch, over the unknowns and the offsets of its recording, to a
+    /// gradient over the unknowns and the offsets of all recordings.
     fn add_gradient(&self, sum: &mut DVector<f64>, recording: usize, own: &DVector<f64>) {
         for (index, value) in own.iter().enumerate() {
             sum[self.place(recording, index)] += value;
         }
     }
 
-    /// Solves for the change of the unknowns. A strength that is 0 and would become negative stays, and the
-    /// others are solved for without it.
+    /// Solves for the change of unknowns and offsets. A strength that is 0 and would become
+    /// negative stays 0, and the others are solved for without it.
     fn change(&self, mut matrix: DMatrix<f64>, mut gradient: DVector<f64>) -> Option<DVector<f64>> {
         let count = self.unknowns.len();
         if gradient.is_empty() {
@@ -443,7 +455,8 @@ fn residuals(
     pairs.map(of).collect()
 }
 
-/// Maps items on all processors, in order, whatever their number.
+/// Maps items on all processors; the results have the order of the items, whatever the number of
+/// processors.
 fn side_by_side<T: Sync, R: Send>(items: &[T], map: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let threads = thread::available_parallelism().map_or(1, NonZero::get).min(items.len());
     if threads < 2 {

@@ -17,8 +17,9 @@ const LONGEST_GAP_S: f64 = 0.045;
 /// Largest share of the steps that are gaps.
 const GAPS_SHARE: f64 = 0.02;
 
-/// Smallest largest voltage of a recording, V, and smallest range of both angles, rad.
+/// Voltage that a recording must reach at least once, V.
 const LEAST_VOLTAGE_V: f64 = 0.5;
+/// Smallest range of the motion of each angle in a recording, rad.
 const LEAST_MOTION_RAD: f64 = 0.1;
 
 /// Smallest distance of the arm from its hard stop, rad.
@@ -27,14 +28,14 @@ const STOP_MARGIN_RAD: f64 = 0.02;
 /// Longest time for which a count may stay constant while it should move, s.
 const LONGEST_STILL_S: f64 = 0.3;
 
-/// Voltage of one sign that turns any arm, V.
+/// Voltage that turns any arm while it keeps its sign, V.
 const TURNING_VOLTAGE_V: f64 = 1.0;
 
 /// Largest motion of the arm while the pendulum's count stays constant, rad.
 const ARM_ALONE_RAD: f64 = 0.3;
 
-/// Largest swing of the pendulum while the arm's count stays constant, rad; its pull on the arm is then
-/// several times any friction.
+/// Largest swing of the pendulum while the arm's count stays constant, rad. A pendulum that swings
+/// farther pulls on the arm with several times any friction.
 const PENDULUM_ALONE_RAD: f64 = 0.6;
 
 /// Largest velocity of a Qube, rad/s.
@@ -43,8 +44,8 @@ const FASTEST_RAD_S: f64 = 80.0;
 /// Tolerance for noise in a single step, rad.
 const STEP_ROOM_RAD: f64 = 0.1;
 
-/// Smallest step, in counts, before an angle that then stays at its extreme counts as clipped: at a true
-/// turning point it slows down first.
+/// Smallest step, in counts, after which an angle that stays at its extreme counts as clipped:
+/// before a true turning point the angle slows down.
 const CLIPPED_STEP_COUNTS: f64 = 4.5;
 
 /// Number of samples for which a clipped angle stays at its extreme.
@@ -77,7 +78,7 @@ pub enum Unfit {
     Gap {
         /// Time since the start, s.
         at_s: f64,
-        /// The time between two samples.
+        /// Time between two samples, s.
         step_s: f64,
     },
     /// The motor was not excited.
@@ -93,7 +94,7 @@ pub enum Unfit {
         /// Range of its motion, rad.
         moved_rad: f64,
     },
-    /// The arm hit its stop, which the equations do not describe.
+    /// The arm came within 0.02 rad of its stop, whose contact the equations do not describe.
     #[error(
         "clipped: the arm came to {theta_rad:.2} rad at {at_s:.3} s, the hard stop is at {hard_stop_rad} rad"
     )]
@@ -178,7 +179,7 @@ pub fn check_recording(log: &MotionLog) -> Result<(), Unfit> {
     check_motion(log, SHORTEST_S)
 }
 
-/// Checks that a motion of at least `shortest_s` seconds can be fitted.
+/// Checks that a motion lasts at least `shortest_s` seconds and can be fitted.
 pub(super) fn check_motion(log: &MotionLog, shortest_s: f64) -> Result<(), Unfit> {
     let samples = &log.samples;
     let duration_s = duration_of(samples);
@@ -321,7 +322,9 @@ fn other_rate(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
 /// Looks for a count that stays constant for 0.3 s while voltage or the other angle should move it.
 fn frozen(samples: &[MotionSample], start_s: f64, encoders: Encoders) -> Result<(), Unfit> {
     let [theta_rad, alpha_rad] = [encoders.theta, encoders.alpha].map(|own| own.rad_per_count());
-    // Sample since which each angle has been constant, and since which the voltage has kept its sign.
+    // Samples since which the arm's count has been constant under a turning voltage of one sign,
+    // the pendulum's count has been constant, and the arm's count has been constant under any
+    // voltage.
     let (mut arm_since, mut pendulum_since, mut held_since) = (0, 0, 0);
     for (now, sample) in samples.iter().enumerate() {
         let of = |index: usize| &samples[index];

@@ -26,18 +26,20 @@ const LARGEST_RESIDUAL_RAD: f64 = 0.1;
 /// voltage leaves 0.93 to 1, a correct model a few hundredths.
 const LARGEST_RESIDUAL_SHARE: f64 = 0.8;
 
-/// Largest share of the residuals without a motor that a fit may leave over the windows of swing-ups.
+/// Largest residual of the arm over the windows of swing-ups, as a share of the residual of a model
+/// without a motor.
 const LARGEST_MOTORLESS_SHARE: f64 = 0.5;
 
-/// Smallest improvement of the residuals by a reversed sign for which the sign is named.
+/// Share of the residual below which a fit with a reversed sign must come for the sign to be named.
 const SIGN_FACTOR: f64 = 0.5;
 
-/// Largest distance of a quantity from its prior mean, in standard deviations. The largest of a real Qube
-/// is 2.5.
+/// Largest distance of a quantity from its prior mean, in standard deviations. The largest distance
+/// of a real Qube is 2.5.
 const FARTHEST_STDS: f64 = 5.0;
 
-/// Distance of a parameter's logarithm that is always plausible: healthy pendulums are 14 % shorter than the
-/// name plate says, five standard deviations of a ruler.
+/// Distance of a parameter's logarithm from its prior mean that is always plausible. Healthy
+/// pendulums are 14 % shorter than the name plate says, which is five standard deviations of a
+/// ruler's error.
 const PLAUSIBLE_LOG: f64 = 0.5;
 
 /// The result of an identification.
@@ -51,17 +53,17 @@ pub struct Identified {
     pub estimates: Vec<Estimate>,
     /// Combinations of unknowns that the recordings do not determine, the least determined first.
     pub blind: Vec<Blind>,
-    /// Correlations of the errors of the estimates, -1 to 1, in the same order.
+    /// Correlations of the errors of the estimates, -1 to 1, in the order of `estimates`.
     pub correlations: Vec<Vec<f64>>,
-    /// Offsets of each recording, in order: its own rest angle of the cable is the model's, which is the typical one,
-    /// plus its offset.
+    /// Offsets of each recording, in order. The rest angle of the cable in a recording is the
+    /// model's, which is the typical one, plus the recording's offset.
     pub offsets: Vec<Offset>,
-    /// Scatter of the offsets between recordings; 0 of a single recording.
+    /// Scatter of the offsets between recordings; 0 for a single recording.
     pub scatter: Scatter,
-    /// Residuals of the model over the fitted windows.
+    /// Root mean square residuals of the model over the fitted windows.
     pub scale: ResidualScale,
-    /// Factor, from 1 on, that the standard errors contain because windows and recordings contradict each other
-    /// more than noise does.
+    /// Factor, at least 1, that the standard errors include because windows and recordings
+    /// contradict each other more than noise does.
     pub inflation: f64,
     /// Whether the model describes the Qube.
     pub assessment: Assessment,
@@ -105,7 +107,7 @@ pub enum IdentifyError {
         /// Sign whose reversal would explain the recordings.
         cause: Cause,
     },
-    /// The best fit is as far off as a Qube that does not move.
+    /// The best fit is hardly better than a Qube that the voltage does not move.
     #[error(
         "no Qube explains the recordings: beside the whole of them the best fit is off by {theta_rad:.2} rad \
          (arm) and {alpha_rad:.2} rad (pendulum), as much as a Qube that the voltage does not move. {cause}"
@@ -159,8 +161,8 @@ pub enum Sign {
 }
 
 impl Identified {
-    /// The Qube as some of the fitted recordings found it, by index: with the mean of their own rest angles of the
-    /// cable. Without any, it is the typical Qube.
+    /// The Qube with the mean rest angle that the cable has in some of the fitted recordings, by
+    /// index. Without any recording it is the typical Qube.
     #[must_use]
     pub fn model_of(&self, recordings: &[usize]) -> QubeModel {
         let own = recordings.iter().filter_map(|&index| self.offsets.get(index));
@@ -189,9 +191,10 @@ impl fmt::Display for Cause {
     }
 }
 
-/// Identifies the Qube, or the specimen of another plant, that made recordings: moves `unknowns` away from
-/// `first_guess` by maximum likelihood, with the weak priors of [`Unknown::prior`] for what the data leave open. Any
-/// mixture of chirps, steps, swing-ups and balancing will do.
+/// Identifies the Qube, or the specimen of another plant, that made recordings, by maximum
+/// likelihood: the estimates of `unknowns` start from `first_guess`, and the weak priors of
+/// [`Unknown::prior`] decide where the data leave a quantity open. Recordings may be any mixture of
+/// chirps, steps, swing-ups and balancing.
 ///
 /// # Errors
 /// There is no recording, the recordings are of different plants, a recording cannot be fitted, or no Qube explains
@@ -259,8 +262,10 @@ fn windows(logs: &[MotionLog], duration_s: f64) -> Vec<Stretch<'_>> {
     logs.iter().flat_map(|log| Stretch::windows(&log.samples, duration_s)).collect()
 }
 
-/// The residuals of a fit that leaves the motion unexplained: beside whole chirps as large as the motion, or in
-/// the windows of swing-ups as large as without a motor.
+/// The residuals of a fit that leaves the motion unexplained; `None` if the fit explains it.
+/// Unexplained means that the residuals over whole chirps and steps are nearly as large as the
+/// motion, or that the arm's residual over windows of swing-ups is not much smaller than without a
+/// motor.
 fn unexplained(logs: &[MotionLog], fit: &Fit<'_>) -> Option<ResidualScale> {
     let part = |hangs: bool| {
         let is_part = |stretch: &&Stretch<'_>| (stretch.regime == Regime::Hanging) == hangs;
@@ -287,7 +292,8 @@ fn unexplained(logs: &[MotionLog], fit: &Fit<'_>) -> Option<ResidualScale> {
     (scale.theta_rad > LARGEST_MOTORLESS_SHARE * without.theta_rad).then_some(scale)
 }
 
-/// Tries each sign reversed, over short stretches.
+/// Finds the sign whose reversal explains the recordings, by a fit over short stretches with each
+/// sign reversed.
 fn cause(
     logs: &[MotionLog],
     unknowns: &[Unknown],

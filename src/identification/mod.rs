@@ -1,10 +1,10 @@
 //! Identification of a Qube from its recordings.
 //!
-//! [`identify()`] estimates parameters and nonidealities by maximum likelihood over windows with start
-//! states of their own (multiple shooting), with standard errors and with the combinations that the
-//! recordings do not determine, and tests whether the model describes the Qube; [`drift()`] estimates what
-//! changes from day to day. The room is pure computation over motions that were read before, and may import `qube`,
-//! `replay` and `elementary`.
+//! [`identify()`] estimates parameters and nonidealities by maximum likelihood over windows, each
+//! with its own start state (multiple shooting). It gives standard errors and the combinations that
+//! the recordings do not determine, and tests whether the model describes the Qube. [`drift()`]
+//! estimates the quantities that change from day to day. The room is pure computation over motions
+//! that were read before, and may import `qube`, `replay` and `elementary`.
 
 mod assessment;
 #[cfg(test)]

@@ -4,10 +4,10 @@ use super::stretch::{Stretch, duration_of, is_upright};
 use crate::qube::{PlantModel, QubeModel, State};
 use crate::replay::{AngleError, MotionLog, MotionSample};
 
-/// Time at the start of a recording from which a prediction's start state is estimated, s.
+/// Length of the part of a recording from which the start state of a prediction is estimated, s.
 pub const KNOWN_S: f64 = 0.2;
 
-/// Time from which the start state of a swing's prediction is estimated, s: short beside a swing-up's own changes.
+/// Length of this part for predictions of a swing, s: short beside a swing-up's own changes.
 const SWING_KNOWN_S: f64 = 0.05;
 
 /// Cosine of the pendulum's angle that separates balancing from swinging: 26 degrees from the top.
@@ -21,14 +21,15 @@ const EVERY_S: f64 = 0.1;
 pub struct HorizonError {
     /// Length of the predictions, s.
     pub horizon_s: f64,
-    /// Root mean square error over all samples of all predictions.
+    /// Root mean square error: over all samples of all predictions by [`horizon_error`], over the
+    /// last sample of each by [`phase_error`].
     pub rms: AngleError,
     /// Number of predictions.
     pub predictions: usize,
 }
 
 impl HorizonError {
-    /// The error over the predictions of several parts, such as recordings with Qubes of their own. All have the same
+    /// The error over several parts, such as recordings of different Qubes. All parts have the same
     /// horizon; each counts by its number of predictions.
     #[must_use]
     pub fn pooled(horizon_s: f64, parts: &[Self]) -> Self {
@@ -43,14 +44,15 @@ impl HorizonError {
     }
 }
 
-/// The state at the first sample that explains the first 0.2 s best.
+/// The state at the first sample with which the model explains the first 0.2 s best.
 #[must_use]
 pub fn start_state(log: &MotionLog, model: &QubeModel) -> State {
     state_at(&Stretch::from(&log.samples, 0, KNOWN_S), &log.plant, model).0
 }
 
-/// Predicts each log repeatedly: estimates a start state from 0.2 s of it, then runs the model on its own
-/// for `horizon_s`. A log that is too short is predicted once, to its end.
+/// Predicts each log from every 0.1 s on: estimates a start state from 0.2 s of the log, then
+/// simulates the model for `horizon_s` without correction. A log that is too short is predicted
+/// once, to its end.
 #[must_use]
 pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> HorizonError {
     let (mut theta, mut alpha, mut count, mut predictions) = (0.0, 0.0, 0, 0);
@@ -90,9 +92,10 @@ pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> H
 /// A phase of a recording whose pendulum comes upright, with the horizon at which its predictions are judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// The pendulum is more than 26 degrees from the top throughout the prediction, of 0.5 s.
+    /// The pendulum is more than 26 degrees from the top throughout the prediction, which lasts 0.5
+    /// s.
     Swing,
-    /// The pendulum is within 26 degrees of the top throughout the prediction, of 0.1 s.
+    /// The pendulum is within 26 degrees of the top throughout the prediction, which lasts 0.1 s.
     Balance,
 }
 
@@ -109,7 +112,7 @@ impl Phase {
         }
     }
 
-    /// Time from which the start state is estimated, and the horizon, s.
+    /// Length of the part from which the start state is estimated, and the horizon, s.
     #[must_use]
     pub fn times_s(self) -> [f64; 2] {
         match self {
@@ -124,8 +127,8 @@ impl Phase {
     }
 }
 
-/// Predicts the recordings whose pendulum comes upright, every 0.1 s of a phase. The error is that of the last
-/// sample of each prediction, unlike [`horizon_error`]'s, which is over all of them.
+/// Predicts the recordings whose pendulum comes upright, every 0.1 s of a phase. Only the last
+/// sample of each prediction counts, unlike in [`horizon_error`], where all samples do.
 #[must_use]
 pub fn phase_error(logs: &[MotionLog], model: &QubeModel, phase: Phase) -> HorizonError {
     let [known_s, horizon_s] = phase.times_s();
@@ -176,7 +179,8 @@ fn end_errors(
     errors
 }
 
-/// The start state of a stretch, and its number of samples.
+/// The start state with which the model explains a stretch best, and the number of the stretch's
+/// samples.
 fn state_at(known: &Stretch<'_>, plant: &PlantModel, model: &QubeModel) -> (State, usize) {
     let mut fit = Fit::new(&[], plant, *model, vec![*known]);
     fit.noise = [Noise::of_resolution(plant.encoders); 3];

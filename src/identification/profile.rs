@@ -2,8 +2,8 @@ use super::Identified;
 use crate::qube::{Correlations, Profile, Provenance};
 
 impl Identified {
-    /// The profile of the identified specimen with the errors of its values; `recordings` are the names of the files that
-    /// it was fitted to.
+    /// The profile of the identified specimen with the errors of its values. `recordings` are the
+    /// names of the fitted files.
     #[must_use]
     pub fn profile(&self, name: &str, recordings: Vec<String>) -> Profile {
         let named = |unknown: super::Unknown| unknown.name().to_owned();

@@ -6,8 +6,8 @@ use crate::qube::{Encoder, Encoders};
 /// Residuals of one sample: theta and alpha, rad.
 pub(super) type Residual = [f64; 2];
 
-/// Root mean square of a stretch's residuals, in scales of its regime, beyond which it loses weight
-/// (Huber's function of whole stretches).
+/// Root mean square of a stretch's residuals beyond which the stretch loses weight (Huber's
+/// function of whole stretches), in scales of its regime.
 const BAD_STRETCH: f64 = 2.0;
 
 /// Smallest scale with a Qube's encoders, rad: an encoder's resolution bounds the residuals from below.
@@ -30,10 +30,10 @@ impl ResidualScale {
     }
 }
 
-/// The residuals of a regime.
+/// The distribution of the residuals of a regime.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Noise {
-    /// Their standard deviations.
+    /// Standard deviations of the residuals.
     pub scale: ResidualScale,
     /// Number of samples worth one independent sample: the integrated autocorrelation time.
     pub correlated: f64,
@@ -53,7 +53,8 @@ impl Noise {
     }
 }
 
-/// The weight of a stretch whose mean squared residual, in squared scales, is this.
+/// The weight of a stretch with this mean squared residual, in squared scales; 1 for a stretch
+/// whose residuals are at most [`BAD_STRETCH`].
 pub(super) fn robust_weight(mean_square: f64) -> f64 {
     (BAD_STRETCH / mean_square.sqrt()).min(1.0)
 }
@@ -67,7 +68,7 @@ pub(super) fn robust_cost(noise: &Noise, residuals: &[Residual]) -> f64 {
     } else {
         2.0 * BAD_STRETCH * square.sqrt() - BAD_STRETCH * BAD_STRETCH
     };
-    // A diverging motion stays NaN.
+    // 0 times an infinite square is NaN, by which the fit recognises a motion that diverges.
     2.0 * residuals.len() as f64 * bounded / noise.correlated + 0.0 * square
 }
 
@@ -79,7 +80,8 @@ pub(super) fn mean_square(noise: &Noise, residuals: &[Residual]) -> f64 {
     residuals.iter().map(scaled).sum::<f64>() / (2.0 * residuals.len().max(1) as f64)
 }
 
-/// Estimates scale and correlation of each regime; a regime without stretches keeps its own.
+/// Estimates scale and correlation of each regime; a regime without stretches keeps those of
+/// `before`.
 pub(super) fn noise_of(
     stretches: &[Stretch<'_>],
     residuals: &[Vec<Residual>],
