@@ -7,13 +7,14 @@ use serde::Serialize;
 use super::results::{PolicyResult, RecipeResult, Results};
 use super::statistics::mean;
 
-/// Number of random assignments of signs in a permutation test: p-values down to 0.0001.
+/// Number of random assignments of signs in a permutation test; the smallest p-value is 0.0001.
 const PERMUTATIONS: usize = 9_999;
 
-/// Seed of these assignments: the same results give the same p-value.
+/// Seed of the random signs: the same results give the same p-value.
 const SEED: u64 = 0x7065_726d_7574_6531;
 
-/// Two recipes on one plant, compared over the policies of equal number, which have equal seeds.
+/// Two recipes on one plant, compared over pairs of policies with the same number, and so with the
+/// same seed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
     /// Name of the plant.
@@ -26,21 +27,24 @@ pub struct Comparison {
     pub pairs: usize,
     /// Success rate of the second less that of the first.
     pub success_difference: f64,
-    /// p-value of that difference: McNemar's exact test (1947), two-sided, corrected by Holm (1979) for the
-    /// number of comparisons in the experiment.
+    /// p-value of `success_difference`: McNemar's exact test (1947), two-sided, corrected by Holm
+    /// (1979) for the number of comparisons in the experiment.
     pub success_p: f64,
-    /// Mean return of the second less that of the first.
+    /// Mean of the second recipe's return less the first's, over the pairs in which both policies
+    /// have a return.
     pub return_difference: f64,
-    /// p-value of that difference: a permutation test of the signs of the pairs' differences (Fisher 1935),
-    /// two-sided, corrected in the same way.
+    /// p-value of `return_difference`: a permutation test of the signs of the pairs' differences
+    /// (Fisher 1935), two-sided, corrected by Holm in the same way.
     pub return_p: f64,
-    /// Share of all pairs of any number in which the second's return is higher, ties counted half (Vargha and
-    /// Delaney 2000): 0.5 for equal recipes.
+    /// Share of all combinations of one policy of each recipe, whatever their numbers, in which the
+    /// second's return is higher; ties count half (Vargha and Delaney 2000). Equal recipes have
+    /// 0.5.
     pub superiority: f64,
 }
 
 impl Results {
-    /// Every pair of recipes, of equal budgets, on every plant on which both have policies of equal number.
+    /// Comparisons of every two recipes with equal budgets, on every plant on which both have
+    /// policies with the same number.
     #[must_use]
     pub fn comparisons(&self) -> Vec<Comparison> {
         let mut comparisons = Vec::new();
@@ -59,7 +63,7 @@ impl Results {
     }
 }
 
-/// Compares two recipes without a correction; `None` without a common policy.
+/// Compares two recipes, without Holm's correction; `None` if no number has a policy of both.
 fn compare(first: &RecipeResult, second: &RecipeResult) -> Option<Comparison> {
     let pairs: Vec<(&PolicyResult, &PolicyResult)> = first
         .policies
@@ -104,7 +108,8 @@ fn mcnemar(gained: usize, lost: usize) -> f64 {
     (2.0 * tail).min(1.0)
 }
 
-/// The two-sided p-value of the mean of paired differences under random signs; 1 of none.
+/// The two-sided p-value of the mean of paired differences under random signs; 1 without any
+/// difference.
 fn sign_permutation(differences: &[f64]) -> f64 {
     let observed = differences.iter().sum::<f64>().abs();
     let mut random = ChaCha8Rng::seed_from_u64(SEED);

@@ -22,12 +22,13 @@ pub enum ExperimentError {
         /// Reason why it is refused.
         reason: String,
     },
-    /// The settings were changed, or one of them no longer exists, so only the results can be shown.
+    /// The settings file was changed, or names a setting that no longer exists, so that only the
+    /// results can be shown.
     #[error("{path}: {reason}")]
     NotResumable {
         /// Path of the file.
         path: PathBuf,
-        /// What prevents it.
+        /// Reason why the experiment cannot continue.
         reason: String,
     },
     /// A recipe is invalid.

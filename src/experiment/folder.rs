@@ -6,8 +6,8 @@ use super::seal::sealed;
 use crate::session::{FolderError, PolicyPaths};
 use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 
-/// The folder of an experiment, which one process holds at a time. The files in it are the only record of
-/// finished work.
+/// The folder of an experiment; one process at a time holds it. The files in the folder are the
+/// only record of finished work.
 ///
 /// ```text
 /// experiment.toml                                 the resolved settings
@@ -16,11 +16,12 @@ use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 /// policies/RECIPE/000/curve.csv                   its training
 /// policies/RECIPE/000/PLANT/rollout-0-attempt-0.mcap   its rollouts
 /// strategies/STRATEGY/000/search/                 the session of one repetition
-/// strategies/identify/000/recordings/             or the recordings of a repetition without one,
-/// strategies/identify/000/identified-1.toml       and the Qube that was found in the first of them
-/// strategies/STRATEGY/000/judged/003/000/         policies as above, of the third recommendation
-/// strategies/simopt/000/belief-1.json             or what a method from the literature learnt from the first of them
-/// budgets/PLANT/STRATEGY/000/                     the same of a comparison at fixed budgets
+/// strategies/identify/000/recordings/             the recordings of a repetition without a session
+/// strategies/identify/000/identified-1.toml       the Qube identified from the first recording
+/// strategies/STRATEGY/000/judged/003/000/         a policy recommended after 3 candidates
+///                                                 or recordings
+/// strategies/simopt/000/belief-1.json             a rival's belief after the first recording
+/// budgets/PLANT/STRATEGY/000/                     a repetition in a comparison at fixed budgets
 /// ```
 #[derive(Debug)]
 pub struct ExperimentFolder {
@@ -41,7 +42,7 @@ impl ExperimentFolder {
         }
         make(root)?;
         let folder = Self::hold(root)?;
-        // Another process may have begun there before this one held it.
+        // Another process may have begun an experiment there before this process held the folder.
         if MachineDisk.exists(&folder.settings()) {
             return Err(exists().into());
         }
@@ -122,7 +123,8 @@ fn settings_in(root: &Path) -> PathBuf {
 pub struct PolicyFolders(PathBuf);
 
 impl PolicyFolders {
-    /// Folders of the policies that score the recommendation of this number, in a repetition's folder.
+    /// Folders of the policies that score the recommendation after `number` candidates or
+    /// recordings, in a repetition's folder.
     #[must_use]
     pub fn of_recommendation(repetition: &Path, number: u32) -> Self {
         Self(repetition.join("judged").join(format!("{number:03}")))
@@ -147,7 +149,7 @@ pub(super) fn make(path: &Path) -> Result<(), FolderError> {
     MachineDisk.create_folder(path).map_err(io)
 }
 
-/// Checks a name, which is also the name of a folder.
+/// Checks a name that also becomes the name of a folder; `what` names the setting in the error.
 pub(super) fn check_name(what: &str, name: &str) -> Result<(), String> {
     let allowed = |letter: char| letter.is_ascii_alphanumeric() || "-_.+%".contains(letter);
     if !name.is_empty() && name.len() <= 60 && !name.starts_with('.') && name.chars().all(allowed) {

@@ -1,18 +1,20 @@
-//! Experiments: recipes × seeds × rollouts, to a table that shows which recipe makes policies that work on
-//! a Qube.
+//! Experiments: recipes × seeds × rollouts. The result is a table that shows which recipe makes
+//! policies that work on a Qube.
 //!
-//! A [`Recipe`] names simulations, training, estimator and guard. An experiment trains several policies
-//! with each recipe, evaluates them from fresh starts in their own simulations, and runs each several times
-//! on one or more plants (emulated, in virtual time, on all cores) or on a device. For optimised recipes a
-//! session first searches for psi.
+//! A [`Recipe`] names simulations, training, estimator and guard. An experiment trains several
+//! policies with each recipe, evaluates them from fresh starts in the recipe's simulations, and
+//! runs each policy several times on one or more plants (emulated, in virtual time, on all cores)
+//! or on a device. For optimised recipes a session first searches for psi.
 //!
-//! [`StrategySettings`] select another experiment: the number of real rollouts until a search's
-//! recommendation succeeds.
+//! With [`StrategySettings`], an experiment compares methods instead of recipes: it counts the real
+//! rollouts until a method's recommendation succeeds, or scores the recommendations at fixed
+//! budgets.
 //!
-//! The room may import `session`, `rig`, `scoring`, `recording`, `jobs`, `learning`, `simulation`, `search`,
-//! `identification`, `replay`, `policy`, `telemetry`, `storage`, `qube` and `elementary`. Reading order: [`ExperimentSettings`],
-//! then [`Experiment`], which does the work and can be interrupted and resumed, then [`Results`], which are
-//! computed from policies and recordings; nothing else is stored.
+//! The room may import `session`, `rig`, `scoring`, `recording`, `jobs`, `learning`, `simulation`,
+//! `search`, `identification`, `replay`, `policy`, `telemetry`, `storage`, `qube` and `elementary`.
+//! Reading order: [`ExperimentSettings`], then [`Experiment`], which does the work and can be
+//! interrupted and resumed, then [`Results`], which are computed from policies and recordings and
+//! never stored.
 
 mod comparison;
 mod error;

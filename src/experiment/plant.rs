@@ -2,7 +2,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::session::{EmulatedQubeSettings, SeedFor, derived_seed};
 
-/// An emulated Qube on which policies run, or one drawn around it for each policy.
+/// An emulated Qube on which policies run; with `vary` above 0, each policy has a Qube of its own,
+/// drawn around this one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plant {
@@ -10,14 +11,16 @@ pub struct Plant {
     pub name: String,
     /// Settings of the emulated Qube.
     pub emulated: EmulatedQubeSettings,
-    /// Relative width of each policy's own Qube: every parameter and every strength among the nonidealities
-    /// is uniform within this part of its value; 0 gives the same Qube to all.
+    /// Relative width of the draw of each policy's Qube, 0 to 0.5: every parameter and every
+    /// strength among the nonidealities is uniform within this part of its value. With 0 all
+    /// policies have the same Qube.
     #[serde(default)]
     pub vary: f64,
 }
 
 impl Plant {
-    /// The Qube of the policy with this number; the same for each recipe.
+    /// The Qube of the policy with this number; policies of different recipes with the same number
+    /// share it.
     #[must_use]
     pub fn for_policy(&self, seed: u64, policy: u32) -> EmulatedQubeSettings {
         if self.vary == 0.0 {

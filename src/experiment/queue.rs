@@ -19,14 +19,14 @@ struct State<Item> {
 }
 
 impl<'a, Item: Send> Queue<'a, Item> {
-    /// A queue of these items, first come, first served.
+    /// A queue of these items; the first item is taken first.
     pub fn new(items: impl IntoIterator<Item = Item>, stop: &'a AtomicBool) -> Self {
         let state = State { waiting: items.into_iter().collect(), under_way: 0, failure: None };
         Self { state: Mutex::new(state), changed: Condvar::new(), stop }
     }
 
-    /// Processes all items on several threads. `work` does one item and returns the items that follow from it.
-    /// After the first failure or a stop request no further item begins.
+    /// Processes all items on several threads. `work` does one item and returns the items that
+    /// follow from it. No further item begins after the first failure or a stop request.
     ///
     /// # Errors
     /// An item failed, or a stop was requested.

@@ -9,14 +9,15 @@ use crate::session::SessionSettings;
 use crate::simulation::{DomainDistribution, Model, Psi, PsiError, SimulationSettings};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
-/// A way to make policies for a Qube and to run them on it: distribution and settings of the training,
-/// estimator and guard on the machine, and for optimised models the settings of the search for psi.
+/// A way to make policies and to run them on a Qube: distribution and settings of the training,
+/// estimator and guard of the rollouts, and for optimised models the settings of the search for
+/// psi.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recipe {
     /// Name of the recipe in tables and of its folder.
     pub name: String,
-    /// Distribution of its simulations.
+    /// Named distribution of the recipe's simulations.
     pub model: Model,
     /// All other settings, as in a `session.toml`. Name, seed and emulated Qube come from the experiment;
     /// the extent is that of the search for psi.
@@ -24,7 +25,8 @@ pub struct Recipe {
     pub settings: SessionSettings,
 }
 
-/// A recipe as a file contains it; settings that it does not name are those of the base.
+/// A recipe as a file contains it; the base of the recipe gives the settings that the file does not
+/// name.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RecipeFile {
@@ -35,7 +37,8 @@ struct RecipeFile {
 }
 
 impl Recipe {
-    /// A recipe with a model's name. Where the model has a delay, policies observe their last commands.
+    /// A recipe with a model's name and the settings of `base`. Where the model has nonidealities,
+    /// and so a delay, policies observe their last commands.
     #[must_use]
     pub fn of(model: Model, base: &SessionSettings) -> Self {
         let mut settings = base.clone();
@@ -46,8 +49,8 @@ impl Recipe {
         Self::new(model.name().to_owned(), model, settings)
     }
 
-    /// Reads a recipe from a TOML file: `name`, `model`, and in `[settings]` the differences from the base,
-    /// by the names of a `session.toml`.
+    /// Reads a recipe from a TOML file: `name`, `model`, and in `[settings]` the differences from
+    /// `base`, with the names of a `session.toml`.
     ///
     /// # Errors
     /// The file cannot be read or is not a recipe.
@@ -73,8 +76,8 @@ impl Recipe {
         Self { name, model, settings }
     }
 
-    /// The distribution in which the recipe's policies are trained and evaluated; `psi` is the result of
-    /// the search, for searched models.
+    /// The distribution in which the recipe's policies are trained and evaluated. For searched
+    /// models, `psi` is the result of the search.
     ///
     /// # Errors
     /// The psi of a searched model or a profile is missing.

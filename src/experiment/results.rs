@@ -18,7 +18,7 @@ use crate::scoring::{Behaviour, Quietness, criterion};
 use crate::simulation::{DomainDistribution, Psi, SimulationSettings};
 use crate::storage::{Disk, MachineDisk};
 
-/// Seed of the fresh starts in simulation, the same for every policy.
+/// Seed of the starts from which policies are evaluated in simulation, the same for every policy.
 const FRESH_SEED: u64 = 1_000_003;
 
 /// The results of an experiment so far, computed from its policies and recordings.
@@ -35,9 +35,9 @@ pub struct RecipeResult {
     pub recipe: String,
     /// Name of the plant.
     pub plant: String,
-    /// Number of real rollouts that the recipe took, in a comparison of methods at fixed budgets.
+    /// Budget of real rollouts, in a comparison of methods at fixed budgets; otherwise `None`.
     pub budget: Option<u32>,
-    /// Psi of the recipe by name; empty without one.
+    /// Psi of the recipe, by the names of its values; empty for a recipe without psi.
     pub psi: BTreeMap<String, f64>,
     /// Policies that have completed all their rollouts on the plant, in order.
     pub policies: Vec<PolicyResult>,
@@ -48,16 +48,16 @@ pub struct RecipeResult {
 pub struct PolicyResult {
     /// Number of the policy.
     pub number: u32,
-    /// Mean return in its own simulations, from fresh starts.
+    /// Mean return in simulation, from fresh starts; NaN for a policy that is no network.
     pub simulated_return: f64,
-    /// Results of its rollouts, in order.
+    /// Results of the policy's rollouts, in order.
     pub rollouts: Vec<RolloutResult>,
-    /// Folder of its recordings on the plant.
+    /// Folder of the policy's recordings on the plant.
     pub recordings: PathBuf,
 }
 
 impl PolicyResult {
-    /// The mean of its returns; `None` where faults ended every rollout.
+    /// The mean return of the policy's rollouts; `None` where faults ended every rollout.
     #[must_use]
     pub fn mean_return(&self) -> Option<f64> {
         let returns: Vec<f64> = self.rollouts.iter().filter_map(|it| it.return_).collect();
@@ -87,33 +87,34 @@ impl PolicyResult {
 }
 
 impl RecipeResult {
-    /// Returns in simulation, one a policy.
+    /// Returns in simulation, one for each policy.
     #[must_use]
     pub fn simulated_returns(&self) -> Vec<f64> {
         self.policies.iter().map(|policy| policy.simulated_return).collect()
     }
 
-    /// Mean returns on the plant, one a policy, without policies whose rollouts all ended by faults.
+    /// Mean returns on the plant, one for each policy; policies whose rollouts all ended by faults
+    /// are left out.
     #[must_use]
     pub fn returns(&self) -> Vec<f64> {
         self.policies.iter().filter_map(PolicyResult::mean_return).collect()
     }
 
-    /// Mean and standard deviation over policies in simulation.
+    /// Mean and standard deviation of the policies' returns in simulation.
     #[must_use]
     pub fn simulated(&self) -> (f64, f64) {
         let returns = self.simulated_returns();
         (mean(&returns), standard_deviation(&returns))
     }
 
-    /// Mean and standard deviation over policies on the plant.
+    /// Mean and standard deviation of the policies' mean returns on the plant.
     #[must_use]
     pub fn real(&self) -> (f64, f64) {
         let returns = self.returns();
         (mean(&returns), standard_deviation(&returns))
     }
 
-    /// The 95 % interval of the mean return on the plant, over policies, by the bounds of a return.
+    /// The 95 % interval of the policies' mean return on the plant ([`bounded_mean_interval`]).
     #[must_use]
     pub fn return_interval(&self) -> Interval {
         bounded_mean_interval(&self.returns(), MAX_STEPS as f64)
@@ -131,13 +132,13 @@ impl RecipeResult {
         self.successes() as f64 / self.policies.len() as f64
     }
 
-    /// The 95 % interval of that share, by Wilson.
+    /// The 95 % interval of the share of successful policies, by Wilson.
     #[must_use]
     pub fn success_interval(&self) -> Interval {
         wilson_interval(self.successes(), self.policies.len())
     }
 
-    /// Quietness of balancing over its policies.
+    /// Quietness of balancing over all policies.
     #[must_use]
     pub fn quietness(&self) -> Quietness {
         let mut all = Quietness::NONE;
@@ -223,7 +224,8 @@ impl Results {
 }
 
 impl Experiment {
-    /// The results of a policy's rollouts on each plant; `None` where some are missing.
+    /// The results of a policy's rollouts on each plant; `None` for a plant on which some are
+    /// missing.
     fn ran(
         &self,
         recipe: &Recipe,
@@ -238,7 +240,8 @@ impl Experiment {
     }
 }
 
-/// The mean return of a policy file in simulations, from fresh starts.
+/// The mean return of a policy file in simulations, from `starts` fresh starts; NaN for a policy
+/// that is no network.
 pub(super) fn simulated_return(
     path: &Path,
     distribution: &DomainDistribution,

@@ -17,7 +17,7 @@ pub struct RolloutResult {
     pub return_: Option<f64>,
     /// Class of its behaviour.
     pub behaviour: Behaviour,
-    /// Quietness of balancing, if it balanced.
+    /// Quietness of balancing; [`Quietness::NONE`] if the pendulum never balanced.
     pub quietness: Quietness,
 }
 
@@ -31,15 +31,15 @@ impl RolloutResult {
 enum RolloutState {
     /// The rollout has a result.
     Finished(RolloutResult),
-    /// An attempt is due.
+    /// The rollout needs an attempt.
     Due {
         /// Number of the attempt.
         attempt: u32,
     },
 }
 
-/// The state of a rollout that may be attempted `1 + repetitions` times. A recording that is unfinished, or
-/// unreadable after a crash, does not count: its attempt is due again.
+/// The state of a rollout that may be attempted `1 + repetitions` times. An attempt is due again if
+/// its recording is unfinished, or unreadable after a crash.
 fn state_of(
     rollouts: &Path,
     rollout: u32,
@@ -96,11 +96,11 @@ pub(super) fn is_complete(
     Ok(matches!(state_of(folder, rollout, repetitions)?, RolloutState::Finished(_)))
 }
 
-/// A rollout with the repetitions that faults make necessary.
+/// A rollout, together with the repetitions that faults make necessary.
 pub(super) struct Repeated<'a> {
-    /// Folder of its recordings.
+    /// Folder of the rollout's recordings.
     pub folder: &'a Path,
-    /// Plan of the rollout; the attempt is filled in.
+    /// Plan of the rollout; each attempt puts in its own number.
     pub plan: RolloutPlan,
     /// Bytes of the policy file.
     pub policy: &'a [u8],
@@ -110,12 +110,12 @@ pub(super) struct Repeated<'a> {
     pub stop: &'a AtomicBool,
 }
 
-/// Records a rollout on a rig.
+/// Records a rollout on a rig and returns how the rollout ended.
 pub(super) type Record<'a> = dyn FnMut(&Rig) -> Result<Ending, ExperimentError> + 'a;
 
 impl Repeated<'_> {
-    /// Attempts the rollout until it has a result, or faults have ended it as often as allowed. `with_rig`
-    /// provides the rig for an attempt.
+    /// Attempts the rollout until there is a result, or until faults have ended it as often as
+    /// allowed. `with_rig` provides the rig for an attempt.
     ///
     /// # Errors
     /// The work ends early, for instance by a stop request.

@@ -1,5 +1,5 @@
-//! The last line of an `experiment.toml`: a checksum of the lines above it, by which a change is noticed before it
-//! mixes results of two experiments.
+//! The last line of an `experiment.toml`: a checksum of the lines above it. The checksum reveals a
+//! changed setting before it mixes the results of two experiments.
 
 use crate::session::file_checksum;
 
@@ -10,7 +10,8 @@ pub(super) fn sealed(settings: &str) -> String {
     format!("{settings}{MARK}{}\n", file_checksum(settings.as_bytes()))
 }
 
-/// Whether the lines above the checksum are unchanged. Earlier versions wrote no checksum: such a file passes.
+/// Whether the lines above the checksum are unchanged. A file without a checksum, as early versions
+/// wrote it, passes.
 pub(super) fn is_unchanged(text: &str) -> bool {
     text.rsplit_once(MARK).is_none_or(|(settings, checksum)| {
         file_checksum(settings.as_bytes()) == checksum.trim_end()

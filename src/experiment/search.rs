@@ -11,7 +11,7 @@ use crate::session::{
 use crate::simulation::Psi;
 use crate::storage::{Disk, MachineDisk};
 
-/// Opens or resumes a session in its own folder that searches for a psi.
+/// Creates or resumes a session, in its own folder, that searches for a psi.
 ///
 /// # Errors
 /// The folder or its content is invalid.
@@ -33,9 +33,9 @@ pub(super) fn open_search(
 
 /// The state of the search for a recipe's psi.
 pub(super) enum RecipePsi {
-    /// The recipe's model has none.
+    /// The recipe's model has no psi.
     NotSearched,
-    /// The search has not found it yet.
+    /// The search has not found the psi yet.
     NotFound,
     /// The result of the search.
     Found(Psi),
@@ -68,8 +68,8 @@ pub(super) fn found_psi(
     Ok(recommended.map(|candidate| settings.psi.psi(&candidate.psi)).transpose()?)
 }
 
-/// The searched candidates in order, each with the returns of its rollouts so far. The candidates that verify
-/// the result are left out, and so are the first `skip` candidates.
+/// The candidates of the search in order, each with the returns of its rollouts so far. The first
+/// `skip` candidates and those that verify the result are left out.
 ///
 /// # Errors
 /// The ledger or a recording cannot be read.

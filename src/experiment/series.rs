@@ -22,11 +22,11 @@ pub(super) struct Series<'a> {
     pub recipe: &'a Recipe,
     /// Psi of a searched model; `None` for others.
     pub psi: Option<&'a Psi>,
-    /// Distribution of the simulations in place of the recipe's.
+    /// Distribution of the simulations that replaces the recipe's, if any.
     pub distribution: Option<&'a DomainDistribution>,
-    /// Seed from which, with a policy's number, every random number follows.
+    /// Seed from which every random number follows, together with the policy's number.
     pub seed: u64,
-    /// Number of competing trainings of a policy; the best in simulation is kept.
+    /// Number of competing trainings of a policy in a round; the best in simulation is kept.
     pub trainings: u32,
     /// Folders of the policies and their recordings.
     pub folders: PolicyFolders,
@@ -39,8 +39,8 @@ pub(super) struct Series<'a> {
 }
 
 impl Series<'_> {
-    /// Trains a policy; returns its best return in training, `None` if it was trained before. `watch` gets the number of
-    /// the training and each of its updates.
+    /// Trains a policy and returns its best return in training, or `None` if the policy is on disk.
+    /// `watch` gets the number of the training and each of its updates.
     ///
     /// # Errors
     /// The training fails, or the policy cannot be stored.
@@ -51,11 +51,11 @@ impl Series<'_> {
     ) -> Result<Option<f64>, ExperimentError> {
         let paths = self.folders.policy(policy);
         let path = paths.policy();
-        // Policy files appear atomically.
+        // A policy file that exists is complete, because it is written atomically.
         if MachineDisk.exists(&path) {
             return Ok(None);
         }
-        // Before the training, whose work a folder that cannot be made would lose.
+        // The folder is made before the training: if it cannot be made, no training is lost.
         make(paths.folder())?;
         let trained = self.best_of_trainings(policy, watch)?;
         let best_return = trained.best_return;
@@ -97,7 +97,8 @@ impl Series<'_> {
         self.recipe.simulation(self.psi)
     }
 
-    /// The best of the policy's trainings; if all of a round fail in simulation, the next round follows.
+    /// The best of a policy's competing trainings in simulation. If all trainings of a round fail,
+    /// the next round follows, up to [`ROUNDS`].
     fn best_of_trainings(
         &self,
         policy: u32,
@@ -136,8 +137,8 @@ impl Series<'_> {
         Ok(best.1)
     }
 
-    /// Runs a policy on an emulated plant. The Qube of each rollout follows from the seed alone, so that a
-    /// resumed experiment repeats byte for byte, whichever thread continues it.
+    /// Runs a policy on an emulated plant. The emulated Qube of each rollout follows from the seed
+    /// alone, so that a resumed experiment repeats byte for byte, whichever thread continues it.
     ///
     /// # Errors
     /// The work ends early.
@@ -235,7 +236,7 @@ impl Series<'_> {
     }
 }
 
-/// An emulated Qube with this seed, homed.
+/// Opens a rig with an emulated Qube of this seed and homes it.
 pub(super) fn virtual_rig(
     rig: &RigSettings,
     emulated: &EmulatedQubeSettings,

@@ -25,13 +25,13 @@ pub struct ExperimentSettings {
     pub rollouts: u32,
     /// Number of fresh starts from which a policy's return in simulation is evaluated.
     pub simulated_starts: u32,
-    /// Plants on which policies run; psi is searched on the first. A device on a serial port is the only
-    /// plant, and not emulated.
+    /// Plants on which policies run; the search for psi runs on the first. A device on a serial
+    /// port is the only plant, and is not emulated.
     pub plants: Vec<Plant>,
     /// Recipes that are compared.
     pub recipes: Vec<Recipe>,
-    /// Methods that are compared instead of recipes: they search the psi of one recipe on one emulated
-    /// plant, and `policies` and `rollouts` score a recommendation.
+    /// Methods that are compared instead of recipes: they start from one recipe and one or more
+    /// emulated plants, and `policies` and `rollouts` give the extent of scoring a recommendation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub strategies: Option<StrategySettings>,
 }
@@ -69,7 +69,7 @@ impl ExperimentSettings {
         }
     }
 
-    /// The settings, and the entries of the file that are no longer settings.
+    /// Reads the settings; also returns the entries of the file that are no longer settings.
     fn loaded(path: &Path) -> Result<(Self, Vec<Retired>), ExperimentError> {
         let unreadable =
             |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
@@ -91,7 +91,7 @@ impl ExperimentSettings {
         Ok((settings, retired))
     }
 
-    /// Plant that is simulated and driven: that of every recipe.
+    /// The plant that all recipes simulate and drive.
     #[must_use]
     pub fn plant(&self) -> &PlantModel {
         self.recipes.first().map_or(&PlantModel::QUBE, |recipe| recipe.settings.plant())

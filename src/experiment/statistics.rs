@@ -7,14 +7,14 @@ use serde::Serialize;
 /// The quantile of the normal distribution that leaves 2.5 % above it.
 const NORMAL_975: f64 = 1.959_963_984_540_054;
 
-/// Number of random draws behind an interval of a mean. With 10,000 its ends are reproducible within a
-/// hundredth of its width, whatever the seed.
+/// Number of random draws behind an interval of a mean. With 10,000, any two seeds give ends of the
+/// interval that agree within a hundredth of its width.
 const DRAWS: usize = 10_000;
 
-/// Seed of these draws: the same sample gives the same interval.
+/// Seed of the random draws: the same sample gives the same interval.
 const SEED: u64 = 0x626f_6f74_7374_7261;
 
-/// The 95 % confidence interval.
+/// A 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Interval {
     /// Lower end.
@@ -49,8 +49,9 @@ pub fn median(sample: &[f64]) -> f64 {
     }
 }
 
-/// Wilson's score interval (1927) of a probability, 95 %, after `successes` of `trials`. Unlike the
-/// textbook's p +- 2 sqrt(p (1 - p) / n) it stays within 0 to 1 and has a width at 0 and at 1.
+/// Wilson's score interval (1927) of a probability, 95 %, after `successes` of `trials`; 0 to 1
+/// without any trial. Unlike the textbook's p +- 2 sqrt(p (1 - p) / n), the interval stays within 0
+/// to 1 and has a width above 0 at p = 0 and p = 1.
 #[must_use]
 pub fn wilson_interval(successes: usize, trials: usize) -> Interval {
     if trials == 0 {
@@ -67,19 +68,20 @@ pub fn wilson_interval(successes: usize, trials: usize) -> Interval {
     Interval { lower, upper }
 }
 
-/// The interval of Learned-Miller and Thomas (2020) of the mean of a quantity between 0 and `most`, 95 %.
-/// NaN of an empty sample.
+/// The interval of Learned-Miller and Thomas (2020) for the mean of a quantity between 0 and
+/// `most`, 95 %; NaN for an empty sample.
 ///
-/// Returns have two humps, one of policies that balance and one of those that fall, and a sample may show
-/// the rarer hump by chance alone. A bootstrap knows nothing of a hump that the sample lacks: at n = 20
-/// and a success rate of 0.95 it covers two thirds of the true means. This interval allows for it, because
-/// it uses the bounds instead; it is wider for that.
+/// Returns have two humps, one of policies that balance and one of policies that fall, and a sample
+/// may show only the more frequent hump by chance. A bootstrap knows nothing of a hump that the
+/// sample lacks: at n = 20 and a success rate of 0.95, its interval covers two thirds of the true
+/// means. This interval uses the bounds of the quantity and so allows for a missing hump; it is
+/// wider for that.
 #[must_use]
 pub fn bounded_mean_interval(sample: &[f64], most: f64) -> Interval {
     BoundedMean::of(sample.len()).interval(sample, most)
 }
 
-/// The random order statistics behind the intervals of samples of one size.
+/// The random order statistics (sorted uniform draws) behind the intervals of samples of one size.
 struct BoundedMean {
     /// Sorted uniform draws, one row of the sample's size for each of [`DRAWS`].
     ordered: Vec<Vec<f64>>,
@@ -104,8 +106,9 @@ impl BoundedMean {
         Interval { lower: most - self.upper(&mirrored, most), upper: self.upper(sample, most) }
     }
 
-    /// The bound that the mean exceeds with a probability of at most 2.5 %: the 97.5 % point of
-    /// the largest mean of a distribution function that passes through the sorted sample at random heights.
+    /// The bound that the mean exceeds with a probability of at most 2.5 %. A distribution function
+    /// is drawn through the sorted sample at random heights, and has a largest possible mean; the
+    /// bound is the 97.5 % point of these means.
     fn upper(&self, sample: &[f64], most: f64) -> f64 {
         let mut sorted = sample.to_vec();
         sorted.sort_by(f64::total_cmp);

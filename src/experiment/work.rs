@@ -22,7 +22,7 @@ use crate::storage::read_text;
 pub enum ExperimentEvent<'a> {
     /// An event of a session that searches for psi.
     Search {
-        /// Name of the search: a recipe's, or a method's and repetition's.
+        /// Name of the search: a recipe, or a method with the number of a repetition.
         name: &'a str,
         /// Event of the session.
         progress: &'a SessionEvent<'a>,
@@ -33,7 +33,7 @@ pub enum ExperimentEvent<'a> {
         recipe: &'a str,
         /// Number of the policy.
         policy: u32,
-        /// Number of the training for this policy.
+        /// Number of this training among the competing trainings of the policy.
         training: u32,
         /// The update.
         update: &'a TrainUpdate,
@@ -44,7 +44,7 @@ pub enum ExperimentEvent<'a> {
         recipe: &'a str,
         /// Number of the policy.
         policy: u32,
-        /// Best return in training; `None` if an earlier run trained it.
+        /// Best return in training; `None` if the policy was on disk.
         best_return: Option<f64>,
     },
     /// A policy has completed all its rollouts on a plant.
@@ -58,14 +58,15 @@ pub enum ExperimentEvent<'a> {
         /// Results of the rollouts.
         results: &'a [RolloutResult],
     },
-    /// A recommendation has been scored, or a recording was refused.
+    /// A recommendation has been scored, or the method gave a reason for having none.
     Scored {
         /// Repetition of the method.
         repetition: &'a Repetition,
         /// Result of the scoring.
         recommendation: &'a RecommendationResult,
     },
-    /// A budget has no score of its own: it allows no recommendation, or no other than the budget before.
+    /// A budget has no score of its own: it allows no recommendation, or the same as the budget
+    /// before.
     NotScored,
     /// A repetition of a method has ended.
     Over {
@@ -74,8 +75,8 @@ pub enum ExperimentEvent<'a> {
     },
 }
 
-/// An experiment in its folder. Finished work is complete on disk, and the next work follows from the files
-/// alone.
+/// An experiment in its folder. The files in the folder alone decide which work is finished and
+/// which follows.
 pub struct Experiment {
     folder: ExperimentFolder,
     settings: ExperimentSettings,
@@ -85,7 +86,7 @@ pub struct Experiment {
     executor: Option<Arc<dyn Executor>>,
 }
 
-/// Largest number of items of work at a time: each has a thread.
+/// Largest number of items of work that run at a time; each has a thread.
 const MAX_ITEMS: usize = 1000;
 
 /// A unit of work.
@@ -95,7 +96,7 @@ enum WorkItem {
         /// Index of the recipe.
         recipe: usize,
     },
-    /// Train a policy and, where the Qube is emulated, run it.
+    /// Train a policy and, in virtual time, run it.
     Policy {
         /// Index of the recipe.
         recipe: usize,
@@ -113,18 +114,20 @@ enum WorkItem {
     },
 }
 
-/// For each search, by its name, the returns of each candidate's rollouts.
+/// The returns of each search: the search's name, and for each candidate the returns of its
+/// rollouts.
 pub type SearchReturns = Vec<(String, Vec<Vec<f64>>)>;
 
-/// The mean returns of the trainings of each recipe, by the recipe's name: one list a policy, one entry an update.
+/// The mean returns of the trainings of each recipe: the recipe's name, and for each policy one
+/// mean return an update.
 pub type TrainingProgress = Vec<(String, Vec<Vec<f64>>)>;
 
 /// Receives the events of an experiment.
 pub(super) type Tell<'a> = dyn Fn(ExperimentEvent) + Sync + 'a;
 
 impl Experiment {
-    /// Continues an experiment from its folder. `rig` selects the Qube; an emulated one is each plant in
-    /// turn, in virtual time.
+    /// An experiment that begins or continues in its folder. `rig` selects the Qube; if it is
+    /// emulated, it becomes each plant in turn, in virtual time.
     #[must_use]
     pub fn new(
         folder: ExperimentFolder,
@@ -151,7 +154,8 @@ impl Experiment {
         }
     }
 
-    /// Number of items of work at a time. Those that train elsewhere only wait here.
+    /// Number of items of work at a time. Items whose trainings run on other computers only wait
+    /// here, so they may be more than the threads.
     fn items_at_a_time(&self) -> usize {
         let elsewhere = self.executor.as_ref().map_or(0, |executor| executor.concurrency());
         self.threads.max(elsewhere.min(MAX_ITEMS))
@@ -184,13 +188,13 @@ impl Experiment {
         &self.stop
     }
 
-    /// Whether rollouts run on many emulated Qubes at once.
+    /// Whether rollouts run in virtual time, and so on many emulated Qubes at once.
     fn is_virtual(&self) -> bool {
         self.rig.clock == ClockChoice::Virtual
     }
 
-    /// Completes all work: on all threads where the Qube is emulated. With a real one, all threads train
-    /// policies, while searches and rollouts run one after the other.
+    /// Completes all work: in virtual time all items run on all threads. On one Qube, all threads
+    /// train policies, while searches and rollouts run one after the other.
     ///
     /// # Errors
     /// The work ends early; finished work is on disk.
@@ -223,7 +227,7 @@ impl Experiment {
         let mut items = Vec::new();
         for (recipe, it) in self.settings.recipes.iter().enumerate() {
             if it.model.is_searched() {
-                // The search comes first, because everything of its recipe waits for it.
+                // Searches come first, because the policies of their recipes wait for them.
                 items.insert(0, WorkItem::Search { recipe });
             } else {
                 items.extend(self.policies(recipe));
@@ -330,8 +334,8 @@ impl Experiment {
             .collect()
     }
 
-    /// The training progress of the policies of each recipe, by the recipes' names: a policy's mean return in simulation
-    /// after each update.
+    /// The training progress of the policies of each recipe, by the recipes' names: the mean return
+    /// in simulation after each update.
     ///
     /// # Errors
     /// A learning curve cannot be read.
@@ -367,7 +371,7 @@ impl Experiment {
         }
     }
 
-    /// Trains a policy and, where the Qube is emulated, runs it on every plant.
+    /// Trains a policy and, in virtual time, runs it on every plant.
     fn make_policy(
         &self,
         recipe: &Recipe,
