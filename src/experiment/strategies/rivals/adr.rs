@@ -16,22 +16,27 @@ use crate::simulation::SimulationSettings;
 /// Stages of the training.
 const STAGES: u32 = 10;
 
-/// Particles, each a Qube.
+/// Number of particles; each particle is a point of the space of Qubes.
 const PARTICLES: usize = 32;
 
-/// Pairs of Qubes on opposite sides of a particle that tell the slope of its reward, and their distance.
+/// Number of pairs of Qubes, on opposite sides of a particle, that give the slope of the reward
+/// there.
 const PAIRS: usize = 4;
+/// Distance of these Qubes from the particle, in lengths of a standard normal draw.
 const DISTANCE: f64 = 0.3;
 
-/// Steps of the particles after each stage, and their rate.
+/// Number of steps of the particles after each stage.
 const STEPS: usize = 3;
+/// Rate of these steps.
 const RATE: f64 = 0.5;
 
-/// Temperature of the reward: how much the particles follow it rather than the prior.
+/// Temperature of the reward, by which its slope is divided: the lower, the more the particles
+/// follow the reward rather than the prior.
 const TEMPERATURE: f64 = 0.3;
 
-/// Active domain randomisation (Mehta et al. 2020, reference 20 of the thesis): trains on the Qubes in which the policy
-/// behaves most unlike in the nominal one, which particles look for.
+/// Active domain randomisation (Mehta et al. 2020, reference 20 of the thesis): particles look for
+/// the Qubes in which the policy behaves most unlike its behaviour in the nominal Qube, and the
+/// policy trains on these.
 pub struct ActiveRandomisation;
 
 impl Rival for ActiveRandomisation {
@@ -90,7 +95,7 @@ impl Rival for ActiveRandomisation {
     }
 }
 
-/// A policy's motion in simulated Qubes, as features.
+/// A policy whose motion in simulated Qubes is described by features.
 struct Behaviour<'a> {
     network: &'a Network,
     given: &'a Given<'a>,

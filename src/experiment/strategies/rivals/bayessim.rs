@@ -8,11 +8,12 @@ use crate::learning::TrainError;
 /// Number of simulations that the network learns from.
 const SAMPLES: usize = 2000;
 
-/// Passes over them.
+/// Number of passes over the simulations.
 const PASSES: usize = 60;
 
-/// BayesSim (Ramos, Possas and Fox 2019, reference 17 of the thesis): the posterior of a Qube given summary statistics
-/// of its motion, by a mixture density network that learns from simulations of Qubes drawn from the prior.
+/// BayesSim (Ramos, Possas and Fox 2019, reference 17 of the thesis): learns the posterior of a
+/// Qube given summary statistics of its motion. A mixture density network learns from simulations
+/// of Qubes drawn from the prior.
 pub struct BayesSim;
 
 impl Rival for BayesSim {
@@ -35,7 +36,8 @@ impl Rival for BayesSim {
                 own.push(statistics(motion, parts));
             }
         }
-        // Recordings that ended early have fewer parts; those that all have count.
+        // A recording that ended early has fewer parts; only the parts that all recordings have are
+        // used.
         let shortest = real.iter().map(Vec::len).min().unwrap_or_default();
         if shortest == 0 {
             return Ok(given.before.clone());

@@ -13,11 +13,11 @@ pub enum Belief {
     Unknown,
     /// A normal distribution.
     Gaussian(Gaussian),
-    /// Any other distribution, by draws of it.
+    /// Any other distribution, given by draws from it.
     Points(Vec<DVector<f64>>),
 }
 
-/// A belief as files have it.
+/// A belief in the form in which files store it.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 enum Written {
@@ -42,7 +42,7 @@ impl Belief {
         }
     }
 
-    /// The normal distribution with its moments.
+    /// The normal distribution with the mean and covariance of the belief.
     pub fn gaussian(&self, space: &Space) -> Gaussian {
         match self {
             Self::Unknown => Gaussian::standard(space.dimensions()),

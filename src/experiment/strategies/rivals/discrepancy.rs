@@ -1,22 +1,22 @@
 use super::simulator::Motion;
 use crate::qube::State;
 
-/// Weights of the observations: arm, cosine and sine of the pendulum, and the two velocities, whose size is about 10
-/// and 20 times that of the angles.
+/// Weights of the observations: theta (1/rad), cosine and sine of alpha, theta_dot and alpha_dot
+/// (s/rad). The velocities are about 10 and 20 times as large as the angles.
 const WEIGHTS: [f64; 5] = [1.0, 1.0, 1.0, 0.1, 0.05];
 
-/// Weights of the sums of absolute and of squared differences.
+/// Weights of the absolute and of the squared differences.
 const NORMS: [f64; 2] = [0.5, 1.0];
 
-/// Standard deviation of the filter over time, steps.
+/// Standard deviation of the Gaussian filter over time, steps.
 const FILTER_STEPS: f64 = 5.0;
 
-/// Largest weighted difference that counts.
+/// Bound on a weighted difference: larger ones count as this much.
 const LARGEST: f64 = 10.0;
 
-/// The discrepancy of two motions (SimOpt, equation 4): absolute and squared differences of the weighted observations,
-/// which a Gaussian filter over time has smoothed so that a small shift in time costs little; the mean over the steps
-/// that both have.
+/// The discrepancy of two motions (SimOpt, equation 4), without unit: absolute and squared
+/// differences of the weighted observations, as a mean over the steps that both motions have. A
+/// Gaussian filter over time smooths the differences, so that a small shift in time costs little.
 pub fn discrepancy(real: &Motion, simulated: &Motion) -> f64 {
     let steps = real.states.len().min(simulated.states.len());
     let mut total = 0.0;
@@ -41,7 +41,7 @@ fn observed(state: &State) -> [f64; 5] {
     [state.theta, state.alpha.cos(), state.alpha.sin(), state.theta_dot, state.alpha_dot]
 }
 
-/// The values after a Gaussian filter; near the ends it has fewer of them.
+/// The values after a Gaussian filter; near the ends the filter averages over fewer values.
 fn filtered(values: &[f64]) -> Vec<f64> {
     let reach = (3.0 * FILTER_STEPS) as usize;
     let kernel: Vec<f64> =
@@ -80,7 +80,7 @@ mod tests {
         let costs = [0.9, 0.7, 0.2].map(|amplitude| discrepancy(&real, &swinging(0.0, amplitude)));
         assert!(0.0 < costs[0] && costs[0] < costs[1] && costs[1] < costs[2], "{costs:?}");
         assert!(discrepancy(&real, &swinging(1.0, 1.0)) < discrepancy(&real, &swinging(3.0, 1.0)));
-        // What leaves the numbers is as far off as can be, not unknown.
+        // A motion that diverges has the largest discrepancy, not an unknown one.
         let mut lost = swinging(0.0, 1.0);
         lost.states[10].theta = f64::NAN;
         assert!(discrepancy(&real, &lost) > 0.0);

@@ -1,8 +1,10 @@
 use nalgebra::DVector;
 
-/// Steps of the descent, its rate, and the weight of the squared coefficients.
+/// Number of steps of the gradient descent.
 const STEPS: usize = 300;
+/// Rate of the gradient descent.
 const RATE: f64 = 0.5;
+/// Weight of the squared coefficients in the loss.
 const SHRINKAGE: f64 = 0.01;
 
 /// A logistic regression that tells two kinds of features apart.
@@ -14,7 +16,8 @@ pub struct Discriminator {
 }
 
 impl Discriminator {
-    /// Fits the discriminator to features of both kinds, each kind with half of the weight.
+    /// Fits the discriminator to features of both kinds. Each kind has half of the weight, whatever
+    /// its number of features.
     pub fn fit(reference: &[DVector<f64>], other: &[DVector<f64>]) -> Self {
         let length = reference.first().map_or(0, DVector::len);
         let all = || reference.iter().chain(other);
@@ -36,14 +39,14 @@ impl Discriminator {
                     of_bias += share;
                 }
             }
-            // More features move the logit farther a step.
+            // The step shrinks with the length of the features, because each entry moves the logit.
             own.weight -= RATE / (1.0 + 0.1 * length as f64) * of_weight;
             own.bias -= RATE * of_bias;
         }
         own
     }
 
-    /// The probability that features are of the other kind.
+    /// The probability that features are of the kind `other` of [`Discriminator::fit`].
     pub fn probability(&self, features: &DVector<f64>) -> f64 {
         let logit = self.weight.dot(&self.standardised(features)) + self.bias;
         1.0 / (1.0 + (-logit).exp())

@@ -9,22 +9,24 @@ use super::transitions::{NOISE, Transition};
 use crate::learning::TrainError;
 use crate::replay::MotionLog;
 
-/// Largest number of transitions that the likelihood is computed of.
+/// Largest number of transitions in the likelihood.
 const TRANSITIONS: usize = 80;
 
-/// Pairs of Qubes that are drawn from a distribution to find the moments of each transition's end. The two of a pair
-/// lie on opposite sides of the mean, so that the draws have the distribution's mean.
+/// Number of pairs of Qubes that are drawn from a distribution for the moments of each transition's
+/// end. The Qubes of a pair lie on opposite sides of the mean, so that the draws have the
+/// distribution's mean.
 const PAIRS: usize = 4;
 
-/// Evaluations of the likelihood.
+/// Number of evaluations of the likelihood.
 const EVALUATIONS: usize = 3000;
 
-/// Range of the means, and of the logarithms of the standard deviations.
+/// Range of the means, in standard deviations of the prior.
 const MEANS: [f64; 2] = [-2.5, 2.5];
+/// Range of the logarithms of the standard deviations, relative to those of the prior.
 const LOG_DEVIATIONS: [f64; 2] = [-4.0, 0.0];
 
-/// DROPO (Tiboni, Arndt and Kyrki 2023): the distribution of simulations under which recorded transitions are most
-/// likely, without any rollout of a policy.
+/// DROPO (Tiboni, Arndt and Kyrki 2023): finds the distribution of simulations under which recorded
+/// transitions are most likely, without any rollout of a policy.
 pub struct Dropo;
 
 impl Rival for Dropo {
@@ -38,7 +40,8 @@ impl Rival for Dropo {
         let real: Vec<[f64; 4]> = transitions.iter().map(|it| it.end).collect();
         let dimensions = given.space.dimensions();
         let mut random = given.random();
-        // The same draws for every distribution, so that the likelihood is a function of the distribution alone.
+        // All distributions share the draws, so that the likelihood is a function of the
+        // distribution alone.
         let draws: Vec<DVector<f64>> = (0..PAIRS)
             .map(|_| standard_normal(dimensions, &mut random))
             .flat_map(|draw| [draw.clone(), -draw])
@@ -72,7 +75,7 @@ impl Rival for Dropo {
     }
 }
 
-/// Means and standard deviations of a point of the search.
+/// Means and standard deviations at a point of the search.
 fn parts(point: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
     let half = point.len() / 2;
     (point.rows(0, half).into_owned(), point.rows(half, half).map(f64::exp))

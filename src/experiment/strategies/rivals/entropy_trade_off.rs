@@ -6,7 +6,7 @@ use super::gaussian::{Gaussian, standard_normal};
 /// Range of the logarithms of the standard deviations.
 const LOG_DEVIATIONS: [f64; 2] = [-3.0, 0.7];
 
-/// A normal distribution of independent numbers that is moved by gradients.
+/// A normal distribution of independent numbers, adapted by gradient steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Independent {
     /// Means.
@@ -32,10 +32,12 @@ impl Independent {
         (0..count).map(draw).collect()
     }
 
-    /// One step up the gradient of the expected score minus `weight` times the divergence from a normal distribution
-    /// with mean 0 and this standard deviation (LSDR, Mozifian et al. 2019): scores pull the distribution to where
-    /// they are high, and the divergence pushes it to be wide. The gradient of the expectation is that of the
-    /// logarithm of the density, with the mean score as baseline; the step is in units of the deviations.
+    /// The distribution after one step up the gradient of the expected score minus `weight` times
+    /// the divergence from a normal distribution with mean 0 and standard deviation `widest` (LSDR,
+    /// Mozifian et al. 2019). The scores pull the distribution to where they are high, and the
+    /// divergence keeps it wide. The gradient of the expectation is estimated from `points` by the
+    /// gradient of the logarithm of the density (the score function), with the mean score as
+    /// baseline; `rate` is in units of the standard deviations.
     pub fn ascended(
         &self,
         points: &[DVector<f64>],
@@ -64,7 +66,7 @@ impl Independent {
         }
     }
 
-    /// The same distribution with its covariance.
+    /// The distribution in the form with a covariance matrix.
     pub fn gaussian(&self) -> Gaussian {
         let variances = self.log_deviation.map(|it| (2.0 * it).exp());
         Gaussian {
@@ -80,8 +82,9 @@ mod tests {
 
     use super::*;
 
-    /// The score is a bowl of width s around 1 in the first coordinate and does not depend on the second: the best
-    /// trade-off has the mean 1 and the variance weight * s^2 there, and the widest deviation here.
+    /// The score is a bowl of width s around 1 in the first coordinate and does not depend on the
+    /// second. The best trade-off has the mean 1 and the variance weight * s^2 in the first
+    /// coordinate, and the widest deviation in the second.
     #[test]
     fn the_trade_off_is_the_known_one() {
         let mut random = ChaCha8Rng::seed_from_u64(2);
@@ -94,7 +97,8 @@ mod tests {
             let rate = if step < 400 { 0.2 } else { 0.05 };
             own = own.ascended(&points, &scores, [weight, widest, rate]);
         }
-        // The divergence from the wide distribution moves both a little: precision 1/s^2 + weight/widest^2.
+        // The divergence from the wide distribution shifts mean and variance a little: precision
+        // 1/s^2 + weight/widest^2.
         let precision = 1.0 / (width * width) + weight / (widest * widest);
         let deviation = own.log_deviation.map(f64::exp);
         assert!((own.mean[0] - 1.0 / (width * width) / precision).abs() < 0.05, "{}", own.mean);

@@ -11,14 +11,14 @@ const WORST_SHARE: f32 = 0.1;
 /// Number of particles.
 const PARTICLES: usize = 400;
 
-/// Largest number of transitions that the likelihood is computed of.
+/// Largest number of transitions in the likelihood.
 const TRANSITIONS: usize = 120;
 
-/// Degrees of freedom of the likelihood.
+/// Degrees of freedom of Student's t distribution in the likelihood.
 const DEGREES: f64 = 4.0;
 
-/// EPOpt (Rajeswaran et al. 2017, reference 18 of the thesis): trains on the worst simulated trajectories, and weights
-/// simulated Qubes by the likelihood of the real transitions.
+/// EPOpt (Rajeswaran et al. 2017, reference 18 of the thesis): trains on the worst simulated
+/// trajectories, and weights simulated Qubes by the likelihood of the real transitions.
 pub struct EpOpt;
 
 impl Rival for EpOpt {

@@ -2,7 +2,7 @@ use nalgebra::DVector;
 
 use crate::search::{CmaEs, Observation, SearchError, Strategy as _};
 
-/// The point of least cost in a box after so many evaluations, by CMA-ES.
+/// The point of least cost in a box among `evaluations` or slightly more, by CMA-ES.
 ///
 /// # Errors
 /// The box is empty, or a cost is not finite.
@@ -15,7 +15,8 @@ pub fn least(
 ) -> Result<DVector<f64>, SearchError> {
     let mut search = CmaEs::between(lower, upper, seed)?;
     let mut data: Vec<Observation> = Vec::with_capacity(evaluations);
-    // The search repeats its updates for each batch of proposals, so that a batch is a whole generation.
+    // Each batch of proposals is a whole generation, because the search repeats all its updates for
+    // each batch.
     let generation = search.generation();
     while data.len() < evaluations {
         for point in search.propose(&data, &[], generation)? {

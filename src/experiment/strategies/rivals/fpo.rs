@@ -11,29 +11,33 @@ use crate::learning::{TrainError, Trained};
 use crate::policy::Network;
 use crate::search::{BayRn, BayRnSettings, Observation};
 
-/// Stages of the training: policy updates whose distribution is chosen.
+/// Number of stages of the training, each in a distribution of its own.
 const STAGES: u32 = 12;
 
-/// Stages whose distribution is drawn at random.
+/// Number of first stages whose distribution is drawn at random.
 const RANDOM_STAGES: u32 = 3;
 
-/// Distributions among which the next one is chosen.
+/// Number of distributions among which the next one is chosen.
 const CHOICES: usize = 300;
 
 /// Weight of the standard deviation in the upper confidence bound.
 const BETA: f64 = 2.0;
 
-/// Range of the logarithm of the width, and of the three shifts, in standard deviations.
+/// Lower ends of psi: the logarithm of the width relative to the prior, and the three shifts in
+/// standard deviations of the prior.
 const LOWER: [f64; 4] = [-1.5, -1.0, -1.0, -1.0];
+/// Upper ends of psi.
 const UPPER: [f64; 4] = [0.4, 1.0, 1.0, 1.0];
 
-/// Numbers of a policy's fingerprint, and their range.
+/// Number of entries of a policy's fingerprint.
 const FINGERPRINT: usize = 4;
+/// Range of each entry of a fingerprint.
 const FINGERPRINT_RANGE: [f64; 2] = [-2.0, 2.0];
 
-/// Fingerprint policy optimisation (Paul, Osborne and Whiteson 2019, reference 21 of the thesis): chooses for each part
-/// of a training the distribution that promises the best policy after it, by Bayesian optimisation over distribution
-/// and fingerprint of the policy.
+/// Fingerprint policy optimisation (Paul, Osborne and Whiteson 2019, reference 21 of the thesis):
+/// chooses for each stage of a training the distribution that promises the best policy after the
+/// stage. Bayesian optimisation predicts the return from the distribution and from the fingerprint
+/// of the policy before the stage.
 pub struct FingerprintOptimisation;
 
 impl Rival for FingerprintOptimisation {
@@ -48,7 +52,8 @@ impl Rival for FingerprintOptimisation {
     fn trained(&self, given: &Given) -> Result<Option<Trained>, TrainError> {
         let mut random = given.random();
         let dimensions = given.space.dimensions();
-        // Three directions in which all quantities may shift together, the same throughout.
+        // Three directions, fixed for the whole training, in which all quantities may shift
+        // together.
         let directions: Vec<DVector<f64>> =
             (0..3).map(|_| standard_normal(dimensions, &mut random)).collect();
         let judged_in = given.space.draws(POINTS, &mut random);
@@ -95,8 +100,8 @@ impl Rival for FingerprintOptimisation {
     }
 }
 
-/// The choice with the highest upper confidence bound of the return after the next stage of a policy with this
-/// fingerprint; the first one where the data cannot be fitted.
+/// The choice with the highest upper confidence bound of the return after the next stage, for a
+/// policy with this fingerprint; the first choice where the data cannot be fitted.
 fn promising(data: &[Observation], choices: &[Vec<f64>], print: &[f64], seed: u64) -> Vec<f64> {
     let [least, most] = FINGERPRINT_RANGE;
     let lower = [&LOWER[..], &[least; FINGERPRINT]].concat();
@@ -112,8 +117,9 @@ fn promising(data: &[Observation], choices: &[Vec<f64>], print: &[f64], seed: u6
     bounds.max_by(|a, b| a.0.total_cmp(&b.0)).map_or_else(|| choices[0].clone(), |it| it.1.clone())
 }
 
-/// A few numbers that tell policies apart by what they do: mean and standard deviation of the voltage, mean height of
-/// the pendulum, and standard deviation of the arm's angle, over Qubes of the prior.
+/// The fingerprint of a policy, numbers that tell policies apart by their behaviour: mean and
+/// standard deviation of the voltage, mean height of the pendulum, and standard deviation of the
+/// arm's angle, over the Qubes of `points`.
 fn fingerprint(network: &Network, given: &Given, points: &[DVector<f64>]) -> [f64; FINGERPRINT] {
     let models: Vec<_> = points.iter().map(|point| given.space.model(point)).collect();
     let demonstration = Demonstration::of_policy(network, &given.simulation.plant, 0.05);
@@ -142,7 +148,8 @@ fn fingerprint(network: &Network, given: &Given, points: &[DVector<f64>]) -> [f6
 mod tests {
     use super::*;
 
-    /// The return after a stage is highest at a width that the policy's fingerprint decides: the choice follows it.
+    /// The return after a stage is highest at a width that the policy's fingerprint decides; the
+    /// choice must follow the fingerprint.
     #[test]
     fn the_choice_follows_a_known_optimum_that_depends_on_the_policy() {
         let value = |width: f64, print: f64| 1.0 - (width - 0.5 * print).powi(2);

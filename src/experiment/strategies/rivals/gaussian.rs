@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::elementary::normal_pair;
 
-/// Smallest variance that a fit leaves along a coordinate, so that the covariance stays invertible.
+/// Variance that a fit adds along each coordinate, so that the covariance stays invertible.
 const LEAST_VARIANCE: f64 = 1e-8;
 
 /// A normal distribution of several correlated numbers.
@@ -17,7 +17,7 @@ pub struct Gaussian {
 }
 
 impl Gaussian {
-    /// The standard normal distribution of so many independent numbers.
+    /// The standard normal distribution of `dimensions` independent numbers.
     pub fn standard(dimensions: usize) -> Self {
         Self {
             mean: DVector::zeros(dimensions),
@@ -25,7 +25,7 @@ impl Gaussian {
         }
     }
 
-    /// The distribution with the moments of weighted points; the weights are positive.
+    /// The distribution with the mean and covariance of weighted points; the weights are positive.
     pub fn of_points(points: &[DVector<f64>], weights: &[f64]) -> Self {
         let total: f64 = weights.iter().sum();
         let dimensions = points.first().map_or(0, DVector::len);
@@ -49,7 +49,7 @@ impl Gaussian {
             .collect()
     }
 
-    /// The Kullback-Leibler divergence of this distribution from another one.
+    /// The Kullback-Leibler divergence of this distribution from another one, in nats.
     pub fn divergence_from(&self, other: &Self) -> f64 {
         let (own, others) = (self.factor(), other.factor());
         let between = &other.mean - &self.mean;
@@ -71,7 +71,8 @@ impl Gaussian {
         points.iter().map(log).collect()
     }
 
-    /// A distribution on the way from this one to another: `share` of the moments are the other's.
+    /// A distribution between this one and another: mean and covariance are averages in which
+    /// `share` is the weight of the other's.
     pub fn towards(&self, other: &Self, share: f64) -> Self {
         Self {
             mean: (1.0 - share) * &self.mean + share * &other.mean,
@@ -79,7 +80,8 @@ impl Gaussian {
         }
     }
 
-    /// The Cholesky factor; a covariance that has lost its rank by rounding counts as a little wider.
+    /// The Cholesky factor of the covariance. A covariance that has lost its rank by rounding is
+    /// widened a little.
     fn factor(&self) -> Cholesky<f64, Dyn> {
         let mut covariance = self.covariance.clone();
         let mut ridge = LEAST_VARIANCE;
@@ -95,7 +97,7 @@ impl Gaussian {
     }
 }
 
-/// Independent standard normal numbers.
+/// `count` independent standard normal numbers.
 pub fn standard_normal(count: usize, random: &mut ChaCha8Rng) -> DVector<f64> {
     DVector::from_fn(count, |_, _| normal_pair(random.random())[0])
 }

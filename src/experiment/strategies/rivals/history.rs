@@ -3,8 +3,9 @@ use super::rival::{Data, Given, Rival};
 use crate::learning::{TrainError, TrainSettings};
 use crate::qube::MAX_HISTORY;
 
-/// One policy for all Qubes of the prior that observes as many of its last commands as an observation holds, to tell the
-/// Qubes apart while it acts. It takes no real rollout.
+/// Trains one policy for all Qubes of the prior that observes as many of its last commands as an
+/// observation holds, so that it can tell the Qubes apart while it acts. The method takes no real
+/// rollout.
 pub struct LongHistory;
 
 impl Rival for LongHistory {

@@ -12,25 +12,32 @@ use super::simopt::SimOpt;
 /// The methods from the literature, by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RivalKind {
-    /// Moves the distribution by the discrepancy of trajectories under a bound on the divergence (Chebotar et al.,
-    /// reference 10 of the thesis).
+    /// Moves the distribution of simulations so that the policy's simulated trajectories resemble
+    /// its real ones; the divergence of each step is bounded (Chebotar et al., reference 10 of the
+    /// thesis).
     SimOpt,
-    /// Posterior given summary statistics of trajectories, by a mixture density network (Ramos et al., reference 17).
+    /// Learns the posterior of the Qube given summary statistics of trajectories, by a mixture
+    /// density network (Ramos et al., reference 17).
     BayesSim,
-    /// The distribution under which recorded transitions are most likely (Tiboni et al. 2023).
+    /// Finds the distribution under which recorded transitions are most likely (Tiboni et al.
+    /// 2023).
     Dropo,
-    /// Trains on the worst trajectories and weights Qubes by the likelihood of real transitions (Rajeswaran et al.,
-    /// reference 18).
+    /// Trains on the worst trajectories and weights Qubes by the likelihood of real transitions
+    /// (Rajeswaran et al., reference 18).
     EpOpt,
-    /// Sequential neural posterior given rollouts (Muratore et al. 2022).
+    /// Learns the posterior of the Qube given rollouts, round by round (Muratore et al. 2022).
     Npdr,
-    /// Widens the distribution as far as the policy earns in it, without real rollouts (Mozifian et al., reference 11).
+    /// Widens the distribution as far as the policy still earns a high return in it, without real
+    /// rollouts (Mozifian et al., reference 11).
     Lsdr,
-    /// Chooses the distribution of each part of a training by Bayesian optimisation (Paul et al., reference 21).
+    /// Chooses the distribution of each part of a training by Bayesian optimisation (Paul et al.,
+    /// reference 21).
     Fpo,
-    /// Trains on Qubes in which the policy behaves unlike in the nominal one (Mehta et al., reference 20).
+    /// Trains on Qubes in which the policy behaves unlike its behaviour in the nominal Qube (Mehta
+    /// et al., reference 20).
     Adr,
-    /// Trains one policy with the longest observation that there is, to identify while it acts.
+    /// Trains one policy that observes the longest history of its commands, to tell Qubes apart
+    /// while it acts.
     History,
 }
 
@@ -48,7 +55,7 @@ impl RivalKind {
         Self::History,
     ];
 
-    /// The rival's name.
+    /// The rival's name in settings, folders and tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -64,7 +71,7 @@ impl RivalKind {
         }
     }
 
-    /// Whether it takes no real rollout.
+    /// Whether the rival takes no real rollout.
     #[must_use]
     pub fn needs_no_rollouts(self) -> bool {
         self.rival().data() == Data::None

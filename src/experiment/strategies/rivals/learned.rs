@@ -18,19 +18,22 @@ use crate::replay::{MotionLog, MotionLogError};
 use crate::session::{SeedFor, derived_seed};
 use crate::storage::{Disk, MachineDisk, write_whole};
 
-/// Numbers of recordings after which a belief is learnt anew. Recordings between two of them are rollouts of one
-/// policy, so that twenty real rollouts need six trainings.
+/// Numbers of recordings after which a policy for further recordings is trained. One policy makes
+/// all recordings between two of these numbers, so that twenty real rollouts and the recommendation
+/// after them need six trainings.
 const ROUNDS: [u32; 6] = [0, 1, 2, 5, 10, 20];
 
-/// The recommendations of a rival: after each number of recordings, the distribution of simulations that it has learnt
-/// from them. Before any recording this is the distribution `robust`.
+/// The recommendations of a rival: after each number of recordings, the distribution of simulations
+/// that the rival has learnt from them. Before any recording the recommendation is the distribution
+/// `robust`.
 pub struct FromRival<'a> {
     run: &'a MethodRun<'a>,
     settings: &'a StrategySettings,
     kind: RivalKind,
     rival: Box<dyn Rival>,
     recordings: Recordings<'a>,
-    /// Number of first recordings that are known to be complete, so that they are not read again.
+    /// Number of recordings, counted from the first, that are known to be complete and need not be
+    /// read again.
     complete: u32,
     space: Space,
 }
@@ -43,7 +46,7 @@ impl<'a> FromRival<'a> {
         Self { run, settings, kind, rival: kind.rival(), recordings, complete: 0, space }
     }
 
-    /// Seed of what is learnt from so many recordings.
+    /// Seed of the belief and the recommendation after `recordings` recordings.
     fn seed(&self, recordings: u32) -> u64 {
         // A separate seed, because scoring uses the run's own.
         let seed = derived_seed(self.run.seed, SeedFor::Search);
@@ -58,7 +61,7 @@ impl<'a> FromRival<'a> {
         recipe
     }
 
-    /// The recommendation of a belief after so many recordings.
+    /// The recommendation of a belief after `recordings` recordings.
     fn recommendation(&self, belief: &Belief, recordings: u32) -> Recommendation {
         let mut random = ChaCha8Rng::seed_from_u64(self.seed(recordings));
         let distribution = match belief {
@@ -68,7 +71,7 @@ impl<'a> FromRival<'a> {
         Recommendation { distribution, ..Recommendation::of(self.recipe(), None) }
     }
 
-    /// Makes the recording of this number if it does not exist.
+    /// Makes the recording with this number if it does not exist.
     fn record(&self, number: u32) -> Result<(), ExperimentError> {
         if self.rival.data() == Data::Excitations {
             return self.recordings.make(
@@ -86,7 +89,8 @@ impl<'a> FromRival<'a> {
         self.recordings.make(number, Recorded::Policy { after }, &policy)
     }
 
-    /// The recordings of these numbers; one whose policy never had the motor is left out.
+    /// The first `recordings` recordings. A recording in which the policy never had the motor is
+    /// left out.
     fn demonstrations(&self, recordings: u32) -> Result<Vec<Demonstration>, ExperimentError> {
         let mut demonstrations = Vec::new();
         for path in (0..recordings).filter_map(|number| self.recordings.path(number)) {
@@ -105,8 +109,8 @@ impl<'a> FromRival<'a> {
         Ok(demonstrations)
     }
 
-    /// The belief after so many recordings, which exist. It is stored on disk. `None`: the run is read-only, and the
-    /// belief is not on disk.
+    /// The belief after `recordings` recordings, all of which exist. The belief is stored on disk.
+    /// `None`: the run is read-only, and the belief is not on disk.
     fn belief(&self, recordings: u32) -> Result<Option<Belief>, ExperimentError> {
         if recordings == 0 && self.rival.data() != Data::None {
             return Ok(Some(Belief::Unknown));
@@ -153,7 +157,8 @@ impl<'a> FromRival<'a> {
 }
 
 impl FromRival<'_> {
-    /// Stores the policy of a method whose training is its own, unless it is on disk.
+    /// Trains and stores the policy of a rival whose training is its own ([`Rival::trained`]),
+    /// unless the policy is on disk.
     fn train_itself(
         &self,
         recommendation: &Recommendation,
@@ -221,7 +226,7 @@ impl Recommendations for FromRival<'_> {
     }
 }
 
-/// The largest number of recordings within `recordings` after which a belief is learnt anew.
+/// The largest of [`ROUNDS`] that is at most `recordings`.
 fn round_within(recordings: u32) -> u32 {
     let within = ROUNDS.into_iter().filter(|&round| round <= recordings);
     within.max().unwrap_or_default()

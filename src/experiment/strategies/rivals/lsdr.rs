@@ -5,23 +5,25 @@ use super::space::distribution_of;
 use super::stages::{Stages, scored};
 use crate::learning::TrainError;
 
-/// Stages of the training in which the distribution is learnt.
+/// Number of stages of the training; after each the distribution is learnt.
 const STAGES: u32 = 6;
 
-/// Steps of the gradient after each stage.
+/// Number of steps of the gradient after each stage.
 const STEPS: u64 = 8;
 
-/// Simulations of a step, and Qubes of a stage's training.
+/// Number of simulations of a step, and of Qubes of a stage's training.
 const SAMPLES: usize = 256;
 
-/// Standard deviation of the first distribution, as a part of the prior's.
+/// Standard deviation of the first distribution, relative to the prior's.
 const FIRST_WIDTH: f64 = 0.3;
 
-/// Weight of the divergence, standard deviation of the widest distribution, and rate of the steps.
+/// Weight of the divergence, standard deviation of the widest distribution relative to the prior's,
+/// and rate of the steps: the last argument of [`Independent::ascended`].
 const TRADE_OFF: [f64; 3] = [0.02, 1.5, 1.0];
 
-/// Learnt domain randomisation (LSDR, Mozifian et al. 2019, reference 11 of the thesis): widens the distribution of
-/// simulations as far as the policy still earns in them, without any real rollout.
+/// Learnt domain randomisation (LSDR, Mozifian et al. 2019, reference 11 of the thesis): widens the
+/// distribution of simulations as far as the policy still earns a high return in it, without any
+/// real rollout.
 pub struct Lsdr;
 
 impl Rival for Lsdr {

@@ -4,26 +4,28 @@ use rand_chacha::ChaCha8Rng;
 
 use super::gaussian::standard_normal;
 
-/// Neurons of each of the two hidden layers.
+/// Number of neurons of each of the two hidden layers.
 const HIDDEN: usize = 48;
 
-/// Components of the mixture.
+/// Number of components of the mixture.
 const COMPONENTS: usize = 4;
 
-/// Samples of a gradient step.
+/// Number of samples of a gradient step.
 const BATCH: usize = 64;
 
-/// Largest standardised feature: what lies farther out was never simulated, and says no more than that.
+/// Bound on a standardised feature: beyond it no simulation was seen, so a larger value tells
+/// nothing more.
 const FARTHEST_FEATURE: f64 = 5.0;
 
-/// Every so many samples, one is held out to choose the weights.
+/// One sample of so many is held out to choose the weights of the network.
 const HELD_OUT_EVERY: usize = 10;
 
 /// Adam's learning rate in the first and the last step.
 const LEARNING_RATES: [f64; 2] = [3e-3, 1e-4];
 
-/// A mixture density network (Bishop 1994): the density of a target given features, as a mixture of normal
-/// distributions with full covariances whose parameters are the outputs of a network with two hidden layers of tanh.
+/// A mixture density network (Bishop 1994): the density of a target given features, as a mixture of
+/// normal distributions with full covariances whose parameters are the outputs of a network with
+/// two hidden layers of tanh.
 #[derive(Clone, Debug)]
 pub struct MixtureDensity {
     layers: [Layer; 3],
@@ -59,8 +61,9 @@ struct Moments {
 }
 
 impl MixtureDensity {
-    /// Fits the density of targets given features by maximum likelihood, each sample with its weight, over so many
-    /// passes. One sample in ten is held out, and the weights with its highest likelihood are kept.
+    /// Fits the density of targets given features by maximum likelihood over `passes` passes; each
+    /// sample has its weight. One sample in ten is held out, and the network with the highest
+    /// likelihood of these samples is kept.
     pub fn fit(
         features: &[DVector<f64>],
         targets: &[DVector<f64>],
@@ -78,7 +81,7 @@ impl MixtureDensity {
             Layer::random(HIDDEN, outputs, 0.1, &mut random),
         ];
         let mut network = Self { layers, centre, scale, dimensions };
-        // Components that begin at one place would learn the same.
+        // Components with equal means would all learn the same.
         for component in 0..COMPONENTS {
             let first = component * outputs_of_component(dimensions) + 1;
             for entry in 0..dimensions {
@@ -143,7 +146,8 @@ impl MixtureDensity {
         Mixture::of_outputs(last.of(&hidden).as_slice(), self.dimensions)
     }
 
-    /// The gradient of the mean weighted negative log likelihood of some samples.
+    /// The gradient of the mean weighted negative log likelihood of the samples of a batch, in the
+    /// form of a network.
     fn gradient(
         &self,
         batch: &[usize],
@@ -190,7 +194,8 @@ impl MixtureDensity {
     }
 }
 
-/// Outputs of the network for a component: its weight's logarithm, its mean, and its whitener row by row.
+/// Number of outputs of the network for a component: the logarithm of its weight, its mean, and its
+/// whitener row by row.
 fn outputs_of_component(dimensions: usize) -> usize {
     1 + dimensions + dimensions * (dimensions + 1) / 2
 }
@@ -283,7 +288,7 @@ impl Mixture {
 }
 
 impl Component {
-    /// The logarithm of its weight times its density.
+    /// The logarithm of the component's weight times its density at a point.
     fn log_density(&self, point: &DVector<f64>) -> f64 {
         let whitened = &self.whitener * (point - &self.mean);
         let log_determinant: f64 = self.whitener.diagonal().iter().map(|it| it.ln()).sum();
@@ -370,8 +375,8 @@ mod tests {
         }
     }
 
-    /// theta is standard normal in two dimensions, and x = theta_1 + theta_2 + noise: the posterior is normal, and its
-    /// moments are known.
+    /// theta is standard normal in two dimensions, and x = theta_1 + theta_2 + noise: the posterior
+    /// is normal, and its moments are known.
     #[test]
     fn a_linear_problem_has_its_normal_posterior() {
         let mut random = ChaCha8Rng::seed_from_u64(5);

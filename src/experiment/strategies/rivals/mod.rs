@@ -1,11 +1,13 @@
-//! Methods from the literature that learn a distribution of simulations from real rollouts, or without any: the rivals
-//! of the thesis's chapter 2 and what came after. docs/rivals.md has a paragraph about each.
+//! Methods from the literature, here called rivals, that learn a distribution of simulations from
+//! real rollouts, or without any: those of the thesis's chapter 2 and later ones. docs/rivals.md
+//! has a paragraph about each.
 //!
-//! A `rival` turns recordings into a `belief` about the Qube, in the coordinates of a `space`; `learned` makes
-//! recommendations of it. `universal` is the one method that searches for the inputs of a policy instead. The statistics of each stand in files of their own, which know nothing of a Qube: `gaussian`,
-//! `relative_entropy`, `mixture_density`, `offline_likelihood`, `tempering`,
-//! `entropy_trade_off`, `stein`, `discriminator`. `simulator` simulates rollouts again in other Qubes, `summary` and
-//! `discrepancy` compare motions.
+//! A `rival` turns recordings into a `belief` about the Qube, in the coordinates of a `space`;
+//! `learned` makes recommendations of beliefs. `universal` alone learns no belief: it searches for
+//! the inputs of a policy. The statistics of the rivals are in files of their own, which know
+//! nothing of a Qube: `gaussian`, `relative_entropy`, `mixture_density`, `offline_likelihood`,
+//! `tempering`, `entropy_trade_off`, `stein`, `discriminator`. `simulator` simulates rollouts again
+//! in other Qubes; `summary` and `discrepancy` compare motions.
 
 mod adr;
 mod bayessim;

@@ -11,17 +11,18 @@ use crate::learning::TrainError;
 /// Number of simulations that the network learns from.
 const SAMPLES: usize = 2000;
 
-/// Passes over them.
+/// Number of passes over the simulations.
 const PASSES: usize = 60;
 
 /// Largest number of recordings whose statistics the posterior is given.
 const LATEST: usize = 3;
 
-/// Factor of the covariance of the belief before, when Qubes are proposed from it.
+/// Factor on the covariance of the belief before, from which Qubes are proposed.
 const WIDENED: f64 = 2.0;
 
-/// Sequential neural posterior estimation as in NPDR (Muratore et al. 2022): the posterior of a Qube given the latest
-/// rollouts, by a network that learns from simulations proposed by the posterior before them.
+/// Sequential neural posterior estimation as in NPDR (Muratore et al. 2022): a network learns the
+/// posterior of a Qube given the latest rollouts, from simulations of Qubes that the posterior
+/// before proposes.
 pub struct Npdr;
 
 impl Rival for Npdr {
@@ -63,8 +64,9 @@ impl Rival for Npdr {
     }
 }
 
-/// The weight of each point that was drawn with equal chance from prior or proposal, so that weighted points are as if
-/// drawn from the prior: the density of the prior over that of the mixture.
+/// Importance weights of points, half of them drawn from the prior and half from the proposal: the
+/// density of the prior over that of the mixture of both. Weighted points are as if drawn from the
+/// prior.
 fn importance(prior: &Gaussian, proposal: &Gaussian, points: &[DVector<f64>]) -> Vec<f64> {
     let (before, proposed) = (prior.log_densities(points), proposal.log_densities(points));
     let weight = |(prior, proposal): (&f64, &f64)| 2.0 / (1.0 + (proposal - prior).exp());

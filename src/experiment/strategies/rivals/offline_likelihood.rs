@@ -1,6 +1,7 @@
-/// The logarithm of the likelihood of real numbers under a distribution of simulations (DROPO, section III): for each
-/// transition, the density of the real end under the normal distribution with the moments of the simulated ends, to
-/// whose variances the measurement's noise is added. `simulated` has each transition's ends under the same Qubes.
+/// The logarithm of the likelihood of real transitions under a distribution of simulations (DROPO,
+/// section III), without its constant. Each transition adds the log density of its real end under
+/// the normal distribution with the moments of its simulated ends, to whose variances the
+/// measurement's noise is added. `simulated` has each transition's ends under the same Qubes.
 pub fn log_likelihood<const N: usize>(
     real: &[[f64; N]],
     simulated: &[Vec<[f64; N]>],
@@ -37,7 +38,8 @@ fn of_transition<const N: usize>(real: &[f64; N], ends: &[[f64; N]], noise: &[f6
     if log.is_finite() { log.max(UNLIKELY) } else { UNLIKELY }
 }
 
-/// The logarithm of the likelihood of a transition that a distribution cannot explain, or whose simulations diverge.
+/// The logarithm of the likelihood of a transition that a distribution cannot explain, or whose
+/// simulations diverge.
 const UNLIKELY: f64 = -1e4;
 
 #[cfg(test)]
@@ -50,8 +52,8 @@ mod tests {
     use crate::experiment::strategies::rivals::evolution::least;
     use crate::experiment::strategies::rivals::gaussian::standard_normal;
 
-    /// The end of each transition is slope times input, and every transition had a slope of its own, drawn from
-    /// N(2, 0.5^2): the most likely distribution is that one.
+    /// The end of each transition is slope times input, and every transition had a slope of its
+    /// own, drawn from N(2, 0.5^2): the most likely distribution is that one.
     #[test]
     fn the_most_likely_distribution_is_the_one_that_made_the_data() {
         let mut random = ChaCha8Rng::seed_from_u64(8);

@@ -5,14 +5,15 @@ use super::gaussian::Gaussian;
 /// Smallest and largest logarithm of the temperature, relative to the spread of the costs.
 const LOG_TEMPERATURES: [f64; 2] = [-9.0, 9.0];
 
-/// Steps of the golden section that finds the temperature.
+/// Number of steps of the golden section that finds the temperature.
 const SECTIONS: usize = 60;
 
-/// Halvings of the interval that finds the largest allowed step.
+/// Number of halvings of the interval that finds the largest allowed step.
 const HALVINGS: usize = 40;
 
-/// The weights of samples by episodic relative entropy policy search (Peters, Mülling and Altün 2010): those of the
-/// lowest expected cost among all whose divergence from equal weights is at most `bound`. They sum to 1.
+/// The weights of samples by episodic relative entropy policy search (Peters, Mülling and Altün
+/// 2010): of all weights whose divergence from equal weights is at most `bound` (in nats), those
+/// with the lowest expected cost. The weights sum to 1.
 pub fn weights(costs: &[f64], bound: f64) -> Vec<f64> {
     let least = costs.iter().copied().fold(f64::INFINITY, f64::min);
     let count = costs.len() as f64;
@@ -22,7 +23,8 @@ pub fn weights(costs: &[f64], bound: f64) -> Vec<f64> {
     }
     let exponentials =
         |temperature: f64| costs.iter().map(move |cost| (-(cost - least) / temperature).exp());
-    // The dual function, which is convex in the temperature; the least cost is left out, because it is a constant.
+    // The dual function, which is convex in the temperature; the least cost is left out, because it
+    // is a constant.
     let dual = |log_temperature: f64| {
         let temperature = spread * log_temperature.exp();
         temperature * (bound + (exponentials(temperature).sum::<f64>() / count).ln())
@@ -32,8 +34,9 @@ pub fn weights(costs: &[f64], bound: f64) -> Vec<f64> {
     exponentials(temperature).map(|weight| weight / total).collect()
 }
 
-/// The next distribution: the weighted fit to points with costs, or as much of the way there as keeps the divergence
-/// from the one before within `bound`. The fit alone may go further, because few points have weight.
+/// The next distribution: the weighted fit to points with costs, or the farthest distribution on
+/// the way to this fit whose divergence from `before` is at most `bound`. The fit alone may go
+/// farther, because few points have weight.
 pub fn bounded_update(
     before: &Gaussian,
     points: &[DVector<f64>],
@@ -57,7 +60,7 @@ pub fn bounded_update(
     before.towards(&fitted, allowed)
 }
 
-/// The place of the least value of a function with one valley, by golden section.
+/// The argument at which a function with one minimum is least, by golden section.
 fn least_point(function: impl Fn(f64) -> f64, [mut lower, mut upper]: [f64; 2]) -> f64 {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     for _ in 0..SECTIONS {

@@ -9,23 +9,23 @@ use super::space::Space;
 use crate::learning::{TrainError, TrainSettings, Trained};
 use crate::simulation::SimulationSettings;
 
-/// Number of Qubes by which a belief is simulated in training.
+/// Number of Qubes, drawn from a belief, that stand for it in training.
 pub const POINTS: usize = 256;
 
 /// The real rollouts that a rival learns from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Data {
-    /// None: the method learns in simulations alone.
+    /// No rollouts: the method learns in simulations alone.
     None,
     /// Excitations, as methods that identify the Qube take them.
     Excitations,
-    /// Rollouts of the policies that its belief gives.
+    /// Rollouts of policies that are trained in the rival's beliefs.
     Rollouts,
 }
 
-/// The knowledge from which a rival learns.
+/// The data and settings from which a rival learns.
 pub struct Given<'a> {
-    /// Coordinates of Qubes.
+    /// Space in whose coordinates beliefs are.
     pub space: &'a Space,
     /// Belief before the latest recordings.
     pub before: &'a Belief,
@@ -33,7 +33,7 @@ pub struct Given<'a> {
     pub recorded: &'a [Demonstration],
     /// Index of the first of the latest recordings.
     pub first_latest: usize,
-    /// Sensors of the simulations.
+    /// Settings of the simulations besides their distribution.
     pub simulation: &'a SimulationSettings,
     /// Settings of a training.
     pub training: &'a TrainSettings,
@@ -44,7 +44,7 @@ pub struct Given<'a> {
 }
 
 impl<'a> Given<'a> {
-    /// The recordings since the belief before.
+    /// The recordings that `before` does not contain.
     pub fn latest(&self) -> &'a [Demonstration] {
         self.recorded.get(self.first_latest..).unwrap_or_default()
     }
@@ -57,7 +57,7 @@ impl<'a> Given<'a> {
 
 /// A method from the literature that turns real rollouts into a distribution of simulations.
 pub trait Rival {
-    /// The real rollouts that it learns from.
+    /// The kind of real rollouts that the rival learns from.
     fn data(&self) -> Data;
 
     /// The belief after the latest recordings.
@@ -66,8 +66,8 @@ pub trait Rival {
     /// A training that the method needs is stopped or fails.
     fn update(&self, given: &Given) -> Result<Belief, TrainError>;
 
-    /// The policy of a method whose training is not that of one distribution; `None` of others, whose policies are
-    /// trained on their beliefs.
+    /// The policy of a rival whose training is its own; `None` for a rival whose policies are
+    /// trained in its belief.
     ///
     /// # Errors
     /// The training is stopped or fails.
@@ -75,6 +75,6 @@ pub trait Rival {
         Ok(None)
     }
 
-    /// Changes the settings of the trainings, where the method has settings of its own.
+    /// Changes the settings of the trainings, for a rival that has settings of its own.
     fn shape_training(&self, _training: &mut TrainSettings) {}
 }

@@ -5,17 +5,17 @@ use super::rival::{Data, Given, Rival};
 use super::simulator::{Motion, simulate};
 use crate::learning::TrainError;
 
-/// Steps of relative entropy policy search after each round of real rollouts.
+/// Number of steps of relative entropy policy search after each round of real rollouts.
 const STEPS: usize = 8;
 
-/// Simulated rollouts of each real one in a step.
+/// Number of Qubes of a step, in each of which every real rollout is simulated.
 const SAMPLES: usize = 200;
 
-/// Largest divergence of a step from the distribution before it.
+/// Largest divergence of a step from the distribution before it, nats.
 const BOUND: f64 = 1.0;
 
-/// SimOpt (Chebotar et al. 2019, reference 10 of the thesis): moves a normal distribution of simulations so that the
-/// policy's rollouts in them resemble its real ones.
+/// SimOpt (Chebotar et al. 2019, reference 10 of the thesis): moves a normal distribution of
+/// simulations so that the policy's rollouts in them resemble its real ones.
 pub struct SimOpt;
 
 impl Rival for SimOpt {

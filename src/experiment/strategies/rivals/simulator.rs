@@ -6,7 +6,7 @@ use crate::simulation::{LaneStatus, Pendulums, SensorModel, SimulationSettings, 
 /// Number of Qubes that are simulated side by side.
 const LANES: usize = 256;
 
-/// A real rollout that is data, and its policy.
+/// A recorded motion and the policy that made it.
 pub struct Demonstration {
     /// Motion and voltages.
     pub log: MotionLog,
@@ -15,7 +15,9 @@ pub struct Demonstration {
 }
 
 impl Demonstration {
-    /// A swing-up of a policy that nobody has recorded: hanging at rest at an angle of the arm, for 6 s.
+    /// A template for simulating a rollout that was never recorded: 6 s of a policy that starts at
+    /// rest with a hanging pendulum and the arm at `theta` (rad). The log repeats this start and
+    /// has no motion.
     pub fn of_policy(policy: &Network, plant: &PlantModel, theta: f64) -> Self {
         let sample = |step| MotionSample {
             time_s: step as f64 * CONTROL_PERIOD_S,
@@ -28,7 +30,7 @@ impl Demonstration {
     }
 }
 
-/// Angles of a motion with the voltages at each step of 10 ms.
+/// A motion in steps of 10 ms: states and voltages.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Motion {
     /// State at each step.
@@ -47,8 +49,8 @@ impl Motion {
     }
 }
 
-/// Simulates a recorded rollout on each of several Qubes: a policy acts on the observations of that Qube; an excitation has
-/// the recorded voltages.
+/// Simulates a recorded rollout on each of several Qubes. A policy acts on the observations of the
+/// simulated Qube; an excitation has the recorded voltages.
 pub fn simulate(
     demonstration: &Demonstration,
     simulation: &SimulationSettings,
@@ -67,13 +69,14 @@ fn side_by_side(
 ) -> Vec<Motion> {
     let recorded = Motion::recorded(log);
     let Some(&first) = recorded.states.first() else { return Vec::new() };
-    // A rollout begins at rest: what the filter says of its velocities is the last of the encoders' edges.
+    // A rollout begins at rest: velocities that the filter still shows come from the last edge of
+    // an encoder.
     let start = State { theta_dot: 0.0, alpha_dot: 0.0, ..first };
     let (mut policy, simulation) = match policy {
         Some(policy) => {
             (Some(policy.clone()), SimulationSettings { history: policy.history(), ..*simulation })
         }
-        // Nobody looks at the states.
+        // An excitation does not depend on the states, so no sensor is simulated.
         None => (None, SimulationSettings { sensors: SensorModel::TrueState, ..*simulation }),
     };
     let largest_v = simulation.plant.limits.largest_voltage_v;
@@ -110,7 +113,7 @@ fn side_by_side(
                 theta_dot: number(seen.theta_dot),
                 alpha_dot: number(seen.alpha_dot),
             });
-            // The motor gets no more than its limit, as a recording says.
+            // A recording has the voltage that the motor gets, within its limit.
             let applied_v = number(voltages_v[lane]).clamp(-largest_v, largest_v);
             motions[lane].voltages_v.push(applied_v);
         }

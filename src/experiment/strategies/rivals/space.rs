@@ -5,15 +5,19 @@ use super::gaussian::standard_normal;
 use crate::qube::{DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
 use crate::simulation::{DomainDistribution, MAX_COMMAND_DELAY_S};
 
-/// Standard deviation of the logarithm of a damping before any data: published values differ by a factor of 50.
+/// Standard deviation of the logarithm of a damping before any data: published values differ by a
+/// factor of 50.
 const DAMPING_LOG_DEVIATION: f64 = 1.0;
 
-/// Largest distance from the prior mean of a value that can be simulated, in its standard deviations.
+/// Largest distance of a coordinate from 0 at which a Qube is simulated, in standard deviations of
+/// the prior.
 const FARTHEST: f64 = 4.0;
 
-/// The coordinates in which rivals learn about a Qube: one a quantity that nobody knows before, with mean 0 and
-/// standard deviation 1 as the distribution `robust` has it. Parameters count by their logarithms, so that none
-/// becomes negative; nonidealities end where they cannot be simulated.
+/// The coordinates in which rivals learn about a Qube, one for each quantity that varies in the
+/// distribution `robust`. The prior of each coordinate has mean 0 and standard deviation 1, which
+/// stand for mean and standard deviation in `robust`; dampings are wider. Parameters count by their
+/// logarithms, so that none becomes negative; nonidealities are bounded to values that can be
+/// simulated.
 #[derive(Clone, Debug)]
 pub struct Space {
     nominal: QubeModel,
@@ -28,7 +32,7 @@ struct Coordinate {
 }
 
 impl Space {
-    /// The space of a specimen of a plant that nobody has identified.
+    /// The space for a specimen of `plant` that nobody has identified.
     pub fn of_unknown(plant: &PlantModel) -> Self {
         let before = DomainDistribution::robust();
         let coordinate = |quantity: Quantity| {
@@ -65,7 +69,8 @@ impl Space {
         self.coordinates.iter().map(|it| it.quantity)
     }
 
-    /// A point whose Qube can be simulated: each entry at the end of its range where it lies beyond.
+    /// The nearest point whose Qube can be simulated: an entry beyond its range becomes the end of
+    /// the range.
     pub fn held(&self, point: &DVector<f64>) -> DVector<f64> {
         DVector::from_iterator(
             point.len(),
@@ -76,7 +81,7 @@ impl Space {
         )
     }
 
-    /// The Qube at a point, held where it can be simulated.
+    /// The Qube at a point, or at the nearest point that can be simulated.
     pub fn model(&self, point: &DVector<f64>) -> QubeModel {
         let mut model = self.nominal;
         for (coordinate, entry) in self.coordinates.iter().zip(self.held(point).iter()) {
@@ -97,12 +102,13 @@ impl Space {
         DVector::from_iterator(self.dimensions(), self.coordinates.iter().map(entry))
     }
 
-    /// Draws points of Qubes that one may meet, before any data.
+    /// Draws points from the prior, within the ranges that can be simulated.
     pub fn draws(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
         (0..count)
             .map(|_| {
                 let mut point = standard_normal(self.dimensions(), random);
-                // A draw beyond a range is drawn again, so that its end gets no more than its share.
+                // An entry beyond its range is drawn again: cut off, all such entries would gather
+                // at the end.
                 while self.held(&point) != point {
                     let again = standard_normal(self.dimensions(), random);
                     for (index, coordinate) in self.coordinates.iter().enumerate() {
@@ -126,7 +132,7 @@ impl Coordinate {
         }
     }
 
-    /// The ends of its entries.
+    /// Smallest and largest entry of the coordinate that can be simulated.
     fn range(&self) -> (f64, f64) {
         let Quantity::Nonideality(term) = self.quantity else { return (-FARTHEST, FARTHEST) };
         let (smallest, largest) = term.range().into_inner();
@@ -138,7 +144,8 @@ impl Coordinate {
     }
 }
 
-/// The distribution of simulations that draws one of these points' Qubes.
+/// The distribution of simulations that draws one of the Qubes at these points; `None` if a Qube
+/// cannot be simulated.
 pub fn distribution_of(space: &Space, points: &[DVector<f64>]) -> Option<DomainDistribution> {
     let models = points.iter().map(|point| space.model(point)).collect();
     DomainDistribution::of_specimens(models).ok()

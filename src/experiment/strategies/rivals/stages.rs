@@ -14,19 +14,19 @@ pub struct Stages<'a> {
     stop: &'a AtomicBool,
     seed: u64,
     done: u64,
-    /// Result of the stages so far.
+    /// Result of the last stage; `None` before the first.
     pub trained: Option<Trained>,
 }
 
 impl<'a> Stages<'a> {
-    /// A training whose updates are shared out evenly among so many stages.
+    /// A training whose updates are divided evenly among `stages` stages.
     pub fn new(settings: &TrainSettings, stages: u32, seed: u64, stop: &'a AtomicBool) -> Self {
         let updates = settings.updates.div_ceil(stages).max(1);
         let settings = TrainSettings { updates, threads: 1, ..settings.clone() };
         Self { settings, stop, seed, done: 0, trained: None }
     }
 
-    /// Goes on for a stage in this distribution.
+    /// Trains for one more stage in this distribution, from the final network of the stage before.
     ///
     /// # Errors
     /// The training is stopped or fails.
@@ -43,14 +43,14 @@ impl<'a> Stages<'a> {
         Ok(())
     }
 
-    /// The policy of the stages so far.
+    /// The best network of the last stage; `None` before the first.
     pub fn network(&self) -> Option<&Network> {
         self.trained.as_ref().map(|trained| &trained.network)
     }
 }
 
-/// Points with the returns of a policy in their Qubes, as parts of the largest return. The Qube of each trajectory is
-/// drawn among the points, so that a point may appear several times or not at all.
+/// Points with the returns of a policy in their Qubes, as parts of the largest return. Each
+/// trajectory draws its Qube among the points, so a point may appear several times or not at all.
 pub fn scored(
     network: &Network,
     settings: &TrainSettings,

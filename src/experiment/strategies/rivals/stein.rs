@@ -1,8 +1,8 @@
 use nalgebra::DVector;
 
-/// One step of Stein variational gradient descent (Liu and Wang 2016): each particle follows the mean of all particles'
-/// gradients of the log density, weighted by how near they are, and is pushed away from the others. `gradients` has
-/// the gradient of the log density at each particle.
+/// The particles after one step of Stein variational gradient descent (Liu and Wang 2016). Each
+/// particle follows the mean of all particles' gradients, weighted by their nearness, and is pushed
+/// away from the other particles. `gradients` has the gradient of the log density at each particle.
 pub fn stein_step(
     particles: &[DVector<f64>],
     gradients: &[DVector<f64>],
@@ -24,8 +24,9 @@ pub fn stein_step(
         .collect()
 }
 
-/// The square of the median distance over the logarithm of the number of particles, as the paper has it, so that the
-/// neighbours of a particle together weigh as much as itself.
+/// Bandwidth of the kernel: the squared median distance over the logarithm of one more than the
+/// number of particles. As with the paper's bandwidth, the neighbours of a particle together weigh
+/// about as much as the particle itself.
 fn bandwidth_of(particles: &[DVector<f64>]) -> f64 {
     let mut squares: Vec<f64> = particles
         .iter()

@@ -2,15 +2,18 @@ use nalgebra::DVector;
 
 use super::simulator::Motion;
 
-/// Steps of a part of a motion: one second.
+/// Number of steps of a part of a motion: one second.
 const PART: usize = 100;
 
-/// Resolution of the Qube's encoders, rad; simulated angles are rounded as recorded ones are.
+/// Resolution of the Qube's encoders, rad. Simulated angles are rounded to it, because recorded
+/// angles are.
 const RESOLUTION_RAD: f64 = 2.0 * std::f64::consts::PI / 2048.0;
 
-/// Summary statistics of a motion (BayesSim, section IV): for each second, mean and variance of the differences from
-/// step to step, and their correlation with the voltage. The states are the angles and their rates over two steps, so
-/// that a filter of recorded velocities plays no part. A part that the motion did not reach is zero.
+/// Summary statistics of a motion (after BayesSim, section IV), 12 numbers for each of `parts`
+/// seconds. The statistics are of the changes, from step to step, of theta, its rate, alpha and its
+/// rate: mean, variance, and mean product with the voltage. Rates are differences of angles over
+/// two steps, so that a filter of recorded velocities plays no part. A part that the motion did not
+/// reach has zeros.
 pub fn statistics(motion: &Motion, parts: usize) -> Vec<f64> {
     let rounded = |angle: f64| (angle / RESOLUTION_RAD).round() * RESOLUTION_RAD;
     let angles: Vec<[f64; 2]> =
@@ -41,14 +44,15 @@ pub fn statistics(motion: &Motion, parts: usize) -> Vec<f64> {
 }
 
 fn add(sums: &mut [f64; 3], value: f64, voltage_v: f64) {
-    // A simulation that left the numbers must not reach the others.
+    // A simulation that diverges must not make the statistics of all simulations infinite.
     let value = if value.is_finite() { value.clamp(-10.0, 10.0) } else { 10.0 };
     sums[0] += value;
     sums[1] += value * value;
     sums[2] += value * voltage_v;
 }
 
-/// The first features of several motions: the means of their statistics, where variances count by their square roots.
+/// The first `length` features of several motions: the means of the motions' statistics, with the
+/// square root of each mean variance.
 pub fn features(statistics: &[Vec<f64>], length: usize) -> DVector<f64> {
     let count = statistics.len().max(1) as f64;
     DVector::from_fn(length, |entry, _| {
@@ -57,7 +61,7 @@ pub fn features(statistics: &[Vec<f64>], length: usize) -> DVector<f64> {
     })
 }
 
-/// Number of parts that cover a motion of so many steps.
+/// Number of parts that cover a motion of `steps` steps.
 pub fn parts_of(steps: usize) -> usize {
     steps.div_ceil(PART)
 }

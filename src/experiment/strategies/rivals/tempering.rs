@@ -4,19 +4,20 @@ use rand_chacha::ChaCha8Rng;
 
 use super::gaussian::Gaussian;
 
-/// Part of the particles that a stage keeps effective.
+/// Smallest effective share of the particles after a stage's weights.
 const EFFECTIVE: f64 = 0.5;
 
-/// Shrinkage of the particles towards their mean before a stage's noise, which together leave mean and covariance as
-/// they are (Liu and West 2001).
+/// Factor by which particles approach their mean before a stage adds noise. Shrinkage and noise
+/// together keep mean and covariance (Liu and West 2001).
 const SHRINKAGE: f64 = 0.95;
 
-/// Largest number of stages; the rest of the likelihood is taken in at once after them.
+/// Largest number of stages; the last stage takes the whole rest of the likelihood.
 const STAGES: usize = 40;
 
-/// Particles of the posterior, by weights in stages: each stage takes in as much of the log likelihood as leaves half of
-/// the particles effective, draws them anew by their weights, and moves each a little. A single stage would leave one
-/// particle where the data tell much.
+/// Particles of the posterior, weighted in stages (tempering). Each stage takes the largest part of
+/// the log likelihood that leaves half of the particles effective, draws particles by these
+/// weights, and moves each a little. A single stage would leave one particle where the data say
+/// much.
 pub fn posterior_particles(
     mut particles: Vec<DVector<f64>>,
     log_likelihood: impl Fn(&DVector<f64>) -> f64,
@@ -50,7 +51,8 @@ pub fn posterior_particles(
     particles
 }
 
-/// The largest part of the log likelihood, at most `rest`, that leaves enough particles effective.
+/// The largest part of the log likelihood, at most `rest`, that leaves the share [`EFFECTIVE`] of
+/// the particles effective.
 fn effective_part(logs: &[f64], rest: f64) -> f64 {
     let is_effective = |part: f64| {
         let squares: f64 = weights_of(logs, part).iter().map(|weight| weight * weight).sum();
@@ -68,11 +70,11 @@ fn effective_part(logs: &[f64], rest: f64) -> f64 {
             too_much = middle;
         }
     }
-    // A stage that took in nothing would never end.
+    // A stage must take a part above 0, or the stages would never end.
     enough.max(1e-6 * rest)
 }
 
-/// Weights that sum to 1, in proportion to a power of the likelihood.
+/// Weights that sum to 1, in proportion to the likelihood to the power of `part`.
 fn weights_of(logs: &[f64], part: f64) -> Vec<f64> {
     let largest = logs.iter().copied().filter(|it| it.is_finite()).fold(f64::MIN, f64::max);
     let weight = |log: &f64| if log.is_finite() { (part * (log - largest)).exp() } else { 0.0 };
@@ -83,7 +85,8 @@ fn weights_of(logs: &[f64], part: f64) -> Vec<f64> {
     logs.iter().map(|log| weight(log) / total).collect()
 }
 
-/// As many indices as weights, each as often as its weight says, by one random number (systematic resampling).
+/// Draws as many indices as there are weights, each about as often as its weight demands, by one
+/// random number (systematic resampling).
 fn drawn_by(weights: &[f64], random: &mut ChaCha8Rng) -> Vec<usize> {
     let offset: f64 = random.random();
     let count = weights.len() as f64;
@@ -100,8 +103,9 @@ fn drawn_by(weights: &[f64], random: &mut ChaCha8Rng) -> Vec<usize> {
         .collect()
 }
 
-/// The logarithm of the density of Student's t distribution with so many degrees of freedom, without its constant: one
-/// difference far out, such as of an upright pendulum that falls to the other side, does not outweigh the others.
+/// The logarithm of the density of Student's t distribution with so many degrees of freedom,
+/// without its constant. Its tails are heavy: one large difference, such as that of an upright
+/// pendulum that falls to the other side, does not outweigh the others.
 pub fn log_student(standardised: f64, degrees: f64) -> f64 {
     -0.5 * (degrees + 1.0) * (standardised * standardised / degrees).ln_1p()
 }
@@ -112,8 +116,8 @@ mod tests {
 
     use super::*;
 
-    /// The posterior of a normal mean is known: prior N(0, 1), and 50 data of deviation 0.7 whose mean is 1.2, in the
-    /// first coordinate alone.
+    /// The posterior of a normal mean is known: prior N(0, 1), and 50 data of deviation 0.7 whose
+    /// mean is 1.2, in the first coordinate alone.
     #[test]
     fn particles_have_the_moments_of_the_known_posterior() {
         let mut random = ChaCha8Rng::seed_from_u64(4);

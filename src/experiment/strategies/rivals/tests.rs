@@ -1,4 +1,5 @@
-//! Rivals on simulated Qubes that are known: what they learn must be nearer to the Qube than what they knew.
+//! Tests of rivals on known simulated Qubes: motions of Qubes that a rival believes in must
+//! resemble the known Qube's more than those of the prior.
 
 use std::sync::atomic::AtomicBool;
 
@@ -73,11 +74,11 @@ fn rollout_of(model: QubeModel, simulation: &SimulationSettings, theta: f64) -> 
     Demonstration { log, ..blank }
 }
 
-/// Number of Qubes that a belief is compared by.
+/// Number of Qubes drawn to compare a belief with another.
 const DRAWS: usize = 64;
 
-/// The mean discrepancy of another motion of a known Qube from those of Qubes drawn from the prior, and from those of
-/// Qubes that a rival believes in after two motions.
+/// The mean discrepancy between another motion of a known Qube and the motions of drawn Qubes:
+/// first of Qubes from the prior, then of Qubes from a rival's belief after two motions.
 fn learnt_by(kind: RivalKind) -> [f64; 2] {
     let space = Space::of_unknown(&PlantModel::QUBE);
     let simulation = SimulationSettings::robust();

@@ -3,27 +3,30 @@ use std::ops::Range;
 use crate::qube::{QubeModel, State};
 use crate::replay::{MotionLog, simulate_stretch};
 
-/// Length of a transition in samples: 0.1 s, in which the pendulum's own motion exceeds the encoders' resolution.
+/// Length of a transition in samples: 0.1 s, in which the pendulum moves by more than the encoders'
+/// resolution.
 const STEPS: usize = 10;
 
-/// Samples on either side of one from which its velocities are differences of angles.
+/// Number of samples on either side of a sample over which its velocities are differences of
+/// angles.
 const SLOPE_SAMPLES: usize = 1;
 
-/// Standard deviations of a transition's four numbers: of angles by the encoders and the start's velocities, of velocities by
-/// differences of angles, rad and rad/s.
+/// Standard deviations of the error of a transition's end: theta and alpha, rad, by the encoders
+/// and the velocities at the start; theta_dot and alpha_dot, rad/s, by the differences of angles.
 pub const NOISE: [f64; 4] = [0.007, 0.007, 0.12, 0.12];
 
-/// A stretch of a recording between two states that its angles tell, under the recorded voltages.
+/// A short stretch of a recording between two states that its angles determine, under the recorded
+/// voltages.
 pub struct Transition<'a> {
     log: &'a MotionLog,
     range: Range<usize>,
     start: State,
-    /// Angles and velocities at its end: theta, alpha, theta_dot, alpha_dot.
+    /// State at the end: theta and alpha, rad, theta_dot and alpha_dot, rad/s.
     pub end: [f64; 4],
 }
 
 impl<'a> Transition<'a> {
-    /// At most so many transitions of some recordings, evenly spread over them.
+    /// At most `most` transitions of some recordings, evenly spread over them.
     pub fn of_logs(logs: &[&'a MotionLog], most: usize) -> Vec<Self> {
         let starts: Vec<(usize, usize)> = logs
             .iter()
@@ -52,7 +55,8 @@ impl<'a> Transition<'a> {
         }
     }
 
-    /// Where a Qube would be at the end; not finite where its motion diverges.
+    /// The state at the end that a Qube would have, in the form of `end`; not finite where the
+    /// motion diverges.
     pub fn predicted(&self, model: &QubeModel) -> [f64; 4] {
         let mut last = self.start;
         simulate_stretch(&self.log.samples, self.range.clone(), model, self.start, |state| {

@@ -17,18 +17,20 @@ use crate::search::{CmaEs, Observation, SearchError, Strategy as _};
 use crate::session::{SeedFor, derived_seed};
 use crate::storage::{Disk, MachineDisk};
 
-/// Largest size of a physics input that is tried, in standard deviations of the prior.
+/// Largest magnitude of a physics input in the search, in standard deviations of the prior.
 const REACH: f64 = 2.0;
 
-/// The recommendations of strategy optimisation (Yu, Liu and Turk 2019, reference 22 of the thesis): one policy is trained
-/// over the prior with the Qube's physics as inputs; on the real Qube CMA-ES searches for the inputs that earn most. Each
-/// real rollout is one candidate.
+/// The recommendations of strategy optimisation (Yu, Liu and Turk 2019, reference 22 of the
+/// thesis). One policy is trained over the prior with the Qube's physics as inputs; on the real
+/// Qube, CMA-ES searches for the inputs with the highest return. Each real rollout is one
+/// candidate.
 pub struct FromUniversalPolicy<'a> {
     run: &'a MethodRun<'a>,
     settings: &'a StrategySettings,
     recordings: Recordings<'a>,
     space: Space,
-    /// The policy, trained when it is first needed. The same seed gives the same one, so that no file has it.
+    /// Policy, trained when it is first needed. No file stores the policy, because the same seed
+    /// trains the same one again.
     policy: OnceCell<UniversalPolicy>,
 }
 
@@ -40,7 +42,8 @@ impl<'a> FromUniversalPolicy<'a> {
         Self { run, settings, recordings, space, policy: OnceCell::new() }
     }
 
-    /// The recommendation, but for the inputs of its policy: the prior is the distribution of its training.
+    /// The recommendation without the inputs of its policy; the distribution of its training is the
+    /// prior.
     fn recommendation(&self) -> Recommendation {
         let mut recipe = self.run.without_identification().recipe;
         "so-cma".clone_into(&mut recipe.name);
@@ -51,7 +54,8 @@ impl<'a> FromUniversalPolicy<'a> {
         Recommendation { distribution, ..Recommendation::of(recipe, None) }
     }
 
-    /// The best of the settings' number of trainings, by the return in its own evaluations.
+    /// The policy with the highest return in its own evaluations among the settings' number of
+    /// trainings.
     fn policy(&self, recommendation: &Recommendation) -> Result<&UniversalPolicy, ExperimentError> {
         if let Some(policy) = self.policy.get() {
             return Ok(policy);
@@ -87,7 +91,7 @@ impl<'a> FromUniversalPolicy<'a> {
         CmaEs::between(&lower, &bounds, derived_seed(self.run.seed, SeedFor::Search))
     }
 
-    /// The candidates of these rollouts, in order, with their returns.
+    /// The candidates that these rollouts evaluated, in order, with their returns.
     fn candidates(&self, results: &[RolloutResult]) -> Result<Vec<Observation>, SearchError> {
         let mut search = self.search()?;
         let mut data = Vec::with_capacity(results.len());
@@ -98,7 +102,7 @@ impl<'a> FromUniversalPolicy<'a> {
         Ok(data)
     }
 
-    /// Makes the recording of this number, whose predecessors exist, if it does not exist.
+    /// Makes the recording with this number if it does not exist. All recordings before it exist.
     fn record(&self, number: u32, recommendation: &Recommendation) -> Result<(), ExperimentError> {
         if self.recordings.complete_from(number, number + 1)? > number {
             return Ok(());
@@ -150,7 +154,8 @@ impl Recommendations for FromUniversalPolicy<'_> {
     }
 }
 
-/// The next candidate after those in the data: first the mean of the prior, then what CMA-ES proposes.
+/// The next candidate after those in the data: first the mean of the prior, then the proposals of
+/// CMA-ES.
 fn candidate(
     search: &mut CmaEs,
     data: &[Observation],
@@ -174,7 +179,8 @@ fn origin_of(recipe: &Recipe) -> Origin {
 mod tests {
     use super::*;
 
-    /// Candidates of a search whose return falls with the distance from known inputs, in 14 dimensions.
+    /// Candidates of a search whose return falls with the distance from known inputs, in 14
+    /// dimensions.
     fn searched(candidates: usize) -> Vec<Observation> {
         let bounds = [REACH; 14];
         let mut search = CmaEs::between(&bounds.map(|bound| -bound), &bounds, 3).unwrap();
