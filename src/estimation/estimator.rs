@@ -38,8 +38,8 @@ impl Estimator {
         Self { settings, calibration, observer: None, previous: None }
     }
 
-    /// Takes one more measurement and returns the estimates. A measurement no newer than the last changes
-    /// nothing.
+    /// Takes one more measurement and returns the estimates. A measurement no newer than the last
+    /// changes nothing.
     pub fn update(&mut self, measurement: &Measurement) -> Estimates {
         let (theta, alpha) = self.calibration.angles_rad(measurement);
         let now_us = measurement.device_time_us;
@@ -82,8 +82,8 @@ impl Estimator {
         }
     }
 
-    /// Removes the pendulum's whole turns so that alpha lies in (-pi, pi], and returns the estimates after
-    /// the shift. Velocities are kept.
+    /// Removes the pendulum's whole turns so that alpha lies in (-pi, pi], and returns the
+    /// estimates after the shift. Velocities are kept.
     pub fn forget_whole_turns(&mut self) -> Estimates {
         let Some(Previous { estimates, .. }) = &mut self.previous else {
             return Estimates::default();
@@ -104,8 +104,8 @@ impl Estimator {
         *estimates
     }
 
-    /// Number of times that the observer lost the Qube and restarted from encoders and filter; 0 without an
-    /// observer.
+    /// Number of times that the observer lost the Qube and restarted from encoders and filter; 0
+    /// without an observer.
     #[must_use]
     pub fn observer_resets(&self) -> u32 {
         self.observer.as_ref().map_or(0, Observer::observer_resets)
@@ -190,7 +190,8 @@ mod tests {
             Self { sent, state: State { theta: 0.2, alpha: 0.1, ..State::default() }, now_us: 0 }
         }
 
-        /// The state some time after the last sample, integrated with much finer steps than the observer's.
+        /// The state some time after the last sample, integrated with much finer steps than the
+        /// observer's.
         fn at(&self, model: &QubeModel, until_us: u64) -> State {
             let dynamics = NonidealDynamics::<f64>::new(model);
             let mut state = self.state;
@@ -225,8 +226,8 @@ mod tests {
         }
     }
 
-    /// Root mean square errors of both velocities over 3 s of swinging, against the true state at the
-    /// instant at which the command acts.
+    /// Root mean square errors of both velocities over 3 s of swinging, against the true state at
+    /// the instant at which the command acts.
     fn velocity_errors(settings: EstimatorSettings, ahead_us: u64) -> (f64, f64) {
         let model = real();
         let mut ride = Ride::new(&model);

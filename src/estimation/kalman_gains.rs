@@ -1,22 +1,22 @@
 use crate::elementary::Scalar;
 use crate::qube::Encoder;
 
-/// Steady-state Kalman gains of one axis: the correction of angle and velocity for each rad of prediction
-/// error.
+/// Steady-state Kalman gains of one axis: the correction of angle and velocity for each rad of
+/// prediction error.
 ///
-/// The axis is modelled as angle and velocity, driven by an unmodelled acceleration that is constant over
-/// one interval T and white from interval to interval with standard deviation `sigma_a`. The angle's noise
-/// is that of an encoder, uniform over one count: `sigma_r` = (2 pi / counts a revolution) / sqrt(12). The Riccati
-/// equation then has a closed solution in the tracking index `Lambda = sigma_a T^2 / sigma_r` (P. R.
-/// Kalata, IEEE Trans. AES 20 (1984) 174):
+/// The axis is modelled as angle and velocity, driven by an unmodelled acceleration that is
+/// constant over one interval T and white from interval to interval with standard deviation
+/// `sigma_a`. The angle's noise is that of an encoder, uniform over one count: `sigma_r` = (2 pi /
+/// counts a revolution) / sqrt(12). The Riccati equation then has a closed solution in the tracking
+/// index `Lambda = sigma_a T^2 / sigma_r` (P. R. Kalata, IEEE Trans. AES 20 (1984) 174):
 ///
 /// ```text
 /// r = (4 + Lambda - sqrt(8 Lambda + Lambda^2)) / 4
 /// angle gain = 1 - r^2,  velocity gain = 2 (1 - r)^2 / T
 /// ```
 ///
-/// The prediction uses the full equations of motion and so accounts for the coupling of the axes; the gains
-/// neglect it, because they would otherwise change with every angle of the pendulum.
+/// The prediction uses the full equations of motion and so accounts for the coupling of the axes;
+/// the gains neglect it, because they would otherwise change with every angle of the pendulum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KalmanGains<T = f64> {
     /// Correction of the angle for each rad of prediction error.
@@ -33,7 +33,8 @@ impl KalmanGains {
     pub fn steady_state(encoder: Encoder, noise_rad_s2: f64, interval_s: f64) -> Self {
         let quantisation_rad = encoder.rad_per_count() / 12.0_f64.sqrt();
         let index = noise_rad_s2 * interval_s * interval_s / quantisation_rad;
-        // (4 + index)^2 - (8 index + index^2) = 16: this form of r avoids a difference of large numbers.
+        // (4 + index)^2 - (8 index + index^2) = 16: this form of r avoids a difference of large
+        // numbers.
         let r = 4.0 / (4.0 + index + (index * (8.0 + index)).sqrt());
         Self { angle: 1.0 - r * r, velocity: 2.0 * (1.0 - r) * (1.0 - r) / interval_s }
     }

@@ -2,8 +2,8 @@ use super::{KalmanGains, ObserverSettings, SentVoltages};
 use crate::elementary::Scalar;
 use crate::qube::{Encoders, NonidealDynamics, State, runge_kutta_4};
 
-/// Longest integration step, us: the error is 6e-6 rad at the worst speeds of a swing-up, 1/500 of an
-/// encoder count.
+/// Longest integration step, us: the error is 6e-6 rad at the worst speeds of a swing-up, 1/500 of
+/// an encoder count.
 const MAX_STEP_US: u64 = 5_000;
 
 /// Longest interval between two samples that the observer predicts over, us. A rollout has ended
@@ -72,7 +72,8 @@ impl<T: Scalar> ObserverEquations<T> {
     }
 }
 
-/// Selects one of two states number by number, which becomes vector code; a branch between states does not.
+/// Selects one of two states number by number, which becomes vector code; a branch between states
+/// does not.
 #[inline(always)]
 fn choose<T: Scalar>(first: bool, a: &State<T>, b: &State<T>) -> State<T> {
     State {

@@ -1,5 +1,5 @@
-/// Number of commands remembered: they span the longest delay together with the longest silence of a link
-/// before the rollout ends.
+/// Number of commands remembered: they span the longest delay together with the longest silence of
+/// a link before the rollout ends.
 const REMEMBERED: usize = 16;
 
 /// The voltages that were sent and the instants from which each acts.
@@ -30,8 +30,8 @@ pub struct Piece<V = f64> {
 }
 
 impl<V: Copy> SentVoltages<V> {
-    /// A history in which only `voltage` was ever sent; a command acts `delay_s` after the instant of its
-    /// sample.
+    /// A history in which only `voltage` was ever sent; a command acts `delay_s` after the instant
+    /// of its sample.
     #[must_use]
     pub fn new(delay_s: f64, voltage: V) -> Self {
         Self {

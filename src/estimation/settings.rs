@@ -10,23 +10,23 @@ pub const GUARD_CORNER_RAD_S: f64 = 200.0;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EstimatorSettings {
-    /// Corner of the velocity filter, rad/s. The default is 200; the thesis uses 50, whose lag alone makes
-    /// a quarter of nominal policies fail.
+    /// Corner of the velocity filter, rad/s. The default is 200; the thesis uses 50, whose lag
+    /// alone makes a quarter of nominal policies fail.
     pub corner_rad_s: f64,
-    /// Model observer that replaces the filter; `None`, also in files that do not name it, selects the
-    /// filter.
+    /// Model observer that replaces the filter for the policy; `None`, which files without this
+    /// entry mean, selects the filter.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub observer: Option<ObserverSettings>,
 }
 
-/// Settings of an observer with a model of the Qube. It predicts with the equations of motion and the
-/// voltages that were sent, corrects with the encoders, and returns the state at the instant at which the
-/// command being computed will reach the motor.
+/// Settings of an observer with a model of the Qube. It predicts with the equations of motion and
+/// the voltages that were sent, corrects with the encoders, and returns the state at the instant at
+/// which the command being computed will reach the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ObserverSettings {
-    /// Model of the Qube. Its delay counts from the instant of a sample until the voltage computed from it
-    /// acts at the motor.
+    /// Model of the Qube. Its delay counts from the instant of a sample until the voltage computed
+    /// from it acts at the motor.
     pub model: QubeModel,
     /// Standard deviation of the model's error in the arm's acceleration, rad/s^2; above 0 and up
     /// to 1e6.
@@ -148,8 +148,8 @@ impl ObserverSettings {
 }
 
 impl Default for ObserverSettings {
-    /// The default observes the nominal Qube. The noises are a few tenths of the acceleration that the
-    /// motor can produce, the error of a model with name-plate parameters (docs/estimation.md).
+    /// The default observes the nominal Qube. The noises are a few tenths of the acceleration that
+    /// the motor can produce, the error of a model with name-plate parameters (docs/estimation.md).
     fn default() -> Self {
         Self {
             model: QubeModel::NOMINAL,

@@ -1,8 +1,8 @@
 use crate::elementary::Scalar;
 use crate::qube::State;
 
-/// Estimates velocity from angles with the filter omega s / (s + omega), discretised exactly for an angle
-/// that moves linearly between samples:
+/// Estimates velocity from angles with the filter omega s / (s + omega), discretised exactly for an
+/// angle that moves linearly between samples:
 ///
 /// ```text
 /// v_k = e^(-omega T) v_(k-1) + (1 - e^(-omega T)) (x_k - x_(k-1)) / T
@@ -49,8 +49,8 @@ impl<T: Scalar> VelocityFilter<T> {
         Self::at(angle, T::from_f64(0.0))
     }
 
-    /// A filter whose last input was this angle and whose last output was this velocity; they are its whole
-    /// state.
+    /// A filter whose last input was this angle and whose last output was this velocity; they are
+    /// its whole state.
     #[inline(always)]
     pub fn at(angle: T, velocity: T) -> Self {
         Self { angle, velocity }

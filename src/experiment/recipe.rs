@@ -19,8 +19,8 @@ pub struct Recipe {
     pub name: String,
     /// Named distribution of the recipe's simulations.
     pub model: Model,
-    /// All other settings, as in a `session.toml`. Name, seed and emulated Qube come from the experiment;
-    /// the extent is that of the search for psi.
+    /// All other settings, as in a `session.toml`. Name, seed and emulated Qube come from the
+    /// experiment; the extent is that of the search for psi.
     #[serde(default)]
     pub settings: SessionSettings,
 }

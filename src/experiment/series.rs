@@ -13,8 +13,8 @@ use crate::simulation::{DomainDistribution, Psi, PsiError, SimulationSettings};
 use crate::storage::{Disk, MachineDisk, write_whole};
 use crate::telemetry::Ending;
 
-/// The policies of one recipe and one psi: each is trained with its own seed and run on plants. Work that
-/// is complete on disk is not repeated.
+/// The policies of one recipe and one psi: each is trained with its own seed and run on plants.
+/// Work that is complete on disk is not repeated.
 pub(super) struct Series<'a> {
     /// Name of the experiment.
     pub experiment: &'a str,

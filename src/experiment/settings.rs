@@ -48,8 +48,8 @@ impl ExperimentSettings {
     /// Reads an `experiment.toml` to resume the experiment.
     ///
     /// # Errors
-    /// The file cannot be read, is not an experiment, was changed since it began, or has a setting that no longer
-    /// exists.
+    /// The file cannot be read, is not an experiment, was changed since the experiment began, or
+    /// has a setting that no longer exists.
     pub fn load_to_resume(path: &Path) -> Result<Self, ExperimentError> {
         let (settings, retired) = Self::loaded(path)?;
         let changed = (!is_unchanged(&text_of(path)?)).then(|| {

@@ -37,7 +37,8 @@ pub fn standard_deviation(sample: &[f64]) -> f64 {
     (squares / (sample.len() as f64 - 1.0)).sqrt()
 }
 
-/// The median, the mean of the two middle values where their number is even; NaN of an empty sample.
+/// The median, the mean of the two middle values where their number is even; NaN of an empty
+/// sample.
 #[must_use]
 pub fn median(sample: &[f64]) -> f64 {
     let mut sorted = sample.to_vec();

@@ -14,8 +14,8 @@ const LARGEST_NOISE_RATIO: f64 = 1.2;
 /// start states makes the correlation a little negative.
 const LARGEST_WHITENESS: f64 = 0.02;
 
-/// Largest correlation of neighbouring residuals times the root of the number of samples: over short recordings chance
-/// alone exceeds [`LARGEST_WHITENESS`]. It is five standard deviations.
+/// Largest correlation of neighbouring residuals times the root of the number of samples: over
+/// short recordings chance alone exceeds [`LARGEST_WHITENESS`]. It is five standard deviations.
 const LARGEST_CHANCE: f64 = 0.9;
 
 /// Largest distance, in samples, of residuals whose correlation is tested.
@@ -28,11 +28,12 @@ const LARGEST_GROWTH: f64 = 2.0;
 /// Residual over windows of half a second beyond which a model does not fit, rad.
 const UNFIT_RAD: f64 = 0.03;
 
-/// Smallest score that counts as evidence for an effect outside the equations; if the model holds, the score is
-/// chi-squared with one or two degrees of freedom.
+/// Smallest score that counts as evidence for an effect outside the equations; if the model holds,
+/// the score is chi-squared with one or two degrees of freedom.
 const SIGNIFICANT: f64 = 50.0;
 
-/// Share of the squared residuals beyond the encoders' rounding that an effect must explain to be named.
+/// Share of the squared residuals beyond the encoders' rounding that an effect must explain to be
+/// named.
 const NAMED_SHARE: f64 = 0.2;
 
 /// Whether the model describes the Qube that made the recordings.
@@ -61,7 +62,8 @@ impl ModelVerdict {
 /// An effect that the model may lack: a hint for the operator and no identification.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MissingEffect {
-    /// The residuals are larger, more correlated or faster growing than the encoders' rounding explains.
+    /// The residuals are larger, more correlated or faster growing than the encoders' rounding
+    /// explains.
     Unexplained,
     /// A torque builds up after the arm turns back: friction that yields before it slides, or a
     /// cable with hysteresis.
@@ -110,7 +112,8 @@ pub struct Assessment {
     pub verdict: ModelVerdict,
     /// Effects that the model lacks, as far as the tests find any.
     pub doubts: Vec<MissingEffect>,
-    /// Residual over windows of half a second, in standard deviations of the encoder's quantisation.
+    /// Residual over windows of half a second, in standard deviations of the encoder's
+    /// quantisation.
     pub noise_ratio: f64,
     /// Mean correlation of residuals of one angle that are one to five samples apart, in windows of
     /// half a second; the larger value of the two angles. White noise has about 0.
@@ -213,8 +216,8 @@ fn correlation(fit: &Fit<'_>, residuals: &[Vec<Residual>], angle: usize) -> f64 
     if pairs > 0.0 && squares > 0.0 { products / squares } else { 0.0 }
 }
 
-/// The effect outside the equations that explains the residuals best, when it is significant and explains a good part
-/// of the residuals beyond the encoders' rounding.
+/// The effect outside the equations that explains the residuals best, when it is significant and
+/// explains a good part of the residuals beyond the encoders' rounding.
 fn named(check: &Fit<'_>, residuals: f64, noise_ratio: f64) -> Option<MissingEffect> {
     let scores = scores(check);
     let (effect, score) = scores.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;

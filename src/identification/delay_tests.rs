@@ -39,9 +39,9 @@ fn the_standard_error_of_the_delay_is_its_scatter_over_recordings() {
         Nonideality::CableStiffness.into(),
         Nonideality::CommandDelay.into(),
     ];
-    // The arrival of commands coincides with integration steps of a nominal period and lies within the
-    // jitter of the neighbouring samples, so that the number of steps between arrivals and samples differs
-    // from sample to sample and from delay to delay.
+    // The arrival of commands coincides with integration steps of a nominal period and lies within
+    // the jitter of the neighbouring samples, so that the number of steps between arrivals and
+    // samples differs from sample to sample and from delay to delay.
     for delay_s in [0.0033, 0.0067, 0.01] {
         let nonidealities = Nonidealities {
             coulomb_torque_n_m: 5e-4,

@@ -6,15 +6,15 @@ use super::{Unfit, Unknown};
 use crate::qube::{Nonideality, Quantity, QubeModel};
 use crate::replay::MotionLog;
 
-/// The quantities that change from day to day on an unchanged machine: the command delay, and the cable's
-/// rest angle relative to the zero that homing found.
+/// The quantities that change from day to day on an unchanged machine: the command delay, and the
+/// cable's rest angle relative to the zero that homing found.
 const CHANGING: [Unknown; 2] = [
     Unknown(Quantity::Nonideality(Nonideality::CommandDelay)),
     Unknown(Quantity::Nonideality(Nonideality::CableRest)),
 ];
 
-/// Length of the fitted stretches, s: short enough for a balancing pendulum, whose motion no model predicts
-/// for long.
+/// Length of the fitted stretches, s: short enough for a balancing pendulum, whose motion no model
+/// predicts for long.
 const STRETCH_S: f64 = 0.5;
 
 /// Shortest motion that is used, s: a swing-up that left the box still counts.
@@ -31,8 +31,8 @@ pub struct DriftEstimate {
     pub motions: usize,
 }
 
-/// Estimates the quantities that change from day to day; all others are as in `reference`. Rollouts of a
-/// policy suffice as motions. Motions that cannot be fitted are left out.
+/// Estimates the quantities that change from day to day; all others are as in `reference`. Rollouts
+/// of a policy suffice as motions. Motions that cannot be fitted are left out.
 ///
 /// # Errors
 /// No motion can be fitted: the reason of the last one, or [`Unfit::Short`] without any motion.

@@ -6,8 +6,8 @@ use crate::elementary::Scalar;
 /// A number with its derivatives with respect to `N` inputs: forward-mode differentiation.
 ///
 /// Simulating with these numbers gives the states and their exact sensitivities in one run. Finite
-/// differences need one run for each input, and a step that is neither too long for the equations nor too
-/// short for their rounding.
+/// differences need one run for each input, and a step that is neither too long for the equations
+/// nor too short for their rounding.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Dual<const N: usize> {
     /// The number.
@@ -54,8 +54,8 @@ impl<const N: usize> PartialEq for Dual<N> {
     }
 }
 
-/// Numbers are compared by their values, so that a simulation takes the same branches with derivatives as
-/// without.
+/// Numbers are compared by their values, so that a simulation takes the same branches with
+/// derivatives as without.
 impl<const N: usize> PartialOrd for Dual<N> {
     #[inline(always)]
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {

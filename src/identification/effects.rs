@@ -1,4 +1,5 @@
-//! Score tests of effects outside the equations: the part of the residuals that each of them would explain.
+//! Score tests of effects outside the equations: the part of the residuals that each of them would
+//! explain.
 
 use nalgebra::{DMatrix, DVector};
 

@@ -149,8 +149,8 @@ impl<'a> Fit<'a> {
         own
     }
 
-    /// The scatter of the offsets between recordings that makes the recordings most likely, for motions linear in the
-    /// unknowns (MacKay's update of a prior's width).
+    /// The scatter of the offsets that makes the recordings most likely, with motions taken as
+    /// linear in the unknowns (MacKay's update of a prior's width).
     fn scatter_of(&self, before: Scatter) -> Scatter {
         let (locals, count) = (self.locals(), self.unknowns.len());
         let total = count + self.offsets.len() * locals.len();
@@ -189,7 +189,8 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Place, among the unknowns and the offsets of all recordings, of an entry of a stretch's block.
+    /// Place, among the unknowns and the offsets of all recordings, of an entry of a stretch's
+    /// block.
     fn place(&self, recording: usize, index: usize) -> usize {
         if index < self.unknowns.len() { index } else { index + recording * self.locals().len() }
     }
@@ -225,8 +226,8 @@ impl<'a> Fit<'a> {
         (offset.applied(model), offset.alpha_zero_rad)
     }
 
-    /// Minimises the cost by Levenberg-Marquardt over all unknowns and all start states; the start states
-    /// are eliminated stretch by stretch (Schur complement).
+    /// Minimises the cost by Levenberg-Marquardt over all unknowns and all start states; the start
+    /// states are eliminated stretch by stretch (Schur complement).
     pub fn minimise(&mut self) {
         let mut damping = 1e-3;
         let mut cost = self.cost(&self.model, &self.starts, &self.offsets);

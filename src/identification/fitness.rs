@@ -7,11 +7,11 @@ use crate::replay::{MotionLog, MotionSample};
 /// Shortest recording that is fitted, s.
 const SHORTEST_S: f64 = 2.0;
 
-/// Longest time between two samples of a recording without gaps, s: a control tick with one lost sample.
+/// Longest time between two samples that is no gap, s: two control periods, after one lost sample.
 const LONGEST_STEP_S: f64 = 0.021;
 
-/// Longest gap, s: three lost samples in a row, as many as a rollout tolerates. The last voltage was held meanwhile,
-/// so a gap can be simulated like any other step.
+/// Longest gap, s: three lost samples in a row, as many as a rollout tolerates. The last voltage
+/// was held meanwhile, so a gap can be simulated like any other step.
 const LONGEST_GAP_S: f64 = 0.045;
 
 /// Largest share of the steps that are gaps.
@@ -52,8 +52,8 @@ const CLIPPED_STEP_COUNTS: f64 = 4.5;
 const CLIPPED_SAMPLES: usize = 4;
 
 /// Accepted ratio of an angle's motion to its integrated velocity. A velocity filter underestimates
-/// slightly (1.02 to 1.10 in recordings of a real Qube through 50 s/(s+50)); outside these bounds the times
-/// are wrong, since another sampling rate is mostly off by 2 or more.
+/// slightly (1.02 to 1.10 in recordings of a real Qube through 50 s/(s+50)); outside these bounds
+/// the times are wrong, since another sampling rate is mostly off by 2 or more.
 const RATE_FACTORS: std::ops::RangeInclusive<f64> = 0.8..=1.8;
 
 /// Velocity (root mean square) below which the ratio is not checked, rad/s.
@@ -287,8 +287,8 @@ fn clipped(
     Ok(())
 }
 
-/// Compares the motion of an angle in 50 ms with its integrated velocities, which a filter delays but
-/// hardly scales. Recordings without velocities are not checked.
+/// Compares the motion of an angle in 50 ms with its integrated velocities, which a filter delays
+/// but hardly scales. Recordings without velocities are not checked.
 fn other_rate(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
     let (mut slopes, mut velocities, mut count) = (0.0, 0.0, 0);
     let mut first = 0;

@@ -13,17 +13,18 @@ use super::uncertainty::{Blind, Estimate, Uncertainty, uncertainty};
 use crate::qube::{PlantModel, PlantName, QubeModel, State};
 use crate::replay::MotionLog;
 
-/// Lengths of the stretches of chirps and steps, stage by stage, s. Short ones find the neighbourhood, because
-/// their motion depends almost linearly on the unknowns; long ones separate small effects from noise. Windows
-/// of swing-ups are short in every stage, because no model predicts an upright pendulum for long.
+/// Lengths of the stretches of chirps and steps, stage by stage, s. Short ones find the
+/// neighbourhood, because their motion depends almost linearly on the unknowns; long ones separate
+/// small effects from noise. Windows of swing-ups are short in every stage, because no model
+/// predicts an upright pendulum for long.
 const STAGES_S: [f64; 3] = [0.5, 2.0, f64::INFINITY];
 
-/// Largest residual over the shortest stretches, rad (root mean square), beyond which the fit explains
-/// nothing. The real Qube's chirps leave 0.01.
+/// Largest residual over the shortest stretches, rad (root mean square), beyond which the fit
+/// explains nothing. The real Qube's chirps leave 0.01.
 const LARGEST_RESIDUAL_RAD: f64 = 0.1;
 
-/// Largest share of the motion that a fit may leave unexplained over whole recordings. A wrong sign of the
-/// voltage leaves 0.93 to 1, a correct model a few hundredths.
+/// Largest share of the motion that a fit may leave unexplained over whole recordings. A wrong sign
+/// of the voltage leaves 0.93 to 1, a correct model a few hundredths.
 const LARGEST_RESIDUAL_SHARE: f64 = 0.8;
 
 /// Largest residual of the arm over the windows of swing-ups, as a share of the residual of a model
@@ -197,8 +198,8 @@ impl fmt::Display for Cause {
 /// chirps, steps, swing-ups and balancing.
 ///
 /// # Errors
-/// There is no recording, the recordings are of different plants, a recording cannot be fitted, or no Qube explains
-/// them.
+/// There is no recording, the recordings are of different plants, a recording cannot be fitted, or
+/// no Qube explains them.
 pub fn identify(
     logs: &[MotionLog],
     unknowns: &[Unknown],
@@ -345,8 +346,8 @@ fn motion_rad(logs: &[&MotionLog], angle: fn(&State) -> f64) -> f64 {
     (squares / count).sqrt()
 }
 
-/// Name, value and likely value of the fitted quantity that is farthest from any Qube's; `None` when all are
-/// plausible.
+/// Name, value and likely value of the fitted quantity that is farthest from any Qube's; `None`
+/// when all are plausible.
 fn implausible(
     unknowns: &[Unknown],
     plant: &PlantModel,

@@ -89,7 +89,8 @@ pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> H
     }
 }
 
-/// A phase of a recording whose pendulum comes upright, with the horizon at which its predictions are judged.
+/// A phase of a recording whose pendulum comes upright. Each phase has its own horizon, at which
+/// the predictions are scored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// The pendulum is more than 26 degrees from the top throughout the prediction, which lasts 0.5

@@ -10,7 +10,8 @@ pub(super) type Residual = [f64; 2];
 /// function of whole stretches), in scales of its regime.
 const BAD_STRETCH: f64 = 2.0;
 
-/// Smallest scale with a Qube's encoders, rad: an encoder's resolution bounds the residuals from below.
+/// Smallest scale with a Qube's encoders, rad: an encoder's resolution bounds the residuals from
+/// below.
 const SMALLEST_SCALE_RAD: f64 = 1e-3;
 
 /// Standard deviations of the residuals of both angles, rad.
@@ -129,8 +130,8 @@ pub(super) fn scale_of(residuals: &[Vec<Residual>]) -> ResidualScale {
     ResidualScale { theta_rad: rms(0), alpha_rad: rms(1) }
 }
 
-/// Integrated autocorrelation time in samples: 1 + 2 (r1 + r2 + ...) up to the first negative r, averaged
-/// over both angles and all stretches.
+/// Integrated autocorrelation time in samples: 1 + 2 (r1 + r2 + ...) up to the first negative r,
+/// averaged over both angles and all stretches.
 fn correlated(residuals: &[&Vec<Residual>]) -> f64 {
     let of_angle = |angle: usize| {
         let (mut total, mut weight) = (0.0, 0.0);

@@ -1,4 +1,5 @@
-//! Scores methods at fixed budgets of real rollouts, on every plant, without stopping at the first success.
+//! Scores the recommendations of methods at fixed budgets of real rollouts, on every plant. A
+//! success does not end a method's run.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
@@ -14,7 +15,7 @@ use crate::experiment::{
     Experiment, ExperimentError, ExperimentEvent, PolicyResult, RecipeResult, RolloutResult,
 };
 
-/// Name of the plant under which the repetitions on all plants are summed up.
+/// Name in tables for the repetitions on all plants together.
 pub const ALL_PLANTS: &str = "all plants";
 
 /// One repetition of a method on a plant.
@@ -29,7 +30,8 @@ pub(in crate::experiment) struct Trial {
 }
 
 impl StrategySettings {
-    /// Every repetition of every method on each of `plants`, first repetitions first.
+    /// Every repetition of every method on each of `plants` plants; those with the lowest number
+    /// come first.
     pub(in crate::experiment) fn trials(&self, plants: usize) -> impl Iterator<Item = Trial> {
         (0..self.repetitions).flat_map(move |number| {
             (0..plants).flat_map(move |plant| {
@@ -40,8 +42,9 @@ impl StrategySettings {
 }
 
 impl Experiment {
-    /// Scores a method's recommendation at each budget that allows one; the results are by the budgets' indices.
-    /// Where the recordings identify no Qube, the recommendation is the one for an unknown Qube.
+    /// Scores a method's recommendation at each budget that allows one; each result has the index
+    /// of its budget. Where the recordings identify no Qube, the distribution `robust` takes the
+    /// place of a recommendation.
     ///
     /// # Errors
     /// The work ends early, or a file cannot be read.
@@ -68,7 +71,8 @@ impl Experiment {
                 not_scored();
                 continue;
             };
-            // A budget that allows no further candidate has the recommendation of the one before.
+            // A budget that allows no further candidate has the recommendation of the budget
+            // before.
             if scored == Some(steps)
                 && let Some((_, last)) = results.last()
             {
@@ -97,8 +101,8 @@ impl Experiment {
         Ok(results)
     }
 
-    /// The results of all finished repetitions: a row for each plant, method and budget, and the rows of all plants
-    /// together.
+    /// The results of all finished repetitions: a row for each plant, method and budget. With
+    /// several plants, rows of [`ALL_PLANTS`] follow.
     ///
     /// # Errors
     /// An existing session, policy or recording cannot be read.
@@ -143,7 +147,8 @@ impl Experiment {
 }
 
 impl MethodRun<'_> {
-    /// Trains and runs the recommended policy; `None`: the run is read-only, and a result is missing on disk.
+    /// Trains and runs the recommended policy. `None`: the run is read-only, and a result is
+    /// missing on disk.
     fn scored_on_its_plant(
         &self,
         recommendation: &Recommendation,
@@ -163,7 +168,7 @@ impl MethodRun<'_> {
                 None => return Ok(None),
             }
         };
-        // The simulations are not needed while the work goes on.
+        // Returns in simulation are computed when results are read, not while work goes on.
         let simulated_return = if self.access.works() {
             f64::NAN
         } else {
@@ -176,7 +181,8 @@ impl MethodRun<'_> {
     }
 }
 
-/// The number of candidates or recordings within a budget of real rollouts; `None` where it allows no recommendation.
+/// The number of candidates or recordings within a budget of real rollouts; `None` where the budget
+/// allows no recommendation.
 fn steps_within(recommendations: &dyn Recommendations, budget: u32) -> Option<u32> {
     let most = recommendations.count();
     let steps = match recommendations.rollouts_each() {
@@ -237,7 +243,7 @@ mod tests {
             [None, None, Some(1), Some(2), Some(10)]
         );
         assert_eq!(steps(1, 2), Some(2));
-        // What takes no rollout needs no budget.
+        // A method that takes no rollout needs no budget.
         assert_eq!(steps(0, 0), Some(10));
     }
 }

@@ -13,7 +13,8 @@ use crate::experiment::{Experiment, ExperimentError, ExperimentEvent, Plant};
 use crate::session::{SeedFor, derived_seed};
 
 impl Experiment {
-    /// Runs one repetition of a method until a recommendation succeeds or none is left.
+    /// Runs one repetition of a method until a recommendation succeeds or none is left. A read-only
+    /// run ends at the first result that is not on disk.
     ///
     /// # Errors
     /// The work ends early, or a file cannot be read.

@@ -24,30 +24,33 @@ enum Fit {
 pub(super) enum Width {
     /// None: every simulation is the identified Qube.
     Exact,
-    /// The settings' spread of each value.
+    /// The spread of each value that the settings give.
     Spread,
-    /// The spread, and the errors of the identification with their correlations.
+    /// The settings' spread and, beside it, the errors of the identification with their
+    /// correlations.
     Posterior,
 }
 
-/// The origin of the recordings after the first, which is always an excitation.
+/// The origin of a run's recordings after the first recording, which is always an excitation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Further {
     /// Further excitations.
     Excitations,
-    /// Rollouts of the policy that the recordings so far give.
+    /// Rollouts of the policy that is recommended after the recordings so far.
     Rollouts,
 }
 
-/// The recommendations of methods that identify the Qube: after each recording, a distribution around the Qube that
-/// all recordings so far identify. Policies observe their last commands, because that Qube has a delay.
+/// The recommendations of methods that identify the Qube: after each recording, a distribution
+/// around the Qube that all recordings so far identify. Policies observe their last commands,
+/// because the identified Qube has a delay.
 pub(super) struct FromRecordings<'a> {
     run: &'a MethodRun<'a>,
     settings: &'a StrategySettings,
     width: Width,
     further: Further,
     recordings: Recordings<'a>,
-    /// Number of first recordings that are known to be complete, so that they are not read again.
+    /// Number of recordings, counted from the first, that are known to be complete and need not be
+    /// read again.
     complete: u32,
 }
 
@@ -62,7 +65,7 @@ impl<'a> FromRecordings<'a> {
         Self { run, settings, width, further, recordings: Recordings::of(run), complete: 0 }
     }
 
-    /// The policy of the recording with this number.
+    /// The bytes of the policy, or of the excitation, for the recording with this number.
     fn policy(&mut self, number: u32) -> Result<Vec<u8>, ExperimentError> {
         if number == 0 || self.further == Further::Excitations {
             return Ok(excitation(number, self.run.recipe.settings.plant()));
@@ -76,7 +79,7 @@ impl<'a> FromRecordings<'a> {
         Ok(Policy::load(&series.folders.policy(0).policy())?.to_bytes())
     }
 
-    /// Makes the recording of this number if it does not exist.
+    /// Makes the recording with this number if it does not exist.
     fn record(&mut self, number: u32) -> Result<(), ExperimentError> {
         let policy = self.policy(number)?;
         let kind = if number == 0 || self.further == Further::Excitations {
@@ -87,7 +90,7 @@ impl<'a> FromRecordings<'a> {
         self.recordings.make(number, kind, &policy)
     }
 
-    /// Identifies the Qube from several recordings.
+    /// Identifies the Qube from the first `recordings` recordings.
     fn fit(&self, recordings: u32) -> Result<Fit, ExperimentError> {
         let mut logs = Vec::new();
         for number in 0..recordings {
@@ -95,7 +98,8 @@ impl<'a> FromRecordings<'a> {
                 return Ok(Fit::Refused(format!("recording {number} is missing")));
             };
             match MotionLog::read(&path) {
-                // A rollout that ended early may show too little to be fitted; the others still count.
+                // A rollout that ended early may show too little to be fitted; the other recordings
+                // still count.
                 Ok(log) if number > 0 && check_recording(&log).is_err() => {}
                 Ok(log) => logs.push(log),
                 Err(MotionLogError::Recording(error)) => return Err(error.into()),
@@ -110,13 +114,13 @@ impl<'a> FromRecordings<'a> {
         if found.assessment.verdict == ModelVerdict::DoesNotFit {
             return Ok(Fit::Refused("the model does not describe this Qube".into()));
         }
-        // Those that cannot be fitted do not count.
+        // The name counts the fitted recordings alone.
         let name = format!("{} from {} recordings", self.run.name, logs.len());
         Ok(Fit::Found(toml::to_string_pretty(&found.profile(&name, Vec::new()))?))
     }
 
-    /// The fit to several recordings. It is stored on disk, because it takes longer than a training. `None`:
-    /// the run is read-only, and the fit is not on disk.
+    /// The fit to the first `recordings` recordings. The fit is stored on disk, because it takes
+    /// longer than a training. `None`: the run is read-only, and the fit is not on disk.
     fn stored_fit(&self, recordings: u32) -> Result<Option<Fit>, ExperimentError> {
         let named = |what: &str| self.run.folder.join(format!("{what}-{recordings}"));
         let (found, refused) =
@@ -137,7 +141,7 @@ impl<'a> FromRecordings<'a> {
         }))
     }
 
-    /// The recommendation after this many recordings, which exist.
+    /// The recommendation after `recordings` recordings, all of which exist.
     fn recommended(&self, recordings: u32) -> Result<Recommended, ExperimentError> {
         Ok(match self.stored_fit(recordings)? {
             None => Recommended::NotOnDisk,

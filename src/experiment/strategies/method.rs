@@ -10,25 +10,27 @@ use crate::search::StrategyKind;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Method {
-    /// Searches for psi with a strategy.
+    /// Searches for psi.
     Search(StrategyKind),
-    /// Takes no real rollout and trains for a Qube that nobody has identified.
+    /// Takes no real rollout and trains in the distribution `robust`, for a Qube that nobody has
+    /// identified.
     Robust,
-    /// Identifies the Qube from recordings under an excitation and trains on the result alone, as if it were exact
-    /// (classical system identification, references 12 and 16 of the thesis).
+    /// Identifies the Qube from recordings under an excitation and trains on the result alone, as
+    /// if it were exact (classical system identification, references 12 and 16 of the thesis).
     IdentifyMean,
-    /// Identifies the Qube from recordings under an excitation and trains with a spread around each value.
+    /// Identifies the Qube from recordings under an excitation and trains with a spread around each
+    /// value.
     Identify,
-    /// Identifies the Qube from recordings under an excitation and trains along the errors of the fit, beside the
-    /// spread.
+    /// Identifies the Qube from recordings under an excitation and trains along the errors of the
+    /// fit, beside the spread.
     Posterior,
-    /// Does as [`Method::Posterior`] after the first recording; each further recording is a rollout of the policy that
-    /// the recordings before it give.
+    /// Begins as [`Method::Posterior`] with the recording of an excitation; each further recording
+    /// is a rollout of the policy that the recordings before it give.
     SequentialPosterior,
-    /// Searches by CMA-ES for the physics inputs of one policy that is trained for many Qubes (strategy optimisation, Yu
-    /// et al., reference 22 of the thesis).
+    /// Searches by CMA-ES for the physics inputs of one policy that is trained for many Qubes
+    /// (strategy optimisation, Yu et al., reference 22 of the thesis).
     StrategyOptimisation,
-    /// Does as another method from the literature.
+    /// Follows another method from the literature.
     Rival(RivalKind),
 }
 
@@ -57,14 +59,14 @@ impl Method {
         }
     }
 
-    /// Whether the method is compared at fixed budgets alone: its policies take no real rollout, or all come from one
-    /// training.
+    /// Whether the method can be compared at fixed budgets alone: its policies take no real
+    /// rollout, or all come from one training.
     #[must_use]
     pub fn needs_budgets(self) -> bool {
         self.needs_no_rollouts() || self == Self::StrategyOptimisation
     }
 
-    /// The method's name.
+    /// The method's name in settings, folders and tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

@@ -1,16 +1,17 @@
-//! Comparison of methods: strategies × repetitions, to a table of the real rollouts until a recommendation
-//! succeeds.
+//! Comparison of methods: methods × repetitions. The result is a table of the real rollouts that
+//! each method needs until a recommendation succeeds.
 //!
-//! A [`Method`] is a strategy that searches for psi, or one that takes recordings instead and trains around the Qube
-//! that they identify. After each candidate or recording it has a recommendation:
-//! its result if it were stopped there. Recommendations are scored apart from the search, by separate
-//! policies whose rollouts do not count, until one succeeds.
+//! A [`Method`] is a strategy that searches for psi, or one that takes recordings and trains around
+//! the Qube that they identify. After each candidate or recording the method has a recommendation:
+//! its result if it were stopped there. Separate policies score the recommendations, one after the
+//! other until one succeeds; the rollouts of these policies are not counted.
 //!
-//! With budgets in the settings, recommendations are scored after fixed numbers of real rollouts instead, on every
-//! plant, and none stops the comparison (`budgets`).
+//! With budgets in the settings, recommendations are scored after fixed numbers of real rollouts
+//! instead, on every plant, and a success ends nothing (`budgets`).
 //!
-//! Reading order: [`StrategySettings`]; `follow` runs one [`Repetition`]; `search` and `identified` give
-//! its recommendations; `score` scores them; [`StrategyResults`] summarises.
+//! Reading order: [`StrategySettings`]; `follow` runs one [`Repetition`]; `search`, `identified`
+//! and `rivals` give the recommendations of a method; `score` scores them; [`StrategyResults`]
+//! summarises.
 
 mod budgets;
 mod follow;

@@ -13,22 +13,22 @@ use crate::storage::{Disk, MachineDisk};
 /// Voltage of the excitation of a Qube, V: the default of `run --excite`.
 const EXCITATION_V: f64 = 1.5;
 
-/// Largest file about a result that is read, bytes.
+/// Largest file of a stored result that is read, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 24;
 
 /// The source of the voltages of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Recorded {
-    /// An excitation.
+    /// A prepared voltage (a chirp) that moves the plant.
     Excitation,
     /// A policy.
     Policy {
-        /// Number of recordings that it follows from.
+        /// Number of recordings from which the policy was made.
         after: u32,
     },
 }
 
-/// The real rollouts of a method's run that are its data, by number.
+/// The recordings that are the data of a method's run, by number.
 pub(super) struct Recordings<'a> {
     run: &'a MethodRun<'a>,
 }
@@ -43,12 +43,12 @@ impl<'a> Recordings<'a> {
         self.run.folder.join("recordings")
     }
 
-    /// Number of repetitions of a recording after faults.
+    /// Number of repetitions that a recording may have after faults.
     fn repetitions(&self) -> u32 {
         self.run.recipe.settings.extent.repetitions
     }
 
-    /// Makes the recording of this number under a policy, unless it exists.
+    /// Makes the recording with this number under a policy, unless it exists.
     ///
     /// # Errors
     /// The work ends early.
@@ -90,7 +90,7 @@ impl<'a> Recordings<'a> {
         Ok(())
     }
 
-    /// The file of a recording: its last attempt; `None` if there is none.
+    /// The file of a recording's last attempt; `None` if there is none.
     pub fn path(&self, number: u32) -> Option<PathBuf> {
         let tries = (0..=self.repetitions()).rev();
         let mut paths = tries.map(|attempt| recording_in(&self.folder(), number, attempt));
@@ -105,7 +105,8 @@ impl<'a> Recordings<'a> {
         all_of(&self.folder(), count, self.repetitions())
     }
 
-    /// The number of first recordings that are complete on disk, up to `count`; the first `known` are.
+    /// Number of recordings, counted from the first, that are complete on disk, up to `count`. The
+    /// first `known` recordings are not read again.
     ///
     /// # Errors
     /// A recording cannot be read.
@@ -118,7 +119,7 @@ impl<'a> Recordings<'a> {
     }
 }
 
-/// The bytes of the excitation of a plant in a recording.
+/// The bytes of the policy file of the excitation that the recording with this number has.
 pub(super) fn excitation(number: u32, plant: &PlantModel) -> Vec<u8> {
     let limit_v = plant.volts_like(EXCITATION_V);
     let excitation = Excitation::of_rollout(ExcitationShape::Chirp, limit_v, number);

@@ -7,20 +7,21 @@ pub struct Repetition {
     pub method: Method,
     /// Number of the repetition, from 0.
     pub number: u32,
-    /// Scored recommendations in order. An unchanged recommendation is not scored again.
+    /// Recommendations with their scores, in order. An unchanged recommendation is not scored
+    /// again.
     pub recommendations: Vec<RecommendationResult>,
     /// Whether a recommendation has succeeded or none is left.
     pub is_over: bool,
-    /// Largest number of real rollouts.
+    /// Largest number of real rollouts that the repetition may take.
     pub budget: u32,
 }
 
 /// The result of one recommendation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecommendationResult {
-    /// Number of real rollouts before it; a recording counts as one.
+    /// Number of real rollouts before the recommendation; a recording counts as one.
     pub real_rollouts: u32,
-    /// Score of its policies, or the reason why there is no recommendation.
+    /// Score of the recommendation's policies, or the reason why there is no recommendation.
     pub score: Result<Score, String>,
     /// Whether the recommendation succeeds.
     pub succeeds: bool,

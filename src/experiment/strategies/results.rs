@@ -22,8 +22,8 @@ pub struct StrategyResults {
 pub struct StrategyResult {
     /// Method of the comparison.
     pub method: Method,
-    /// First repetitions, up to one that is not over. All finished ones would overrepresent those that
-    /// succeed early.
+    /// Repetitions in order, up to the first that is not over. All finished repetitions together
+    /// would overrepresent those that succeed early.
     pub repetitions: Vec<Repetition>,
 }
 
@@ -34,7 +34,7 @@ impl StrategyResult {
         self.rollouts_needed().len()
     }
 
-    /// The 95 % interval of their share, by Wilson.
+    /// The 95 % interval of the share of successful repetitions, by Wilson.
     #[must_use]
     pub fn reached_interval(&self) -> Interval {
         wilson_interval(self.reached(), self.repetitions.len())
@@ -49,23 +49,25 @@ impl StrategyResult {
         needed
     }
 
-    /// The smallest number of real rollouts within which at least this share of the repetitions succeeds;
-    /// `None` where fewer do. A share of 1/2 gives the median, where repetitions that never succeed count
-    /// as infinite.
+    /// The smallest number of real rollouts within which at least this share of the repetitions
+    /// succeeds; `None` where fewer succeed. A share of 1/2 gives the median, in which repetitions
+    /// that never succeed count as infinite.
     #[must_use]
     pub fn rollouts_within_which(&self, share: f64) -> Option<u32> {
         let rank = (share * self.repetitions.len() as f64 - 1e-9).ceil().max(1.0) as usize;
         self.rollouts_needed().get(rank - 1).copied()
     }
 
-    /// Largest number of real rollouts of a repetition; `None` before one is over.
+    /// Largest number of real rollouts that a repetition may take; `None` before the first
+    /// repetition is over.
     #[must_use]
     pub fn budget(&self) -> Option<u32> {
         self.repetitions.first().map(|it| it.budget)
     }
 
-    /// The corners of the share of repetitions that have succeeded against real rollouts, from 1 rollout to the
-    /// end of the budget; empty before a repetition is over.
+    /// The corners of a step curve: real rollouts, and the share of repetitions that have succeeded
+    /// within them, from 1 rollout to the end of the budget; empty before the first repetition is
+    /// over.
     #[must_use]
     pub fn corners(&self) -> Vec<(f64, f64)> {
         let Some(budget) = self.budget() else { return Vec::new() };
@@ -79,7 +81,8 @@ impl StrategyResult {
         corners
     }
 
-    /// Number of scored recommendations; each is one more chance to succeed by luck.
+    /// Number of scored recommendations in all repetitions; each one is a further chance to succeed
+    /// by luck.
     #[must_use]
     pub fn scored(&self) -> usize {
         let scored = |repetition: &Repetition| {
@@ -90,8 +93,8 @@ impl StrategyResult {
 }
 
 impl StrategyResults {
-    /// Reads all finished work, on as many threads as the experiment has; `None` where the experiment
-    /// does not compare methods up to their first success.
+    /// Reads all finished work, on as many threads as the experiment has; `None` where the
+    /// experiment does not compare methods up to their first success.
     ///
     /// # Errors
     /// An existing session or recording cannot be read.

@@ -6,19 +6,19 @@ use crate::experiment::work::Tell;
 use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
 use crate::simulation::{DomainDistribution, Model, Psi};
 
-/// The recipe and psi that a method recommends for training policies.
+/// The recipe, with its psi or distribution, in which a method recommends training policies.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Recommendation {
     /// Recipe of the policies.
     pub recipe: Recipe,
     /// Psi of the recipe, if its model is searched.
     pub psi: Option<Psi>,
-    /// Distribution of the simulations in place of the recipe's.
+    /// Distribution of the simulations that replaces the recipe's, if any.
     pub distribution: Option<DomainDistribution>,
 }
 
 impl Recommendation {
-    /// The recommendation of a recipe's own distribution.
+    /// A recommendation to train in the recipe's own distribution.
     pub fn of(recipe: Recipe, psi: Option<Psi>) -> Self {
         Self { recipe, psi, distribution: None }
     }
@@ -26,9 +26,9 @@ impl Recommendation {
 
 /// The result of asking a method for a recommendation.
 pub(super) enum Recommended {
-    /// A recommendation, whose policies can be scored.
+    /// The method has a recommendation, whose policies can be scored.
     Found(Box<Recommendation>),
-    /// No recommendation, for this reason.
+    /// The method has no recommendation, for this reason.
     Refused(String),
     /// The run is read-only, and the result is not on disk.
     NotOnDisk,
@@ -36,10 +36,10 @@ pub(super) enum Recommended {
 
 /// The sequence of recommendations of a method.
 pub(super) trait Recommendations {
-    /// Largest number of recommendations.
+    /// Largest number of candidates or recordings.
     fn count(&self) -> u32;
 
-    /// Number of real rollouts before each recommendation.
+    /// Number of real rollouts that each candidate or recording takes.
     fn rollouts_each(&self) -> u32;
 
     /// Number of candidates or recordings before the first recommendation: 0 or 1.
@@ -57,7 +57,7 @@ pub(super) trait Recommendations {
 /// Whether a run makes the results that are missing on disk.
 #[derive(Clone, Copy)]
 pub(in crate::experiment) enum Access<'a> {
-    /// Missing results are made, and the receiver is told of them.
+    /// Missing results are made, and the receiver gets an event for each.
     Work(&'a Tell<'a>),
     /// The run ends at the first missing result.
     ReadOnly,
@@ -72,7 +72,7 @@ impl Access<'_> {
 
 /// One repetition of a method in its folder.
 pub(super) struct MethodRun<'a> {
-    /// Experiment that it belongs to.
+    /// Experiment of the run.
     pub experiment: &'a Experiment,
     /// Name for messages.
     pub name: String,
@@ -89,13 +89,13 @@ pub(super) struct MethodRun<'a> {
 }
 
 impl MethodRun<'_> {
-    /// The recommendation where nothing is known of the Qube: the distribution `robust`.
+    /// The recommendation for a Qube of which nothing is known: the distribution `robust`.
     pub fn without_identification(&self) -> Recommendation {
         let recipe = Recipe::of(Model::Robust, &self.recipe.settings);
         Recommendation::of(recipe, None)
     }
 
-    /// The policies of the recommendation after `steps` candidates or recordings.
+    /// The policies that score the recommendation after `steps` candidates or recordings.
     pub fn series<'b>(
         &'b self,
         recommendation: &'b Recommendation,

@@ -4,7 +4,8 @@ use crate::experiment::series::Series;
 use crate::experiment::{ExperimentError, Plant, RolloutResult};
 use crate::scoring::{Behaviour, criterion};
 
-/// The score of a recommendation, as far as it was needed.
+/// The score of a recommendation, over the rollouts that were run until the decision could not
+/// change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Score {
     /// Number of successful rollouts.
@@ -14,7 +15,8 @@ pub struct Score {
 }
 
 impl Score {
-    /// Whether the recommendation succeeds over `rollouts` rollouts; `None` while that is open.
+    /// Whether the recommendation succeeds over `rollouts` rollouts; `None` while the remaining
+    /// rollouts can change the decision.
     fn decided(self, rollouts: u32) -> Option<bool> {
         let needed = criterion::needed_of(rollouts);
         let failed = self.ran - self.balanced;
@@ -36,14 +38,15 @@ impl Score {
 
 /// The score of a recommendation, and whether it succeeds.
 pub(super) struct ScoredDecision {
-    /// Score when the decision could not change any more.
+    /// Score at the time of the decision.
     pub score: Score,
     /// Whether the recommendation succeeds.
     pub succeeds: bool,
 }
 
-/// Evaluates up to `policies` × `rollouts`; stops once the decision cannot change. `None`: the run is
-/// read-only, and a result is missing on disk.
+/// Scores a recommendation by up to `policies` policies with `rollouts` rollouts each, and stops
+/// after the policy with which the decision can no longer change. `None`: the run is read-only, and
+/// a result is missing on disk.
 ///
 /// # Errors
 /// The work ends early, or a file cannot be read.

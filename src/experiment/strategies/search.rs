@@ -5,8 +5,9 @@ use crate::experiment::{ExperimentError, ExperimentEvent};
 use crate::search::{Observation, Strategy, StrategyKind};
 use crate::session::{SeedFor, Session, SessionEvent, SessionSettings, derived_seed};
 
-/// The recommendations of a search: the best point of the strategy after each candidate. The session evaluates a
-/// candidate only when its recommendation is asked for, so nothing is searched after a success.
+/// The recommendations of a search: after each candidate, the point that the strategy recommends.
+/// The session evaluates a candidate only when the recommendation after it is asked for, so nothing
+/// is searched after a success.
 pub(super) struct FromSearch<'a> {
     run: &'a MethodRun<'a>,
     settings: SessionSettings,

@@ -9,18 +9,22 @@ pub struct StrategySettings {
     /// Methods that are compared.
     #[serde(alias = "contenders")]
     pub methods: Vec<Method>,
-    /// Number of repetitions of each method. Methods share the seed of a repetition, and with it the random
-    /// numbers where they do the same.
+    /// Number of repetitions of each method, 1 to 1,000. Methods share the seed of a repetition,
+    /// and so the random numbers of steps that they have in common.
     pub repetitions: u32,
-    /// Largest number of recordings for methods that identify the Qube; excitations last 10 s.
+    /// Largest number of recordings of a method that learns from recordings, 1 to 1,000, if there
+    /// are no budgets; an excitation lasts 10 s.
     pub recordings: u32,
-    /// Standard deviation of the training distribution around an identified Qube, as a part of each value.
+    /// Standard deviation of the training distribution around an identified Qube, as a part of each
+    /// value; 0 to 1.
     pub spread: f64,
-    /// Numbers of real rollouts after which each method's recommendation is scored, in rising order. Without any, each
-    /// recommendation is scored until the first one succeeds.
+    /// Numbers of real rollouts after which each method's recommendation is scored, in rising order
+    /// and up to 1,000. If empty, recommendations are scored one after the other until the first
+    /// success.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub budgets: Vec<u32>,
-    /// Number of competing trainings of each scored policy; the best in simulation is kept.
+    /// Number of competing trainings of each scored policy, 1 to 64; the best in simulation is
+    /// kept.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub trainings: u32,
 }
@@ -40,12 +44,13 @@ impl StrategySettings {
         !self.budgets.is_empty()
     }
 
-    /// Largest number of recordings of a method that identifies the Qube.
+    /// Largest number of recordings of a method that learns from recordings: the largest budget, or
+    /// `recordings` without budgets.
     pub(super) fn most_recordings(&self) -> u32 {
         self.budgets.last().copied().unwrap_or(self.recordings)
     }
 
-    /// Every repetition of every method, first repetitions first.
+    /// Every repetition of every method; those with the lowest number come first.
     pub(in crate::experiment) fn repetitions(&self) -> impl Iterator<Item = (Method, u32)> {
         (0..self.repetitions)
             .flat_map(|repetition| self.methods.iter().map(move |&it| (it, repetition)))
