@@ -1,14 +1,16 @@
 use super::{Dynamics, NonidealDynamics, State};
 
-/// Number of Qubes in a block: the lanes of the widest vector register.
+/// Number of Qubes that are computed side by side as one block: the single-precision numbers in the
+/// widest vector register (512 bits). Each has a lane, an index from 0 to 15.
 pub const BLOCK: usize = 16;
 
-/// One quantity of the sixteen Qubes of a block.
+/// One quantity of the sixteen Qubes of a block, one number a lane.
 pub type Lanes = [f32; BLOCK];
 
-/// A structure of arrays: holds many items, each of their numbers in an array over the lanes.
+/// A structure of arrays that holds one item a lane: each number of the items is an array over the
+/// lanes.
 pub trait InLanes {
-    /// The single item.
+    /// Type of the item in one lane.
     type One;
 
     /// Fills every lane with the same item.

@@ -1,13 +1,13 @@
 use serde::{Deserialize, Serialize};
 
-/// One sample of a Qube in raw encoder counts.
+/// One sample of a Qube: raw encoder counts, and what the device reports beside them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measurement {
     /// Time at which the encoders were read, by the device's clock, microseconds since its start.
     pub device_time_us: u64,
-    /// Count of the arm's encoder.
+    /// Count of the arm's encoder; signs and zero are not applied.
     pub theta_counts: i32,
-    /// Count of the pendulum's encoder.
+    /// Count of the pendulum's encoder; signs and zero are not applied.
     pub alpha_counts: i32,
     /// Velocity of the arm by the device's tachometer, counts/s; 0 at rest.
     pub tachometer_counts_s: i32,
@@ -17,8 +17,8 @@ pub struct Measurement {
     pub status: Status,
     /// Voltage at the motor when the sample was taken, mV.
     pub applied_mv: i16,
-    /// Time by the device's clock from the previous sample to the command that answered it, microseconds;
-    /// `None` when no command answered it.
+    /// Time by the device's clock from the previous sample to the command that answered that
+    /// sample, microseconds; `None` when no command answered it.
     pub sample_to_act_us: Option<u32>,
 }
 
@@ -27,13 +27,14 @@ pub struct Measurement {
 pub struct Status {
     /// The amplifier may drive the motor.
     pub armed: bool,
-    /// The watchdog switched the amplifier off; only a new hello and arm leave that state.
+    /// The watchdog switched the amplifier off; the flag stays until the host sends a hello and
+    /// then an arm.
     pub watchdog_tripped: bool,
     /// The amplifier reports a fault.
     pub amplifier_fault: bool,
     /// The amplifier detects a stalled motor.
     pub stall_detected: bool,
-    /// The stall lasted and the Qube switched its motor off.
+    /// The stall lasted so long that the Qube switched its motor off.
     pub stall_error: bool,
     /// The emergency-stop switch is open, or was open since the last hello.
     #[serde(default)]

@@ -1,11 +1,11 @@
-/// Steps of the duty from 0 to the full supply.
+/// Number of steps of the motor driver's duty cycle, from 0 to the full supply.
 const FULL_DUTY_STEPS: i32 = 999;
 
 /// Voltage of the supply, mV.
 const SUPPLY_MV: i32 = 24_000;
 
-/// The voltage that the Qube's driver applies for a commanded one, mV: the nearest whole step of its duty. A step is
-/// 24 mV.
+/// The voltage that the Qube's motor driver applies for a commanded voltage, mV: the nearest whole
+/// step of its duty cycle. A step is 24 mV.
 #[must_use]
 pub fn applied_voltage_mv(commanded_mv: i16) -> i16 {
     let steps = rounded_quotient(i32::from(commanded_mv) * FULL_DUTY_STEPS, SUPPLY_MV);

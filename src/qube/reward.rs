@@ -3,9 +3,12 @@ use serde::{Deserialize, Serialize};
 use super::{State, wrap_angle};
 use crate::elementary::Scalar;
 
-/// Weights of r(s, a) = exp(-(e^T Q e + R V^2)) with e = s - [0, pi, 0, 0], alpha wrapped.
+/// Weights of the reward r(s, V) = exp(-(e^T Q e + R V^2)) of a step, with the error e = s - [0,
+/// pi, 0, 0] of the state s = [theta, alpha, theta_dot, alpha_dot], alpha wrapped, and the motor
+/// voltage V. Q is diagonal.
 ///
-/// The thesis's formula 5.2 drops the minus sign; without it the reward is unbounded.
+/// The formula is 5.2 of the thesis, where the minus sign is missing; without the sign the reward
+/// would be unbounded.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RewardWeights<T = f64> {
@@ -40,7 +43,8 @@ impl RewardWeights {
 }
 
 impl<T: Scalar> RewardWeights<T> {
-    /// The reward of one step, in (0, 1], for the state before the step and the voltage applied in it.
+    /// The reward of one step, from 0 to 1, for the state before the step and the voltage applied
+    /// in it, V. 1 is a pendulum that balances at rest over the arm's middle at 0 V.
     #[must_use]
     #[inline(always)]
     pub fn reward(&self, state: &State<T>, voltage_v: T) -> T {

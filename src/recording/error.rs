@@ -30,7 +30,7 @@ pub enum RecordingError {
         /// Cause of the failure.
         source: io::Error,
     },
-    /// Header or outcome hold a number that is not finite.
+    /// The header or the outcome holds a number that is not finite.
     #[error("{path}: the rollout's {record} holds a number that is not finite")]
     NotFinite {
         /// Path of the recording.
@@ -80,7 +80,7 @@ pub enum RecordingError {
     },
 }
 
-/// The reason why bytes are not a recording.
+/// The reason why bytes cannot be read as a recording.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum Unreadable {
     /// The bytes are not MCAP.
@@ -108,15 +108,16 @@ pub enum Unreadable {
         /// Version that this program reads.
         expected: u32,
     },
-    /// The file was truncated before it held anything of the rollout.
+    /// The file was truncated before its header and its policy were complete.
     #[error("this recording was cut off before its first tick; nothing of the rollout is in it")]
     CutOffAtStart,
-    /// The recording was finished and then changed.
+    /// The recording was changed after it was finished, or a metadata record of it is damaged.
     #[error(
         "this recording was changed or damaged at byte {offset}: {what}. Its intact part can be saved"
     )]
     Damaged {
-        /// Offset at which the damaged record starts.
+        /// Offset at which the damaged record starts, bytes; 0 for a metadata record whose own
+        /// checksum does not fit.
         offset: u64,
         /// Defect that was found.
         what: String,
@@ -124,7 +125,7 @@ pub enum Unreadable {
 }
 
 impl RecordingError {
-    /// Classifies a failed write: the user can cure a full disk.
+    /// The error of a failed write. A full disk has its own variant, because the user can cure it.
     pub(super) fn write(path: &Path, source: io::Error) -> Self {
         let path = path.to_owned();
         match source.kind() {

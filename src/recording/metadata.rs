@@ -8,19 +8,20 @@ use super::wire_format::CRC_32;
 
 /// Name of the metadata record with the rollout's header.
 pub(super) const HEADER: &str = "rollout";
-/// Name of the metadata record that says what the times of the file count from.
+/// Name of the metadata record with the clock of the file's times, `wall` or `virtual`, and the
+/// time from which they count.
 pub(super) const CLOCK: &str = "clock";
 /// Name of the metadata record with the rollout's outcome.
 pub(super) const OUTCOME: &str = "outcome";
 /// Name of the metadata record of a recovered file.
 pub(super) const RECOVERED: &str = "recovered";
 
-/// Key of the checksum over a metadata record. MCAP has no checksum on metadata, and a truncated file has
-/// none over its data section either.
+/// Key of the checksum over a metadata record. MCAP has no checksum of metadata itself, and a
+/// truncated file lacks the checksum over its data section too.
 const CHECKSUM: &str = "crc32";
 
-/// Converts a struct to a map with one JSON text a field and a checksum over all of them; `None` if the
-/// value would not read back unchanged (a number that is not finite).
+/// Converts a struct to a map: one JSON text for each field, and a checksum over all of them.
+/// `None` if the value would not read back unchanged, as with a number that is not finite.
 pub(super) fn to_map<T>(value: &T) -> Option<BTreeMap<String, String>>
 where
     T: Serialize + DeserializeOwned + PartialEq,
@@ -33,7 +34,7 @@ where
     (restored == *value).then_some(map)
 }
 
-/// Restores the struct from its map.
+/// Restores a struct from the map that [`to_map`] made; the error says what is wrong.
 pub(super) fn from_map<T: DeserializeOwned>(map: &BTreeMap<String, String>) -> Result<T, String> {
     if map.get(CHECKSUM) != Some(&checksum(map)) {
         return Err("its checksum does not fit".to_owned());

@@ -1,13 +1,15 @@
 //! Rollouts as MCAP files: schemas, the writer thread, the reader, recovery after a crash.
 //!
-//! One file holds one rollout: its origin and settings (metadata), the policy (an attachment), every tick
-//! (five channels of flat JSON, and one of frames for viewers as Protocol Buffers), and its ending (metadata). A
-//! rollout can be replayed from its own file alone, and [`read`] returns bit for bit what was recorded.
+//! One file holds one rollout: its origin and settings (metadata), the policy (an attachment),
+//! every tick (five channels of flat JSON; for 3-D viewers a channel of frames as Protocol
+//! Buffers), and its ending (metadata). A rollout can be replayed from its own file alone, and
+//! [`read`] returns bit for bit what was recorded.
 //!
-//! Metadata and policy come first. Ticks follow in blocks of a tenth of a second, each compressed,
-//! checksummed and handed to the operating system as a whole: a killed process loses at most the last
-//! quarter of a second. A file that ended properly closes with its outcome, an index and checksums over
-//! every byte, so a truncated file is never taken for a complete one, and any changed byte is found.
+//! Metadata and policy come first. Ticks follow in blocks of a tenth of a second. Each block is
+//! compressed and checksummed, and the writer hands it to the operating system as a whole, so a
+//! killed process loses at most the last quarter of a second. A file that ended properly closes
+//! with its outcome, an index and checksums over every byte: a truncated file is never taken for a
+//! complete one, and any changed byte is found.
 //!
 //! The room may import `telemetry`, `qube` and `storage`.
 
@@ -36,17 +38,20 @@ pub use table::{COLUMNS, Field, csv_table, table_rows};
 pub use viewer::Viewer;
 pub use writer::{RolloutWriter, Sink};
 
-/// The version that [`crate::telemetry::RolloutHeader::format`] carries in files of this program.
+/// The format's version, which this program writes into
+/// [`crate::telemetry::RolloutHeader::format`].
 pub const FORMAT_VERSION: u32 = 1;
 
-/// Start of the times in a recording under a virtual clock, ns since 1970: the first instant of 2000. Viewers show a date,
-/// which is nobody's, and equal rollouts have equal bytes. The metadata `clock` says so.
+/// Time that stands for the start of a rollout under a virtual clock, ns since 1970: the first
+/// instant of 2000. A fixed start gives equal rollouts equal bytes; the date that viewers show is
+/// meaningless, and the metadata record `clock` says so.
 pub const VIRTUAL_EPOCH_UNIX_NS: u64 = 946_684_800_000_000_000;
 
 /// Name of the attachment that holds the policy file.
 pub const POLICY_ATTACHMENT: &str = "policy.safetensors";
 
-/// Name of the attachment with the last second before a fault: one JSON object, a tick, on each line.
+/// Name of the attachment with the ticks of the last second before a fault: one JSON object for
+/// each tick, each on its own line.
 pub const LAST_TICKS_ATTACHMENT: &str = "last-ticks.jsonl";
 
 #[cfg(test)]

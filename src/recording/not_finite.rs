@@ -1,10 +1,11 @@
 use std::fmt::Write as _;
 
-/// Numbers that JSON cannot represent (NaN of any kind, infinities), kept by name and bits in one text
-/// beside the fields: `wanted_v=7ff8000000000000 ...`.
+/// The numbers of one message that JSON cannot represent (NaN of any kind, infinities), kept by
+/// name and bits in one text beside the message's fields: `wanted_v=7ff8000000000000 ...`.
 ///
-/// Such numbers appear in the tick in which something fails, so they must not be lost. A string in the field itself
-/// would violate the schema, which demands a `number`; `null` alone would not tell NaN from an infinity.
+/// Such numbers appear in the very tick in which something fails, so they must not be lost. A
+/// string in the field itself would violate the schema, which demands a `number`; `null` alone
+/// would not tell NaN from an infinity.
 #[derive(Debug, Default)]
 pub(super) struct NotFinite {
     text: String,
@@ -20,7 +21,7 @@ impl NotFinite {
         None
     }
 
-    /// Keeps the bits of a number of another type.
+    /// Stores the bits of a number that is no `f64`, under its name.
     pub(super) fn keep_bits(&mut self, name: &str, bits: u64) {
         let separator = if self.text.is_empty() { "" } else { " " };
         // Writing to a String cannot fail.
@@ -33,7 +34,7 @@ impl NotFinite {
     }
 }
 
-/// Restores a number that [`NotFinite::keep`] processed; `None` if it was never written.
+/// Restores a number from its field and the text of [`NotFinite`]; `None` if neither holds it.
 pub(super) fn restore(name: &str, finite: Option<f64>, not_finite: Option<&str>) -> Option<f64> {
     finite.or_else(|| restore_bits(name, not_finite).map(f64::from_bits))
 }

@@ -1,6 +1,6 @@
-//! The wire format of Protocol Buffers for the few messages that a recording holds in it.
+//! Writes the wire format of Protocol Buffers, for the few messages of a recording that use it.
 
-/// A message that is written field after field. A field at its default is left out, as proto3 asks.
+/// A message that grows field by field. A field with its default value is left out, as proto3 asks.
 #[derive(Debug, Default)]
 pub(super) struct Message(Vec<u8>);
 
@@ -16,7 +16,7 @@ impl Message {
     }
 
     pub(super) fn double(mut self, field: u32, value: f64) -> Self {
-        // Minus zero is no default: its bits are kept.
+        // Minus zero is not the default 0: its bits are kept.
         if value.to_bits() != 0 {
             self.key(field, FIXED_64);
             self.0.extend(value.to_le_bytes());
@@ -24,7 +24,7 @@ impl Message {
         self
     }
 
-    /// An integer that is not negative.
+    /// Adds an integer that is not negative.
     pub(super) fn integer(mut self, field: u32, value: u64) -> Self {
         if value != 0 {
             self.key(field, VARINT);
@@ -44,7 +44,7 @@ impl Message {
         self
     }
 
-    /// A message within this one, which is there even if it is empty.
+    /// Adds a message within this one; an empty one is written too.
     pub(super) fn message(mut self, field: u32, inner: &Self) -> Self {
         self.bytes(field, &inner.0);
         self

@@ -6,7 +6,7 @@ use super::{FORMAT_VERSION, RecordingError, Unreadable, metadata};
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
-/// Largest file that is read, bytes. A rollout of 20 s has about half a megabyte.
+/// Largest file that is read, bytes: 256 MiB. A rollout of 20 s has about half a megabyte.
 const MAX_FILE_BYTES: u64 = 1 << 28;
 
 /// A rollout as it was recorded.
@@ -16,9 +16,9 @@ pub struct Recording {
     pub header: RolloutHeader,
     /// Bytes of the policy file.
     pub policy: Vec<u8>,
-    /// Every tick, bit for bit.
+    /// Ticks that the file holds, bit for bit, in order.
     pub ticks: Vec<TickRecord>,
-    /// Outcome; `None` if the recording was truncated before it.
+    /// Outcome; `None` if the recording was truncated before the outcome.
     pub outcome: Option<RolloutOutcome>,
     /// Whether parts of the file are missing.
     pub completeness: Completeness,
@@ -29,9 +29,10 @@ pub struct Recording {
 pub enum Completeness {
     /// Every byte is as it was written.
     Whole,
-    /// The file was truncated: its program was killed, the disk was full, or power failed.
+    /// The file was truncated: the program that wrote it was killed, the disk was full, or power
+    /// failed.
     CutOff {
-        /// Number of bytes that could not be used.
+        /// Number of bytes in the file that could not be used.
         lost_bytes: u64,
         /// Position and reason of the first defect.
         reason: String,
@@ -41,7 +42,8 @@ pub enum Completeness {
 }
 
 impl Recording {
-    /// Whether ticks are missing between the first and the last: lost by the recorder or damaged.
+    /// Whether ticks are missing before or between the recorded ones, because the recorder lost
+    /// them or a block is damaged.
     #[must_use]
     pub fn has_gaps(&self) -> bool {
         self.ticks.windows(2).any(|pair| pair[1].tick != pair[0].tick.wrapping_add(1))
@@ -49,8 +51,8 @@ impl Recording {
     }
 }
 
-/// Reads a recording from this computer's disk and checks every byte. A truncated recording gives its
-/// intact part.
+/// Reads a recording from this computer's disk and checks every byte. A truncated recording gives
+/// its intact part.
 ///
 /// # Errors
 /// The file cannot be read, is not a recording, or was changed after it was finished.
@@ -61,7 +63,7 @@ pub fn read(path: &Path) -> Result<Recording, RecordingError> {
 /// Reads a recording like [`read`], from any disk.
 ///
 /// # Errors
-/// [`read`] would fail.
+/// The same as those of [`read`].
 pub fn read_on(disk: &dyn Disk, path: &Path) -> Result<Recording, RecordingError> {
     let bytes = read_bytes(disk, path)?;
     parse(&bytes).map_err(|why| RecordingError::Unreadable { path: path.to_owned(), why })
@@ -72,11 +74,11 @@ pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, Record
         .map_err(|source| RecordingError::Read { path: path.to_owned(), source })
 }
 
-/// Reads a recording like [`read`], from memory. It is safe for bytes of any origin: memory stays within a
-/// few times the limit of a file, and nothing is executed.
+/// Reads a recording like [`read`], from bytes in memory. The bytes may be of any origin: the
+/// memory in use stays within a few times the limit of a file, and nothing in them is executed.
 ///
 /// # Errors
-/// [`read`] would fail.
+/// The bytes are not a recording, or were changed after the recording was finished.
 pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     let scan = checked_scan(bytes)?;
     if let Some(damage) = &scan.damage
@@ -88,7 +90,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     recording(scan)
 }
 
-/// Whether the bytes end like a finished recording.
+/// Whether the bytes end with the mark that only a finished recording has at its end.
 fn is_finished(bytes: &[u8]) -> bool {
     bytes.len() > MAGIC.len() && bytes.ends_with(MAGIC)
 }
@@ -104,7 +106,7 @@ pub(super) fn checked_scan(bytes: &[u8]) -> Result<Scan, Unreadable> {
     Ok(scan(bytes))
 }
 
-/// The recording of a scan, without the parts that the scan left out.
+/// Assembles the recording from the records that a scan found intact.
 pub(super) fn recording(mut scan: Scan) -> Result<Recording, Unreadable> {
     let missing = |missing| {
         if scan.closed { Unreadable::Foreign { missing } } else { Unreadable::CutOffAtStart }

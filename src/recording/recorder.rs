@@ -11,20 +11,20 @@ use super::{RecordingError, RolloutWriter, Viewer};
 use crate::storage::Disk;
 use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
-/// Interval at which the ring is emptied.
+/// Interval at which the recorder empties the ring.
 const POLL: Duration = Duration::from_millis(10);
 
-/// Longest time that a tick waits for its block to fill. Together with [`POLL`] and the writing it stays
-/// well below the promised 250 ms.
+/// Longest time that a tick waits for its block to fill. Together with [`POLL`] and the writing,
+/// the time stays well below the 250 ms that the room's page promises.
 const OLDEST_UNFLUSHED: Duration = Duration::from_millis(120);
 
-/// The thread that takes ticks from the control thread's ring and writes them.
+/// The thread that takes ticks from the control thread's ring buffer and writes them to the file.
 ///
-/// The control thread never waits for it: while the disk stalls, ticks wait in the ring; when writing
-/// fails, the recorder keeps emptying the ring and reports the failure at the end.
+/// The control thread never waits for the recorder: while the disk stalls, ticks wait in the ring;
+/// when writing fails, the recorder keeps emptying the ring and reports the failure at the end.
 ///
-/// A recorder that is dropped without [`finish`](Self::finish) leaves a truncated recording with every tick
-/// it received.
+/// A recorder that is dropped without [`finish`](Self::finish) leaves a truncated recording with
+/// every tick it received.
 #[derive(Debug)]
 pub struct Recorder {
     path: PathBuf,
@@ -34,8 +34,9 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Creates the file, writes header and policy, and starts the thread. `ticks` is the consumer of the
-    /// control thread's ring. Viewers see each tick as the recorder takes it from the ring.
+    /// Creates the file, writes header and policy, and starts the thread. `ticks` is the consumer
+    /// of the control thread's ring, and `policy` are the bytes of the policy file. Viewers see
+    /// each tick as the recorder takes it from the ring.
     ///
     /// # Errors
     /// [`RolloutWriter::create`] fails, or the thread cannot be started.
@@ -88,26 +89,28 @@ impl Recorder {
         self.failed.load(Ordering::Relaxed)
     }
 
-    /// Writes the remaining ticks of the ring, the outcome and the last second before a fault (empty
-    /// without a fault), closes the file, and returns its path once it would survive a loss of power. The
-    /// ring must receive no more ticks.
+    /// Writes the ticks that are left in the ring, `last_ticks` (those of the last second before a
+    /// fault; empty without a fault) and the outcome, closes the file, and returns its path once
+    /// the file would survive a loss of power. The control thread must push no more ticks.
     ///
     /// # Errors
-    /// A write failed, at any tick.
+    /// A write of this recording failed, now or at any earlier tick; or the thread ended
+    /// unexpectedly.
     pub fn finish(
         mut self,
         outcome: RolloutOutcome,
         last_ticks: Vec<TickRecord>,
     ) -> Result<PathBuf, RecordingError> {
         if let Some(sender) = self.outcome.take() {
-            // A thread that has ended gives its reason when it is joined.
+            // If the thread has ended already, joining it gives the reason.
             let _ = sender.send((outcome, last_ticks));
         }
         self.join()?;
         Ok(self.path.clone())
     }
 
-    /// Closes the recording of a rollout that never began, and removes its file.
+    /// Closes the recording of a rollout that never began, without an outcome, and removes the
+    /// file.
     pub fn discard(mut self, disk: &dyn Disk) {
         self.outcome = None;
         // Errors of a discarded recording do not matter.
@@ -136,7 +139,7 @@ impl Drop for Recorder {
     }
 }
 
-/// The outcome of a rollout, and its last ticks after a fault.
+/// The outcome of a rollout, and the ticks of the last second before a fault.
 type Closing = (RolloutOutcome, Vec<TickRecord>);
 
 struct Worker<W: Sink> {
@@ -158,7 +161,8 @@ impl<W: Sink> Worker<W> {
             let written = self.write_waiting(&mut block_opened);
             if let Err(error) = written {
                 self.failed.store(true, Ordering::Relaxed);
-                // Dropped, so that the bytes that the disk accepted are closed and synced now.
+                // Dropping the writer closes the file and syncs the bytes that the disk has
+                // accepted.
                 self.writer = None;
                 result = Err(error);
             }
@@ -186,7 +190,8 @@ impl<W: Sink> Worker<W> {
         }
     }
 
-    /// Writes the ticks in the ring, and flushes the open block when it is old.
+    /// Shows the ticks in the ring to the viewers, writes them, and flushes a block that has been
+    /// open for [`OLDEST_UNFLUSHED`].
     fn write_waiting(&mut self, block_opened: &mut Option<Instant>) -> Result<(), RecordingError> {
         while let Ok(tick) = self.ticks.pop() {
             for viewer in &self.viewers {
@@ -197,7 +202,8 @@ impl<W: Sink> Worker<W> {
             }
         }
         let Some(writer) = &mut self.writer else { return Ok(()) };
-        // Under simulated time there is no such limit: blocks depend on ticks alone.
+        // Under a virtual clock no block is flushed by its age: blocks depend on the ticks alone,
+        // and so equal rollouts have equal bytes.
         if !self.in_real_time || !writer.has_open_block() {
             *block_opened = None;
             return Ok(());
@@ -217,7 +223,7 @@ mod tests {
     use super::super::samples::{POLICY, header, outcome, tick};
     use super::*;
 
-    /// A disk that takes the header and then no more.
+    /// A disk that accepts this many writes and is full afterwards.
     struct FullDisk {
         writes_left: u32,
     }

@@ -8,9 +8,9 @@ use crate::storage::Disk;
 /// The result of a recovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Recovered {
-    /// The recording was complete; nothing was written.
+    /// The recording was complete, so nothing was written.
     WasWhole,
-    /// The intact part is in the new file.
+    /// The new file holds the intact part.
     Saved {
         /// Number of ticks saved.
         ticks: usize,
@@ -21,12 +21,12 @@ pub enum Recovered {
     },
 }
 
-/// Writes the intact part of `damaged` as a complete recording to the new file `saved`. The old file stays
-/// unchanged.
+/// Writes the intact part of `damaged` as a complete recording to the new file `saved`. The old
+/// file is never changed.
 ///
 /// # Errors
-/// The old file cannot be read or has no intact part; the new one exists or cannot be written, and nothing of it is
-/// left.
+/// The old file cannot be read or has no intact part; or the new file exists already and stays as
+/// it is; or the new file cannot be written and is removed.
 pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
     let bytes = read_bytes(disk, damaged)?;
@@ -43,7 +43,7 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
         Ok(()) => Ok(Recovered::Saved { ticks, lost_bytes, has_outcome }),
         Err(error @ RecordingError::Create { .. }) => Err(error),
         Err(error) => {
-            // The old file still holds all of it.
+            // The removal may fail without harm: the old file still holds everything.
             let _ = disk.remove(saved);
             Err(error)
         }

@@ -66,7 +66,7 @@ pub(crate) fn outcome() -> RolloutOutcome {
     }
 }
 
-/// A tick with a value in every field.
+/// A tick of this number. All its fields have values, except that every seventh tick has no sample.
 pub(crate) fn tick(number: u32) -> TickRecord {
     let time_s = f64::from(number) * 0.01;
     let held_over = number % 7 == 3;

@@ -9,45 +9,46 @@ use super::writer::topic;
 use super::{POLICY_ATTACHMENT, metadata};
 use crate::telemetry::TickRecord;
 
-/// Largest uncompressed size of a block, which keeps a hostile file from exhausting memory. Blocks of this
-/// program have about 20 kB.
+/// Largest uncompressed size of a block, bytes; the limit keeps a hostile file from exhausting
+/// memory. Blocks of this program have about 20 kB.
 const MAX_BLOCK_BYTES: u64 = 1 << 22;
 
-/// Largest number of ticks in a rollout, three hours, for the same reason.
+/// Largest number of ticks in a rollout: three hours. This limit too keeps a hostile file from
+/// exhausting memory.
 const MAX_TICKS: usize = 1_080_000;
 
-/// Largest size of a metadata record; a recording has three of about 2 kB each.
+/// Largest size of a metadata record, bytes; those of this program have a few kB.
 const MAX_METADATA_BYTES: usize = 1 << 20;
 
-/// Largest size of an attachment, that of a policy file.
+/// Largest size of an attachment, bytes: twice the largest policy file that this program reads.
 const MAX_ATTACHMENT_BYTES: usize = 1 << 24;
 
-/// The intact records of a file and its first defect.
+/// The intact records of a recording's file, and its first defect.
 #[derive(Default)]
 pub(super) struct Scan {
     /// Metadata records by name.
     pub(super) metadata: HashMap<String, BTreeMap<String, String>>,
     pub(super) policy: Option<Vec<u8>>,
     pub(super) ticks: Vec<TickRecord>,
-    /// First defect. Later ones are not kept: a hostile file has millions.
+    /// First defect. Later ones are not kept, because a hostile file may have millions.
     pub(super) damage: Option<Damage>,
-    /// Number of bytes that could not be used.
+    /// Number of bytes in the file that could not be used.
     pub(super) lost_bytes: u64,
-    /// Whether the file reaches its proper end.
+    /// Whether the file ends with a footer and the magic bytes, as a finished file does.
     pub(super) closed: bool,
     channels: HashMap<u16, Topic>,
 }
 
-/// A record that does not match what was written.
+/// The place and nature of a defect.
 #[derive(Clone, Debug)]
 pub(super) struct Damage {
     pub(super) offset: usize,
     pub(super) what: String,
 }
 
-/// Reads every intact record. `bytes` start with the magic.
+/// Reads every intact record of a file. `bytes` must start with MCAP's magic bytes, [`MAGIC`].
 ///
-/// Blocks are independent: a damaged one is left out and reading continues after it.
+/// Blocks are independent of each other: a damaged one is left out, and reading continues after it.
 pub(super) fn scan(bytes: &[u8]) -> Scan {
     let mut scan = Scan::default();
     let mut offset = MAGIC.len();
@@ -69,7 +70,7 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
                 scan.footer(bytes, &record, summary_start);
                 return scan;
             }
-            // An index with its own checksum follows the data.
+            // The records after the data are an index, over which the footer has a checksum.
             _ if summary_start.is_some() => {}
             0 => {
                 scan.lose(offset, bytes.len() - offset, "no record starts with a zero");
@@ -106,7 +107,7 @@ impl Scan {
     }
 
     fn footer(&mut self, bytes: &[u8], record: &Frame<'_>, summary_start: Option<usize>) {
-        // The checksum covers the summary and the footer up to itself.
+        // The checksum covers the summary, and the footer up to the checksum's own place.
         let covered = FRAME_BYTES + 16;
         let stored = record.body.get(16..).and_then(|rest| Fields(rest).u32());
         let sound = record.body.len() == 20
@@ -141,7 +142,7 @@ impl Scan {
                 }
                 Ok(())
             }
-            // The indexes of a block repeat its content and are not read.
+            // The message indexes repeat what the blocks contain, so they are not read.
             opcode::HEADER | opcode::MESSAGE_INDEX => Ok(()),
             other => Err(format!("a record of unknown kind {other:#04x}")),
         }
@@ -168,7 +169,7 @@ impl Scan {
         Ok(())
     }
 
-    /// Takes all ticks of a block, or none.
+    /// Adds all ticks of a block, or none if the block has a defect.
     fn block(&mut self, body: &[u8]) -> Result<(), String> {
         let content = decompress(body)?;
         let mut channels = Vec::new();
@@ -222,8 +223,8 @@ impl Scan {
     }
 }
 
-/// The content of a channel. The channel's name is not kept: a file of kilobytes could hold names of
-/// gigabytes.
+/// The kind of messages in a channel. The channel's name is not kept, because a hostile file of
+/// kilobytes can unpack to gigabytes of names.
 #[derive(Clone, Copy, Debug)]
 enum Topic {
     Measurement,
@@ -254,7 +255,8 @@ struct Message<'a> {
 }
 
 impl Message<'_> {
-    /// Adds the message to the others of its tick; the last message of a tick is returned.
+    /// Adds the message to the others of its tick. The timing message, which is the last of each
+    /// tick, is returned instead.
     fn take_into(&self, messages: &mut TickMessages) -> Result<Option<TimingMessage>, String> {
         match self.topic {
             Topic::Measurement => {
@@ -275,7 +277,7 @@ impl Message<'_> {
     }
 }
 
-/// Decompresses the records of a chunk.
+/// Decompresses a chunk (the MCAP record of a block) and returns its content.
 fn decompress(body: &[u8]) -> Result<Vec<u8>, String> {
     let mut fields = Fields(body);
     let (Some(_start), Some(_end), Some(size), Some(checksum), Some(compression), Some(length)) =

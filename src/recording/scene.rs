@@ -1,15 +1,17 @@
 use super::protobuf::Message;
 use crate::qube::{PlantModel, State};
 
-// The data of the 3-D panels of Foxglove, Lichtblick and Rerun: a tree of frames for each tick, and once the bodies
-// in them, as Protocol Buffers by Foxglove's published schemas.
+// This file makes the data for the 3-D panels of Foxglove, Lichtblick and Rerun, as Protocol
+// Buffers by Foxglove's published schemas: for each tick the poses of the frames, and once a
+// rollout the bodies that are fixed to the frames.
 //
-// Frames: `qube` is fixed to the table, z up, x along the arm at theta = 0. `arm` turns by theta about z.
-// `pendulum` is at the arm's tip and turns by alpha about the arm's axis x; its z points from the
-// pendulum's free end to the tip, so that alpha = 0 hangs and positive alpha swings towards positive theta.
+// There are three frames. `qube` is fixed to the table, with z up and x along the arm at theta = 0.
+// `arm` turns by theta about z. `pendulum` is at the arm's tip and turns by alpha about the arm's
+// axis x; its z points from the pendulum's free end to the arm's tip, so at alpha = 0 the pendulum
+// hangs, and positive alpha swings it in the direction of positive theta.
 
-/// A schema of Foxglove, as it stands in recordings: its name, and its serialised `FileDescriptorSet`. The files are
-/// those of the package `foxglove` 0.30.3 (MIT, `foxglove/LICENSE`).
+/// A schema of Foxglove as recordings contain it: its name and its serialised `FileDescriptorSet`.
+/// The files are those of the package `foxglove` 0.30.3 (MIT, `foxglove/LICENSE`).
 pub(super) struct Schema {
     pub(super) name: &'static str,
     pub(super) descriptors: &'static [u8],
@@ -19,7 +21,7 @@ const BASE: &str = "qube";
 const ARM: &str = "arm";
 const PENDULUM: &str = "pendulum";
 
-/// Height of the arm above the table, m, for the picture only.
+/// Height of the arm above the table, m; only the picture uses it.
 const ARM_HEIGHT_M: f64 = 0.2;
 
 #[derive(Clone, Copy)]
@@ -44,7 +46,7 @@ struct FrameTransform {
     rotation: Quaternion,
 }
 
-/// Where arm and pendulum are.
+/// The poses of arm and pendulum at one time, ns since 1970.
 pub(super) struct FrameTransforms {
     time_ns: u64,
     transforms: [FrameTransform; 2],
@@ -63,13 +65,13 @@ struct Cube {
     color: Color,
 }
 
-/// A body, which has the name of its frame.
+/// A body. It has the name of the frame that it is fixed to.
 struct Entity {
     frame_id: &'static str,
     cube: Cube,
 }
 
-/// The bodies that hang in the frames: base, arm, pendulum.
+/// The bodies that are fixed to the frames: base, arm, pendulum.
 pub(super) struct SceneUpdate {
     time_ns: u64,
     entities: [Entity; 3],
@@ -99,7 +101,8 @@ impl FrameTransforms {
         descriptors: include_bytes!("foxglove/FrameTransforms.bin"),
     };
 
-    /// The frames of one state of a plant. An angle that is not finite is drawn at zero.
+    /// The frames of a plant in one state at `time_ns`. An angle that is not finite is drawn as
+    /// zero.
     pub(super) fn new(plant: &PlantModel, state: &State, time_ns: u64) -> Self {
         let half = |angle: f64| if angle.is_finite() { 0.5 * angle } else { 0.0 };
         let (half_theta, half_alpha) = (half(state.theta), half(state.alpha));
@@ -131,7 +134,7 @@ impl FrameTransforms {
         }
     }
 
-    /// The message `foxglove.FrameTransforms`.
+    /// The bytes of the message `foxglove.FrameTransforms`.
     pub(super) fn to_bytes(&self) -> Vec<u8> {
         let transform = |it: &FrameTransform| {
             Message::default()
@@ -152,7 +155,7 @@ impl SceneUpdate {
         descriptors: include_bytes!("foxglove/SceneUpdate.bin"),
     };
 
-    /// Boxes with the nominal lengths of a plant.
+    /// The bodies of a plant: boxes with the plant's nominal lengths.
     pub(super) fn new(plant: &PlantModel, time_ns: u64) -> Self {
         let nominal = &plant.parameters;
         let (arm, pendulum) = (nominal.rotary_length_m, nominal.pendulum_length_m);
@@ -186,7 +189,8 @@ impl SceneUpdate {
             ],
         }
     }
-    /// The message `foxglove.SceneUpdate`: nothing is deleted, and no body vanishes.
+    /// The bytes of the message `foxglove.SceneUpdate`. It deletes no earlier body, and its bodies
+    /// never expire.
     pub(super) fn to_bytes(&self) -> Vec<u8> {
         let entity = |Entity { frame_id, cube }: &Entity| {
             let pose = Message::default()
@@ -227,7 +231,7 @@ mod tests {
         [v[0] + q.w * t[0] + u[0], v[1] + q.w * t[1] + u[1], v[2] + q.w * t[2] + u[2]]
     }
 
-    /// Position of the pendulum's free end in the base frame.
+    /// Position of the pendulum's free end in the base frame, m.
     fn tip(theta: f64, alpha: f64) -> [f64; 3] {
         let state = State { theta, alpha, ..State::default() };
         let [arm, pendulum] = FrameTransforms::new(&PlantModel::QUBE, &state, 0).transforms;
@@ -257,7 +261,8 @@ mod tests {
         }
     }
 
-    /// Rerun makes no shapes of `/scene`: it takes them from this file, and moves them by `/tf`.
+    /// Rerun draws no shapes from the channel `/scene`. It takes them from this URDF file, and
+    /// moves them by the channel `/tf`.
     #[test]
     fn the_bodies_for_rerun_are_those_of_the_scene() {
         let file = include_str!("../../scripts/qube.urdf");

@@ -3,7 +3,8 @@ use std::fmt::Write;
 use super::Recording;
 use crate::telemetry::{Phase, TickRecord};
 
-/// The columns of a table, in order, with their units.
+/// The columns of a recording's table, in order. A name ends with its unit where the quantity has
+/// one.
 pub const COLUMNS: [&str; 26] = [
     "tick",
     "time_s",
@@ -33,32 +34,36 @@ pub const COLUMNS: [&str; 26] = [
     "stop_requested",
 ];
 
-/// One field of a table; `None` for a field without a value.
+/// One field of a table; `None` inside is a field without a value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Field {
     /// A finite number.
     Number(Option<f64>),
     /// A finite number of single precision.
     Single(Option<f32>),
-    /// A whole number of a signed quantity.
+    /// A whole number that may be negative.
     Whole(Option<i64>),
     /// A count, a time or a flag.
     Count(Option<u64>),
 }
 
-/// A row of a table for each tick of a recording, with a field for each of [`COLUMNS`]; a column's fields are of one kind.
+/// The rows of a recording's table: a row for each tick, a field for each of [`COLUMNS`]. All
+/// fields of a column are of one variant of [`Field`].
 ///
-/// `theta_rad` to `alpha_dot_rad_s` are the estimated state that the policy saw, `voltage_v` is what was sent. The time
-/// counts by the host's clock from the first tick. `phase` is 0 while the arm settles, 1 under the policy, 2 in braking,
-/// because many tools read numbers alone. A field without a value: the measurement of a tick whose sample did not come,
-/// the reward of a tick that is not the policy's, a number that is not finite.
+/// `theta_rad` to `alpha_dot_rad_s` are the estimated state that the policy saw, and `voltage_v` is
+/// the voltage that was sent. `time_s` is the tick's deadline by the host's clock, counted from the
+/// deadline of the first tick. `phase` is 0 while the arm settles, 1 under the policy and 2 while
+/// braking: a number, because many tools read nothing else.
+///
+/// A field has no value in these cases: the fields of the measurement in a tick whose sample did
+/// not come, the reward in a tick outside the policy's phase, and any number that is not finite.
 pub fn table_rows(recording: &Recording) -> impl Iterator<Item = [Field; COLUMNS.len()]> + '_ {
     let first_ns = recording.ticks.first().map_or(0, |tick| tick.deadline_ns);
     recording.ticks.iter().map(move |tick| row(recording, tick, first_ns))
 }
 
-/// A recording as a table in CSV: a header with [`COLUMNS`] and [`table_rows`], in numbers that read back exactly. A field
-/// without a value is empty.
+/// A recording as a table in CSV: a header line with [`COLUMNS`], then [`table_rows`]. The numbers
+/// have as many digits as they need to read back exactly. A field without a value is empty.
 #[must_use]
 pub fn csv_table(recording: &Recording) -> String {
     let mut table = COLUMNS.join(",");

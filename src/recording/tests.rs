@@ -12,7 +12,8 @@ use crate::qube::{Measurement, State, Status};
 use crate::storage::MachineDisk;
 use crate::telemetry::{Phase, TickRecord};
 
-/// Compares every number by its bits: NaN is not equal to itself, and -0 is equal to 0.
+/// Converts a tick to a form that compares every number by its bits, because NaN does not equal
+/// itself, and -0 equals 0.
 fn bits(tick: &TickRecord) -> (String, Vec<u64>) {
     let State { theta, alpha, theta_dot, alpha_dot } = tick.state;
     let mut numbers: Vec<u64> = [theta, alpha, theta_dot, alpha_dot].map(f64::to_bits).to_vec();
@@ -191,7 +192,8 @@ fn a_damaged_block_costs_its_own_ticks_only() {
     let directory = tempfile::tempdir().unwrap();
     let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
     let mut bytes = recorded(&ticks(40));
-    // The first block holds the channels.
+    // The first block holds only schemas, channels and the scene, so the fourth one holds the third
+    // ten ticks.
     let inside_third = find_all(&bytes, b"lz4").into_iter().nth(3).unwrap() + 40;
     bytes[inside_third] ^= 0x55;
     std::fs::write(&damaged, &bytes).unwrap();
@@ -252,7 +254,8 @@ fn other_files_are_named() {
     assert!(matches!(parse(&bytes), Err(Unreadable::OtherFormat { .. })));
 }
 
-/// Tests blocks that claim or unpack to more bytes than any block has.
+/// Tests blocks that claim more bytes than any block has, or that unpack to more bytes than they
+/// claim.
 #[test]
 fn a_block_that_unpacks_to_gigabytes_is_refused() {
     let packed = {
@@ -550,7 +553,7 @@ fn the_recorder_writes_what_comes_through_the_ring() {
     assert!(matches!(again.err(), Some(RecordingError::Create { .. })), "never overwritten");
 }
 
-/// Notes what a viewer sees.
+/// A viewer that notes each call.
 #[derive(Debug, Default)]
 struct Noting(Mutex<Vec<String>>);
 

@@ -2,17 +2,20 @@ use std::fmt;
 
 use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
-/// Sees rollouts while they are recorded, on the recorder's thread.
+/// A receiver of rollouts while they are recorded. Its methods run on the recorder's thread.
 ///
-/// A viewer returns soon whatever its own readers do: it hands records on where there is room and otherwise drops them.
-/// It does not panic, since the recording would end with it.
+/// A viewer must return at once, however slow its own readers are: it passes a record on where
+/// there is room and otherwise drops it. It must not panic, because a panic would end the recording
+/// too.
 pub trait Viewer: fmt::Debug + Send + Sync {
-    /// A rollout begins; `time_ns` is its start, ns since 1970, by the wall clock or the epoch of virtual time.
+    /// A rollout begins. `time_ns` is its start, ns since 1970: the wall clock's time, or
+    /// [`VIRTUAL_EPOCH_UNIX_NS`](super::VIRTUAL_EPOCH_UNIX_NS) under a virtual clock.
     fn begins(&self, header: &RolloutHeader, time_ns: u64);
 
-    /// The recorder got a tick.
+    /// The recorder has taken a tick from the ring.
     fn ticked(&self, tick: &TickRecord);
 
-    /// The rollout has ended; `None` if it never began.
+    /// The recording has ended; `None` if it ended without an outcome, as when the rollout never
+    /// began.
     fn ended(&self, outcome: Option<&RolloutOutcome>);
 }

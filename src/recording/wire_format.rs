@@ -2,13 +2,13 @@ use std::collections::BTreeMap;
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
-/// MCAP's checksum.
+/// The checksum that MCAP uses.
 pub(super) const CRC_32: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
 /// First and last bytes of every MCAP file.
 pub(super) const MAGIC: &[u8] = mcap::MAGIC;
 
-/// Bytes of opcode and length before each record.
+/// Number of bytes before the body of a record: an opcode of one byte and a length of eight.
 pub(super) const FRAME_BYTES: usize = 9;
 
 /// Opcodes of the records in a recording (MCAP specification, "Records").
@@ -19,7 +19,7 @@ pub(super) mod opcode {
     };
 }
 
-/// One record; `offset` is the position of its opcode.
+/// One record of an MCAP file; `offset` is the position of its opcode in the file.
 #[derive(Clone, Copy)]
 pub(super) struct Frame<'a> {
     pub(super) offset: usize,
@@ -42,10 +42,11 @@ pub(super) fn frame(bytes: &[u8], offset: usize) -> Option<Frame<'_>> {
     Some(Frame { offset, opcode, body: rest.get(..length)? })
 }
 
-/// Reads the fields of a record one after the other; a field is `None` where the bytes end.
+/// Reads the fields of a record one after the other. A method returns `None` where the bytes end
+/// before the field does.
 ///
-/// The readers of the `mcap` crate trust lengths in places (they allocate or index by them); this one
-/// accepts files of any origin.
+/// This reader exists because those of the `mcap` crate trust lengths in places: they allocate or
+/// index by a length that a hostile file chooses. This reader accepts files of any origin.
 pub(super) struct Fields<'a>(pub(super) &'a [u8]);
 
 impl<'a> Fields<'a> {

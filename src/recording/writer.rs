@@ -14,11 +14,11 @@ use super::{
 use crate::storage::{Disk, DiskFile, sync_name};
 use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
-/// Ticks in one block: a tenth of a second. The count does not depend on the clock, so that the bytes of a
-/// simulated rollout do not depend on the speed of the simulation.
+/// Number of ticks in a block: a tenth of a second. The size is a number of ticks rather than a
+/// time, so that the bytes of a simulated rollout do not depend on the speed of the simulation.
 const TICKS_PER_BLOCK: u32 = 10;
 
-/// The destination of a recording.
+/// The destination of a recording's bytes: a file, or memory.
 pub trait Sink: Write {
     /// Returns once the written bytes would survive a loss of power.
     ///
@@ -41,20 +41,21 @@ impl Sink for Vec<u8> {
 
 type Mcap<W> = mcap::Writer<NoSeek<BufWriter<W>>>;
 
-/// Writes one rollout, block by block.
+/// The writer of one rollout's recording, block by block.
 ///
 /// The same header, policy, ticks and outcome give the same bytes. A writer that is dropped without
 /// [`finish`](Self::finish) leaves a truncated recording with every tick it received.
 pub struct RolloutWriter<W: Sink> {
     path: PathBuf,
-    /// `None` only once finished: dropping an `mcap::Writer` would close the file as if it were complete.
+    /// `None` once the recording is finished. It is taken out before the drop, because dropping an
+    /// `mcap::Writer` would close the file as if the recording were complete.
     mcap: Option<Mcap<W>>,
-    /// Numbers of the channels, in the order of [`Channel::ALL`].
+    /// Numbers of the channels in the file, in the order of [`Channel::ALL`].
     channels: [u16; Channel::ALL.len()],
     header: RolloutHeader,
-    /// Deadline of the first tick.
+    /// Deadline of the first tick, ns by the control thread's clock.
     origin_ns: Option<u64>,
-    /// The last tick and its log time.
+    /// The last tick, and its time in the file, ns since 1970.
     last: (TickRecord, u64),
     ticks_in_block: u32,
 }
@@ -72,8 +73,8 @@ pub(super) mod topic {
 }
 
 impl RolloutWriter<Box<dyn DiskFile>> {
-    /// Creates the file and writes header and policy, so that even a rollout that is killed in its first
-    /// tick is identifiable. `policy` are the bytes of the policy file.
+    /// Creates the file and writes header and policy, so that even a rollout that is killed in its
+    /// first tick is identifiable. `policy` are the bytes of the policy file.
     ///
     /// # Errors
     /// The file exists or cannot be written, or the header holds a number that is not finite.
@@ -87,7 +88,7 @@ impl RolloutWriter<Box<dyn DiskFile>> {
             .create(path, false)
             .map_err(|source| RecordingError::Create { path: path.to_owned(), source })?;
         let writer = Self::begin(file, path, header, policy)?;
-        // The file's name must survive too.
+        // The entry in the folder must survive a loss of power too, not only the content.
         sync_name(disk, path).map_err(|source| RecordingError::write(path, source))?;
         Ok(writer)
     }
@@ -119,8 +120,8 @@ impl<W: Sink> RolloutWriter<W> {
         fields: BTreeMap<String, String>,
         policy: &[u8],
     ) -> Result<Self, McapError> {
-        // A seeking writer corrects a chunk's header after its content, so that a kill in between leaves an
-        // invalid file. Without seeking, each block is written as a whole.
+        // A seeking writer corrects a chunk's header after it has written the content, and a kill
+        // in between leaves an invalid file. Without seeking, each block is written as a whole.
         let mut mcap = WriteOptions::new()
             .compression(Some(Compression::Lz4))
             .chunk_size(None)
@@ -163,10 +164,10 @@ impl<W: Sink> RolloutWriter<W> {
         Ok(writer)
     }
 
-    /// Adds one tick, which reaches the operating system when its block is full or flushed.
+    /// Adds one tick. It reaches the operating system when its block is full or is flushed.
     ///
     /// # Errors
-    /// The sink fails; nothing more can be written then.
+    /// The sink fails; after that nothing more can be written.
     pub fn write(&mut self, tick: &TickRecord) -> Result<(), RecordingError> {
         self.try_write(tick).map_err(|error| RecordingError::write(&self.path, io_error(error)))
     }
@@ -188,7 +189,8 @@ impl<W: Sink> RolloutWriter<W> {
         Ok(())
     }
 
-    /// Hands everything written so far to the operating system, so that it survives a kill of the process.
+    /// Hands everything written so far to the operating system, so that a kill of the process does
+    /// not lose it.
     ///
     /// # Errors
     /// The sink fails.
@@ -202,8 +204,8 @@ impl<W: Sink> RolloutWriter<W> {
         self.ticks_in_block > 0
     }
 
-    /// Attaches the last ticks before a fault, including those for which the recorder had no room; does
-    /// nothing for an empty slice.
+    /// Attaches the last ticks before a fault, including ticks that the ring had no room for and
+    /// that are therefore missing among the recorded ones. Does nothing for an empty slice.
     ///
     /// # Errors
     /// The sink fails.
@@ -231,16 +233,18 @@ impl<W: Sink> RolloutWriter<W> {
         })
     }
 
-    /// Closes the recording with its outcome, index and checksums, waits until it would survive a loss of
-    /// power, and returns the sink.
+    /// Closes the recording with its outcome, index and checksums, waits until it would survive a
+    /// loss of power, and returns the sink.
     ///
     /// # Errors
-    /// The sink fails, or the outcome holds a number that is not finite; the recording is then truncated.
+    /// The sink fails, or the outcome holds a number that is not finite; the recording is then
+    /// truncated.
     pub fn finish(self, outcome: &RolloutOutcome) -> Result<W, RecordingError> {
         self.close(Some(outcome), None)
     }
 
-    /// Closes a recovered recording with its outcome, if there is one, and a record of the losses.
+    /// Closes a recovered recording with its outcome, if there is one, and a metadata record of the
+    /// losses.
     pub(super) fn finish_recovered(
         self,
         outcome: Option<&RolloutOutcome>,
@@ -303,7 +307,8 @@ impl<W: Sink> RolloutWriter<W> {
 impl<W: Sink> Drop for RolloutWriter<W> {
     fn drop(&mut self) {
         if let Some(mut mcap) = self.mcap.take() {
-            // The error has no recipient; a recording without its end is recognised as truncated.
+            // Nobody can receive an error here; a recording without its end is recognised as
+            // truncated.
             let _ = mcap.flush();
             if let Ok(mut sink) = mcap.into_inner().into_inner().into_inner() {
                 let _ = sink.sync();
@@ -312,7 +317,8 @@ impl<W: Sink> Drop for RolloutWriter<W> {
     }
 }
 
-/// The header of a message of the last tick, which has this log time.
+/// The MCAP header of a message of a tick with this log time. The publish time is later by the
+/// tick's lateness.
 fn message_header(channel_id: u16, (tick, log_time): &(TickRecord, u64)) -> MessageHeader {
     MessageHeader {
         channel_id,
@@ -322,12 +328,14 @@ fn message_header(channel_id: u16, (tick, log_time): &(TickRecord, u64)) -> Mess
     }
 }
 
-/// The time from which a recording's times count, ns since 1970.
+/// The time from which a recording's times count, ns since 1970; [`VIRTUAL_EPOCH_UNIX_NS`] under a
+/// virtual clock.
 pub(super) fn start_unix_ns(header: &RolloutHeader) -> u64 {
     header.started_unix_ns.unwrap_or(VIRTUAL_EPOCH_UNIX_NS)
 }
 
-/// The clock of a recording's times, for readers of any program.
+/// The fields of the metadata record that tells readers of any program which clock the times are
+/// by.
 fn clock_fields(header: &RolloutHeader) -> BTreeMap<String, String> {
     let clock = if header.started_unix_ns.is_some() { "wall" } else { "virtual" };
     let epoch_unix_ns = start_unix_ns(header).to_string();

@@ -3,14 +3,14 @@ use thiserror::Error;
 use super::MotionSample;
 use crate::qube::State;
 
-/// Required columns, in the order of [`MotionSample`]'s numbers.
+/// Required columns, in the order of the numbers of a [`MotionSample`].
 const COLUMNS: [&str; 6] =
     ["time_s", "theta_rad", "alpha_rad", "theta_dot_rad_s", "alpha_dot_rad_s", "voltage_v"];
 
-/// Longest time between two rows, s; the voltage over a longer one is unknown.
+/// Longest time between two rows, s. Over a longer gap nobody knows the voltage.
 const MAX_GAP_S: f64 = 1.0;
 
-/// The reason why a text is not a table of a motion. Lines count from 1, the header's.
+/// The reason why a text is not a table of a motion. Lines are counted from 1, blank ones too.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CsvError {
     /// A required column is missing.
@@ -45,7 +45,7 @@ pub enum CsvError {
         /// Number of rows.
         rows: usize,
     },
-    /// Time does not increase.
+    /// The time of a row is not later than that of the row before.
     #[error("line {line}: time goes from {before_s} s to {time_s} s; it has to grow")]
     TimeBackwards {
         /// Number of the line.
@@ -65,9 +65,10 @@ pub enum CsvError {
     },
 }
 
-/// Reads a table with a header. The last row's voltage may be empty, because nothing follows it.
+/// Reads the samples of a table with a header line. The voltage of the last row may be empty,
+/// because no motion follows it; it is then 0 V.
 pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
-    // Some programs start a text with a byte-order mark.
+    // Some programs put a byte-order mark before the text.
     let text = text.trim_start_matches('\u{feff}');
     let mut lines = text
         .lines()

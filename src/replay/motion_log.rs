@@ -11,7 +11,7 @@ use crate::recording::{self, Recording, RecordingError};
 use crate::storage::{open_regular, read_text};
 use crate::telemetry::Phase;
 
-/// Largest text file that is read, bytes.
+/// Largest text file that is read, bytes: 256 MiB.
 const MAX_FILE_BYTES: u64 = 1 << 28;
 
 /// A motion of a Qube with its voltages, from a recording of this program or a CSV file.
@@ -19,7 +19,7 @@ const MAX_FILE_BYTES: u64 = 1 << 28;
 pub struct MotionLog {
     /// At least two samples with increasing times.
     pub samples: Vec<MotionSample>,
-    /// Plant that moved.
+    /// Plant whose motion this is.
     pub plant: PlantModel,
 }
 
@@ -37,7 +37,7 @@ pub enum MotionLogError {
     /// The MCAP file is not a recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The policy never had the motor in the recording.
+    /// The recording has fewer than two samples from the time in which the policy had the motor.
     #[error(
         "{path}: the policy never had the motor in this rollout; there is no motion to compare with the simulator"
     )]
@@ -56,8 +56,9 @@ pub enum MotionLogError {
 }
 
 impl MotionLog {
-    /// Reads an MCAP recording of this program or a CSV file with the columns `time_s`,
-    /// `theta_rad`, `alpha_rad`, `theta_dot_rad_s`, `alpha_dot_rad_s`, `voltage_v` in any order.
+    /// Reads an MCAP recording of this program, or a CSV file with the columns `time_s`,
+    /// `theta_rad`, `alpha_rad`, `theta_dot_rad_s`, `alpha_dot_rad_s`, `voltage_v` in any order. A
+    /// CSV file is taken as a motion of the built-in Qube.
     ///
     /// # Errors
     /// The file cannot be read or holds no motion.
@@ -65,7 +66,8 @@ impl MotionLog {
         Self::read_of(path, &PlantModel::QUBE)
     }
 
-    /// Reads a file like [`Self::read`]; a CSV file, which names no plant, is of this one.
+    /// Reads a file like [`Self::read`], but takes a CSV file, which names no plant, as a motion of
+    /// `plant`. A recording names its own plant.
     ///
     /// # Errors
     /// The file cannot be read or holds no motion.
@@ -81,14 +83,16 @@ impl MotionLog {
         Ok(Self { samples, plant: *plant })
     }
 
-    /// The motion while the policy had the motor, by the device's clock; `None` with fewer than two
-    /// samples. Angles are those of the encoders, because the policy's may be predictions.
+    /// The motion while the policy had the motor, with times by the device's clock; `None` with
+    /// fewer than two samples. The angles are those of the encoders, because the policy may have
+    /// seen predicted ones; the velocities are those that the policy saw.
     ///
-    /// Voltages are those that the Qube's driver applies, in steps of 24 mV: the rounding of a command lasts until the
-    /// next one, and over seconds moves the arm by more than its encoder resolves.
+    /// The voltages are those that the Qube's motor driver applied, in steps of 24 mV
+    /// ([`applied_voltage_mv`]). The commanded ones would not do: the rounding of a command lasts
+    /// until the next command, and over seconds its effect on the arm exceeds an encoder count.
     ///
-    /// A tick without a sample is left out: the previous voltage was held, so the previous sample describes
-    /// it.
+    /// A tick without a sample is left out: the motor kept the previous voltage, so the previous
+    /// sample already describes it.
     #[must_use]
     pub fn of_recording(recording: &Recording) -> Option<Self> {
         let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);
@@ -102,7 +106,8 @@ impl MotionLog {
                 let voltage_v = f64::from(applied_voltage_mv(tick.voltage_mv)) / 1000.0;
                 let (theta, counted) =
                     recording.header.settings.calibration.angles_rad(measurement);
-                // The tick counts whole turns from the start of the rollout.
+                // The encoder counts turns from its start, and the tick from the start of the
+                // rollout: the whole turns are taken from the tick.
                 let turns = ((tick.state.alpha - counted) / (2.0 * PI)).round();
                 let alpha = counted + 2.0 * PI * turns;
                 let state = State { theta, alpha, ..tick.state };

@@ -6,16 +6,17 @@ use super::{MotionLog, MotionSample};
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, SUBSTEPS, State, runge_kutta_4};
 
-/// The simulation of a log's voltages.
+/// The result of a simulation of a log's voltages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OpenLoop {
-    /// State of the simulator at each sample of the log; the first is the log's own.
+    /// State of the simulator at each sample of the log; the first one is the start state.
     pub simulated: Vec<State>,
     /// Error of the simulation.
     pub rmse: AngleError,
 }
 
-/// Root mean square errors of the angles over all samples, whole turns included.
+/// Root mean square errors of the angles over all samples. Differences are not wrapped: a turn too
+/// many is an error of 2 pi.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AngleError {
     /// Error of the arm, rad.
@@ -24,18 +25,18 @@ pub struct AngleError {
     pub alpha_rad: f64,
 }
 
-/// The error of a simulated motion that diverges.
+/// The error that a simulated motion diverged.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error(
     "the simulated motion diverges after {time_s} s: are the voltages volts, the velocities rad/s?"
 )]
 pub struct Diverged {
-    /// Time of divergence, s.
+    /// Time of the first sample with a state that is not finite, s from the first sample.
     pub time_s: f64,
 }
 
-/// Simulates a log's voltages from its first state in open loop, so that every error of the model
-/// accumulates.
+/// Simulates a log's voltages from the log's first state in open loop: no later measurement
+/// corrects the simulation, so every error of the model accumulates.
 ///
 /// # Errors
 /// The motion diverges.
@@ -44,7 +45,7 @@ pub fn simulate_beside(log: &MotionLog, model: &QubeModel) -> Result<OpenLoop, D
     simulate_from(log, model, start)
 }
 
-/// Simulates a log's voltages from a given start state.
+/// Simulates a log's voltages in open loop from a given start state.
 ///
 /// # Errors
 /// The motion diverges.
@@ -72,13 +73,15 @@ pub fn simulate_from(
     Ok(OpenLoop { simulated, rmse })
 }
 
-/// Simulates a stretch of a recording in open loop and passes the state at each of its samples to `each`,
-/// the first being `start`. Commands from before the stretch that are still in transit arrive in it.
+/// Simulates a stretch of a recording in open loop and passes the state at each sample of the
+/// stretch to `each`; the first is `start`. `stretch` is a range of indices of `samples`. Commands
+/// from before the stretch that were still on their way to the motor arrive within it.
 ///
-/// The integration steps depend on the samples' times alone; a step in which a command arrives is cut in
-/// two, as in the lanes of a simulation. The states are therefore continuous in the delay. If steps ran
-/// between arrivals, their number would jump with the delay, and the integration error with it, by more
-/// than the states change over the finite difference of a fit.
+/// The integration steps depend on the samples' times alone, and a step in which a command arrives
+/// is cut in two; the lanes of a simulation do the same. The states are therefore continuous in the
+/// delay. If steps ran from arrival to arrival instead, their number would jump with the delay, and
+/// the integration error with it. That jump would exceed the change of the states over the finite
+/// difference by which a fit estimates slopes.
 pub fn simulate_stretch(
     samples: &[MotionSample],
     stretch: Range<usize>,
@@ -90,7 +93,8 @@ pub fn simulate_stretch(
     simulate_numbers(samples, stretch, &dynamics, model.nonidealities.command_delay_s, start, each);
 }
 
-/// [`simulate_stretch`] in any kind of number, such as numbers that carry derivatives.
+/// Simulates like [`simulate_stretch`] in any kind of number, such as numbers that carry
+/// derivatives; the delay of commands is `command_delay_s` seconds.
 #[inline(always)]
 pub fn simulate_numbers<T: Scalar>(
     samples: &[MotionSample],
@@ -104,7 +108,8 @@ pub fn simulate_numbers<T: Scalar>(
     let number = T::from_f64;
     let arrival_s = |command: &MotionSample| number(command.time_s) + command_delay_s;
     let (mut state, mut time_s) = (start, first.time_s);
-    // The command that acts at the start; none precedes the first.
+    // Index of the command that acts at the start. Before the first command has arrived, the first
+    // one acts too, because none precedes it.
     let mut command = stretch.start;
     while command > 0 && arrival_s(&samples[command]) > number(time_s) {
         command -= 1;
@@ -117,8 +122,8 @@ pub fn simulate_numbers<T: Scalar>(
             let begin_s = time_s + f64::from(step) * step_s;
             let mut done_s = number(0.0);
             while done_s < number(step_s) {
-                // A command that arrives with the sample belongs to the next interval, however the sum of
-                // the steps is rounded.
+                // A command that arrives at the time of the sample belongs to the next interval,
+                // whichever way the sum of the steps is rounded.
                 let next_s = match samples.get(command + 1).map(arrival_s) {
                     Some(next_s) if next_s < number(sample.time_s) => next_s - number(begin_s),
                     _ => number(f64::INFINITY),
@@ -138,10 +143,10 @@ pub fn simulate_numbers<T: Scalar>(
     }
 }
 
-/// Number of steps, no longer than the simulation's, in a duration.
+/// Number of equal steps that divide a duration, none longer than a step of the simulation.
 fn steps_over(duration_s: f64) -> u32 {
     let longest_s = CONTROL_PERIOD_S / SUBSTEPS as f64;
-    // A small tolerance, because 0.004 s is often written as 0.0040000001.
+    // The tolerance is for files that write 0.004 s as 0.0040000001.
     (duration_s / longest_s - 1e-6).ceil().max(1.0) as u32
 }
 
@@ -195,8 +200,8 @@ mod tests {
 
     #[test]
     fn the_motion_is_smooth_in_the_delay() {
-        // The slope over a fit's finite difference equals the slope over a wide one, wherever commands
-        // arrive between samples and steps.
+        // The slope over a fit's finite difference nearly equals the slope over a wide one,
+        // wherever commands arrive between samples and steps.
         let with_delay = |command_delay_s| QubeModel {
             nonidealities: Nonidealities {
                 coulomb_torque_n_m: 5e-4,

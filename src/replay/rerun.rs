@@ -5,29 +5,33 @@ use crate::safety::{Foreseen, ForeseenAngle, Guard};
 use crate::scoring::return_of;
 use crate::telemetry::{Ending, Fault, Phase, TickRecord};
 
-/// The result of a replay.
+/// The result of a replay: the recorded decisions compared with the recomputed ones.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rerun {
-    /// Return from the recorded states and voltages.
+    /// Return from the recorded states and voltages; at most 600 in a rollout of 600 steps.
     pub return_recorded: f64,
     /// Return from the recomputed states and voltages.
     pub return_recomputed: f64,
     /// Number of ticks whose decision was compared.
     pub actions_compared: usize,
-    /// Number of ticks that decided differently: another voltage wanted or sent, another phase or state.
+    /// Number of ticks that decided differently: the voltage wanted or sent, the phase or the state
+    /// differs.
     pub actions_different: usize,
     /// First tick that decided differently.
     pub first_difference: Option<Difference>,
     /// Number of ticks that could not be compared because earlier ones are missing.
     pub not_compared: usize,
-    /// Recomputed ending; `None` for a truncated recording.
+    /// Ending of the rollout: the recomputed one, or the recorded one where `ending_of_the_file` is
+    /// set; `None` if ticks are missing, at the end or before.
     pub ending: Option<Ending>,
-    /// Recomputed prediction for which foresight ended the rollout, if it did.
+    /// Recomputed prediction for which foresight ended the rollout; `None` if foresight did not end
+    /// it.
     pub foreseen: Option<Foreseen>,
-    /// Recomputed nearest approach of foresight to ending the policy; `None` where another guard or no policy ran.
+    /// Recomputed tick at which foresight was nearest to ending the policy; `None` if the guard was
+    /// not foresight, or if no policy ran.
     pub guard_approach: Option<GuardApproach>,
-    /// Whether the recorded guard no longer exists: ticks from its first braking tick on are not compared,
-    /// and the ending is the file's.
+    /// Whether the rollout braked under [`Guard::Envelope`], which no longer exists: ticks from its
+    /// first braking tick on are not compared, and the ending is the file's.
     pub ending_of_the_file: bool,
 }
 
@@ -36,7 +40,7 @@ pub struct Rerun {
 pub struct GuardApproach {
     /// Number of the tick.
     pub tick: u32,
-    /// The arm's angle then, rad.
+    /// Angle of the arm in that tick, rad.
     pub theta_rad: f64,
     /// Angle that foresight predicted for the voltage of that tick and the brake after it.
     pub foreseen: ForeseenAngle,
@@ -45,14 +49,15 @@ pub struct GuardApproach {
 /// One tick that decided differently.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
-    /// Record in the file.
+    /// The tick as the file has it.
     pub recorded: TickRecord,
-    /// Recomputed record.
+    /// The tick as it was recomputed.
     pub recomputed: TickRecord,
 }
 
 impl Rerun {
-    /// Whether every decision and the return came out again, bit for bit.
+    /// Whether every tick was compared, and every decision and the return came out again, bit for
+    /// bit.
     #[must_use]
     pub fn agrees(&self) -> bool {
         self.actions_different == 0
@@ -61,7 +66,8 @@ impl Rerun {
     }
 }
 
-/// The controller of a recording: the policy attached to it, or an external controller's recorded answers.
+/// The controller that drove a recording: the policy attached to it, or for an external controller
+/// one that repeats the recorded answers.
 ///
 /// # Errors
 /// The attachment is not a policy.
@@ -70,18 +76,20 @@ pub fn controller_of(recording: &Recording) -> Result<Policy, PolicyFault> {
         return Policy::from_bytes(&recording.policy);
     };
     let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);
-    // The guard replaces an answer that it refuses, and the phase is then another one.
+    // An answer that the guard refused is in no running tick: the guard replaces it, and the tick's
+    // phase is then braking. The outcome holds that last answer.
     let last_v = recording.outcome.as_ref().and_then(|outcome| outcome.last_answer_v);
     let answers_v = running.filter_map(|tick| tick.wanted_v).chain(last_v);
     Ok(Policy::External(external.answering(answers_v.collect())))
 }
 
-/// Feeds the recorded measurements and times to the tick that ran on the machine and compares its
-/// decisions. `policy` is the controller that drove the rollout, as a rule that of [`controller_of`].
+/// Feeds the recorded measurements and times to the tick that ran on the machine, and compares its
+/// decisions with the recorded ones. `policy` is the controller that drove the rollout;
+/// [`controller_of`] gives it.
 ///
-/// Comparison ends where ticks are missing (the recorder had no room, or a block is damaged), because the
-/// filters' memory is lost with them. It also ends where a rollout under [`Guard::Envelope`] brakes,
-/// because that guard and its brake no longer exist.
+/// The comparison ends where ticks are missing (the ring had no room for them, or a block is
+/// damaged), because the state of the filters depends on every earlier tick. It also ends where a
+/// rollout under [`Guard::Envelope`] brakes, because that guard and its brake no longer exist.
 #[must_use]
 pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
     let mut tick = Tick::new(&recording.header.settings, policy);
@@ -108,8 +116,8 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
             skipped_periods: recorded.skipped_periods,
             stop_requested: recorded.stop_requested,
             measurement: recorded.measurement,
-            // These have no recorded fields: the port is gone, or the board has restarted, only in the tick
-            // that ends for it.
+            // A recording has no fields for these two events. They happen only in the last tick,
+            // because they end the rollout, and the outcome names them.
             link_gone: is_last && ended_by(Fault::LinkGone),
             board_restarted: is_last && ended_by(Fault::BoardRestarted),
             motor_overheated: heat.is_some_and(|heat| heat.is_overheated()),
@@ -164,8 +172,8 @@ fn same_decision(a: &TickRecord, b: &TickRecord) -> bool {
     bits(a) == bits(b)
 }
 
-/// The bits of a number, with one value for all NaN: the processor chooses which NaN an operation gives,
-/// and none is ever sent.
+/// The bits of a number, with one value for all NaN: the processor chooses which NaN an operation
+/// gives, and no NaN is ever sent to the motor.
 fn number_bits(number: f64) -> u64 {
     if number.is_nan() { f64::NAN.to_bits() } else { number.to_bits() }
 }
@@ -211,7 +219,7 @@ mod tests {
         }
     }
 
-    /// A rollout on an ideal plant as it is read from its file. Every 13th sample is lost.
+    /// A rollout on an ideal plant, as the reader gives it. Every 13th sample is lost.
     fn recorded_rollout(policy: Policy, link_breaks_at: Option<u32>) -> Recording {
         recorded_with(EstimatorSettings::default(), policy, link_breaks_at)
     }
@@ -224,7 +232,8 @@ mod tests {
         recorded_warm(MotorHeat::default(), 0.0, estimator, policy, link_breaks_at)
     }
 
-    /// The rollout of [`recorded_rollout`] on a warm motor that draws `current_factor` times the nominal current.
+    /// The rollout of [`recorded_rollout`] on a warm motor that draws `current_factor` times the
+    /// nominal current.
     fn recorded_warm(
         heat: MotorHeat,
         current_factor: f64,
@@ -237,7 +246,7 @@ mod tests {
         recorded_under(header, heat, current_factor, policy, link_breaks_at)
     }
 
-    /// The same with the settings of this header.
+    /// The rollout of [`recorded_warm`] with the settings of this header.
     fn recorded_under(
         mut header: RolloutHeader,
         mut heat: MotorHeat,
@@ -321,7 +330,7 @@ mod tests {
         assert_eq!(recording.outcome.as_ref().map(|it| it.ending), Some(Ending::Completed));
         let again = rerun(&recording, controller_of(&recording).unwrap());
         assert!(again.agrees() && again.actions_compared > 300, "{again:?}");
-        // Everything but the answers is recomputed.
+        // A replay recomputes everything but the answers.
         let running = recording.ticks.iter_mut().filter(|tick| tick.phase == Phase::Running);
         running.last().unwrap().voltage_mv += 1;
         let changed = rerun(&recording, controller_of(&recording).unwrap());
@@ -411,7 +420,7 @@ mod tests {
         let first_running = |recording: &Recording| {
             recording.ticks.iter().find(|tick| tick.phase == Phase::Running).unwrap().tick
         };
-        // One that asks for 0 V stays away from the end.
+        // A policy that asks for about 0 V stays away from the end.
         let calm = guarded(pushing(1e-6));
         let calm_again = rerun(&calm, pushing(1e-6));
         assert!(calm_again.agrees(), "{calm_again:?}");
@@ -420,7 +429,8 @@ mod tests {
         assert!(f64::from(approach.foreseen.largest_rad) >= approach.theta_rad.abs() - 0.01);
         assert!(approach.tick >= first_running(&calm));
 
-        // One that pushes to one side is ended, and nearest in the tick that ended it.
+        // Foresight ends a policy that pushes to one side, and the nearest tick is the one that
+        // ended it.
         let pushed = guarded(pushing(2.0));
         let again = rerun(&pushed, pushing(2.0));
         assert!(again.agrees(), "{again:?}");
@@ -451,7 +461,8 @@ mod tests {
         assert_eq!(rerun.ending, Some(outcome.ending));
     }
 
-    /// A policy with full voltage of alternating sign: the first neuron sees the last command.
+    /// A policy that asks for full voltage of alternating sign, because its first neuron sees the
+    /// last command.
     fn trembling() -> Policy {
         let mut layers = [
             LayerWeights { weight: vec![0.0; 45], bias: vec![0.0; 5] },
@@ -474,7 +485,8 @@ mod tests {
         let again = rerun(&recording, trembling());
         assert!(again.agrees(), "{again:?}");
         assert_eq!(again.ending, by_heat);
-        // A recording older than the estimate has no heat, and the replay ignores it.
+        // A header without heat is that of a recording older than the estimate; the replay then
+        // ignores the heat.
         let mut older = recording;
         older.header.motor_heat = None;
         let other = rerun(&older, trembling());
