@@ -5,26 +5,29 @@ use serde::{Deserialize, Serialize};
 
 use crate::qube::{Distribution, Quantity, QubeModel};
 
-/// The randomisation under which a network was trained: the distribution from which the Qube of each simulated
-/// trajectory was drawn.
+/// The randomisation under which a network was trained: the distribution from which training drew
+/// the Qube of each simulated trajectory.
 ///
-/// Draws follow `distributions` and move together along `directions`, each times a standard normal number of its own.
-/// Where there are `specimens`, each draw is one of them, each equally often, and `distributions` has their moments.
-/// `simulation::DomainDistribution` says how draws are kept physical.
+/// A draw takes each quantity from its distribution in `distributions`. It then moves the
+/// quantities together along each of the `directions`, by a standard normal number for each
+/// direction. If there are `specimens`, a draw is instead one of them, each equally often, and
+/// `distributions` has their means and standard deviations. `simulation::DomainDistribution` says
+/// how draws are kept physical.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Randomisation {
     /// Distribution of each quantity in its SI unit.
     pub distributions: BTreeMap<Quantity, Distribution>,
-    /// Joint deviations: how far each moves a quantity, in its SI unit.
+    /// Joint deviations: the change of each quantity, in its SI unit, for one standard deviation
+    /// along the direction.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<BTreeMap<Quantity, f64>>,
-    /// Qubes of which each draw is one.
+    /// Qubes of which each draw is one; empty where draws follow the distributions.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub specimens: Vec<QubeModel>,
 }
 
-/// The random quantities with means, standard deviations and units, in one line.
+/// Writes the random quantities with means, standard deviations and units, in one line.
 impl fmt::Display for Randomisation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let random = self.distributions.iter().filter(|(_, drawn)| is_random(drawn));
@@ -67,7 +70,7 @@ fn in_words(quantity: Quantity, distribution: &Distribution) -> String {
 fn three_digits(value: f64) -> String {
     let places = if value == 0.0 { 0.0 } else { 2.0 - value.abs().log10().floor() };
     match places {
-        // Below 0.001 and from 10 000 on.
+        // Magnitudes below 0.001 and from 10 000 on.
         places if !(-1.0..=5.0).contains(&places) => format!("{value:.2e}"),
         places => {
             let text = format!("{value:.*}", places.max(0.0) as usize);

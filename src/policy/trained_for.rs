@@ -1,4 +1,4 @@
-//! The plant that a policy was made for.
+//! Checks that a policy was made for the plant that it is to drive.
 
 use thiserror::Error;
 
@@ -19,21 +19,21 @@ pub enum OtherPlant {
         /// Plant that was to be driven.
         plant: PlantName,
     },
-    /// The plants have one name and different numbers.
+    /// The plants have the same name and different numbers.
     #[error(
         "the policy was made for the plant {plant} as its file said then, and the file says something else now: \
          train a policy again, or give the old file"
     )]
     Description {
-        /// Name of both.
+        /// Name of both plants.
         plant: PlantName,
     },
 }
 
 impl Policy {
-    /// Checks that the policy may run on this plant. An excitation is made for none and runs on all, and so does what
-    /// an external controller has answered; the classical
-    /// controller is tuned for the built-in Qube.
+    /// Checks that the policy may run on this plant. A network runs on the plant that it was
+    /// trained for, and the classical controller on the built-in Qube, for which it is tuned. An
+    /// excitation and an external controller run on every plant.
     ///
     /// # Errors
     /// The policy was made for another plant.

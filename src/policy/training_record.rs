@@ -5,17 +5,18 @@ use serde::{Deserialize, Serialize};
 use super::Randomisation;
 use crate::qube::{PlantModel, QubeModel};
 
-/// The record of a network's training. Its file contains it, commands show it, and `run` compares it with
-/// the machine.
+/// The record of a network's training, which is part of the policy file. Commands show it, and
+/// `run` compares it with the rig.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingRecord {
     /// Name of the model: `nominal`, `handcrafted`, `opt-nominal` ...
     pub model: String,
-    /// Values of psi by name, for models that have one.
+    /// Values of psi, the parameters of the randomisation, by name; `None` for models without psi.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psi: Option<BTreeMap<String, f64>>,
-    /// Distribution of the simulated Qubes; `None` in files of version 1 and for networks of other programs.
+    /// Distribution of the simulated Qubes; `None` in files of version 1 and for networks of other
+    /// programs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub randomisation: Option<Randomisation>,
     /// Seed of the training.
@@ -37,14 +38,15 @@ pub struct TrainingRecord {
     /// Plant that the policy was trained for; files that name none mean the built-in Qube.
     #[serde(default, skip_serializing_if = "PlantModel::is_qube")]
     pub plant: PlantModel,
-    /// Mean return of the evaluation that selected this policy.
+    /// Mean return of the evaluation that selected this policy; `None` if there was none.
     pub best_return: Option<f64>,
-    /// Version of the program that trained it.
+    /// Version of the program that trained or imported the network.
     pub program_version: String,
 }
 
 impl TrainingRecord {
-    /// The record of a network that another program trained for a Qube, seen through a velocity filter of this corner.
+    /// The record of a network that another program trained for a Qube, with the states that a
+    /// velocity filter of this corner, rad/s, computes.
     #[must_use]
     pub fn imported(corner_rad_s: f64) -> Self {
         Self {
@@ -73,14 +75,16 @@ fn is_zero(weight: &f32) -> bool {
     *weight == 0.0
 }
 
-/// The guard of a training.
+/// The guard that ended rollouts in a training's simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SimulatedGuard {
-    /// The safety box alone, which all simulations use; the value of files that name none.
+    /// The safety box alone, as in all simulations of this version; files that name no guard mean
+    /// this one.
     #[default]
     Box,
-    /// A speed envelope, which ended simulated rollouts before the box; only older files name it.
+    /// A speed envelope, which ended simulated rollouts before they left the box; only older files
+    /// name it.
     Envelope,
 }
 
@@ -92,7 +96,7 @@ impl SimulatedGuard {
     }
 }
 
-/// The sensor model of a training.
+/// The sensors that a training simulated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 pub enum SimulatedSensors {
@@ -110,7 +114,8 @@ pub enum SimulatedSensors {
     },
 }
 
-/// The observer of a training: `estimation::ObserverSettings` in the form of the policy file.
+/// The observer that a training simulated: `estimation::ObserverSettings` in the form of the policy
+/// file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatedObserver {

@@ -7,13 +7,13 @@ pub struct Chart {
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// Places on the horizontal axis, in order; a place may occur more than once.
+    /// Positions on the horizontal axis, in increasing order; a position may occur more than once.
     pub xs: Vec<f64>,
-    /// Series, each with a value or a gap for every place.
+    /// Series, each with a value or a gap for every position of `xs`.
     pub series: Vec<Series>,
     /// Bands between two series.
     pub bands: Vec<Band>,
-    /// Lines across the figure, with names.
+    /// Lines across the figure, with labels.
     pub marks: Vec<Mark>,
     /// Whether the horizontal axis is logarithmic.
     pub logarithmic: bool,
@@ -27,7 +27,7 @@ pub struct Chart {
     /// Range of the vertical axis; `None` fits the data.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub y_range: Option<[f64; 2]>,
-    /// Height in pixels; `None` for the usual one.
+    /// Height, pixels; `None` for the usual height.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
 }
@@ -39,7 +39,7 @@ pub struct Axis {
     unit: String,
 }
 
-/// A named row of values.
+/// A named series of values, one or a gap for each position of its figure.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Series {
     name: String,
@@ -47,7 +47,7 @@ pub struct Series {
     values: Vec<Option<f64>>,
     style: Style,
     colour: usize,
-    /// Whether a line goes on over gaps.
+    /// Whether the line connects the values on both sides of a gap.
     spans: bool,
 }
 
@@ -91,7 +91,7 @@ pub struct Mark {
     limit: bool,
 }
 
-/// A map of a function of two numbers.
+/// A map of a function of two numbers: its values on a grid, as colours.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Map {
     /// Horizontal axis.
@@ -100,20 +100,20 @@ pub struct Map {
     pub y: Axis,
     /// Axis of the values.
     pub value: Axis,
-    /// Places on the horizontal axis.
+    /// Positions of the grid on the horizontal axis.
     pub xs: Vec<f64>,
-    /// Places on the vertical axis.
+    /// Positions of the grid on the vertical axis.
     pub ys: Vec<f64>,
-    /// Values, row after row from the lowest.
+    /// Values on the grid, row after row from the lowest `ys`.
     pub values: Vec<f64>,
-    /// Points on the map.
+    /// Points that are marked on the map.
     pub points: Vec<[f64; 2]>,
     /// Point that is marked with a cross.
     pub best: [f64; 2],
 }
 
 impl Axis {
-    /// An axis of this quantity.
+    /// An axis of this quantity and unit; the unit `1` becomes empty.
     #[must_use]
     pub fn new(label: impl Into<String>, unit: &str) -> Self {
         let unit = if unit == "1" { "" } else { unit };
@@ -122,7 +122,7 @@ impl Axis {
 }
 
 impl Series {
-    /// A series whose colour has this index. Numbers that are not finite are gaps.
+    /// A series with this index of a colour. Numbers that are not finite become gaps.
     #[must_use]
     pub fn new(
         name: impl Into<String>,
@@ -135,7 +135,7 @@ impl Series {
         Self { name: name.into(), values, style, colour, spans: false }
     }
 
-    /// The same series, whose line goes on over gaps.
+    /// This series with a line that connects the values on both sides of a gap.
     #[must_use]
     pub fn over_gaps(self) -> Self {
         Self { spans: true, ..self }
@@ -143,20 +143,20 @@ impl Series {
 }
 
 impl Mark {
-    /// A vertical line.
+    /// A vertical line at this position, with a label.
     #[must_use]
     pub fn vertical(at: f64, label: impl Into<String>) -> Self {
         Self { at, label: label.into(), vertical: true, limit: false }
     }
 
-    /// A horizontal line.
+    /// A horizontal line at this value, with a label.
     #[must_use]
     pub fn horizontal(at: f64, label: impl Into<String>) -> Self {
         Self { at, label: label.into(), vertical: false, limit: false }
     }
 }
 
-/// Writes six digits of each value, which is finer than any screen.
+/// Writes each value with six significant digits, which is finer than any screen.
 fn short<S: serde::Serializer>(values: &[Option<f64>], serializer: S) -> Result<S::Ok, S::Error> {
     let digits = |value: f64| format!("{value:.5e}").parse().unwrap_or(value);
     serializer.collect_seq(values.iter().map(|value| value.map(digits)))

@@ -1,9 +1,9 @@
-//! Densities of simulated quantities as figures, and the quantities in words.
+//! Figures of the densities of simulated quantities, and the names of the quantities in words.
 
 use super::chart::{Axis, Chart, Mark, Series, Style};
 use crate::qube::{Distribution, DomainParameter, Quantity};
 
-/// The masses and lengths of the thesis's figure 5.2, which are drawn first.
+/// The masses and lengths of the thesis's figure 5.2; reports draw them before the others.
 pub const FIRST: [DomainParameter; 4] = [
     DomainParameter::RotaryMass,
     DomainParameter::PendulumMass,
@@ -11,19 +11,22 @@ pub const FIRST: [DomainParameter; 4] = [
     DomainParameter::PendulumLength,
 ];
 
-/// Deviation below which no quantity is known, in any of their SI units.
+/// Standard deviation below which a quantity counts as constant, in any of the SI units; nobody
+/// knows a quantity that precisely.
 pub const NEGLIGIBLE: f64 = 1e-12;
 
-/// Number of places of each density.
+/// Number of points over the range of the figure, and over the range of each density.
 const PLACES: usize = 121;
 
-/// Whether a distribution has a density to draw. What a fit leaves of a quantity that no recording shows, such as the rest
-/// angle of a cable without stiffness, may differ from 0 by rounding alone.
+/// Whether a distribution has a density to draw. The limit is above 0 because of fits: for a
+/// quantity that no recording shows, such as the rest angle of a cable without stiffness, rounding
+/// alone may leave a deviation.
 pub fn has_spread(distribution: &Distribution) -> bool {
     distribution.standard_deviation() > NEGLIGIBLE && distribution.mean().is_finite()
 }
 
-/// The densities of a quantity by name, without those that have no spread; the nominal value is marked.
+/// A figure of named densities of a quantity, without those that have no spread. A line marks the
+/// nominal value.
 pub fn density_chart(quantity: Quantity, curves: &[(&str, Distribution)], nominal: f64) -> Chart {
     let spread = || {
         let named = curves.iter().enumerate();
@@ -41,7 +44,7 @@ pub fn density_chart(quantity: Quantity, curves: &[(&str, Distribution)], nomina
     let between = |from: f64, to: f64| {
         (0..PLACES).map(move |index| from + (to - from) * index as f64 / (PLACES - 1) as f64)
     };
-    // A narrow density needs places of its own.
+    // A narrow density needs points of its own, because those of the whole range may miss it.
     let own = spread().flat_map(|(_, (_, it))| {
         let [from, to] = ends(it);
         between(from, to)
@@ -65,12 +68,12 @@ pub fn density_chart(quantity: Quantity, curves: &[(&str, Distribution)], nomina
     }
 }
 
-/// The unit of a density.
+/// The unit of a density over a quantity with this unit.
 fn per(unit: &str) -> String {
     if unit.contains([' ', '/']) { format!("1/({unit})") } else { format!("1/{unit}") }
 }
 
-/// A quantity in words, with its symbol.
+/// Name of a quantity in words; a parameter has its symbol too.
 pub fn words(quantity: Quantity) -> String {
     use crate::qube::Nonideality as G;
     use DomainParameter as P;

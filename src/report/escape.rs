@@ -1,5 +1,5 @@
-/// Escapes text of any origin for HTML, in an element and in an attribute with double quotes. Letters that would be
-/// obeyed instead of shown appear as escapes.
+/// Escapes text of any origin for HTML, within an element or within an attribute in double quotes.
+/// Characters that [`is_obeyed`] names appear as escapes, except line breaks and tabs.
 #[must_use]
 pub fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len() + 16);
@@ -18,15 +18,16 @@ pub fn escaped(text: &str) -> String {
     safe
 }
 
-/// Escapes JSON for an inert script element: no letter is left with which a browser could end the element or begin
-/// a comment.
+/// Escapes JSON for a script element that holds data: no character is left with which a browser
+/// could end the element or begin a comment. The JSON keeps its meaning.
 #[must_use]
 pub fn inert(json: &str) -> String {
     json.replace('<', "\\u003c").replace('>', "\\u003e").replace('&', "\\u0026")
 }
 
-/// Whether a reader's program obeys the letter instead of showing it: Unicode's control characters including C1; line
-/// and paragraph separators; characters that change the direction of writing (UAX 9); characters without width; tags.
+/// Whether a browser or terminal acts on the character instead of showing it: Unicode's control
+/// characters including C1; line and paragraph separators; characters that change the direction of
+/// writing (UAX 9); characters without width; tags.
 #[must_use]
 pub fn is_obeyed(letter: char) -> bool {
     letter.is_control()

@@ -15,11 +15,12 @@ use crate::scoring::Behaviour;
 use crate::scoring::criterion::SUCCESS_RETURN;
 use crate::simulation::DomainDistribution;
 
-/// Rollouts of an experiment that a page shows, each with its name.
+/// Rollouts of an experiment that a page shows, each under the name of its group.
 pub type NamedRollouts = Vec<(String, RolloutView)>;
 
-/// The page of an experiment that compares recipes. `rollouts` are examples; `commands` repeat the experiment, each with
-/// its purpose; the distributions are of specimens of the plant.
+/// The HTML page of an experiment that compares recipes. `distributions` are those of the
+/// simulations, each with a name, and `plant` is the plant that they describe; `rollouts` are
+/// examples; `commands` are pairs of a purpose and a command that repeats a part of the experiment.
 ///
 /// # Errors
 /// The data of the figures cannot be written.
@@ -73,7 +74,8 @@ pub fn recipes_page(
     Ok(page.finish()?)
 }
 
-/// The page of an experiment that compares strategies.
+/// The HTML page of an experiment that compares search strategies. `commands` are pairs of a
+/// purpose and a command that repeats a part of the experiment.
 ///
 /// # Errors
 /// The data of the figures cannot be written.

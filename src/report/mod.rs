@@ -1,13 +1,15 @@
-//! Reports: a session, an experiment or recordings as one HTML page that loads nothing, with figures to zoom and
-//! pendulums to play.
+//! Reports: one HTML page about a session, an experiment or recordings. The page loads nothing from
+//! elsewhere; it has figures that zoom and pendulums that play recorded motions.
 //!
-//! [`SessionSource`] reads a session's folder, [`session_page`] writes the page; [`recordings_page`] writes that of
-//! recordings, [`recipes_page`] and [`strategies_page`] those of experiments. A page is a pure function of what was read: the figures are data, which the page's own
-//! script draws with uPlot. Every text from a file is escaped, and the page's content policy allows no other script
-//! and no request.
+//! [`SessionSource`] reads a session's folder and [`session_page`] writes its page;
+//! [`recordings_page`] writes the page of recordings, [`recipes_page`] and [`strategies_page`]
+//! those of experiments. A page depends on nothing but what was read. Figures are data, which the
+//! page's own script draws with uPlot. Every text from a file is escaped, and the page's content
+//! security policy allows no other script and no request.
 //!
-//! Only the feature `cli` builds this room. It may import `experiment`, `session`, `scoring`, `replay`, `identification`, `recording`,
-//! `search`, `surrogate`, `learning`, `simulation`, `telemetry`, `storage` and `qube`.
+//! Only the feature `cli` builds this room. It may import `experiment`, `session`, `scoring`,
+//! `replay`, `identification`, `recording`, `search`, `surrogate`, `learning`, `simulation`,
+//! `telemetry`, `storage` and `qube`.
 
 mod chart;
 mod densities;

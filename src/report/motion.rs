@@ -10,16 +10,19 @@ use crate::recording::Recording;
 use crate::replay::{GuardApproach, MotionLog, OpenLoop};
 use crate::telemetry::{Phase, TickRecord};
 
-/// Unit of packed angles and voltages: a milliradian is finer than an encoder's count, a millivolt is what is sent.
+/// Unit of packed angles and voltages, rad or V: a milliradian is finer than an encoder's count,
+/// and voltages are sent in millivolts.
 const UNIT: f64 = 1e-3;
 
 /// The packed value that means "no value".
 const NONE: i16 = i16::MIN;
 
-/// Largest number of ticks of a motion, five minutes; a recording of any origin cannot make the page larger.
+/// Largest number of ticks of a motion: five minutes. With this limit, no recording of whatever
+/// origin makes a page larger.
 const MAX_TICKS: usize = 30_000;
 
-/// A rollout's motion for the player: its angles and voltages at equal steps, packed.
+/// A rollout's motion for the page's player: its angles and voltages at equal time steps, packed as
+/// 16-bit numbers in units of [`UNIT`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Motion {
     group: String,
@@ -44,14 +47,14 @@ pub struct Motion {
     pendulum_m: f64,
 }
 
-/// The first tick of a phase.
+/// A phase, and the index of its first tick.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 struct Began {
     name: &'static str,
     from: usize,
 }
 
-/// A nearest approach to a limit.
+/// A mark in a figure, at the time of a nearest approach to a limit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct Near {
     of: &'static str,
@@ -67,8 +70,8 @@ struct Limits {
 }
 
 impl Motion {
-    /// The motion of a recording, beside the simulation of its voltages if there is one. Times count from the first
-    /// tick of the policy.
+    /// The motion of a recording, with the simulation of its voltages if there is one. Times count
+    /// from the first tick of the policy. `nearest` are the approaches to mark.
     #[must_use]
     pub fn of(
         recording: &Recording,
@@ -132,7 +135,8 @@ impl Motion {
         motion
     }
 
-    /// Marks where the guard was nearest to ending the policy, and the time of it, s.
+    /// Adds a mark where the guard was nearest to ending the policy, at this time from the policy's
+    /// first tick, s.
     #[must_use]
     pub fn with_guard(mut self, guard: Option<(GuardApproach, f64)>) -> Self {
         self.nearest.extend(guard.map(|(approach, time_s)| {
@@ -146,21 +150,22 @@ impl Motion {
         self
     }
 
-    /// Names the motion in the list of the player, under a group, with a sentence beside it.
+    /// Names the motion in the player's list, under a group; `note` is the sentence that the player
+    /// shows with it.
     #[must_use]
     pub fn named(self, group: String, name: String, note: String) -> Self {
         Self { group, name, note, ..self }
     }
 
-    /// Bytes of the packed motion in the page.
+    /// Estimate of the bytes that the motion takes in the page.
     pub fn bytes(&self) -> usize {
         let columns =
             [&self.theta, &self.alpha, &self.voltage, &self.simulated_theta, &self.simulated_alpha];
-        // Base64 has four letters for three bytes; the rest has some hundred letters.
+        // Base64 has four characters for three bytes; the rest has some hundred characters.
         600 + columns.iter().map(|column| 8 * column.len() / 3).sum::<usize>()
     }
 
-    /// The motion with every `stride`th tick only.
+    /// The motion thinned to every `stride`th tick.
     #[must_use]
     pub fn every(mut self, stride: usize) -> Self {
         let columns = [
@@ -189,8 +194,8 @@ impl Near {
     }
 }
 
-/// The simulation of a recording's voltages by a model, with the motion it starts from; `None` if there is no motion,
-/// or the simulation diverges.
+/// The simulation of a recording's voltages by a model, with the recorded motion whose first state
+/// it starts from; `None` if there is no motion, or if the simulation diverges.
 #[must_use]
 pub fn simulated(recording: &Recording, model: &QubeModel) -> Option<(MotionLog, OpenLoop)> {
     let log = MotionLog::of_recording(recording)?;
@@ -198,7 +203,8 @@ pub fn simulated(recording: &Recording, model: &QubeModel) -> Option<(MotionLog,
     Some((log, open_loop))
 }
 
-/// Whole turns of the pendulum that are no longer counted when the policy begins, rad.
+/// Whole turns by which alpha falls when the policy begins, rad: the tick then forgets the turns
+/// that the pendulum has made before.
 fn turned_before_policy(ticks: &[TickRecord]) -> f64 {
     let begins =
         |pair: &&[TickRecord]| pair[0].phase != Phase::Running && pair[1].phase == Phase::Running;

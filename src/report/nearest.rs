@@ -3,26 +3,28 @@ use crate::recording::Recording;
 use crate::replay::{GuardApproach, controller_of, rerun};
 use crate::telemetry::Phase;
 
-/// The nearest approach of a rollout to one limit of its safety box, while the policy had the motor.
+/// The nearest approach of a rollout to one limit of its safety box, while the policy had the
+/// motor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Nearest {
     /// Quantity in words.
     pub quantity: &'static str,
     /// Name of the angle in the player's figures; `None` for a velocity.
     pub angle: Option<&'static str>,
-    /// Its value, rad or rad/s.
+    /// Value with the largest magnitude under the policy, rad or rad/s.
     pub value: f64,
-    /// Its limit, rad or rad/s.
+    /// Limit of the quantity's magnitude, rad or rad/s.
     pub limit: f64,
-    /// The value as a share of the limit.
+    /// Magnitude of the value as a share of the limit; 1 is at the limit.
     pub share: f64,
     /// Unit of value and limit.
     pub unit: &'static str,
-    /// Time from the policy's first tick, s.
+    /// Time of the value from the policy's first tick, s.
     pub time_s: f64,
 }
 
-/// The nearest approaches of a recording to the four limits of its box; empty if the policy never had the motor.
+/// The nearest approaches of a recording to the four limits of its box; empty if the policy never
+/// had the motor.
 #[must_use]
 pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
     let limits = recording.header.settings.safety_box;
@@ -55,9 +57,9 @@ pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
     found
 }
 
-/// Where the guard was nearest to ending the policy, and the time of it from the policy's first tick, s. The recording
-/// is replayed for it; `None` under another guard than foresight, and where the replay decides differently, so that
-/// what the guard saw is not known.
+/// The tick at which the guard was nearest to ending the policy, and its time from the policy's
+/// first tick, s. A replay of the recording finds it. `None` if the guard was not foresight, and if
+/// the replay decides differently from the recording, because then nobody knows what the guard saw.
 #[must_use]
 pub fn guard_approach(recording: &Recording) -> Option<(GuardApproach, f64)> {
     if recording.header.settings.safety_box.guard.is_box() {
@@ -66,7 +68,7 @@ pub fn guard_approach(recording: &Recording) -> Option<(GuardApproach, f64)> {
     let replayed = rerun(recording, controller_of(recording).ok()?);
     let approach = replayed.guard_approach.filter(|_| replayed.agrees())?;
     let first = recording.ticks.iter().find(|tick| tick.phase == Phase::Running);
-    // A policy whose first voltage is refused has no tick.
+    // A policy whose first voltage is refused has no running tick; the approach is then at time 0.
     let first = first.map_or(approach.tick, |first| first.tick);
     Some((approach, f64::from(approach.tick.saturating_sub(first)) * CONTROL_PERIOD_S))
 }

@@ -16,7 +16,8 @@ const PLOTS_STYLE: &str = include_str!("assets/uPlot.min.css");
 const SCRIPT: &str = include_str!("assets/report.js");
 const STYLE: &str = include_str!("assets/report.css");
 
-/// A page in the making: HTML, and the data of its figures. Every text that it is given is escaped.
+/// An HTML page that is being written, with the data of its figures. It escapes every text that its
+/// methods get.
 #[derive(Debug, Default)]
 pub struct Page {
     title: String,
@@ -46,7 +47,7 @@ pub enum Cell {
 }
 
 impl Cell {
-    /// A number with so many decimals; a dash for none.
+    /// A number with this many decimals; a dash for `None` and for a number that is not finite.
     pub fn number(value: Option<f64>, decimals: usize) -> Self {
         Self::Number(match value {
             Some(value) if value.is_finite() => format!("{value:.decimals$}"),
@@ -72,7 +73,8 @@ impl From<String> for Cell {
     }
 }
 
-/// A number with four significant digits; powers of ten where zeros would hide them.
+/// Formats a number with four significant digits, as a power of ten below 1e-4 and from 1e6 on,
+/// where zeros would hide the digits. Magnitudes below [`NEGLIGIBLE`] become 0.
 pub fn significant(value: f64) -> String {
     let size = value.abs();
     if size < NEGLIGIBLE {
@@ -114,7 +116,7 @@ impl Page {
         let _ = writeln!(self.body, "<p>{}</p>", escaped(text));
     }
 
-    /// Adds lines of commands, each with its purpose.
+    /// Adds commands, each below a line with its purpose.
     pub fn commands(&mut self, commands: &[(String, String)]) {
         for (purpose, command) in commands {
             let (purpose, command) = (escaped(purpose), escaped(command));
@@ -122,7 +124,8 @@ impl Page {
         }
     }
 
-    /// Adds a table. The row of the index `best` is emphasised.
+    /// Adds a table. The row with the index `best` is emphasised. Numbers are aligned to the right,
+    /// and so is the head of a column that begins with a number.
     pub fn table(&mut self, heads: &[&str], rows: &[Vec<Cell>], best: Option<usize>) {
         let is_number = |column: usize| {
             rows.first().is_some_and(|row| matches!(row.get(column), Some(Cell::Number(_))))
@@ -150,21 +153,22 @@ impl Page {
         self.body.push_str("</tbody></table></div>\n");
     }
 
-    /// Adds what only some readers open.
+    /// Adds a part that stays folded under `summary` until the reader opens it.
     pub fn details(&mut self, summary: &str, inside: impl FnOnce(&mut Self)) {
         let _ = writeln!(self.body, "<details><summary>{}</summary>", escaped(summary));
         inside(self);
         self.body.push_str("</details>\n");
     }
 
-    /// Places the figures that `inside` adds beside each other where there is room.
+    /// Lays out the figures that `inside` adds side by side where there is room.
     pub fn grid(&mut self, inside: impl FnOnce(&mut Self)) {
         self.body.push_str("<div class=\"grid\">\n");
         inside(self);
         self.body.push_str("</div>\n");
     }
 
-    /// Adds a figure with a caption and a sentence that explains it.
+    /// Adds a figure with a caption and a sentence that explains the figure; an empty sentence is
+    /// left out.
     pub fn chart(&mut self, caption: &str, explanation: &str, chart: Chart) {
         let index = self.charts.len();
         self.charts.push(chart);
@@ -178,14 +182,14 @@ impl Page {
         );
     }
 
-    /// Adds a map.
+    /// Adds a map with a caption and a sentence that explains the map.
     pub fn map(&mut self, caption: &str, explanation: &str, map: Map) {
         let index = self.maps.len();
         self.maps.push(map);
         self.figure(caption, explanation, &format!("<canvas class=\"map\" data-map=\"{index}\" role=\"img\" aria-label=\"{}\"></canvas>", escaped(caption)));
     }
 
-    /// Adds a picture of a symmetric matrix whose entries are from -1 to 1.
+    /// Adds a picture of the lower triangle of a symmetric matrix, whose entries are from -1 to 1.
     pub fn matrix(
         &mut self,
         caption: &str,
@@ -209,14 +213,15 @@ impl Page {
         );
     }
 
-    /// Adds the player of these motions, with one of them chosen.
+    /// Adds the player of these motions; the motion with the index `first` is chosen at the start.
+    /// A page has one player.
     pub fn player(&mut self, motions: Vec<Motion>, first: usize) {
         self.first_motion = first.min(motions.len().saturating_sub(1));
         self.motions = motions;
         self.body.push_str("<div class=\"player\" data-player></div>\n");
     }
 
-    /// The whole page: one file that loads nothing.
+    /// The whole page as one HTML file that loads nothing.
     ///
     /// # Errors
     /// The data cannot be written as JSON.
@@ -229,7 +234,8 @@ impl Page {
         };
         let data = inert(&serde_json::to_string(&data)?);
         let title = escaped(&self.title);
-        // Only these two scripts and this style may act, whatever a name in the page contains.
+        // A browser runs only these two scripts and applies only this style, whatever a name in the
+        // page contains.
         let style = format!("{PLOTS_STYLE}{STYLE}");
         let policy = format!(
             "default-src 'none'; script-src {} {}; style-src {}; img-src data:; base-uri 'none'; form-action 'none'",
@@ -252,11 +258,12 @@ impl Page {
     }
 }
 
-/// Side of a square of a matrix, and width of the names beside it, in pixels.
+/// Side of a square of the matrix, and width of the names to the left of it, pixels.
 const SQUARE: usize = 34;
 const NAMES: usize = 250;
 
-/// The lower triangle of a matrix as squares, the darker the farther from 0, each with its number.
+/// The lower triangle of a matrix as an SVG picture: a square for each entry, darker the farther
+/// the entry is from 0, with the entry's number.
 fn matrix_svg(names: &[String], entry: impl Fn(usize, usize) -> f64) -> String {
     let side = SQUARE * names.len();
     let mut svg = format!(
@@ -291,7 +298,7 @@ fn matrix_svg(names: &[String], entry: impl Fn(usize, usize) -> f64) -> String {
     svg
 }
 
-/// The hash by which a content policy names a script or a style.
+/// The SHA-256 hash by which a content security policy names a script or a style.
 fn hash(text: &str) -> String {
     format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text.as_bytes())))
 }
@@ -340,7 +347,7 @@ mod tests {
         ] {
             assert!(!html.contains(loading), "{loading}");
         }
-        // The only address is in uPlot's own notice.
+        // The only address in a page is in the licence notice of uPlot.
         assert_eq!(html.matches("https://").count() + html.matches("http://").count(), 1);
     }
 

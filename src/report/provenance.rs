@@ -1,7 +1,8 @@
 use super::page::{Cell, Page, significant};
 use crate::telemetry::{CheckVerdict, Preflight, RolloutHeader};
 
-/// Adds where the data comes from, as one recording's header says it, and the commands that repeat it.
+/// Adds the section on the origin of the data: the facts of one recording's header, and `commands`,
+/// pairs of a purpose and a command that repeats a part.
 pub fn add_provenance(
     page: &mut Page,
     header: Option<&RolloutHeader>,
@@ -98,7 +99,7 @@ fn add_preflight(page: &mut Page, preflight: &Preflight) {
     }
 }
 
-/// The UTC date and time of nanoseconds since 1970.
+/// The date and time in UTC of a time in nanoseconds since 1970.
 fn date(unix_ns: u64) -> String {
     let seconds = i64::try_from(unix_ns / 1_000_000_000).unwrap_or(i64::MAX);
     jiff::Timestamp::from_second(seconds).map_or_else(

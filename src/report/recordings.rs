@@ -9,8 +9,9 @@ use crate::qube::QubeModel;
 use crate::recording::Recording;
 use crate::scoring::Latencies;
 
-/// The page of recordings, each with its name, beside the simulation of a model; without one, of each recording's
-/// nominal plant. `commands` say how to repeat what is shown, each with its purpose.
+/// The HTML page of recordings, each with its name. Beside each motion it shows a simulation of the
+/// same voltages, by `model` or, if that is `None`, by the nominal model of the recording's plant.
+/// `commands` are pairs of a purpose and a command that repeats a part of the page.
 ///
 /// # Errors
 /// The data of the figures cannot be written.

@@ -8,11 +8,12 @@ pub struct CandidateReturns {
     pub number: u32,
     /// Returns of its rollouts; at least one.
     pub returns: Vec<f64>,
-    /// Whether it counts for the best so far.
+    /// Whether the candidate counts for the line of the best so far.
     pub is_searched: bool,
 }
 
-/// The points at one place of the horizontal axis: a rollout, or a candidate's mean and the best so far.
+/// The points at one position of the horizontal axis: either a rollout's return, or a candidate's
+/// mean return and the best mean so far.
 struct Place {
     at: f64,
     rollout: Option<f64>,
@@ -20,7 +21,8 @@ struct Place {
     best: Option<f64>,
 }
 
-/// The figure of the returns of candidates in their order, of which `largest` is possible.
+/// A figure of the returns of candidates, in increasing order of their numbers. `largest` is the
+/// largest return that is possible; `boundaries` are further lines across the figure.
 #[must_use]
 pub fn returns_chart(
     candidates: &[CandidateReturns],
@@ -47,7 +49,8 @@ pub fn returns_chart(
     let mut marks =
         vec![Mark::horizontal(SUCCESS_RETURN, format!("success from {SUCCESS_RETURN:.0}"))];
     marks.extend(boundaries);
-    // Where every rollout does well, their differences are what there is to see.
+    // If every return exceeds the success criterion, the axis begins near the criterion, so that
+    // the differences between returns can be seen.
     let lowest = if least > SUCCESS_RETURN { 0.9 * SUCCESS_RETURN } else { 0.0 };
     let column = |of: fn(&Place) -> Option<f64>| places.iter().map(of).collect::<Vec<_>>();
     Chart {
@@ -58,7 +61,7 @@ pub fn returns_chart(
             Series::new("mean", Style::LineAndDots, 0, column(|it| it.mean)).over_gaps(),
             Series::new("best of the search so far", Style::Steps, 2, column(|it| it.best))
                 .over_gaps(),
-            // Last, so that no line hides a dot.
+            // The dots come last, so that no line hides them.
             Series::new("rollout", Style::Dots, 4, column(|it| it.rollout)),
         ],
         marks,

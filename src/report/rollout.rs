@@ -7,24 +7,26 @@ use crate::replay::{AngleError, GuardApproach};
 use crate::scoring::{Behaviour, Quietness, QuietnessFigures, Verdict, score_recording};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome};
 
-/// A rollout as a report shows it; the recording itself is not kept.
+/// The figures and words of a rollout in a report. The recording itself is not kept.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RolloutView {
-    /// Header of its recording.
+    /// Header of the rollout's recording.
     pub header: RolloutHeader,
-    /// Outcome of its recording.
+    /// Outcome of the rollout; `None` if the recording was truncated before it.
     pub outcome: Option<RolloutOutcome>,
     /// Verdict on the rollout.
     pub verdict: Verdict,
-    /// Behaviour; `None` without a result.
+    /// Behaviour of the pendulum; `None` if the rollout has no result.
     pub behaviour: Option<Behaviour>,
-    /// Quietness of balancing; `None` where nothing balanced.
+    /// Quietness of the balancing; `None` if the pendulum never balanced.
     pub quietness: Option<QuietnessFigures>,
     /// Nearest approaches to the limits of the safety box.
     pub nearest: Vec<Nearest>,
-    /// Where the guard was nearest to ending the policy, and the time of it, s; `None` where that is not known.
+    /// The tick at which the guard was nearest to ending the policy, and its time from the policy's
+    /// first tick, s; `None` where that is not known.
     pub guard: Option<(GuardApproach, f64)>,
-    /// Error of the simulation beside it.
+    /// Error of the simulation of the rollout's voltages; `None` if it diverged or there was no
+    /// motion.
     pub simulation_error: Option<AngleError>,
     /// Motion for the player, not yet named.
     pub motion: Motion,
@@ -33,7 +35,7 @@ pub struct RolloutView {
 }
 
 impl RolloutView {
-    /// The view of a recording, beside the simulation of its voltages by a model.
+    /// The view of a recording, with the simulation of its voltages by a model.
     #[must_use]
     pub fn of(recording: &Recording, model: &QubeModel) -> Self {
         let nearest = nearest_approaches(recording);
@@ -62,7 +64,7 @@ impl RolloutView {
         }
     }
 
-    /// The result in some words.
+    /// The result in a few words: return and behaviour, or why there is no result.
     #[must_use]
     pub fn result(&self) -> String {
         match (&self.verdict, self.behaviour) {
@@ -81,7 +83,8 @@ impl RolloutView {
         self.nearest.iter().max_by(|one, other| one.share.total_cmp(&other.share))
     }
 
-    /// A sentence for the player: result, end, nearest approach and what the simulation is.
+    /// The text for the player: result, ending, nearest approaches to a limit and to the guard, the
+    /// error of the simulation, and a defect of the file.
     #[must_use]
     pub fn sentence(&self) -> String {
         let mut parts = vec![first_upper(&self.result())];
@@ -124,7 +127,7 @@ pub fn behaviour_words(behaviour: Behaviour) -> &'static str {
     }
 }
 
-/// How a rollout ended, as a sentence without its dot.
+/// Says how a rollout ended; a sentence without its full stop.
 fn ending_words(outcome: &RolloutOutcome) -> String {
     match outcome.ending {
         Ending::Completed => format!("The policy took all {} steps", outcome.steps),
@@ -136,7 +139,7 @@ fn ending_words(outcome: &RolloutOutcome) -> String {
     }
 }
 
-/// Where the guard was nearest to ending the policy, as a sentence without its dot.
+/// Says where the guard was nearest to ending the policy; a sentence without its full stop.
 fn guard_words((approach, time_s): (GuardApproach, f64)) -> String {
     let GuardApproach { theta_rad, foreseen, .. } = approach;
     let (largest_rad, end_rad) = (foreseen.largest_rad, foreseen.end_rad);
@@ -160,7 +163,7 @@ fn guard_words((approach, time_s): (GuardApproach, f64)) -> String {
     )
 }
 
-/// The text with a capital at its start.
+/// Returns the text with a capital first letter.
 pub fn first_upper(text: &str) -> String {
     let mut letters = text.chars();
     match letters.next() {
@@ -169,7 +172,9 @@ pub fn first_upper(text: &str) -> String {
     }
 }
 
-/// Adds the player of these rollouts, named and grouped, within a budget of the page's size.
+/// Adds the player of these motions, which must be named, and instructions for it. Motions beyond
+/// the page's budget are thinned or left out; `first` is the index of the motion that is chosen at
+/// the start.
 pub fn add_player(page: &mut Page, motions: Vec<Motion>, first: usize) {
     let (motions, first, note) = within_budget(motions, first);
     page.paragraph(
@@ -182,13 +187,16 @@ pub fn add_player(page: &mut Page, motions: Vec<Motion>, first: usize) {
     page.player(motions, first);
 }
 
-/// Largest size of all motions in a page, bytes; a page stays below 5 MB.
+/// Largest size of all motions in a page, bytes, so that a page stays below 5 MB.
 const MOTION_BYTES: usize = 3_200_000;
 
-/// Every second, fourth or tenth tick at most.
+/// Strides by which motions are thinned, the first that suffices: every tick, or every second,
+/// fourth or tenth.
 const STRIDES: [usize; 4] = [1, 2, 4, 10];
 
-/// The motions that fit into a page, thinned where they must be; the rest is left out, and the note says so.
+/// The motions that fit into a page, the index of the chosen one among them, and a note for the
+/// reader. Motions are thinned only as far as they must be; those that do not fit even so are left
+/// out, except the chosen one, and the note says so.
 fn within_budget(motions: Vec<Motion>, first: usize) -> (Vec<Motion>, usize, Option<String>) {
     let bytes: usize = motions.iter().map(Motion::bytes).sum();
     let Some(stride) =
@@ -224,7 +232,7 @@ fn within_budget(motions: Vec<Motion>, first: usize) -> (Vec<Motion>, usize, Opt
     (kept, kept_first, Some(note))
 }
 
-/// The columns of a table of rollouts after those that name the rollout.
+/// The heads of the columns of a table of rollouts, after those that name the rollout.
 pub const ROLLOUT_HEADS: [&str; 8] = [
     "result",
     "return",
@@ -236,7 +244,7 @@ pub const ROLLOUT_HEADS: [&str; 8] = [
     "missed deadlines",
 ];
 
-/// The cells of a rollout in those columns.
+/// The cells of a rollout in the columns [`ROLLOUT_HEADS`].
 #[must_use]
 pub fn rollout_cells(view: &RolloutView) -> Vec<Cell> {
     let result = match (&view.verdict, view.behaviour) {

@@ -1,4 +1,5 @@
-//! The wire format of Protocol Buffers: numbered fields, of which a reader takes those that it knows.
+//! Reads the wire format of Protocol Buffers: a message is a series of numbered fields, and a
+//! reader skips those that it does not know.
 
 /// The value of a field.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,7 +14,7 @@ pub enum Value<'a> {
     Fixed32([u8; 4]),
 }
 
-/// Bytes that are no message.
+/// The error that bytes are not a message, or not a field of the expected type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Malformed;
 
@@ -88,7 +89,7 @@ impl<'a> Value<'a> {
         std::str::from_utf8(self.bytes()?).map_err(|_| Malformed)
     }
 
-    /// The bytes of a field of variable length.
+    /// The bytes of a field with a length: a string, a message, or packed numbers.
     pub fn bytes(self) -> Result<&'a [u8], Malformed> {
         match self {
             Self::Bytes(bytes) => Ok(bytes),
@@ -96,7 +97,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// The integer of a field.
+    /// The integer of a field of variable length.
     pub fn integer(self) -> Result<i64, Malformed> {
         match self {
             Self::Varint(value) => Ok(value as i64),

@@ -1,8 +1,9 @@
-//! The observation of another program in this program's terms.
+//! Translates the observation of another program into this program's observation.
 
 use crate::qube::{MAX_HISTORY, OBSERVATION_SIZE};
 
-/// Names of what an observation may contain, in this program's order, and the factor that this program's entry has.
+/// Names of the quantities that an observation may contain, in the order of this program's
+/// observation, each with the factor that this program multiplies it by.
 const NAMES: [(&str, f64); OBSERVATION_SIZE + MAX_HISTORY] = [
     ("sin_theta", 1.0),
     ("cos_theta", 1.0),
@@ -16,30 +17,34 @@ const NAMES: [(&str, f64); OBSERVATION_SIZE + MAX_HISTORY] = [
     ("command_4", 1.0),
 ];
 
-/// The entries of another program's observation: what each is, and its factor.
+/// The entries of another program's observation: the quantity of each, and the factor on it.
 ///
-/// Quantities are those of this program: angles in rad with alpha = 0 where the pendulum hangs, velocities in rad/s, and
-/// the last commands as fractions of 5 V, `command_1` the newest. A factor of -1 turns a sign, so that `-1*cos_alpha` is
-/// the cosine of an angle that is 0 upright.
+/// Quantities are in this program's conventions: angles in rad with alpha = 0 where the pendulum
+/// hangs, velocities in rad/s, and the last commands as fractions of 5 V, `command_1` the newest. A
+/// factor of -1 reverses a sign: `-1*cos_alpha` is the cosine of an angle that is 0 where the
+/// pendulum is upright.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sight {
-    /// Index in this program's observation, and the factor on its entry.
+    /// For each entry, the index in this program's observation, and the factor on this program's
+    /// entry there.
     entries: Vec<(usize, f64)>,
     inputs: usize,
 }
 
 impl Sight {
-    /// This program's own observation with so many last commands.
+    /// This program's own observation with this many last commands, at most [`MAX_HISTORY`].
     #[must_use]
     pub fn own(history: usize) -> Self {
         let inputs = OBSERVATION_SIZE + history.min(MAX_HISTORY);
         Self { entries: (0..inputs).map(|index| (index, 1.0)).collect(), inputs }
     }
 
-    /// Reads names separated by commas, each with or without a factor: `0.1*theta_dot, -1*cos_alpha`.
+    /// Reads names separated by commas, each with or without a factor: `0.1*theta_dot,
+    /// -1*cos_alpha`.
     ///
     /// # Errors
-    /// Names the entry that is unknown.
+    /// The text names the first entry whose name is unknown, or whose factor is 0 or no finite
+    /// number.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut entries = Vec::new();
         for entry in text.split(',').map(str::trim) {
@@ -73,13 +78,14 @@ impl Sight {
         self.entries.is_empty()
     }
 
-    /// Length of this program's observation, which has as many commands as are named.
+    /// Length of this program's observation with all commands up to the oldest one that is named.
     #[must_use]
     pub fn inputs(&self) -> usize {
         self.inputs
     }
 
-    /// The first layer's weights, `[outputs][entries]`, as weights of this program's observation.
+    /// Converts weights of the first layer, `[outputs][entries]`, to weights on this program's
+    /// observation, `[outputs][inputs]`.
     pub(super) fn arranged(&self, weight: &[f32]) -> Vec<f32> {
         let mut arranged = vec![0.0_f64; weight.len() / self.len().max(1) * self.inputs];
         let rows = arranged.chunks_exact_mut(self.inputs);
@@ -91,7 +97,8 @@ impl Sight {
         arranged.into_iter().map(|weight| weight as f32).collect()
     }
 
-    /// The bounds of the entries as bounds of this program's observation; `None` where one entry has two different ones.
+    /// Converts bounds of the entries to bounds of this program's observation; `None` if a quantity
+    /// is named twice with different bounds.
     pub(super) fn arranged_bounds(&self, bounds: &[[f32; 2]]) -> Option<Vec<[f32; 2]>> {
         let open = [f32::NEG_INFINITY, f32::INFINITY];
         let mut arranged = vec![None; self.inputs];

@@ -79,7 +79,8 @@ fn foreign(action_scale_v: f32, clip_observation: Option<f32>) -> ForeignConvent
     ForeignConventions { sight, action_scale_v, corner_rad_s, clip_observation }
 }
 
-/// Policies with each function, last command, bounds, and a weight of -0.
+/// Policies that cover each activation and output function, each number of last commands, bounds,
+/// and a weight of -0.
 fn policies() -> impl Iterator<Item = NetworkPolicy> {
     let functions = Activation::ALL.into_iter().flat_map(|activation| {
         [OutputKind::Linear, OutputKind::Tanh].map(|output| (activation, output))
@@ -126,12 +127,12 @@ fn an_exported_model_whose_graph_was_changed_is_refused() {
     let place = |bytes: &[u8]| model.windows(4).rposition(|window| window == bytes).unwrap();
     let mut other_weight = model.clone();
     other_weight[place(&weight)] ^= 1;
-    // The weights are those of the file, as in a network that was trained further.
+    // A changed weight is accepted, as in a network that was trained further.
     assert!(from_onnx(&other_weight, None).unwrap() != policy);
     let mut other_scale = model.clone();
     other_scale[place(&scale)] ^= 1;
     assert_eq!(from_onnx(&other_scale, None), Err(ImportError::Changed));
-    // The key of the entry, which its value follows.
+    // The key of the metadata entry, and the tag of the value that follows it.
     let entry = b"qube_hil.policy\x12";
     let at = model.windows(entry.len()).position(|window| window == entry).unwrap();
     let mut other_entry = model.clone();

@@ -8,13 +8,14 @@ use crate::qube::MAX_VOLTAGE_V;
 /// Version of ONNX's operators in the models that this program writes.
 pub const OPSET: u64 = 17;
 
-/// Version of the format of the file that goes with these operators.
+/// Version of ONNX's file format (`ir_version`) that goes with these operators.
 const IR_VERSION: u64 = 8;
 
-/// The entry of the model's metadata with the policy's own: everything but the weights.
+/// Key of the metadata entry with everything of the policy but its weights: the metadata of a
+/// policy file, as JSON.
 pub const POLICY_ENTRY: &str = "qube_hil.policy";
 
-/// The entry that says what the graph is, for a person.
+/// Key of the metadata entry that describes the graph for a person.
 const GRAPH_ENTRY: &str = "qube_hil.graph";
 
 /// Description of the graph in the file.
@@ -25,12 +26,13 @@ const GRAPH: &str = "Input: observation, float32 [n, entries], its entries as th
     observation, the memory of the last commands, the guard, and the rounding of the voltage to 1 mV. It is made for one \
     observation each 10 ms; angles, signs and the last commands are as the conventions in qube_hil.policy say.";
 
-/// Number types and kinds of attributes.
+/// ONNX's numbers for the type of a tensor's elements and for the types of attributes.
 const FLOAT: u64 = 1;
 const ATTRIBUTE_NUMBER: u64 = 1;
 const ATTRIBUTE_INTEGER: u64 = 2;
 
-/// The bytes of an ONNX model of the policy's network, with its metadata. Equal policies give equal bytes.
+/// Writes the policy's network, with its metadata, as the bytes of an ONNX model. Equal policies
+/// give equal bytes.
 #[must_use]
 pub fn to_onnx(policy: &NetworkPolicy) -> Vec<u8> {
     let entry = |key, value: &str| Message::default().text(1, key).text(2, value);
@@ -46,7 +48,7 @@ pub fn to_onnx(policy: &NetworkPolicy) -> Vec<u8> {
         .into_bytes()
 }
 
-/// The nodes of a graph and their constants, from the observation on.
+/// Collects the nodes of a graph, in order from the observation, and its constants.
 struct Writer {
     nodes: Vec<Message>,
     constants: Vec<Message>,
@@ -55,7 +57,7 @@ struct Writer {
 }
 
 impl Writer {
-    /// A constant, and its name.
+    /// Adds a constant and returns its name.
     fn constant(&mut self, name: &str, shape: &[usize], values: &[f32]) -> String {
         let shaped = shape.iter().fold(Message::default(), |it, &size| it.integer(1, size as u64));
         let raw: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
@@ -63,7 +65,8 @@ impl Writer {
         name.to_owned()
     }
 
-    /// A node of the last output and further inputs, whose output has this name.
+    /// Adds a node with these inputs. Its only output gets the name `output` and becomes the last
+    /// output.
     fn node(&mut self, operator: &str, inputs: &[&str], output: &str, attributes: &[Message]) {
         let node = inputs.iter().fold(Message::default(), |node, input| node.text(1, input));
         let node = node.text(2, output).text(3, output).text(4, operator).messages(5, attributes);
@@ -71,7 +74,7 @@ impl Writer {
         self.last = output.to_owned();
     }
 
-    /// A node of the last output, and of a constant.
+    /// Adds a node whose inputs are the last output and a new constant.
     fn with_constant(&mut self, operator: &str, name: &str, values: &[f32], output: &str) {
         let constant = self.constant(name, &[values.len()], values);
         let last = self.last.clone();
@@ -136,7 +139,7 @@ fn graph(policy: &NetworkPolicy) -> Message {
         .message(12, &matrix("voltage_v", 1))
 }
 
-/// The description of a matrix with a row for each observation.
+/// The description of an input or output: a matrix with a row for each observation.
 fn matrix(name: &str, columns: usize) -> Message {
     let rows = Message::default().text(2, "n");
     let columns = Message::default().integer(1, columns as u64);
