@@ -5,22 +5,24 @@ use thiserror::Error;
 use crate::qube::{MAX_HISTORY, PlantModel, State};
 use crate::safety::ForesightSettings;
 
-/// Number of timings. The shortest one counts, because a busy computer is not a slow processor.
+/// Number of measurements. The shortest one counts, because a busy computer is not a slow
+/// processor.
 const TRIES: usize = 25;
 
-/// Longest prediction of a fast processor, us, of a control period's 10 ms.
+/// Longest prediction of the guard on a fast processor, us, out of the 10 ms of a control period.
 pub const SLOW_US: f64 = 500.0;
 
-/// Longest prediction that is accepted for hardware, us: four tenths of a control period, in which
-/// the sample and the command must also pass the link.
+/// Longest prediction of the guard that is accepted for hardware, us: four tenths of a control
+/// period, in which the sample and the command must also pass the link.
 pub const TOO_SLOW_US: f64 = 4000.0;
 
-/// Measures how long this processor needs for the longest prediction that a tick may ask for, us:
-/// one in which every particle is simulated to the horizon.
+/// Measures how long this processor needs for the longest prediction that the guard may have to
+/// make in a tick, us: one in which every particle (a Qube that this one may be) is simulated to
+/// the horizon.
 #[must_use]
 pub fn foresight_time_us() -> f64 {
     let mut foresight = ForesightSettings::default().foresight(None, &PlantModel::QUBE);
-    // The state with the longest prediction of 33 696 states on a grid: the pendulum is about to go
+    // Of 33 696 states on a grid, this one has the longest prediction: the pendulum is about to go
     // over the top.
     let swinging = State { theta: -0.5, alpha: 4.0, theta_dot: 0.0, alpha_dot: -8.0 };
     let times_us = (0..TRIES).map(|_| {
@@ -31,7 +33,7 @@ pub fn foresight_time_us() -> f64 {
     times_us.fold(f64::INFINITY, f64::min)
 }
 
-/// Error: the processor is so slow that the guard would make ticks late.
+/// The error that the processor is so slow that the guard would make ticks late.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error(
     "the guard's longest prediction takes {longest_us:.0} us on this processor, and {TOO_SLOW_US:.0} us is the most \
@@ -42,7 +44,7 @@ pub struct TooSlow {
     pub longest_us: f64,
 }
 
-/// Refuses hardware under foresight on a processor with this longest prediction, us.
+/// Refuses hardware with foresight as its guard if this longest prediction, us, is too long.
 ///
 /// # Errors
 /// The prediction takes more than [`TOO_SLOW_US`].

@@ -1,10 +1,10 @@
-//! The latency timer of the FTDI driver, which holds received bytes back until it runs out: 16 ms
-//! by default.
+//! The latency timer of the FTDI driver. The driver holds received bytes back until this timer runs
+//! out: 16 ms by default.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Folder in which Linux shows the settings of terminals.
+/// Folder in which Linux shows the settings of serial ports.
 const TERMINALS: &str = "/sys/class/tty";
 
 /// The latency timer of a port, ms; `None` if the port has none.
@@ -25,8 +25,8 @@ pub fn latency_timer_cure(port: &str) -> String {
     }
 }
 
-/// The file of the setting. A link to the port is resolved, because the file is named after the
-/// kernel's name of the port.
+/// The file with the setting of a port. A link to the port is resolved first, because the folder
+/// bears the kernel's name of the port.
 fn setting(terminals: &Path, port: &str) -> Option<PathBuf> {
     let port = fs::canonicalize(port).ok()?;
     let path = terminals.join(port.file_name()?).join("device/latency_timer");

@@ -1,7 +1,7 @@
-//! Tests of a device, of a Qube and of the computer before the Qube is driven.
+//! Tests of the device, of the Qube and of the computer, before the Qube is driven.
 //!
-//! May import `clock`, `device`, `control`, `estimation`, `safety`, `telemetry`, `qube` and the crate
-//! `firmware_protocol`.
+//! May import `clock`, `device`, `control`, `estimation`, `safety`, `telemetry`, `qube` and the
+//! crate `firmware_protocol`.
 //!
 //! [`conformance`] tests whether a device keeps the protocol. [`examine`] tests before each session
 //! whether this Qube is wired as its settings say and answers fast enough. [`doctor`] tests whether

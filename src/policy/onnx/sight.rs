@@ -39,7 +39,7 @@ impl Sight {
         Self { entries: (0..inputs).map(|index| (index, 1.0)).collect(), inputs }
     }
 
-    /// Reads names separated by commas, each with or without a factor: `0.1*theta_dot,
+    /// Reads names separated by commas, each with or without a factor, as in `0.1*theta_dot,
     /// -1*cos_alpha`.
     ///
     /// # Errors

@@ -3,7 +3,8 @@ use firmware_protocol::{NO_ACT_US, RefusalReason};
 
 use super::{Deviation, Speaker, ensure};
 
-/// Voltages up to 1 V, at steps of the motor's resolution.
+/// Voltages of up to 1 V, mV. 12 and 13 mV lie on both sides of half a step of the motor's
+/// resolution (24 mV), so they show how the device rounds.
 const VOLTAGES_MV: [i16; 8] = [1000, -1000, 12, 13, -13, 500, -500, 0];
 
 pub(super) fn unarmed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
@@ -22,7 +23,8 @@ pub(super) fn act(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     ensure!(before.sample_to_act_us == NO_ACT_US, "it reports an act although there was none");
     for voltage_mv in VOLTAGES_MV {
         let sequence = speaker.act(voltage_mv)?;
-        // A second act does not change the time from the sample to the first one.
+        // A second act on the same sample must not change the reported time from the sample to the
+        // first act.
         let newer = speaker.act(voltage_mv)?;
         let after = speaker.sample_armed()?;
         let expected_mv = motor_voltage_mv(motor_counts(voltage_mv));

@@ -58,7 +58,8 @@ pub(super) fn arm_twice(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     let again = Request::Arm { nonce };
     speaker.refused(again, RefusalReason::AlreadyArmed)?;
     super::watchdog::trips_while(speaker, armed_us, |speaker| {
-        // Once the watchdog has tripped the reason is another; both are right here.
+        // Once the watchdog has tripped, the device refuses for that reason instead; both reasons
+        // are right here.
         match speaker.ask(again)? {
             Reply::Refusal {
                 reason: RefusalReason::AlreadyArmed | RefusalReason::WatchdogTripped,

@@ -5,7 +5,8 @@ use super::{Deviation, Speaker, ensure};
 
 const UNKNOWN_TYPES: [u8; 4] = [0x00, 0x06, 0x42, 0x7F];
 
-/// Returns the number of frames that the device drops during an action. The device must be greeted.
+/// Greets the device, runs an action, and returns the number of frames that the device has dropped
+/// meanwhile.
 fn dropped_during(
     speaker: &mut Speaker<'_>,
     happens: impl FnOnce(&mut Speaker<'_>) -> Result<(), Deviation>,
@@ -17,7 +18,8 @@ fn dropped_during(
 
 pub(super) fn garbage(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     let long = [0x5A; 300];
-    // Each of these is one frame to drop, except the empty ones.
+    // Each piece, ended by the first 0 after it, is one frame to drop; the other two zeros end
+    // empty frames, which do not count.
     let pieces: [&[u8]; 5] = [b"\x09\x01\x02", b"AT+GMR\r\n", &long, b"\x01", &[0xFF; 31]];
     let dropped = dropped_during(speaker, |speaker| {
         for piece in pieces {
@@ -61,7 +63,7 @@ pub(super) fn truncated(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     let encoded = Request::Arm { nonce }.encode(sequence);
     let bytes = encoded.as_bytes();
     for length in 1..bytes.len() - 1 {
-        // A frame cut off by a delimiter, then one that runs into the next frame.
+        // First a frame that a delimiter cuts off, then one that runs into the next frame.
         speaker.send_bytes(&bytes[..length])?;
         speaker.send_bytes(&[0])?;
         let sample = speaker.sample()?;

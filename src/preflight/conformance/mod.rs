@@ -1,9 +1,12 @@
-//! Tests whether a device keeps the promises of `PROTOCOL.md`. The named checks run over a raw wire
-//! against any device: the emulator, the firmware, or another implementation.
+//! Tests whether a device keeps the promises of `PROTOCOL.md`. Each promise has a named check. The
+//! checks talk to any device over its raw wire: the emulator, the firmware, or another
+//! implementation.
 //!
-//! They use the protocol crate and a transport, but not the host's link, whose own faults could
-//! hide those of a device. The motor gets at most 1 V for a few milliseconds. All timing is by the
-//! device's clock, so that a busy computer fails no device.
+//! The checks use the protocol crate and a transport, but not the host's side of the link, because
+//! a fault there could hide a fault of the device. The motor gets at most 1 V, and that for a few
+//! milliseconds; the checks of the watchdog leave 0.5 V on until the watchdog switches it off after
+//! 50 ms, and the check of flipped bits holds 0.25 V while it sends its frames. The checks judge a
+//! device's deadlines by the device's own clock, so that a busy computer fails no device.
 
 mod acting;
 mod arming;
@@ -23,9 +26,9 @@ use crate::device::LinkFault;
 /// A promise of the protocol and its test.
 #[derive(Clone, Copy, Debug)]
 pub struct ConformanceCheck {
-    /// Stable name.
+    /// Name of the check; it stays the same in later versions.
     pub name: &'static str,
-    /// The promise, in a sentence.
+    /// The promise of the protocol, in a sentence.
     pub promise: &'static str,
     run: fn(&mut Speaker<'_>) -> Result<(), Deviation>,
 }
@@ -33,17 +36,17 @@ pub struct ConformanceCheck {
 /// A deviation of a device from the protocol.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum Deviation {
-    /// The device did something else.
+    /// The device did something other than the protocol says.
     #[error("{0}")]
     Wrong(String),
     /// The device did not answer a request.
     #[error("{0} was not answered")]
     Silent(&'static str),
-    /// The wire failed.
+    /// The connection to the device failed.
     #[error("the wire failed: {0}")]
     Link(#[from] LinkFault),
     /// The computer was too slow: the watchdog tripped during the check, or an act came too late
-    /// after its sample. The check may be repeated.
+    /// after its sample. This says nothing about the device, so the check is repeated.
     #[error(
         "the watchdog tripped again and again before the check was through, or acts on fresh samples \
          were refused as stale"
@@ -57,18 +60,21 @@ pub enum Deviation {
     },
 }
 
-/// Attempts of a check, because the computer may be too slow for the watchdog.
+/// Largest number of attempts of a check. More than one is needed, because the computer may be too
+/// slow for the watchdog.
 const ATTEMPTS: u32 = 20;
 
-/// Number of fresh acts that may be refused: on a busy computer an emulated device may read an act
-/// 20 ms late, which a real one cannot.
+/// Number of attempts that may end with a refusal of a fresh act: on a busy computer an emulated
+/// device may read an act 20 ms late, which a real device cannot.
 const FRESH_REFUSALS: usize = 3;
 
 impl ConformanceCheck {
-    /// Runs this check and leaves the device's motor off.
+    /// Runs this check, repeats it while the computer disturbs it, and leaves the device's motor
+    /// off.
     ///
     /// # Errors
-    /// The deviation.
+    /// The deviation that the check found; or [`Deviation::Disturbed`] if the computer disturbed
+    /// every attempt.
     pub fn run(&self, speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
         let mut result = Err(Deviation::Disturbed);
         let mut fresh_refusals = 0;

@@ -9,28 +9,31 @@ use super::{Deviation, ensure};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{LinkFault, Transport};
 
-/// Time without an answer after which the device counts as silent.
+/// Time without an answer after which the device counts as silent, ns: 1 s.
 const PATIENCE_NS: Nanoseconds = 1_000_000_000;
 
-/// A host that sends exactly what a check asks for and accepts only the expected answer.
+/// A host for the checks: it sends exactly what a check asks for, and accepts only the expected
+/// answer.
 pub struct Speaker<'a> {
     transport: &'a mut dyn Transport,
     clock: &'a dyn Clock,
     decoder: Decoder,
     received: VecDeque<Frame>,
     sequence: u16,
-    /// Device time of the last sample, which acts refer to.
+    /// Time of the last sample by the device's clock, us; acts refer to it.
     sampled_at_us: u32,
-    /// Computer time of the request of that sample, and of the last act that answered it.
+    /// Time of the request of the last sample, by the computer's clock.
     sampled_ns: Nanoseconds,
+    /// Time of the last act, by the computer's clock.
     acted_ns: Nanoseconds,
 }
 
-/// Age of a sample up to which it is fresh on any line.
+/// Time from the request of a sample to an act, by the computer's clock, ns, up to which the act
+/// reaches the device in time on any line: within 20 ms of the sample.
 const SURELY_FRESH_NS: Nanoseconds = 8_000_000;
 
 impl<'a> Speaker<'a> {
-    /// Speaks over this wire, with the clock of its deadlines.
+    /// A host that talks over this wire and measures its deadlines by this clock.
     pub fn new(transport: &'a mut dyn Transport, clock: &'a dyn Clock) -> Self {
         let received = VecDeque::new();
         Self {
@@ -45,18 +48,18 @@ impl<'a> Speaker<'a> {
         }
     }
 
-    /// The computer's time.
+    /// The time by the computer's clock.
     pub(super) fn now_ns(&self) -> Nanoseconds {
         self.clock.now_ns()
     }
 
-    /// Waits.
+    /// Waits for this time by the computer's clock.
     pub(super) fn wait_ns(&mut self, duration_ns: Nanoseconds) {
         self.clock.sleep_until(self.clock.now_ns() + duration_ns);
     }
 
-    /// Brings the device into the state Greeted from any state and drops earlier replies. Waits for
-    /// a device that is still booting.
+    /// Brings the device from any state into the state Greeted, and drops replies to earlier
+    /// requests. Waits for a device that is still booting.
     pub(super) fn fence(&mut self) -> Result<(), Deviation> {
         let end_ns = self.clock.now_ns() + self.transport.boot_time_ns();
         loop {
@@ -80,7 +83,7 @@ impl<'a> Speaker<'a> {
         Ok(self.transport.write(bytes)?)
     }
 
-    /// Takes the next sequence number.
+    /// Takes and returns the next sequence number.
     pub(super) fn next_sequence(&mut self) -> u16 {
         self.sequence = self.sequence.wrapping_add(1);
         self.sequence
@@ -96,13 +99,14 @@ impl<'a> Speaker<'a> {
         Request::Act { voltage_mv, sampled_at_us: self.sampled_at_us }
     }
 
-    /// Sends an act that refers to the last sample, which must be fresh to be accepted.
+    /// Sends an act that refers to the last sample, and returns its sequence number. The device
+    /// accepts the act only while the sample is fresh.
     pub(super) fn act(&mut self, voltage_mv: i16) -> Result<u16, Deviation> {
         self.acted_ns = self.clock.now_ns();
         self.send(self.act_request(voltage_mv))
     }
 
-    /// Sends a request without waiting for an answer.
+    /// Sends a request without waiting for the answer, and returns its sequence number.
     pub(super) fn send(&mut self, request: Request) -> Result<u16, Deviation> {
         let sequence = self.next_sequence();
         self.send_bytes(request.encode(sequence).as_bytes())?;
@@ -125,7 +129,7 @@ impl<'a> Speaker<'a> {
         Ok(self.received.pop_front())
     }
 
-    /// Returns the next frame, which must answer the request with this sequence number.
+    /// Returns the next frame as the reply to `request`; it must have this sequence number.
     pub(super) fn reply_to(
         &mut self,
         sequence: u16,
@@ -137,7 +141,8 @@ impl<'a> Speaker<'a> {
         let reply = Reply::parse(&frame).map_err(|error| {
             Deviation::Wrong(format!("{request} was answered wrongly: {error}"))
         })?;
-        // Acts are sent without waiting for an answer, so a refusal of one arrives here.
+        // Acts are sent without waiting for an answer, so the refusal of an act arrives while the
+        // answer to a later request is expected.
         if let Reply::Refusal { refused_type, reason } = reply
             && frame.sequence != sequence
             && refused_type == self.act_request(0).message_type()
@@ -145,7 +150,8 @@ impl<'a> Speaker<'a> {
             let elapsed_ns = self.acted_ns.saturating_sub(self.sampled_ns);
             match reason {
                 RefusalReason::WatchdogTripped => return Err(Deviation::Disturbed),
-                // The act came more than 20 ms after its sample, by the device's clock.
+                // By the device's clock, the act came more than 20 ms after its sample. The
+                // computer was slow too, so the device may be right.
                 RefusalReason::StaleSample if elapsed_ns > SURELY_FRESH_NS => {
                     return Err(Deviation::Disturbed);
                 }
@@ -169,12 +175,12 @@ impl<'a> Speaker<'a> {
         self.reply_to(sequence, request_name(request))
     }
 
-    /// Sends a hello of the host's protocol version.
+    /// Sends a hello of the host's protocol version, and returns the reply.
     pub(super) fn greet(&mut self) -> Result<HelloReply, Deviation> {
         self.greet_as(PROTOCOL_VERSION)
     }
 
-    /// Sends a hello of this protocol version.
+    /// Sends a hello of this protocol version, and returns the reply.
     pub(super) fn greet_as(&mut self, protocol_version: u16) -> Result<HelloReply, Deviation> {
         match self.ask(Request::Hello { protocol_version })? {
             Reply::Hello(reply) => Ok(reply),
@@ -182,13 +188,13 @@ impl<'a> Speaker<'a> {
         }
     }
 
-    /// Greets and arms; returns the device's time of arming and the nonce.
+    /// Greets and arms; returns the time of arming by the device's clock, us, and the nonce.
     pub(super) fn arm(&mut self) -> Result<(u32, u32), Deviation> {
         let nonce = self.greet()?.nonce;
         Ok((self.arm_with(nonce)?, nonce))
     }
 
-    /// Arms; returns the device's time of arming.
+    /// Arms with this nonce; returns the time of arming by the device's clock, us.
     pub(super) fn arm_with(&mut self, nonce: u32) -> Result<u32, Deviation> {
         match self.ask(Request::Arm { nonce })? {
             Reply::Arm { device_time_us } => Ok(device_time_us),

@@ -4,7 +4,8 @@ use firmware_protocol::{MAX_SAMPLE_AGE_US, NO_ACT_US, RefusalReason, Reply, Requ
 use super::watchdog::{act_timed, trips_while};
 use super::{Deviation, Speaker, ensure};
 
-/// Margin over the largest accepted age, us: a reading is up to 5 ms older than its answer.
+/// Margin of a wait over the largest accepted age of a sample, us. It can be small: the wait begins
+/// when the answer has arrived, and the reading is up to 5 ms older than its answer.
 const BEYOND_US: u64 = 500;
 
 fn act_on(sampled_at_us: u32) -> Request {
@@ -50,7 +51,8 @@ pub(super) fn does_not_feed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> 
     let old_us = speaker.sample_armed()?.device_time_us;
     let acted_us = act_timed(speaker, 250)?;
     trips_while(speaker, acted_us, |speaker| match speaker.ask(act_on(old_us))? {
-        // Once the watchdog has tripped the reason is another; both are right here.
+        // Once the watchdog has tripped, the device refuses for that reason instead; both reasons
+        // are right here.
         Reply::Refusal {
             reason: RefusalReason::StaleSample | RefusalReason::WatchdogTripped,
             ..

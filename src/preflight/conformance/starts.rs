@@ -4,8 +4,8 @@ use firmware_protocol::{
 
 use super::{Deviation, Speaker, ensure};
 
-/// Largest motion of arm and pendulum between two samples of these checks, at 0 V: a sixth of a
-/// revolution. Counters that were reset would hardly stay within it.
+/// Largest motion of arm and pendulum between two samples of these checks, at 0 V, counts: a sixth
+/// of a revolution. A reset of the counters is a larger jump, unless they happen to be near 0.
 const MOST_COUNTS: u32 = 341;
 
 pub(super) fn module_id(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {

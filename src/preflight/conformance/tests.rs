@@ -42,7 +42,8 @@ fn a_device_that_does_not_conform_is_found() {
     assert!(!failures(Some(EmulatorFault::Garble { every: 7 })).is_empty());
 }
 
-/// A correct device whose replies `distort` changes; if it returns `false`, the reply is dropped.
+/// A correct device whose replies `distort` changes. A reply for which `distort` returns `false` is
+/// dropped.
 struct Mutant {
     wire: InProcessWire,
     decoder: Decoder,
@@ -91,7 +92,8 @@ fn distort_sample(reply: &mut Reply, distort: fn(&mut SampleReply)) -> bool {
 
 type Distortion = fn(&mut u16, &mut Reply) -> bool;
 
-/// Mistakes of another implementation, each with the check that must find it.
+/// Mistakes that another implementation may make, each with the name of the check that must find
+/// it.
 const DISTORTIONS: &[(&str, Distortion)] = &[
     ("hello", |_, reply| {
         if let Reply::Hello(hello) = reply {

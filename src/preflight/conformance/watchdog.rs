@@ -8,11 +8,11 @@ use super::{Deviation, Speaker, ensure};
 const WATCHDOG_US: u32 = WATCHDOG_MS as u32 * 1000;
 const LATEST_US: u32 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u32 * 1000;
 
-/// Interval of the samples that show when the watchdog trips: 1 ms.
+/// Pause between the samples that show when the watchdog trips, ns: 1 ms.
 const PAUSE_NS: u64 = 1_000_000;
 
-/// Repeats an action until the watchdog has tripped, which must be 50 ms after `fed_us` and at most
-/// one poll later, by the device's clock.
+/// Repeats an action until the watchdog has tripped, and fails unless that happens 50 ms after
+/// `fed_us` and at most one poll of the watchdog later. All times are by the device's clock.
 pub(super) fn trips_while(
     speaker: &mut Speaker<'_>,
     fed_us: u32,
@@ -29,7 +29,8 @@ pub(super) fn trips_while(
             );
             return Ok(());
         }
-        // A reading may be a little older than its request, hence from before the feeding.
+        // A reading may be slightly older than its request, and so from before `fed_us`; the
+        // difference then wraps round to a huge number.
         ensure!(
             elapsed_us <= LATEST_US || elapsed_us > u32::MAX / 2,
             "it has not tripped after {elapsed_us} us"
@@ -39,7 +40,7 @@ pub(super) fn trips_while(
     }
 }
 
-/// Acts; returns the device's time of the act.
+/// Acts, and returns the time of the act by the device's clock, us.
 pub(super) fn act_timed(speaker: &mut Speaker<'_>, voltage_mv: i16) -> Result<u32, Deviation> {
     let before: SampleReply = speaker.sample_armed()?;
     speaker.act(voltage_mv)?;
@@ -64,7 +65,8 @@ pub(super) fn not_fed_by_refused(speaker: &mut Speaker<'_>) -> Result<(), Deviat
     let acted_us = act_timed(speaker, 500)?;
     trips_while(speaker, acted_us, |speaker| {
         match speaker.ask(speaker.act_request(6000))? {
-            // Once the watchdog has tripped the reason is another; both are right here.
+            // Once the watchdog has tripped, the device refuses for that reason instead; both
+            // reasons are right here.
             Reply::Refusal {
                 reason: RefusalReason::VoltageOutOfRange | RefusalReason::WatchdogTripped,
                 ..

@@ -1,4 +1,4 @@
-//! Tests whether this computer can drive a Qube at 100 Hz. It leaves no change behind.
+//! Tests whether this computer can drive a Qube at 100 Hz. The tests leave no change behind.
 
 mod panel;
 mod ports;
@@ -30,11 +30,11 @@ pub struct Diagnosis {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fitness {
-    /// As it should be.
+    /// The property is as it should be.
     Well,
-    /// Sufficient, but it could be better.
+    /// The property is sufficient, but could be better.
     Advice,
-    /// Insufficient.
+    /// The property is insufficient.
     Unfit,
 }
 
@@ -53,8 +53,9 @@ impl Diagnosis {
     }
 }
 
-/// Runs all tests; the test of the timer takes this many seconds, or less if `stop` is set. If `ports` is
-/// empty, all USB serial ports are tested. An address of the vendor's library among them is greeted and sampled;
+/// Runs all tests of the computer. The test of the timer takes this many seconds, or less if `stop`
+/// is set. `ports` are the serial ports to test; if it is empty, all USB serial ports are tested.
+/// An address of the vendor's library among them names a card, which is greeted and sampled;
 /// nothing moves.
 ///
 /// # Errors
@@ -78,8 +79,8 @@ pub fn diagnose(
     Ok(found)
 }
 
-/// Installation of the real-time rights, which an ordinary user needs once: the group `realtime`
-/// and its limits.
+/// The command that gives an ordinary user the real-time rights, once: the group `realtime` and its
+/// limits.
 const RIGHTS_CURE: &str = "sudo scripts/install (then log out and in)";
 
 fn rights(realtime: &RealtimeReport) -> Vec<Diagnosis> {

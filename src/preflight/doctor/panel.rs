@@ -9,11 +9,11 @@ use crate::telemetry::MeasuredLink;
 
 const LIBRARY: &str = "panel library";
 
-/// Installation of the vendor's library.
+/// The step that installs the vendor's library.
 const INSTALL: &str =
     "install the vendor's package quanser-sdk, or name its libhil.so in QUBE_HIL_LIBHIL";
 
-/// Tests whether the vendor's library is here, and greets and samples each of these cards.
+/// Tests whether the vendor's library is here; if it is, greets and samples each of these cards.
 pub(super) fn look(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
     let library = match find_library() {
         Ok(name) => Diagnosis::well(LIBRARY, format!("{name}, for a Qube with the USB panel")),
@@ -56,7 +56,7 @@ fn of_card(card: &str, measured: Result<Option<MeasuredLink>, String>) -> Diagno
     }
 }
 
-/// The link to a card whose amplifier stays off.
+/// Measures the link to a card, whose amplifier stays off. `Ok(None)`: a stop was requested.
 fn measured(card: &str, stop: &AtomicBool) -> Result<Option<MeasuredLink>, String> {
     let address: HilAddress =
         card.parse().map_err(|error: crate::device::NotAnAddress| error.to_string())?;

@@ -8,7 +8,7 @@ use super::Diagnosis;
 use crate::device::available_ports;
 use crate::preflight::latency_timer::{latency_timer_cure, latency_timer_ms};
 
-/// Names of USB serial ports; a Qube is at none of the others.
+/// Names of USB serial ports without their numbers. A Qube is at no other port.
 const USB: [&str; 2] = ["ttyUSB", "ttyACM"];
 
 /// Tests these ports, or all USB serial ports if none is given.
@@ -29,10 +29,11 @@ pub(super) fn look(ports: &[String]) -> Vec<Diagnosis> {
     found.iter().flat_map(|port| [Some(permission(port)), timer(port)]).flatten().collect()
 }
 
-/// The group of a port that cannot be opened.
+/// The group that owns a port which the user may not open.
 struct Owner {
     group: String,
-    /// Whether the user is in that group, but only since after the login.
+    /// Whether `/etc/group` lists the user in that group. As the port cannot be opened, the user
+    /// was added after the login.
     is_listed: bool,
 }
 
@@ -52,9 +53,10 @@ fn permission(port: &str) -> Diagnosis {
     refused(&name, &owner(&groups, metadata.gid(), &user))
 }
 
-/// Whether the file can be a serial port; opening it to ask would restart boards that reset on a connection.
+/// Whether the file can be a serial port. The test does not open the port, because a connection
+/// restarts some boards.
 fn may_be_serial(metadata: &fs::Metadata) -> bool {
-    // Major 1 has memory, /dev/null and their like.
+    // The device number's major part 1 means memory, `/dev/null` and the like.
     metadata.file_type().is_char_device() && rustix::fs::major(metadata.rdev()) != 1
 }
 
@@ -72,7 +74,7 @@ fn refused(name: &str, owner: &Owner) -> Diagnosis {
     Diagnosis::unfit(name, value, cure)
 }
 
-/// Reads the owner from lines such as `dialout:x:20:ada,grace`.
+/// Reads the group with the number `gid` from lines such as `dialout:x:20:ada,grace`.
 fn owner(groups: &str, gid: u32, user: &str) -> Owner {
     let line = groups
         .lines()

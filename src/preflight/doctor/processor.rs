@@ -12,7 +12,8 @@ const FORESIGHT: &str = "foresight";
 /// Folder in which Linux shows its processors.
 const PROCESSORS: &str = "/sys/devices/system/cpu";
 
-/// Tests the governor: a processor that saves power wakes up late.
+/// Tests the governor, the rule by which Linux chooses a processor's clock rate: a processor that
+/// saves power wakes up late.
 pub(super) fn governor() -> Diagnosis {
     diagnosis(&governors(Path::new(PROCESSORS)))
 }

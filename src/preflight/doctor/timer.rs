@@ -8,13 +8,16 @@ use crate::telemetry::LatencySummary;
 
 const NAME: &str = "timer";
 
-/// Lateness that 99 of 100 ticks of a quiet computer do not exceed, us. Beyond it, the diagnosis is an advice.
+/// Lateness that 99 of 100 ticks of a quiet computer do not exceed, us. Beyond it, the diagnosis is
+/// [`Advice`](super::Fitness::Advice).
 const GOOD_P99_US: f64 = 1_000.0;
 
-/// Lateness from which a tick counts as missed, us. With 1 missed tick in 100, rollouts become void.
+/// Lateness from which a tick counts as missed, us. With 1 missed tick in 100, rollouts become
+/// void.
 const PERIOD_US: f64 = CONTROL_PERIOD_NS as f64 * 1e-3;
 
-/// Wakes up 100 times a second with the rights of the control thread and measures the lateness.
+/// Wakes up 100 times a second for this time, with the rights of the control thread, and measures
+/// how late.
 pub(super) fn watch(
     seconds: u32,
     stop: &AtomicBool,

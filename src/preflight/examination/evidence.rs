@@ -1,42 +1,44 @@
-//! Evidence from a series of pushes, and whether it suffices for a verdict.
+//! Collects evidence from a series of pushes, and decides when it suffices for a verdict.
 
 use super::swing_fit::{Lag, fit};
 use crate::control::{ArmResponse, ProbeTrace, STOOD_COUNTS, WEAK_A_V};
 
-/// Largest flicker of a dead encoder's count.
+/// Largest range of the count of a dead encoder, which may flicker, counts.
 const DEAD_COUNTS: f64 = 2.0;
 
-/// Deviation of the pendulum from its free swing that proves a motion of the arm, counts. Rounding
-/// alone gives 0.3.
+/// Deviation of the pendulum from its free swing that proves a motion of the arm, counts. The
+/// rounding of counts alone gives 0.3.
 const DRIVEN_COUNTS: f64 = 2.0;
 
-/// Least lag of a working pendulum encoder; a nominal pendulum follows the arm by 3 L_r / (2 L_p) =
-/// 0.99.
+/// Least lag of a working pendulum encoder (the factor k of [`swing_fit`](super::swing_fit)). A
+/// nominal pendulum lags behind the arm by k = 3 L_r / (2 L_p) = 0.99.
 const ALIVE_LAG: f64 = 0.5;
 
-/// Largest standard error of a lag that counts.
+/// Largest standard error of a lag that is evaluated.
 const KNOWN_LAG: f64 = 0.15;
 
-/// Least ratio of a lag to its standard error.
+/// Least ratio of a working encoder's lag to the lag's standard error.
 const SIGMAS: f64 = 5.0;
 
-/// Largest lag of a dead pendulum encoder, with two standard errors added.
+/// Largest lag of a dead pendulum encoder; two standard errors are added to the lag before it is
+/// compared.
 const DEAD_LAG: f64 = 0.3;
 
-/// Current that counts as none, A. At 1 V a motor that is held draws 0.1 A.
+/// Current below which the motor is taken to draw none, A. At 1 V a motor that is held draws 0.1 A.
 const NO_CURRENT_A: f64 = 0.02;
 
-/// Voltage from which a missing current counts, V: at less it may be the amplifier's dead zone.
+/// Push from which a missing current is a defect, V: below it, the amplifier's dead zone may
+/// explain it.
 const CURRENT_FROM_V: f64 = 1.0;
 
-/// Drop of the current during a push that proves a turning motor: 1.5 rad/s at 0.25 V. The current
-/// of a motor that is held stays constant.
+/// Least fall of the current during a push that proves a turning motor, as a share of the largest
+/// current: 1.5 rad/s at 0.25 V. The current of a motor that is held stays constant.
 const TURNING_DROP: f64 = 0.15;
 
-/// Number of times that a defect must show, because a hand may have disturbed one push.
+/// Number of pushes that must show a defect, because a hand may have disturbed one of them.
 const DEFECT_SEEN: u32 = 2;
 
-/// Verdict about the pendulum's encoder.
+/// The verdict about the pendulum's encoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) enum Pendulum {
     #[default]
@@ -45,30 +47,31 @@ pub(super) enum Pendulum {
     Dead,
 }
 
-/// Effect of a push on the evidence.
+/// The effect of a push on the evidence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PushEffect {
-    /// The evidence suffices.
+    /// The evidence suffices for a verdict.
     Enough,
     /// The push shows a defect and is repeated.
     SeeAgain,
     /// Something moved, but the evidence does not suffice.
     SomethingMoved,
-    /// Nothing moved: the next push may follow at once.
+    /// Nothing moved, so the next push may follow at once.
     NothingMoved,
 }
 
-/// Evidence from the pushes so far.
+/// The evidence from the pushes so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Evidence {
-    /// Response of the arm to the motor by its encoder.
+    /// Response of the arm to the motor by the arm's encoder; `None` if the arm has not moved far
+    /// enough.
     pub(super) arm: Option<ArmResponse>,
     pub(super) pendulum: Pendulum,
     /// Largest push so far, V.
     pub(super) strongest_v: f64,
-    /// Largest current of that push, A.
+    /// Largest current of the largest push, A.
     pub(super) current_a: f64,
-    /// Largest drop of the current in a push during which no count moved.
+    /// Largest share by which the current fell in a push during which no count moved.
     pub(super) current_drop: f64,
     dead_arm_seen: u32,
     dead_pendulum_seen: u32,
@@ -78,7 +81,7 @@ pub(super) struct Evidence {
 }
 
 impl Evidence {
-    /// Adds one push.
+    /// Adds one push, and says what the evidence is worth after it.
     pub(super) fn add(&mut self, trace: &ProbeTrace) -> PushEffect {
         let samples = trace.samples();
         let width_counts = |angle: fn(&crate::control::ProbeSample) -> f64| {
@@ -138,12 +141,14 @@ impl Evidence {
         }
     }
 
-    /// Whether the arm turned with the voltage, in the assumed signs.
+    /// Whether the arm turned in the direction of the voltage, in the assumed signs; `None` if it
+    /// did not turn.
     pub(super) fn arm_follows(&self) -> Option<bool> {
         self.arm.map(|response| response.theta_rad * response.voltage_v > 0.0)
     }
 
-    /// Whether the pendulum lagged behind the arm, in the assumed signs.
+    /// Whether the pendulum lagged behind the arm, in the assumed signs; `None` if its encoder is
+    /// not known to work.
     pub(super) fn pendulum_lags(&self) -> Option<bool> {
         match self.pendulum {
             Pendulum::Alive(lag) => Some(lag.value > 0.0),
@@ -151,7 +156,7 @@ impl Evidence {
         }
     }
 
-    /// Whether the arm's count stayed while the arm swung the pendulum.
+    /// Whether the arm's count stayed the same while the arm swung the pendulum.
     pub(super) fn arm_is_dead(&self) -> bool {
         self.dead_arm_seen >= DEFECT_SEEN && self.arm.is_none()
     }
@@ -166,7 +171,7 @@ impl Evidence {
         self.no_current_seen < DEFECT_SEEN
     }
 
-    /// Whether nothing moves and the motor draws far less current than one at rest should.
+    /// Whether nothing moves and the motor draws far less current than a motor at rest should draw.
     pub(super) fn is_weak(&self) -> bool {
         !self.something_moved()
             && self.strongest_v >= CURRENT_FROM_V

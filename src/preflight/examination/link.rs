@@ -7,43 +7,43 @@ use crate::device::{Device, DeviceError, Identity, LinkFault};
 use crate::preflight::latency_timer::{latency_timer_cure, latency_timer_ms};
 use crate::telemetry::{CheckResult, LatencySummary, MeasuredLink};
 
-/// Number of samples for a check of the link.
+/// Number of samples for the check of the link in an examination.
 pub(super) const SAMPLES: u32 = 600;
 
-/// Number of samples for a measurement of the link.
+/// Number of samples for a measurement of the link without an examination.
 pub(super) const FEW_SAMPLES: u32 = 200;
 
-/// Longest time for either.
+/// Longest time for all samples together, ns: 5 s.
 const LONGEST_NS: Nanoseconds = 5_000_000_000;
 
-/// Longest pause between two samples; each is a fraction of it. A USB bridge that hands bytes over
-/// by a timer (4.096 ms in a genuine Uno) would otherwise meet each request at the same phase,
-/// while ticks come at any.
+/// Longest pause between two samples, ns; each pause is another fraction of it. Ticks come at any
+/// phase of a USB bridge that hands bytes over by a timer (every 4.096 ms in a genuine Uno). With
+/// equal pauses, the requests would all meet the bridge at the same phase.
 const LONGEST_PAUSE_NS: f64 = 4_500_000.0;
 
-/// Golden ratio: its multiples modulo 1 fill the unit interval evenly.
+/// Fractional part of the golden ratio: its multiples modulo 1 fill the unit interval evenly.
 const GOLDEN_SHARE: f64 = 0.618_033_988_749_895;
 
-/// Margin of a tick's wait over the slowest of 100 samples, ns.
+/// Margin of a tick's longest wait over the time in which 99 of 100 samples arrive, ns.
 const MARGIN_NS: f64 = 500_000.0;
 
-/// Time after which a sample counts as lost.
+/// Time after which a sample counts as lost, ns.
 const PATIENCE_NS: Nanoseconds = 50_000_000;
 
-/// Round trips of samples, from the request to the complete answer, by the computer's clock.
+/// The round trips of samples, from the request to the complete answer, by the computer's clock.
 pub(super) struct RoundTrips {
     asked: u32,
     lost: u32,
     summary_us: LatencySummary,
     /// Count of the arm before anything moved it.
     pub(super) theta_counts: Option<i32>,
-    /// Whether the board knows of an emergency-stop switch.
+    /// Whether the board reports that it has an emergency-stop switch.
     has_stop_switch: bool,
 }
 
 pub(super) fn identity(identity: &Identity, round_trips: &RoundTrips) -> CheckResult {
-    // A Qube that does not answer with its module id, or speaks another protocol, got no further
-    // than the hello.
+    // The check always passes: a device without a Qube's module id, or with another protocol, has
+    // failed at the hello already.
     let protocol = match identity.protocol_version {
         0 => "the vendor's library".to_owned(),
         version => format!("protocol {version}"),
@@ -68,7 +68,7 @@ pub(super) fn measure(
     port: &str,
     samples: u32,
 ) -> Result<RoundTrips, Interruption> {
-    // Measured on an awake processor, as a tick will be.
+    // The processor is kept awake for the measurement, as it is for the ticks.
     let _awake = clock.stay_awake();
     let mut round_trips = LatencyHistogram::new();
     let (mut asked, mut lost, mut theta_counts) = (0, 0, None);
@@ -95,7 +95,8 @@ pub(super) fn measure(
 }
 
 impl RoundTrips {
-    /// The link as the control loop uses it.
+    /// The link as the control loop uses it: a tick's longest wait for a sample fits it, within the
+    /// limits of the loop.
     pub(super) fn link(&self) -> MeasuredLink {
         let needed_ns = self.summary_us.p99 * 1e3 + MARGIN_NS;
         let most_ns = LONGEST_SAMPLE_TIMEOUT_NS as f64;
@@ -107,21 +108,21 @@ impl RoundTrips {
         }
     }
 
-    /// Whether 99 of 100 samples arrive within the longest wait of a tick.
+    /// Whether 99 of 100 samples arrive within the longest wait that a tick may have.
     fn is_fast_enough(&self) -> bool {
         let most_us = LONGEST_SAMPLE_TIMEOUT_NS as f64 * 1e-3;
         self.summary_us.p99 <= most_us && self.lost * 100 <= self.asked
     }
 }
 
-/// Interruption of an examination because the port is gone.
+/// The interruption of an examination because the port is gone.
 pub(super) fn gone(port: &str) -> Interruption {
     DeviceError::Link { port: port.to_owned(), fault: LinkFault::Gone }.into()
 }
 
-/// Checks the latency timer of the driver. This program asks for the low-latency mode, in which the
-/// driver uses 1 ms whatever the setting, but not every driver has that mode; so the round trips
-/// decide.
+/// Checks the latency timer of the FTDI driver. When this program opens the port, it asks for the
+/// low-latency mode, in which the driver uses 1 ms whatever the setting. Not every driver has that
+/// mode, so the round trips decide.
 pub(super) fn latency_timer(port: &str, round_trips: &RoundTrips) -> CheckResult {
     const NAME: &str = "latency-timer";
     let p50_ms = round_trips.summary_us.p50 * 1e-3;

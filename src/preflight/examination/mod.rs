@@ -1,9 +1,11 @@
-//! The examination of a Qube before a session: it finds faults without driving the arm far.
+//! The examination of a Qube before a session. It finds faults without driving the arm far.
 //!
-//! It runs on the control thread, between motions. The motor gets 48 mV for 50 ms to test the
-//! watchdog, and pushes of 0.1 s that begin with 0.25 V and grow up to 2.75 V while nothing moves. Where the
-//! watchdog is a library's, pushes of 0.05 s show first whether it switches the motor off.
-//! It is off after every step, however the step ends.
+//! The examination runs on the control thread, between motions. To test the watchdog, the motor
+//! gets 48 mV for 50 ms. Pushes of at most 0.1 s each way, which begin with 0.25 V and grow up to
+//! 2.75 V while nothing moves, then test encoders and motor. If the watchdog is the vendor
+//! library's, pushes of 0.05 s in the same range of voltages show before them whether the watchdog
+//! really switches the motor off; a watchdog that fails this test leaves the motor on for 0.3 s.
+//! The motor is off after every step, however the step ends.
 
 mod evidence;
 mod link;
@@ -24,14 +26,15 @@ use crate::telemetry::{CheckResult, Fault, MeasuredLink};
 
 const HOMING: &str = "homing";
 
-/// Assumptions about a Qube before its examination.
+/// The assumptions about a Qube that an examination starts from.
 #[derive(Clone, Debug)]
 pub struct ExaminationSettings {
     /// Signs of encoders and motor.
     pub signs: Calibration,
-    /// Whether to adopt the signs that are found instead of failing.
+    /// Whether to adopt the signs that are found, if they differ from the assumed ones, instead of
+    /// failing.
     pub learn_signs: bool,
-    /// Identity from the hello.
+    /// Identity of the device from its hello.
     pub identity: Identity,
     /// Plant that is examined.
     pub plant: PlantModel,
@@ -42,14 +45,15 @@ pub struct ExaminationSettings {
 pub struct Examination {
     /// Result of each check, in order.
     pub results: Vec<CheckResult>,
-    /// Signs that were found if the arm moved, else the assumed ones.
+    /// Signs that the examination found if the arm moved, otherwise the assumed ones.
     pub signs: Calibration,
-    /// Count of the arm before anything moved it: its middle, if the operator has put it there.
+    /// Count of the arm before anything moved it; it is the arm's middle if the operator has put
+    /// the arm there. `None` if no sample came.
     pub start_theta_counts: Option<i32>,
-    /// Measured link.
+    /// Link that the examination measured.
     pub link: Option<MeasuredLink>,
-    /// Time from the last act until a library's watchdog had expired, ms, if the motor was seen to go off then; `None`
-    /// for a board's watchdog.
+    /// Time from the last act until the vendor library's watchdog had expired, ms, if the motor was
+    /// seen to go off by it. `None` for a board's watchdog.
     pub library_watchdog_ms: Option<f64>,
 }
 
@@ -61,7 +65,7 @@ impl Examination {
     }
 }
 
-/// Reason why an examination did not finish.
+/// The reason why an examination did not finish.
 #[derive(Debug)]
 pub(super) enum Interruption {
     /// A stop was requested.
@@ -76,8 +80,8 @@ impl From<DeviceError> for Interruption {
     }
 }
 
-/// Examines a device that has answered a hello, and updates the motor's heat by its pushes. The motor is off when this
-/// returns. `None`: a stop was requested.
+/// Examines a device that has answered a hello, and adds the heat of the pushes to the motor's
+/// heat. The motor is off when this function returns. `Ok(None)`: a stop was requested.
 ///
 /// # Errors
 /// The device no longer answers.
@@ -96,7 +100,7 @@ pub fn examine(
         library_watchdog_ms: None,
     };
     let outcome = look_at_everything(device, clock, heat, stop, settings, &mut found);
-    // In every case: a device that still answers is switched off by a hello.
+    // In every case, a hello switches a device off that still answers.
     let left_off = device.hello();
     match outcome {
         Err(Interruption::Stopped) => Ok(None),
@@ -147,8 +151,8 @@ fn look_at_everything(
     motion::check(device, clock, heat, stop, settings, found)
 }
 
-/// Measures a link without an examination, and sets the time for which ticks wait for their samples
-/// to fit it. `None`: a stop was requested.
+/// Measures a link without an examination, and sets the device's longest wait for a sample to fit
+/// the link. `Ok(None)`: a stop was requested.
 ///
 /// # Errors
 /// The device no longer answers.
@@ -175,7 +179,7 @@ fn ensure_going(stop: &AtomicBool) -> Result<(), Interruption> {
     if stop.load(Ordering::Relaxed) { Err(Interruption::Stopped) } else { Ok(()) }
 }
 
-/// The passed check of homing, which has found these zeros.
+/// The result of the check of homing that passed and found these zeros.
 #[must_use]
 pub fn homed(zeros: &Calibration) -> CheckResult {
     CheckResult::pass(
@@ -187,15 +191,16 @@ pub fn homed(zeros: &Calibration) -> CheckResult {
     )
 }
 
-/// The failed check of homing, which this fault has ended.
+/// The result of the check of homing that failed, because this fault ended the homing.
 #[must_use]
 pub fn not_homed(fault: Fault) -> CheckResult {
-    // The remedy is never homing by hand, which would rely on the encoder or motor in doubt.
+    // The cure is never homing by hand, which would rely on the encoder or the motor that is in
+    // doubt.
     let cure = format!("{} Then check again", fault.operator_step());
     CheckResult::fail(HOMING, fault.to_string(), cure)
 }
 
-/// The skipped check of homing, because an earlier check failed.
+/// The result of the check of homing that was skipped, because an earlier check failed.
 #[must_use]
 pub fn homing_left_out() -> CheckResult {
     CheckResult::skipped(HOMING, "not before all else passes")

@@ -9,15 +9,17 @@ use crate::estimation::Calibration;
 use crate::safety::MotorHeat;
 use crate::telemetry::{CheckResult, Ending, Fault};
 
-/// Increment of the push, V, alternating in direction: an arm that the last push did not move gets
-/// at most this much beyond its friction.
+/// Increment of the push, V. Pushes alternate in direction, and an arm that the last push did not
+/// move gets at most this much beyond its friction.
 const STEP_V: f64 = 0.25;
 
-/// Number of increments, up to 2.75 V. A good arm moves at 0.11 V, and a stiff one is reported to
-/// need 0.65 V; friction, a one-sided dead zone and a cable together may need more than 2 V.
+/// Number of increments, which reach 2.75 V. A good arm moves at 0.11 V, and a stiff one is
+/// reported to need 0.65 V; friction, a dead zone on one side and a cable together may need more
+/// than 2 V.
 const STEPS: u32 = 11;
 
-/// Repetitions of a push that a late computer or link has ended, which is no fault of the Qube.
+/// Largest number of repetitions of a push that a late computer or link has ended; such an end is
+/// no fault of the Qube.
 const DONE_AGAIN: u32 = 2;
 
 const MOTOR: &str = "motor";
@@ -28,10 +30,10 @@ const ARM_SIGN: &str = "arm-sign";
 const PENDULUM_SIGN: &str = "pendulum-sign";
 const MOTOR_SIGN: &str = "motor-sign";
 
-/// All checks with a motion, in the order of the report.
+/// Names of all checks that move the arm, in the order of the report.
 const ALL: [&str; 7] = [MOTOR, STALL, ARM, PENDULUM, ARM_SIGN, PENDULUM_SIGN, MOTOR_SIGN];
 
-/// Reports each check with a motion as skipped.
+/// Reports each check that moves the arm as skipped.
 pub(super) fn skip(found: &mut Examination, why: &str) {
     skip_these(found, &ALL, why);
 }
@@ -40,7 +42,8 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
     found.results.extend(names.iter().map(|name| CheckResult::skipped(name, why)));
 }
 
-/// Reports the fault that ended a push; the other checks with a motion are skipped.
+/// Reports the fault that ended a push as the failure of one check, and the other checks that move
+/// the arm as skipped.
 fn give_up(found: &mut Examination, fault: Fault) {
     let value = format!("a fault ended the push: {fault}");
     let cure = format!("{} Then check again", fault.operator_step());
@@ -54,7 +57,7 @@ fn give_up(found: &mut Examination, fault: Fault) {
     }
 }
 
-/// Pushes the arm a little and evaluates the response of arm and pendulum.
+/// Pushes the arm a little, and adds the verdicts on motor, encoders and signs.
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -74,7 +77,7 @@ pub(super) fn check(
     if settings.learn_signs
         && let Some(right) = right_signs(signs, &seen).filter(|right| *right != signs)
     {
-        // Signs that were concluded must pass a second probe.
+        // Signs that the evidence suggests must pass a second probe.
         signs = right;
         match probe(device, clock, heat, stop, signs, settings)? {
             Probed::Evidence(again) => seen = again,
@@ -91,13 +94,14 @@ pub(super) fn check(
 
 /// The result of a probe.
 enum Probed {
-    /// The response of arm and pendulum to the pushes.
+    /// The evidence from all pushes.
     Evidence(Evidence),
     /// A fault ended a push.
     Ended(Fault),
 }
 
-/// Pushes to and fro, with growing voltage, until there is enough evidence.
+/// Pushes to and fro with growing voltage until the evidence suffices or the largest voltage is
+/// reached.
 fn probe(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -146,9 +150,9 @@ fn probe(
 }
 
 /// The signs under which the arm follows the voltage and the pendulum lags behind the arm,
-/// concluded from a probe under other signs. Two solutions always exist, because inverting all
-/// three signs describes the same machine in a mirror; this is the one that changes fewer signs.
-/// `None` if something did not move.
+/// concluded from a probe under the signs `signs`. There are always two solutions, because
+/// inverting all three signs describes the same machine in a mirror; the function returns the one
+/// that changes fewer signs. `None` if arm or pendulum did not move.
 fn right_signs(signs: Calibration, seen: &Evidence) -> Option<Calibration> {
     let (theta, alpha, voltage) = match (seen.arm_follows()?, seen.pendulum_lags()?) {
         (true, true) => (false, false, false),
@@ -164,7 +168,7 @@ fn right_signs(signs: Calibration, seen: &Evidence) -> Option<Calibration> {
     })
 }
 
-/// The seven results.
+/// The results of the seven checks of [`ALL`], in this order.
 fn verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<CheckResult> {
     let mut results = vec![motor(seen)];
     if results[0].failed() {

@@ -9,27 +9,29 @@ use crate::telemetry::CheckResult;
 
 const NAME: &str = "rest";
 
-/// Samples of a window: more than one swing of the pendulum (0.53 s).
+/// Number of samples in a window, one each control period: 0.6 s, more than one swing of the
+/// pendulum (0.53 s).
 const WINDOW_SAMPLES: u32 = 60;
 
-/// Largest creep of the arm and largest swing of the pendulum within a window, counts: small
-/// compared with the effect of a push.
+/// Largest motion of the arm, and of the pendulum, in a window at rest, counts: small compared with
+/// the effect of a push.
 const ARM_COUNTS: u32 = 8;
 const PENDULUM_COUNTS: u32 = 6;
 
-/// Largest swing of a pendulum that does not come to rest, counts. On an arm held by friction a
-/// pendulum without friction of its own swings on and on; the effect of a push can still be told
-/// from that.
+/// Largest swing of a pendulum that is accepted after [`PATIENCE_NS`] although it does not come to
+/// rest, counts. On an arm that friction holds, a pendulum with hardly any friction swings for very
+/// long; the effect of a push can still be told from so small a swing.
 const SWINGING_COUNTS: u32 = 30;
+/// Time after which a small swing of the pendulum is accepted, ns: 5 s.
 const PATIENCE_NS: Nanoseconds = 5_000_000_000;
 
-/// Largest motion of an arm at rest within a window between pushes, counts.
+/// Largest motion of an arm at rest, in a window between two pushes, counts.
 const STILL_ARM_COUNTS: u32 = 3;
 
-/// Longest wait: a pendulum that was touched needs up to 10 s with the motor off.
+/// Longest wait, ns: 20 s. A pendulum that was touched needs up to 10 s with the motor off.
 const LONGEST_NS: Nanoseconds = 20_000_000_000;
 
-/// Range of a counter.
+/// The range of an encoder's count within a window.
 #[derive(Clone, Copy)]
 struct Span {
     lowest: i32,
@@ -50,9 +52,9 @@ impl Span {
     }
 }
 
-/// Waits between two pushes, with the motor off, until the arm is at rest, or for as long as the
-/// pendulum may need. The evaluation separates the pendulum's swing from the effect of a push, but
-/// not the motion of an arm that the pendulum moves.
+/// Waits between two pushes, with the motor off, until the arm is at rest, but no longer than
+/// [`LONGEST_NS`]. The evaluation of a push separates the pendulum's own swing from the effect of
+/// the push, but cannot separate the motion of an arm that the pendulum moves.
 pub(super) fn wait_for_the_arm(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -86,8 +88,8 @@ pub(super) fn wait_for_the_arm(
     Ok(())
 }
 
-/// Waits, with the motor off, until arm and pendulum hang still, so that the effect of a push
-/// shows.
+/// Waits, with the motor off, until arm and pendulum are at rest, so that the effect of a push
+/// shows. The check fails after [`LONGEST_NS`].
 pub(super) fn wait(
     device: &mut dyn Device,
     clock: &dyn Clock,

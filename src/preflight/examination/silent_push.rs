@@ -1,9 +1,11 @@
-//! Finds out whether a watchdog really switches the motor off, where only a library's word says so.
+//! Tests whether the watchdog of the vendor's library really switches the motor off, of which
+//! otherwise only the library's own report is known.
 //!
-//! The arm is pushed for 50 ms under the program's control, to and fro, and then once more each way with a single
-//! act and no word after it. A watchdog that works ends that push after 50 ms, and the arm turns as far as before; a
-//! motor that stays on takes it several times as far until the test switches it off. The pendulum hangs, and
-//! nothing else has moved yet.
+//! The test pushes the arm for 50 ms to and fro under the program's control. Then it pushes once
+//! more each way with a single act, after which it sends nothing. A watchdog that works ends such a
+//! push after 50 ms, and the arm turns about as far as before. A motor that stays on turns the arm
+//! several times as far, until the test switches it off after 0.3 s. Before this test the pendulum
+//! was seen to hang still, and nothing has pushed the arm.
 
 use std::sync::atomic::AtomicBool;
 
@@ -16,26 +18,29 @@ use crate::telemetry::CheckResult;
 
 const NAME: &str = "watchdog-motor";
 
-/// Increment of the push, V, and number of increments, as of the pushes that find the signs.
+/// Increment of the push, V, and number of increments: the same as of the pushes that find the
+/// signs.
 const STEP_V: f64 = 0.25;
 const STEPS: u32 = 11;
 
 /// Length of a push in control periods: the watchdog's 50 ms.
 const PUSH_PERIODS: u32 = 5;
 
-/// Periods for which the arm is observed. A motor that stays on for them takes it more than three times as far
-/// as a push does: s = a t^2 / 2 for 0.3 s, against 0.05 s and coasting.
+/// Number of control periods for which the arm is observed, 0.3 s. In this time a motor that stays
+/// on turns the arm more than three times as far as a push does: s = a t^2 / 2 with t = 0.3 s,
+/// against 0.05 s and coasting.
 const OBSERVED_PERIODS: u32 = 30;
 
-/// Least travel of a push, counts, so that twice as far can be told from it.
+/// Least travel of a push, counts; from it on, twice as far can be told from as far.
 const LEAST_COUNTS: u32 = 20;
 
-/// Longest travel of an arm whose motor went off, as a multiple of a push's travel and in counts besides: a disabled
-/// motor may coast more freely than one at 0 V.
+/// Longest travel of an arm whose motor went off: this multiple of the travel of a controlled push,
+/// and this many counts more. A disabled motor may coast more freely than a motor at 0 V.
 const LONGEST_SHARE: u32 = 2;
 const LONGEST_MORE_COUNTS: u32 = 10;
 
-/// Samples or acts that may be lost within a push; a push that lost more is repeated.
+/// Number of samples or acts that may be lost within a push, and number of attempts of a push that
+/// lost more.
 const MAX_LOST: u32 = 2;
 const DONE_AGAIN: u32 = 5;
 
@@ -45,7 +50,8 @@ const PATIENCE_NS: Nanoseconds = 8_000_000;
 const CURE: &str = "do not run anything with it: this motor stays on if the program dies. Install the vendor's \
                     present package, then check again";
 
-/// Pushes the arm with and without a watchdog's help and compares how far it turns.
+/// Pushes the arm under the program's control and with the watchdog alone, and compares how far the
+/// arm turns.
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -94,7 +100,8 @@ fn verdict(push_v: f64, pushed: [u32; 2], silent: [u32; 2]) -> CheckResult {
     }
 }
 
-/// Repeats a push that the computer or the link has disturbed; waits for the arm to rest after each.
+/// Pushes once, again if the computer or the link has disturbed the push, and returns the arm's
+/// travel, counts. Waits for the arm to rest after each push.
 fn repeated(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -107,7 +114,8 @@ fn repeated(
         device.hello()?;
         device.arm()?;
         let from = push(device);
-        // Off, whatever became of the push; a hello also clears an expired watchdog.
+        // The hello switches the motor off, whatever became of the push, and clears an expired
+        // watchdog.
         device.hello()?;
         let Ok(from) = from else { return Err(super::link::gone(port)) };
         let to = sampled(device, clock);
@@ -119,8 +127,8 @@ fn repeated(
     Err(DeviceError::Link { port: port.to_owned(), fault: LinkFault::Timeout }.into())
 }
 
-/// Pushes for 50 ms and holds 0 V for the rest of the time. Returns the arm's count before; `None` if too much was
-/// lost.
+/// Pushes for 50 ms and holds 0 V for the rest of the 0.3 s. Returns the arm's count before the
+/// push; `None` if more than [`MAX_LOST`] samples or acts were lost.
 ///
 /// # Errors
 /// The port is gone.
@@ -145,7 +153,8 @@ fn supervised(
     Ok(first.filter(|_| lost <= MAX_LOST))
 }
 
-/// Sends one act and says nothing more for as long.
+/// Sends one act and then nothing for the rest of the 0.3 s. Returns the arm's count before the
+/// push; `None` if the sample or the act was lost.
 ///
 /// # Errors
 /// The port is gone.
@@ -165,7 +174,7 @@ fn unsupervised(
     Ok(Some(first))
 }
 
-/// Answers a sample by a voltage; returns the arm's count.
+/// Requests a sample and answers it with a voltage; returns the arm's count in the sample.
 fn acted(device: &mut dyn Device, clock: &dyn Clock, voltage_mv: i16) -> Result<i32, LinkFault> {
     let sample = device.sample(clock.now_ns() + PATIENCE_NS)?;
     device.act(voltage_mv, sample.device_time_us)?;

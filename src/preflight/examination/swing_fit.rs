@@ -1,50 +1,52 @@
-//! Estimates how much of the arm's motion the pendulum's encoder shows: its sign, and whether it
-//! works.
+//! Estimates from a push how far the pendulum's encoder follows the arm's motion: this shows the
+//! encoder's sign, and whether the encoder works.
 //!
 //! Near the bottom the pendulum follows alpha'' = -k theta'' - w^2 (alpha - c), whatever drives the
-//! arm, including friction, cable and play; k = 3 L_r / (2 L_p), 0.99 on a nominal Qube. Integrated
-//! twice, the equation needs no derivatives of counts:
+//! arm, including friction, cable and play. Here k = 3 L_r / (2 L_p) is the lag, 0.99 on a nominal
+//! Qube, with the lengths L_r of the arm and L_p of the pendulum; w is the angular frequency of the
+//! pendulum's swing, and c the angle at which it hangs. Integrated twice, the equation needs no
+//! derivatives of counts:
 //!
 //! ```text
 //! alpha(t) = -k theta(t) - w^2 S(t) + a + b t + d t^2,    S = the double integral of alpha
 //! ```
 //!
-//! It is linear in k, w^2, a, b and d. The terms a, b and d absorb a pendulum that already swings
-//! and an unknown hanging angle.
+//! This equation is linear in k, w^2, a, b and d. The terms with a, b and d absorb a pendulum that
+//! already swings and an unknown hanging angle.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::control::ProbeSample;
 use crate::qube::Encoders;
 
-/// Standard deviation of the rounding of a count.
+/// Standard deviation of the rounding to counts, 1/sqrt(12), counts.
 const QUANTISATION_COUNTS: f64 = 0.3;
 
 /// Terms of the fit: theta, S, 1, t, t^2.
 const TERMS: usize = 5;
 
-/// Result of the fit.
+/// The result of the fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SwingFit {
     /// Estimate of k in the assumed signs, positive if they are right; `None` if the arm did not
-    /// move.
+    /// move, or if the terms cannot be told apart.
     pub(super) lag: Option<Lag>,
-    /// Residual of alpha under the equation of a pendulum on an arm at rest, counts (root mean
-    /// square).
+    /// Residual of alpha, counts, when the pendulum is fitted as on an arm at rest: large if the
+    /// arm drove the pendulum.
     pub(super) driven_counts: f64,
 }
 
 /// An estimate of k.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lag {
-    /// The value, without a unit.
+    /// Value of k, without a unit.
     pub(super) value: f64,
-    /// Its standard error.
+    /// Standard error of the value.
     pub(super) standard_error: f64,
 }
 
-/// Fits the pendulum's equation to a probe. An arm that moved by no more than `stood_counts` counts
-/// as at rest.
+/// Fits the pendulum's equation to the samples of a probe. An arm that moved by at most
+/// `stood_counts` encoder counts is taken as at rest.
 pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64, encoders: Encoders) -> SwingFit {
     let [theta_rad, alpha_rad] = [encoders.theta, encoders.alpha].map(|own| own.rad_per_count());
     let Some(first) = samples.first() else {
@@ -81,20 +83,23 @@ pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64, encoders: Encoders
     SwingFit { lag, driven_counts }
 }
 
-/// Smallest squared pivot of the normal matrix, for each row, below which the matrix is singular.
+/// Least squared pivot of the normal matrix's Cholesky factor, divided by the number of rows; a
+/// matrix with a smaller one is taken as singular.
 const SINGULAR: f64 = 1e-9;
 
 struct Solution {
     coefficients: [f64; TERMS],
-    /// Variance of the first coefficient, in units of the residuals' variance.
+    /// Variance of the first term in use, in units of the residuals' variance.
     first_variance: f64,
-    /// Root mean square of the residuals.
+    /// Standard deviation of the residuals, with a degree of freedom less for each term.
     residual_rad: f64,
 }
 
-/// Least squares over the terms in use; `None` if they are not independent.
+/// Solves the least squares problem over the terms in use; `None` if these terms are not
+/// independent or the rows are too few.
 fn least_squares(rows: &[([f64; TERMS], f64)], used: [bool; TERMS]) -> Option<Solution> {
-    // Each column is scaled to its own size, so that one threshold detects a singular matrix.
+    // Each column is scaled by its largest magnitude, so that one threshold detects a singular
+    // matrix.
     let mut size = [0.0_f64; TERMS];
     for (row, _) in rows {
         for (size, value) in size.iter_mut().zip(row) {
@@ -133,7 +138,8 @@ mod tests {
     use crate::qube::RAD_PER_COUNT;
     use crate::qube::counts;
 
-    /// A pendulum on an arm that is moved by `theta(t)`, from a swing of `alpha_dot`, through encoders.
+    /// The samples of a pendulum on an arm that moves as `theta(t)`, seen through encoders. The
+    /// pendulum starts with the velocity `alpha_dot`, rad/s.
     fn samples(
         theta: impl Fn(f64) -> f64,
         alpha_dot: f64,

@@ -9,26 +9,26 @@ use crate::telemetry::CheckResult;
 
 const NAME: &str = "watchdog";
 
-/// Voltage of the test, V: two steps of the amplifier, which its report shows and the arm hardly
-/// feels.
+/// Voltage of the test, V: two steps of the amplifier. The device's report shows it, and it hardly
+/// moves the arm.
 const VOLTAGE_V: f64 = 0.048;
 
-/// Pause between two samples, which do not feed the watchdog.
+/// Pause between two samples, ns. Samples do not feed the watchdog.
 const PAUSE_NS: Nanoseconds = 1_000_000;
 
-/// Time after which a sample counts as lost.
+/// Time after which a sample counts as lost, ns.
 const PATIENCE_NS: Nanoseconds = 20_000_000;
 
-/// Longest observation, if samples are lost.
+/// Longest observation of one attempt, ns; it matters only if samples are lost.
 const LONGEST_NS: Nanoseconds = 500_000_000;
 
-/// Attempts, because computer or link may be too slow to see the motor on.
+/// Largest number of attempts: computer or link may be too slow to see the motor on.
 const ATTEMPTS: u32 = 20;
 
 const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
 const LATEST_US: u64 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u64 * 1000;
 
-/// Latest expiry of a library's watchdog, us: its resolution is not published.
+/// Latest expiry of the vendor library's watchdog, us; the vendor does not publish its resolution.
 const LIBRARY_LATEST_US: u64 = 100_000;
 
 const LIBRARY_CURE: &str =
@@ -36,12 +36,13 @@ const LIBRARY_CURE: &str =
 
 const CURE: &str = "do not run anything with it: flash the firmware of this release, then check that the board keeps the protocol";
 
-/// Age of a sample when it is requested, at most.
+/// Largest age of a sample when it is requested, us.
 const SAMPLE_AGE_US: u64 = 5_000;
 
-/// Arms the device, sends a small voltage and then nothing more: by the device's own report and
-/// clock the motor must go off. A device without a clock only says that its watchdog has expired, by the computer's
-/// clock; the time, ms, is returned beside.
+/// Arms the device, sends a small voltage and then nothing more: the motor must go off by the
+/// watchdog. For a board, the device's own report and clock decide. A device without a clock only
+/// reports that its watchdog has expired, and the time is by the computer's clock. Returns the
+/// result, and the time from the act to the end, ms, if the check passed.
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -79,7 +80,7 @@ pub(super) fn check(
     Ok((result, None))
 }
 
-/// One attempt; `None` if the computer or the link was too slow.
+/// Makes one attempt; `Ok(None)` if the computer or the link was too slow.
 fn try_once(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -124,14 +125,15 @@ fn try_once(
             return Ok(Some((CheckResult::pass(NAME, value), Some(ms))));
         }
         if elapsed_us > latest_us + SAMPLE_AGE_US {
-            // The motor does not stay on: it has 48 mV, and the hello that follows switches it off.
+            // The motor does not stay on after this failure: it has 48 mV, and the hello that ends
+            // the examination switches it off.
             return failed(format!("motor still on {ms:.1} ms after the last act"));
         }
     }
     Ok(None)
 }
 
-/// A sample; `None` if it was lost.
+/// Requests a sample; `Ok(None)` if it was lost.
 fn sampled(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<Measurement>, LinkFault> {
     match device.sample(clock.now_ns() + PATIENCE_NS) {
         Ok(sample) => Ok(Some(sample)),
