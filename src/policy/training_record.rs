@@ -29,7 +29,7 @@ pub struct TrainingRecord {
     pub gradient_steps: u64,
     /// Sensors of the simulation.
     pub sensors: SimulatedSensors,
-    /// Guard that ended simulated rollouts besides the safety box.
+    /// Guard that ended simulated rollouts: the safety box alone, or another guard besides the box.
     #[serde(default, skip_serializing_if = "SimulatedGuard::is_box")]
     pub guard: SimulatedGuard,
     /// Weight of a change of voltage in the training reward, 1/V^2; 0 in files that do not name it.

@@ -37,7 +37,7 @@ pub enum Completeness {
         /// Position and reason of the first defect.
         reason: String,
     },
-    /// The file was recovered after it had been truncated.
+    /// The file is the result of a recovery: the intact part of a truncated or damaged recording.
     Recovered,
 }
 

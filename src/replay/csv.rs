@@ -55,7 +55,7 @@ pub enum CsvError {
         /// Time of this row, s.
         time_s: f64,
     },
-    /// Rows are missing.
+    /// Two rows are more than 1 s apart, so rows are missing.
     #[error("line {line}: nothing is known for {gap_s} s before it; cut the file there")]
     Gap {
         /// Number of the line.

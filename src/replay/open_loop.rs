@@ -273,7 +273,7 @@ mod tests {
         for index in 3..40 {
             assert!((later[index].theta - now[index - 2].theta).abs() < 1e-9);
         }
-        // Half a period later the command arrives between two samples.
+        // With a delay of one and a half periods, the command arrives between two samples.
         let half = run(0..40, 0.015, State::default());
         assert!(half[10].theta < now[9].theta && half[10].theta > now[8].theta);
         // The stretch starts while the first command is in transit.

@@ -362,7 +362,8 @@ mod tests {
         };
         let policy = |newest: f32| {
             let mut layers = [weights(9, 5), weights(5, 1)];
-            // The change is in the second neuron, which the output ignores.
+            // The change is in the second neuron, because the output ignores the first (its weight
+            // is sin 0).
             layers[0].weight[9 + 6] = newest;
             let network = Network::new(&[9, 5, 1], &layers, 0.05).unwrap();
             Policy::Network(NetworkPolicy { network, training: training_record() })
@@ -392,7 +393,7 @@ mod tests {
             let rerun = rerun(&recording, classical(ClassicalGains::default()));
             assert!(rerun.agrees(), "{rerun:?}");
             assert!(rerun.actions_compared > 300);
-            // The policy saw a different state.
+            // The policy saw states other than under the usual filter.
             let differs = |pair: (&TickRecord, &TickRecord)| pair.0.state != pair.1.state;
             assert!(recording.ticks.iter().zip(&fast.ticks).any(differs));
         }
@@ -404,7 +405,8 @@ mod tests {
             weight: vec![0.0; inputs * outputs],
             bias: vec![bias; outputs],
         };
-        // The output is a tanh, scaled.
+        // The output layer is linear with a bias of 20, so the policy asks for 20 times
+        // `voltage_v`; the tick limits the voltage.
         let network =
             Network::new(&[9, 5, 1], &[layer(9, 5, 0.0), layer(5, 1, 20.0)], voltage_v).unwrap();
         Policy::Network(NetworkPolicy { network, training: training_record() })

@@ -14,11 +14,11 @@ use crate::telemetry::{Phase, TickRecord};
 /// and voltages are sent in millivolts.
 const UNIT: f64 = 1e-3;
 
-/// The packed value that means "no value".
+/// The packed value that stands for no value.
 const NONE: i16 = i16::MIN;
 
-/// Largest number of ticks of a motion: five minutes. With this limit, no recording of whatever
-/// origin makes a page larger.
+/// Largest number of ticks of a motion: five minutes. The limit keeps a recording of any origin
+/// from making the page arbitrarily large.
 const MAX_TICKS: usize = 30_000;
 
 /// A rollout's motion for the page's player: its angles and voltages at equal time steps, packed as

@@ -40,7 +40,7 @@ struct Data<'a> {
 /// A cell of a table.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cell {
-    /// Words.
+    /// A text, aligned to the left.
     Text(String),
     /// A number with its digits, aligned to the right.
     Number(String),

@@ -77,7 +77,8 @@ impl RolloutView {
         }
     }
 
-    /// The nearest approach to any limit.
+    /// The nearest approach to a limit, of all limits of the box; `None` if the policy never had
+    /// the motor.
     #[must_use]
     pub fn nearest_of_all(&self) -> Option<&Nearest> {
         self.nearest.iter().max_by(|one, other| one.share.total_cmp(&other.share))

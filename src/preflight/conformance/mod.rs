@@ -1,5 +1,5 @@
-//! Tests whether a device keeps the promises of `PROTOCOL.md`. Each promise has a named check. The
-//! checks talk to any device over its raw wire: the emulator, the firmware, or another
+//! Tests whether a device keeps the promises of `PROTOCOL.md`. Each check has a name and tests one
+//! promise. The checks talk to any device over its raw wire: the emulator, the firmware, or another
 //! implementation.
 //!
 //! The checks use the protocol crate and a transport, but not the host's side of the link, because

@@ -31,7 +31,8 @@ const PUSH_PERIODS: u32 = 5;
 /// against 0.05 s and coasting.
 const OBSERVED_PERIODS: u32 = 30;
 
-/// Least travel of a push, counts; from it on, twice as far can be told from as far.
+/// Least travel of a push, counts. From this travel on, an arm that turns twice as far can be told
+/// from one that does not.
 const LEAST_COUNTS: u32 = 20;
 
 /// Longest travel of an arm whose motor went off: this multiple of the travel of a controlled push,
@@ -39,8 +40,8 @@ const LEAST_COUNTS: u32 = 20;
 const LONGEST_SHARE: u32 = 2;
 const LONGEST_MORE_COUNTS: u32 = 10;
 
-/// Number of samples or acts that may be lost within a push, and number of attempts of a push that
-/// lost more.
+/// Number of samples or acts that may be lost within a push, and largest number of attempts for a
+/// push in which more are lost.
 const MAX_LOST: u32 = 2;
 const DONE_AGAIN: u32 = 5;
 
