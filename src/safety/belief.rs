@@ -9,12 +9,13 @@ use crate::qube::{
     ParameterError, PlantModel, Profile, Quantity, QubeModel, State,
 };
 
-/// Error of an estimated velocity, rad/s: one count in a period.
+/// Assumed error of an estimated velocity, rad/s: one count of the encoder in one control period.
 fn velocity_error_rad_s(encoder: Encoder) -> f64 {
     encoder.rad_per_count() / CONTROL_PERIOD_S
 }
 
-/// Least relative error of an identified number, whatever its standard error: no model is exact.
+/// Least relative error of an identified number, even if its standard error is smaller: no model is
+/// exact.
 const MODEL_ERROR: f64 = 0.1;
 
 /// Least relative error of an identified delay, which changes with computer and link.
@@ -29,19 +30,20 @@ const STANDARD_ERRORS: f64 = 3.0;
 /// Largest relative error of a Qube's parameter, identified or not.
 const UNKNOWN_SHARE: f64 = 0.3;
 
-/// Least fraction of a voltage that arrives at an identified Qube's motor, for a weak supply or a
-/// one-sided amplifier.
+/// Least fraction of a voltage that is assumed to arrive at an identified Qube's motor: the supply
+/// may be weak, or the amplifier may differ between the signs.
 const IDENTIFIED_SHARE: f64 = 0.8;
 
-/// Errors of all numbers at once, in the order of [`Quantity::all`]: logarithms for parameters,
-/// values for nonidealities.
+/// A change of all numbers at once, in the order of [`Quantity::all`]: of the logarithm for
+/// parameters, of the value for nonidealities.
 type Step = [f64; Quantity::COUNT];
 
-/// Error of the arm's zero, rad: homing finds the stops within this.
+/// Assumed error of the arm's zero, rad: homing finds the middle between the stops within this
+/// angle.
 const ZERO_RAD: f64 = 0.02;
 
-/// The belief about a Qube: a box between two Qubes, and optionally steps from there in which
-/// several numbers change together.
+/// The belief about a Qube: the set of models that it may have. It is a box with a range for each
+/// number, optionally widened by steps in which several numbers change together.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Belief {
@@ -52,7 +54,8 @@ pub struct Belief {
     /// Least fraction of a voltage that arrives at the motor, for either sign: a weak supply, or an
     /// amplifier that differs between the signs.
     pub least_share: f64,
-    /// Correlated errors, if those of a fit are known.
+    /// Correlated errors of a fit, as changes from any point of the box; all zero if they are not
+    /// known.
     #[serde(default = "no_steps", skip_serializing_if = "are_none")]
     pub steps: [Step; Quantity::COUNT],
 }
@@ -84,7 +87,8 @@ pub enum BeliefError {
         /// The longest accepted delay, s.
         longest_s: f64,
     },
-    /// A step is not a finite number, or longer than the uncertainty about an unidentified Qube.
+    /// A step is not a finite number, or a part of it exceeds the uncertainty about an unidentified
+    /// Qube.
     #[error("steps: give each number at most its uncertainty for an unidentified Qube")]
     Step,
 }
@@ -98,15 +102,18 @@ fn are_none(steps: &[Step; Quantity::COUNT]) -> bool {
 }
 
 impl Belief {
-    /// The belief about an unidentified Qube: each parameter within this fraction of its nominal
-    /// value, and the nonidealities up to twice those of the Qube whose recordings are public.
+    /// The belief about an unidentified Qube: each parameter except gravity lies within this
+    /// fraction of its nominal value. Friction, cable and delay are at most twice as large as on
+    /// the Qube whose recordings are public; each dead zone is at most slightly wider than the
+    /// wider one of that Qube.
     #[must_use]
     pub fn of_any_qube(within: f64) -> Self {
         Self::of_any_plant(&PlantModel::QUBE, within)
     }
 
-    /// The belief about a plant of which nothing is known but its description; its friction and cable are assumed to
-    /// be as large, compared with its motor, as those of the Qube whose recordings are public.
+    /// The belief about a plant of which only the description is known: each parameter except
+    /// gravity lies within this fraction of its nominal value. Friction and cable are assumed to be
+    /// as large, relative to the motor's torque, as those of the Qube whose recordings are public.
     #[must_use]
     pub fn of_any_plant(plant: &PlantModel, within: f64) -> Self {
         let (mut low, mut high) = (plant.nominal(), plant.nominal());
@@ -131,10 +138,11 @@ impl Belief {
         Self { low, high, least_share: 1.0, steps: no_steps() }
     }
 
-    /// The belief from a profile: each number within 10 %, or within three standard errors if that
-    /// is more, but no parameter farther off than an unidentified Qube's; the delay within 30 % or
-    /// 2 ms. If the correlations are known, the belief has three standard errors in each
-    /// independent direction, besides the 10 %.
+    /// The belief from a profile. Each number except gravity may be off by 10 %, or by three
+    /// standard errors if that is more, but no parameter by more than an unidentified Qube's. The
+    /// delay may be off by 30 % or 2 ms, whichever is more. If the profile has correlations, the
+    /// three standard errors are steps in the independent directions of the errors instead, in
+    /// addition to the 10 %.
     #[must_use]
     pub fn of_profile(profile: &Profile) -> Self {
         let model = profile.model();
@@ -166,8 +174,8 @@ impl Belief {
         Self { low, high, least_share: IDENTIFIED_SHARE, steps: independent_steps(profile) }
     }
 
-    /// The same belief behind a link whose samples may be older than they seem by up to this, s: the delay of a
-    /// command, counted from its sample, may be longer by that.
+    /// This belief behind a link whose samples may be up to `age_s` older than they seem, s. A
+    /// command's delay counts from its sample, so the longest delay grows by this age.
     #[must_use]
     pub fn with_sample_age(mut self, age_s: f64) -> Self {
         let delay_s = self.high.nonidealities.command_delay_s + age_s;
@@ -209,7 +217,8 @@ impl Belief {
         Ok(())
     }
 
-    /// The particles of this belief behind these encoders, hardest first.
+    /// The particles of this belief, those that are hardest to brake first. The encoders determine
+    /// the assumed errors of the estimated velocities.
     #[must_use]
     pub fn particles(&self, encoders: Encoders) -> Vec<Particle> {
         let arm_rad_s = velocity_error_rad_s(encoders.theta);
@@ -218,8 +227,8 @@ impl Belief {
         let share = |place: &[i8; NUMBERS]| place.map(|percent| f64::from(percent) / 100.0);
         let places = PLACES.iter().map(share).enumerate();
         let both = places.flat_map(|(row, place)| {
-            // In half of them the pendulum's velocity error has the sign of the arm's, in half the
-            // opposite one.
+            // In every other pair of particles the pendulum's velocity error has the opposite sign
+            // of the arm's.
             let swing_rad_s = if row % 2 == 0 { pendulum_rad_s } else { -pendulum_rad_s };
             let error = State {
                 theta: ZERO_RAD,
@@ -241,7 +250,7 @@ impl Belief {
         both.collect()
     }
 
-    /// The particle at these coordinates.
+    /// The particle at these coordinates, each from -1 (lower end) to 1 (upper end).
     fn at(&self, place: &[f64; NUMBERS], widths: &Step) -> Particle {
         let between = |low: f64, high: f64, place: f64| 0.5 * (low + high + place * (high - low));
         let mut model = QubeModel { nonidealities: Nonidealities::default(), ..self.low };
@@ -265,13 +274,14 @@ impl Belief {
 /// Longest delay of a particle, s.
 const LONGEST_DELAY_S: f64 = MAX_HISTORY as f64 * CONTROL_PERIOD_S;
 
-/// The nearest value of a nonideality that a particle may have.
+/// The value nearest to this one that a particle's nonideality may have.
 fn possible(term: Nonideality, value: f64) -> f64 {
     let (least, most) = term.range().into_inner();
     value.clamp(least, if term == Nonideality::CommandDelay { LONGEST_DELAY_S } else { most })
 }
 
-/// Half-width of each number's range for an unidentified Qube: of the logarithm for parameters.
+/// Half-width of each number's range for an unidentified Qube: relative for parameters, in the
+/// number's own unit for nonidealities.
 fn unknown_widths() -> Step {
     let Belief { low, high, .. } = Belief::of_any_qube(UNKNOWN_SHARE);
     let mut widths = [UNKNOWN_SHARE; Quantity::COUNT];
@@ -282,7 +292,7 @@ fn unknown_widths() -> Step {
     widths
 }
 
-/// Moves a Qube by one step, to the side on which the coordinates lie.
+/// Moves a Qube by one step, forwards or backwards: to the side on which the coordinates lie.
 fn go(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths: &Step) {
     let parts = step.iter().zip(widths).zip(place);
     let along: f64 = parts.map(|((step, width), place)| step / width * place).sum();
@@ -299,14 +309,15 @@ fn go(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths: &Step)
     }
 }
 
-/// Three standard errors of a profile in each independent direction; none without correlations. A
-/// direction of which the recordings say nothing (all masses and forces by the same factor) changes
-/// no motion, and no step is larger than the uncertainty about an unidentified Qube.
+/// Three standard errors of a profile in each independent direction of its errors; all zero without
+/// correlations. The recordings leave one direction undetermined: all masses and forces may grow by
+/// the same factor without a change in any motion. No step is therefore longer than the uncertainty
+/// about an unidentified Qube.
 fn independent_steps(profile: &Profile) -> [Step; Quantity::COUNT] {
     let Some(correlations) = &profile.correlations else { return no_steps() };
     let quantities: Vec<Quantity> = Quantity::all().collect();
     let (model, widths) = (profile.model(), unknown_widths());
-    // In units of that uncertainty.
+    // In units of the uncertainty about an unidentified Qube.
     let error = |quantity: Quantity| {
         let value = match quantity {
             Quantity::Parameter(_) => model.get(quantity),
@@ -335,7 +346,7 @@ fn independent_steps(profile: &Profile) -> [Step; Quantity::COUNT] {
     steps
 }
 
-/// The coordinates of the mirror image, in which positive and negative are exchanged.
+/// The coordinates of the mirror image, in which positive and negative directions are exchanged.
 fn mirrored(place: &[f64; NUMBERS]) -> [f64; NUMBERS] {
     let mut other = *place;
     other.swap(10, 11);
@@ -360,7 +371,7 @@ mod tests {
         let exact = Profile::exact("ideal", &QubeModel::NOMINAL);
         let undetermined = Profile { correlations, ..exact };
         for quantity in Quantity::all() {
-            // Far beyond what is believed of any Qube.
+            // Far beyond the range that is believed of any Qube.
             let errors = [(quantity.name().to_owned(), 100.0)].into();
             let profile = Profile { standard_errors: errors, ..undetermined.clone() };
             let belief = Belief::of_profile(&profile);

@@ -1,12 +1,12 @@
 use crate::elementary::Scalar;
 use crate::qube::{MAX_VOLTAGE_V, PlantModel, State};
 
-/// A brake whose voltage depends on the state alone, so that a [`super::Foresight`] can simulate it on many
-/// Qubes at once.
+/// A brake whose voltage depends on the state alone, so that a [`super::Foresight`] can simulate it
+/// on many Qubes at once.
 ///
-/// The voltage falls as the arm's velocity grows, and at rest it is a spring's. Then the motor only takes
-/// energy from arm and pendulum, apart from the energy that the spring stores, whatever the Qube's masses and
-/// lengths are.
+/// The voltage must fall as the arm's velocity grows, and at rest it must be that of a spring.
+/// Under these conditions the motor only takes energy from arm and pendulum, apart from the energy
+/// that the spring stores, whatever the Qube's masses and lengths are.
 pub trait BrakeLaw {
     /// The voltage for the next control period, V.
     fn voltage_v<T: Scalar>(&self, state: &State<T>) -> T;
@@ -14,12 +14,14 @@ pub trait BrakeLaw {
     /// The largest voltage of the plant, V.
     fn largest_v(&self) -> f64;
 
-    /// The spring's potential in V rad: the integral of the voltage's magnitude with the arm at rest, from the
-    /// middle to this angle. Multiplied by the torque per volt it is an energy.
+    /// The spring's potential in V rad: the integral of the voltage's magnitude from the middle to
+    /// this angle (rad), with the arm at rest. Its product with the motor's torque per volt is an
+    /// energy, J.
     fn potential_v_rad<T: Scalar>(&self, theta: T) -> T;
 }
 
-/// A damper and a spring on the arm; both are stiffer where the arm is fast or far out.
+/// A brake that acts on the arm as a damper and a spring, both stiffer where the arm is fast or far
+/// out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CentringBrake {
     /// Volts against each rad/s of the arm.
@@ -39,7 +41,8 @@ pub struct CentringBrake {
 }
 
 impl Default for CentringBrake {
-    /// The gains with which most Qubes within 30 % of a nominal one came to rest soonest, among those tried.
+    /// The gains with which most Qubes within 30 % of the nominal one came to rest soonest, among
+    /// the gains that were tried.
     fn default() -> Self {
         Self {
             damping_v_s: 0.45,
@@ -54,8 +57,8 @@ impl Default for CentringBrake {
 }
 
 impl CentringBrake {
-    /// The brake of another plant: its voltages accelerate that plant's arm as the default's accelerate a Qube's, and
-    /// its wall lies at the same part of the travel.
+    /// The brake of a plant: its voltages accelerate this plant's arm as the default brake's
+    /// accelerate a Qube's, and the spring becomes stiffer at the same fraction of the travel.
     #[must_use]
     pub fn of_plant(plant: &PlantModel) -> Self {
         let (qube, volts) = (Self::default(), plant.volts_per_qube_volt());

@@ -2,17 +2,18 @@ use super::ringing::RingingGain;
 use super::{BrakeLaw, CentringBrake, ForesightSettings};
 use crate::qube::{PlantModel, State, limited_to};
 
-/// Volts against each rad/s of the arm: full voltage from 5 rad/s on, and below that gentle enough
-/// not to ring through 20 ms of delay on a nominal Qube.
+/// Gain of the stopping brake, V s/rad. With it the voltage is at its limit of 5 V from 5 rad/s on;
+/// at lower speeds the brake is gentle enough not to ring through 20 ms of delay on a nominal Qube.
 const GAIN_V_S: f64 = 1.0;
 
-/// The voltage that brakes an arm of this plant. 0 V is not a stop: the arm coasts for 0.5 to 1.1 s.
+/// The voltage, V, that brakes an arm of this plant at this velocity, rad/s. A command of 0 V would
+/// not stop the arm: it coasts for 0.5 to 1.1 s.
 #[must_use]
 pub fn brake_voltage(theta_dot: f64, plant: &PlantModel) -> f64 {
     StoppingBrake::of(plant).voltage_v(theta_dot)
 }
 
-/// Full voltage against a fast arm, less against a slow one.
+/// A brake that applies the full voltage against a fast arm and less against a slow one.
 #[derive(Clone, Copy, Debug)]
 struct StoppingBrake {
     gain_v_s: f64,
@@ -36,7 +37,7 @@ impl StoppingBrake {
     }
 }
 
-/// A brake from its first period to the arm's rest.
+/// The brake of one rollout, from its first control period until the arm is at rest.
 #[derive(Clone, Copy, Debug)]
 pub struct Brake {
     law: Law,
@@ -51,13 +52,15 @@ enum Law {
     Stopping(StoppingBrake),
     /// The law that a [`super::Foresight`] simulates.
     Centring(CentringBrake),
-    /// `Stopping` under the rules of recordings in which ringing cost no gain.
+    /// `Stopping` as older recordings were made, to replay them: ringing does not reduce the gain.
     EarlierStopping(StoppingBrake),
-    /// `Centring` under the same rules.
+    /// `Centring` as older recordings were made, to replay them: ringing does not reduce the gain,
+    /// but the gain falls to 0.45 after 150 control periods.
     EarlierCentring(CentringBrake),
 }
 
-/// Control periods during which the brake keeps the gains that foresight simulated, even if it rings.
+/// Control periods during which the brake keeps the gains that foresight simulated, even if it
+/// rings.
 const TRIED_PERIODS: u32 = ForesightSettings::HORIZON_PERIODS;
 
 impl Brake {
@@ -78,7 +81,8 @@ impl Brake {
         Self { law, periods: 0, ringing }
     }
 
-    /// This brake under the earlier rules, by which ringing cost no gain.
+    /// This brake under the rules of older recordings, to replay them: ringing does not reduce the
+    /// gain.
     #[must_use]
     pub fn by_earlier_rules(self) -> Self {
         let law = match self.law {
@@ -112,8 +116,9 @@ mod tests {
     use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
     use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, quantised, runge_kutta_4};
 
-    /// The fastest that the arm is in the fourth second of a brake, rad/s: with the strongest motor and the lightest
-    /// arm within 30 % of a nominal Qube, and voltages that arrive two periods late.
+    /// The fastest that the arm is in the fourth second of a brake, rad/s: with the strongest motor
+    /// and the lightest arm within 30 % of a nominal Qube, and voltages that arrive two periods
+    /// late.
     fn speed_after_three_seconds(mut brake: Brake) -> f64 {
         let mut model = QubeModel::NOMINAL;
         model.parameters.motor_resistance_ohm *= 0.7;

@@ -5,17 +5,18 @@ use super::{Belief, BeliefError, CentringBrake, Ends, Foresight, Reach, TrustedF
 use crate::estimation::MeasuredStops;
 use crate::qube::{PlantModel, Profile};
 
-/// The settings that determine a [`Foresight`]'s decisions, apart from the stops; every recording carries them.
+/// The settings that, together with the stops, determine a [`Foresight`]'s decisions; every
+/// recording carries them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, try_from = "Unchecked")]
 pub struct ForesightSettings {
-    /// Version of the rules that derive brake and particles from the other settings; this program's is
-    /// [`Self::VERSION`].
+    /// Version of the rules by which brake and particles follow from the other settings. Only
+    /// [`Self::VERSION`] is accepted.
     pub version: u32,
     /// Belief about a Qube that is not identified.
     pub belief: Belief,
-    /// Belief about the identified Qube, if it is identified. It replaces `belief` while it predicts the Qube's
-    /// motion.
+    /// Belief about the identified Qube; `None` if the Qube is not identified. It replaces the
+    /// other belief while its particles predict the Qube's motion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub identified: Option<IdentifiedQube>,
     /// Distance that every particle's arm must keep from its stops, rad.
@@ -26,7 +27,7 @@ pub struct ForesightSettings {
     pub horizon_periods: u32,
 }
 
-/// The belief about an identified Qube, and how long a voltage is held when it is simulated.
+/// The belief about an identified Qube, and how long its simulation holds a voltage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IdentifiedQube {
@@ -37,8 +38,8 @@ pub struct IdentifiedQube {
 }
 
 impl IdentifiedQube {
-    /// Derives the belief from a profile. A voltage is held for four periods: its own, and those of the three
-    /// samples that a link may lose in a row.
+    /// Derives the belief from a profile. A voltage is held for four periods: its own, and those of
+    /// the three samples that a link may lose in a row.
     #[must_use]
     pub fn of(profile: &Profile) -> Self {
         Self { belief: Belief::of_profile(profile), held_periods: 4 }
@@ -76,7 +77,7 @@ pub enum ForesightError {
         /// Largest accepted value.
         most: f64,
     },
-    /// The belief contains no Qube.
+    /// The belief contains no valid Qube.
     #[error("foresight.belief: {0}")]
     Belief(#[from] BeliefError),
 }
@@ -107,7 +108,8 @@ impl TryFrom<Unchecked> for ForesightSettings {
     }
 }
 
-/// Smallest angle of an end, rad, whatever stops a file names.
+/// Smallest angle of an end from the middle, rad; it keeps the ends on both sides of 0 whatever
+/// stops a file names.
 const NEAREST_END_RAD: f64 = 0.01;
 
 impl ForesightSettings {
@@ -117,13 +119,13 @@ impl ForesightSettings {
     /// Largest number of simulated control periods by default.
     pub const HORIZON_PERIODS: u32 = 75;
 
-    /// The default settings for a plant of which nothing is known but its description.
+    /// The default settings for a plant of which only the description is known.
     #[must_use]
     pub fn of_plant(plant: &PlantModel) -> Self {
         Self { belief: Belief::of_any_plant(plant, 0.3), ..Self::default() }
     }
 
-    /// The same settings behind a link whose samples may be older than they seem by up to this, s.
+    /// These settings behind a link whose samples may be up to `age_s` older than they seem, s.
     #[must_use]
     pub fn with_sample_age(self, age_s: f64) -> Self {
         let identified = self
@@ -132,7 +134,8 @@ impl ForesightSettings {
         Self { belief: self.belief.with_sample_age(age_s), identified, ..self }
     }
 
-    /// The foresight for a plant with these stops; without them, with those of its description.
+    /// The foresight for a plant with these measured stops, or with the stops of its description if
+    /// none were measured or if those are nearer.
     #[must_use]
     pub fn foresight(&self, stops: Option<MeasuredStops>, plant: &PlantModel) -> TrustedForesight {
         let described_rad = plant.limits.hard_stop_rad;
@@ -150,11 +153,12 @@ impl ForesightSettings {
 }
 
 impl Default for ForesightSettings {
-    /// Settings for a Qube whose parameters lie within 30 % of the name plate's and of which nothing else is known.
+    /// Settings for a Qube whose parameters lie within 30 % of the nominal ones and of which
+    /// nothing else is known.
     ///
-    /// A voltage is held for four periods, so that three lost samples in a row change nothing, as many as are
-    /// tolerated. In searches with horizons of 0.75 s and 1.5 s no arm stayed away from its ends for the shorter one and reached them in the
-    /// longer one.
+    /// A voltage is held for four periods, so that a prediction also covers the loss of the next
+    /// three samples, the largest number that is tolerated. The horizon is 0.75 s: in searches no
+    /// arm that stayed short of its ends for 0.75 s reached one within 1.5 s.
     fn default() -> Self {
         Self {
             version: Self::VERSION,

@@ -1,11 +1,13 @@
 use serde::{Deserialize, Serialize};
 
-/// The guard of a rollout, which may act before a limit of the box is reached, and which determines the brake.
+/// The guard of a rollout: it may end the rollout before the state reaches a limit of the box, and
+/// it determines the brake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Guard {
-    /// Only the box, and a brake that opposes the arm's velocity: the thesis's set-up. Files that
-    /// name no guard mean this one; their reader selects it, because [`Default`] is another.
+    /// Only the box, and a brake that opposes the arm's velocity: the set-up of the thesis. A file
+    /// that names no guard means this one. The reader of such files selects it explicitly, because
+    /// [`Default`] is `Foresight`.
     Box,
     /// A speed envelope, which old recordings name; it serves only to replay them.
     Envelope,

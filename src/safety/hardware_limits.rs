@@ -19,8 +19,8 @@ impl GuardConsent {
     }
 }
 
-/// The operator's consent to what a plant file says of real hardware, given on the command line of the process that
-/// drives.
+/// The operator's consent to the entries of a plant file for real hardware, given on the command
+/// line of the process that drives.
 ///
 /// Like a [`GuardConsent`] it cannot be read from a file and has no default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,8 +34,8 @@ impl PlantConsent {
     }
 }
 
-/// The widest box in which hardware may be driven. It is made from a box that is no wider than the
-/// task's and that uses foresight unless there is a [`GuardConsent`].
+/// The widest box in which hardware may be driven. It is no wider than the task's box, and its
+/// guard is foresight unless the operator gave a [`GuardConsent`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HardwareLimits {
     widest: SafetyBox,
@@ -46,7 +46,7 @@ pub struct HardwareLimits {
 /// The reason why a box is refused.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum TooWide {
-    /// A limit is not a number or larger than allowed.
+    /// A limit is not a number above 0, or is larger than allowed.
     #[error("safety_box.{name} = {value}: give a number above 0, at most {widest}")]
     Limit {
         /// Name of the limit.
@@ -62,7 +62,8 @@ pub enum TooWide {
          guard on (guard = \"foresight\")"
     )]
     GuardOff,
-    /// The plant has an entry that is not known to be as harmless as a Qube's, and nobody has consented to it.
+    /// An entry of the plant file is not known to be as harmless as a Qube's, and nobody has
+    /// consented to it.
     #[error(
         "the plant {plant} has other {entry} than a Qube, and guard and homing of real hardware rely on them"
     )]
@@ -81,7 +82,8 @@ impl HardwareLimits {
     /// Limits from a box.
     ///
     /// # Errors
-    /// The box is wider than the task's, or has no guard without consent.
+    /// The box is wider than the task's, has no guard without consent, or has a guard that only
+    /// serves to replay old recordings.
     pub fn of(safety_box: SafetyBox, consent: Option<GuardConsent>) -> Result<Self, TooWide> {
         let guard = if consent.is_some() { Guard::Box } else { Guard::Foresight };
         let of_the_task =
@@ -96,7 +98,7 @@ impl HardwareLimits {
         Self { motor, ..self }
     }
 
-    /// The same limits with this consent to the plant.
+    /// Replaces the consent to the plant.
     #[must_use]
     pub fn with_plant_consent(self, plant_consent: Option<PlantConsent>) -> Self {
         Self { plant_consent, ..self }
@@ -105,7 +107,8 @@ impl HardwareLimits {
     /// Checks that hardware may be driven as this plant.
     ///
     /// # Errors
-    /// The plant differs from a Qube by more than smaller limits, and there is no [`PlantConsent`].
+    /// The plant differs from a Qube in more than smaller limits and a lower motor rating, and
+    /// there is no [`PlantConsent`].
     pub fn admit_plant(&self, plant: &PlantModel) -> Result<(), TooWide> {
         match plant.beyond_qube() {
             Some(entry) if self.plant_consent.is_none() => {
@@ -130,7 +133,8 @@ impl HardwareLimits {
     /// Checks that a rollout may use this box.
     ///
     /// # Errors
-    /// The box is wider than these limits.
+    /// The box is wider than these limits, has no guard where they require one, or has a guard that
+    /// only serves to replay old recordings.
     pub fn admit(&self, safety_box: &SafetyBox) -> Result<(), TooWide> {
         safety_box.check_within(&self.widest)?;
         safety_box.guard.check_driven()?;
@@ -159,11 +163,11 @@ impl Default for HardwareLimits {
 }
 
 impl SafetyBox {
-    /// Checks that each limit is a number above 0 and no wider than that of another box, whatever
-    /// the guards.
+    /// Checks that each limit is a number above 0 and at most that of another box; the guards are
+    /// not compared.
     ///
     /// # Errors
-    /// Names the first limit that is not.
+    /// The first limit that fails the check.
     pub fn check_within(&self, widest: &Self) -> Result<(), TooWide> {
         for (name, value, widest) in [
             ("theta", self.theta, widest.theta),

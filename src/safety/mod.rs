@@ -4,8 +4,8 @@
 //! [`Foresight`] simulates the brake for many possible Qubes before each voltage is sent, unless
 //! the guard is [`Guard::Box`].
 //!
-//! Pure state machine, readable alone. May import `qube`, `elementary` and, to simulate what a brake will
-//! see, `estimation`.
+//! The room holds pure state machines and can be read alone. It may import `qube`, `elementary`
+//! and, to simulate the velocities that a brake will be given, `estimation`.
 
 mod belief;
 mod brake_law;

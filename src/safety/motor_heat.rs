@@ -6,26 +6,28 @@ use crate::qube::{CONTROL_PERIOD_S, Measurement, MotorRating, PlantModel};
 /// Load at which the operator is warned.
 pub const WARNING_LOAD: f64 = 0.7;
 
-/// Load at which the arm is braked. It is below 1, so that the rated current of 0.54 A reaches it in finite time. It is
-/// above (0.5 / 0.54)^2 = 0.86, the load of the 0.5 A that the Qube's amplifier may give continuously.
+/// Load at which the arm is braked. It is below 1, so that the rated current of 0.54 A reaches it
+/// in finite time. It is above (0.5 / 0.54)^2 = 0.86, the load at 0.5 A, which the Qube's amplifier
+/// may give continuously.
 pub const LARGEST_LOAD: f64 = 0.9;
 
 /// Load to which a motor above [`WARNING_LOAD`] cools before the next motion begins.
 pub const COOLED_LOAD: f64 = 0.5;
 
-/// Smallest accepted winding resistance of a Qube, ohm; the smallest known fit is 3.7. For another plant it is scaled
-/// by the ratio of the nominal resistances. A current reading that needs a smaller resistance is a fault of the sensor.
+/// Smallest accepted winding resistance of a Qube, ohm; the smallest resistance found by a fit is
+/// 3.7 ohm. For another plant it is scaled by the ratio of the nominal resistances. A current
+/// reading that would need a smaller resistance is a fault of the sensor.
 const LEAST_RESISTANCE_OHM: f64 = 3.5;
 
 /// Allowed zero error of the current sensor, A.
 const CURRENT_OFFSET_A: f64 = 0.1;
 
-/// Estimate of the winding's temperature rise, relative to that at the rated continuous current: a
-/// first-order model of (current / rated current)^2, known as I^2 t.
+/// Estimate of the winding's temperature rise relative to that at the rated continuous current,
+/// from a first-order model with (current / rated current)^2 as its input, known as I^2 t.
 ///
-/// In the long run any current below the rating gives a load below 1. A more detailed thermal model is a mixture of
-/// first-order parts. If none of them is faster than this model, the mixture is an average over this model's past, so
-/// it stays below 1 as long as this model does.
+/// In the long run any current below the rating gives a load below 1. A more detailed thermal model
+/// is a weighted mean of first-order models. If none of them is faster than this one, their mean is
+/// an average over this model's past, so it stays below 1 as long as this model does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorHeat {
@@ -76,7 +78,8 @@ impl MotorHeat {
         Self { rating, load: 0.0, winding: Winding::of(plant) }
     }
 
-    /// Whether the motor must cool down now.
+    /// Whether the load has reached [`LARGEST_LOAD`], so that the arm is braked and the motor must
+    /// cool.
     #[must_use]
     pub fn is_overheated(&self) -> bool {
         self.load >= LARGEST_LOAD
@@ -90,8 +93,9 @@ impl MotorHeat {
         self.rating.time_constant_s / std::f64::consts::LN_10
     }
 
-    /// Advances the model by one control period and by those skipped before it. Voltage and velocity of the arm have
-    /// the signs of the conventions of [`crate::qube`].
+    /// Advances the model by one control period and the periods skipped before it. The voltage (mV)
+    /// acted during these periods; voltage and arm velocity have the signs of the conventions of
+    /// [`crate::qube`]. Without a measurement the current follows from voltage and velocity alone.
     pub fn pass(
         &mut self,
         skipped_periods: u32,
@@ -108,7 +112,7 @@ impl MotorHeat {
         self.load = (self.load + step * heating) / (1.0 + step);
     }
 
-    /// The motor after this time without current.
+    /// The motor after this time without current, s.
     #[must_use]
     pub fn cooled(self, elapsed_s: f64) -> Self {
         Self { load: self.load * Scalar::exp(-elapsed_s / self.time_constant_s()), ..self }
@@ -141,7 +145,7 @@ fn current_a(
     let largest_a =
         (voltage_v.abs() + back_emf_v.abs()) / (of_qube * LEAST_RESISTANCE_OHM) + CURRENT_OFFSET_A;
     let measured_a = measurement.map_or(0.0, |sample| f64::from(sample.current_a).abs());
-    // False for a NaN too.
+    // The comparison is false for NaN too.
     if measured_a <= largest_a { measured_a.max(modelled_a) } else { modelled_a }
 }
 

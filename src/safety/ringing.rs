@@ -1,26 +1,28 @@
 use crate::qube::limited_to;
 
-/// Largest time between two changes of the voltage's sign that counts as ringing, in control periods. Ringing
-/// has a period of four delays, at most 0.18 s; a hanging pendulum swings in 0.5 s.
+/// Largest time between two changes of the voltage's sign that counts as ringing, in control
+/// periods. Ringing is the oscillation of a brake whose voltage arrives late. Its period is four
+/// delays, at most 0.18 s; a hanging pendulum swings with a period of 0.5 s.
 const RINGING_PERIODS: u32 = 9;
 
-/// Smallest amplitude that counts as ringing, V; below it the voltage is the noise of an arm at rest.
+/// Smallest amplitude that counts as ringing, V; below it the voltage is the noise of an arm at
+/// rest.
 const LEAST_V: f64 = 1.0;
 
-/// Factor on the gain after each change of sign that counts as ringing.
+/// Factor by which each change of sign that counts as ringing multiplies the gain.
 const KEPT_SHARE: f64 = 0.8;
 
-/// Smallest gain. With it the strongest motor on the lightest arm within 30 % of a nominal Qube's does not ring
-/// with 20 ms of delay.
+/// Smallest gain, as a fraction of the full one. With it the strongest motor on the lightest arm
+/// within 30 % of a nominal Qube's does not ring at 20 ms of delay.
 const LEAST_GAIN: f64 = 0.12;
 
-/// The factor on a brake's gains, which falls while the brake rings.
+/// The factor on a brake's gains, at most 1, which falls while the brake rings.
 ///
-/// A brake that is firm enough for a weak motor with a heavy arm rings on a strong motor with a light arm, because
-/// its voltage arrives late. A brake that rings has more gain than it needs, so a smaller gain is still firm: the
-/// product of gain, delay and the motor's acceleration stays just below the value at which the loop rings,
-/// whatever the Qube.
-/// `examples/braked_qubes.rs` counts how many Qubes come to rest with it and without.
+/// A brake that is firm enough for a weak motor with a heavy arm rings on a strong motor with a
+/// light arm, because its voltage arrives late. A brake that rings has more gain than it needs, so
+/// a smaller gain is still firm: the product of gain, delay and the motor's acceleration stays just
+/// below the value at which the loop rings, whatever the Qube. `examples/braked_qubes.rs` counts
+/// the Qubes that come to rest with this factor and without it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RingingGain {
     gain: f64,
@@ -43,8 +45,8 @@ impl RingingGain {
         }
     }
 
-    /// Scales and limits the voltage that the brake asks for, V. `may_fall` says whether ringing reduces the gain
-    /// already.
+    /// Scales and limits the voltage that the brake asks for, V. Ringing reduces the gain only if
+    /// `may_fall` is true.
     pub fn voltage_v(&mut self, wanted_v: f64, may_fall: bool) -> f64 {
         let voltage_v = limited_to(self.gain * wanted_v, self.largest_v);
         self.periods_since_change = self.periods_since_change.saturating_add(1);
@@ -68,7 +70,8 @@ mod tests {
     use super::*;
     use crate::qube::MAX_VOLTAGE_V;
 
-    /// The gain after a second of a voltage that goes to and fro with this period and amplitude.
+    /// The gain after a second of a voltage that alternates with this period, in control periods,
+    /// and this amplitude, V.
     fn gain_after(period: u32, amplitude_v: f64) -> f64 {
         let mut ringing = RingingGain::limited_to(MAX_VOLTAGE_V);
         for tick in 0..100 {

@@ -6,7 +6,7 @@ use super::Guard;
 use crate::elementary::Scalar;
 use crate::qube::{PlantModel, State};
 
-/// Limits of a state during a rollout, which ends at once when the state leaves them.
+/// The limits of the state during a rollout, which ends at once when the state leaves them.
 ///
 /// Only the limit of theta is close to a hardware stop; the other three keep the motion moderate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,7 +42,8 @@ pub enum Limit {
     AlphaDot,
     /// The speed envelope, which only old recordings name.
     Envelope,
-    /// Foresight: one tick later the brake could not keep the arm of every possible Qube off its stop.
+    /// Foresight: one tick later the brake could no longer keep the arm of every possible Qube away
+    /// from its stop.
     Foresight,
     /// The Qube has moved as no Qube within its profile's errors does.
     Unpredicted,
@@ -70,14 +71,15 @@ impl SafetyBox {
     /// The limits of the thesis under foresight: the default of every rollout on a Qube.
     pub const GUARDED: Self = Self { guard: Guard::Foresight, ..Self::THESIS };
 
-    /// The box with the same part of a plant's travel: the limit of theta shrinks where the plant's stops are nearer
-    /// than a Qube's, and never grows.
+    /// The box scaled to a plant's travel: its limit of theta shrinks where the plant's stops are
+    /// nearer than a Qube's, and never grows.
     #[must_use]
     pub fn within_travel(&self, plant: &PlantModel) -> Self {
         Self { theta: self.theta * plant.travel_fraction(), ..*self }
     }
 
-    /// The box, no wider than the thesis's within a plant's travel; that of a plant with a Qube's travel stays.
+    /// The box with a limit of theta that is at most the thesis's, scaled to the plant's travel.
+    /// The box of a plant with at least a Qube's travel does not change.
     #[must_use]
     pub fn inside_travel(&self, plant: &PlantModel) -> Self {
         if plant.travel_fraction() < 1.0 {
@@ -129,7 +131,7 @@ impl<T: Scalar> SafetyBox<T> {
 }
 
 impl<T: Scalar> SafetyBox<T> {
-    /// The thesis's box, which files mean that name neither limits nor guard.
+    /// The thesis's box: the meaning of a file that names neither limits nor guard.
     fn of_silent_files() -> Self {
         SafetyBox::THESIS.cast()
     }

@@ -6,14 +6,14 @@ use crate::qube::{MAX_HISTORY, State};
 /// Foresight that uses the belief about an identified Qube as long as the Qube moves accordingly,
 /// and the belief about any Qube otherwise.
 ///
-/// A profile earns its trust anew in each rollout: the arm settles under the belief about any Qube,
-/// and if the profile's particles predict all of that motion, the policy runs under them. One
-/// motion that none of them predicts ends the trust.
+/// A profile must earn trust again in each rollout: the arm settles under the belief about any
+/// Qube, and if the profile's particles predict the whole of that motion, the policy runs under
+/// them. A single motion that none of them predicts ends the trust.
 #[derive(Clone, Debug)]
 pub struct TrustedForesight {
     any: Foresight<CentringBrake>,
     identified: Option<Identified>,
-    /// Prediction for the last voltage.
+    /// Prediction for the last voltage that was examined; `None` before the first.
     angle: Option<ForeseenAngle>,
 }
 
@@ -27,11 +27,11 @@ struct Identified {
 /// Trust in the belief about an identified Qube.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Trust {
-    /// It has predicted every motion so far and does not decide yet.
+    /// The belief has predicted every motion so far; the belief about any Qube decides.
     Untested,
-    /// It decides.
+    /// The belief decides.
     Earned,
-    /// A motion has contradicted it.
+    /// A motion has contradicted the belief; the belief about any Qube decides.
     Lost,
 }
 
@@ -70,7 +70,8 @@ impl TrustedForesight {
     }
 
     /// Takes the estimated state of a sample, its device time and the commands before it (V, newest
-    /// first). Returns whether the motion contradicts every particle of a deciding profile.
+    /// first). Returns whether this motion contradicts every particle of the profile while the
+    /// profile decides; the trust is then lost.
     #[must_use]
     pub fn is_contradicted(
         &mut self,
@@ -87,8 +88,8 @@ impl TrustedForesight {
         decided
     }
 
-    /// Starts the policy: the belief about the identified Qube decides from now on if it has
-    /// predicted the settling. Angles may have a new zero.
+    /// Starts the policy: the belief about the identified Qube decides from here on, if it has
+    /// predicted the whole settling. The angles may be counted from a new zero.
     pub fn begin_policy(&mut self) {
         if let Some(Identified { prediction, trust, .. }) = &mut self.identified {
             prediction.begin_anew();
@@ -98,8 +99,8 @@ impl TrustedForesight {
         }
     }
 
-    /// A particle of the deciding belief that the brake would stop too late after this voltage;
-    /// [`Foresight::look`] explains the arguments.
+    /// The particle of the deciding belief that the brake would stop too late after this voltage,
+    /// `None` if there is none; [`Foresight::look`] explains the arguments.
     #[must_use]
     pub fn too_late_for(
         &mut self,

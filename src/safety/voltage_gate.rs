@@ -1,11 +1,11 @@
 use crate::qube::MAX_VOLTAGE_V;
 
-/// A controller asked for a voltage that is not a number.
+/// The error of a controller that asked for a voltage that is NaN or infinite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotANumber;
 
-/// Converts a wanted voltage, V, to millivolts within the plant's largest voltage and the wire's: the last step
-/// before the wire.
+/// Converts a wanted voltage, V, to millivolts and limits it to the plant's largest voltage and to
+/// the wire's: the last step before the wire.
 ///
 /// # Errors
 /// [`NotANumber`] for NaN and infinities.
@@ -13,7 +13,7 @@ pub fn clamp_to_mv(voltage_v: f64, largest_v: f64) -> Result<i16, NotANumber> {
     if !voltage_v.is_finite() {
         return Err(NotANumber);
     }
-    // False for NaN too.
+    // The comparison is false for NaN too.
     let largest_v = if largest_v > 0.0 { largest_v.min(MAX_VOLTAGE_V) } else { 0.0 };
     let limited_v = voltage_v.clamp(-largest_v, largest_v);
     Ok((limited_v * 1000.0).round() as i16)
@@ -40,7 +40,7 @@ mod tests {
         }
     }
 
-    /// Compares the limited voltage with the one that a policy of 32-bit numbers asked for.
+    /// Compares the limited voltage with the wanted one, an `f32` with these bits.
     fn check(bits: u32) {
         let wanted_v = f32::from_bits(bits);
         match clamp_to_mv(f64::from(wanted_v), 5.0) {
@@ -55,7 +55,7 @@ mod tests {
 
     #[test]
     fn a_sample_of_all_patterns_of_an_f32_passes_the_gate_or_is_refused() {
-        // A stride without a common factor with 2^32 meets every exponent and both signs.
+        // The stride is odd, so that the samples spread over all exponents and both signs.
         (0..200_000_u32).for_each(|number| check(number.wrapping_mul(21_467)));
         for edge in [0.0, -0.0, 5.0, -5.0, f32::MIN_POSITIVE, f32::MAX, f32::NAN, f32::INFINITY] {
             let bits = edge.to_bits();

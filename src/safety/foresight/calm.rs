@@ -8,41 +8,45 @@ use crate::elementary::{inverse_square_root, sin_cos};
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, Dynamics, InLanes, Lanes, QubeLanes, State};
 use crate::safety::{BrakeLaw, Particle};
 
-/// Reserve of angle before an end of the arm's range, in addition to the angle that the momentum needs, rad. It covers
-/// the pendulum's later swings, until the brake has taken their energy. With 0.5 rad, one of 90 000
-/// accepted states in which the pendulum is nearly at rest reaches the end 0.7 s later; with 0.3 rad, four do.
+/// Reserve of angle before an end of the arm's range, in addition to the angle that the momentum
+/// needs, rad. It covers the pendulum's later swings, until the brake has taken their energy. Among
+/// 90 000 accepted states in which the pendulum is nearly at rest, one reaches the end 0.7 s later
+/// if the reserve is 0.5 rad, and four if it is 0.3 rad.
 const SLACK_RAD: f32 = 0.7;
 
 /// Share of the full braking torque that the momentum test relies on.
 const BRAKING_SHARE: f32 = 0.25;
 
-/// Largest energy at which the momentum test applies, as a multiple of gravity's torque times one radian;
-/// upright at rest it is 2. A pendulum with more energy goes over the top, and each turn may throw the arm
-/// again.
+/// Largest energy at which the momentum test applies, as a multiple of gravity's torque times one
+/// radian, counted from the hanging pendulum; upright at rest it is 2. A pendulum with more energy
+/// goes over the top, and each turn may throw the arm again.
 const SWINGING: f32 = 2.2;
 
-/// Detects when the brake keeps the arms of all sixteen particles away from the ends, without simulating on.
+/// Tests whether the brake keeps the arms of all sixteen particles of a block away from the ends,
+/// so that the simulation of the block may end early.
 ///
-/// An arm passes if its energy or its momentum is too small to reach an end. The energy test follows from an argument
-/// (`energy_holds`). The momentum test looks no farther than the first swing; the property tests chose its
-/// constants. These tests search for states that are accepted here and that a simulation of 1.5 s rejects, and find
-/// none.
+/// An arm passes if its energy or its momentum is too small to reach an end. The energy test is
+/// proven by an argument (`energy_holds`). The momentum test looks no farther than the first swing;
+/// its constants are chosen so that the property tests pass. These property tests search for states
+/// that the two tests accept and from which an arm reaches an end in a simulation of 1.5 s, and
+/// find none.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct CalmLanes {
-    /// True angle of the arm at which the brake sees the middle, rad.
+    /// True angle of each arm at which the brake measures the middle, rad.
     middle: Lanes,
     positive_share: Lanes,
     negative_share: Lanes,
-    /// Energy that spring and cable store at the lower and the upper end, J.
+    /// Energy that spring and cable hold at the lower and the upper end, J.
     low_j: Lanes,
     high_j: Lanes,
-    /// Energy that a late brake may add, J for each rad/s.
+    /// Energy that a late brake may add for each rad/s of the arm, J s/rad.
     late_j_s: Lanes,
-    /// Largest lateness of the brake, s: the delay plus the period for which each voltage is held.
+    /// Delay of the brake, s: the delay of a command plus the control period for which each voltage
+    /// is held.
     late_s: Lanes,
-    /// Stopping distance for each (rad/s)^2 of the arm, s^2/rad: half the inverse of the deceleration that
-    /// the momentum test relies on.
+    /// Stopping distance for each (rad/s)^2 of the arm, s^2/rad: half the inverse of the
+    /// deceleration that the momentum test relies on.
     stopping_s2: Lanes,
     ends: Ends,
 }
@@ -75,21 +79,22 @@ impl CalmLanes {
             lanes.late_j_s[lane] = torque_per_volt * full_v * lanes.late_s[lane];
             let left_v = (lanes.positive_share[lane] * full_v - own.positive_dead_zone)
                 .min(lanes.negative_share[lane] * full_v - own.negative_dead_zone);
-            // A motor inside its dead zone does not decelerate the arm: never below 0.
+            // Inside its dead zone a motor does not decelerate the arm, so the deceleration is
+            // never below 0.
             let braking = (BRAKING_SHARE * torque_per_volt * left_v).max(0.0) / arm_inertia;
             lanes.stopping_s2[lane] = 0.5 / braking;
         }
         lanes
     }
 
-    /// Whether no arm can reach an end any more; false for states that are not numbers.
+    /// Whether no arm of the block can reach an end any more; `false` if a state is not a number.
     #[inline(always)]
     pub(super) fn holds(&self, qubes: &QubeLanes, brake: &impl BrakeLaw) -> bool {
         let mut calm = 0;
         for lane in 0..BLOCK {
             let own = qubes.dynamics().ideal.lane(lane);
             let state = qubes.state.lane(lane);
-            // Energy above that of arm and hanging pendulum at rest.
+            // Energy above that of a resting arm with a hanging pendulum.
             let motion_j = own.energy(&state) + own.gravity_torque;
             let energy = self.energy_holds(qubes, brake, lane, &own, motion_j);
             let momentum = self.momentum_holds(lane, &own, &state);
@@ -99,12 +104,12 @@ impl CalmLanes {
         calm == BLOCK as u32
     }
 
-    /// Whether the energy is too small to reach the ends.
+    /// Whether a lane's energy is too small for its arm to reach an end.
     ///
-    /// Brake and friction only take energy. At an end the arm has at least the energy that spring and cable
-    /// store there, with a pendulum that hangs at rest. A late brake may add energy while the arm's velocity
-    /// changes sign: at most a full voltage for as long as it is late, at the largest velocity that the energy
-    /// allows.
+    /// Brake and friction only take energy. An arm at an end has at least the energy that spring
+    /// and cable store there, with a pendulum that hangs at rest. A late brake may add energy while
+    /// the arm's velocity changes sign: at most that of a full voltage for as long as it is late,
+    /// at the largest velocity that the energy allows.
     #[inline(always)]
     fn energy_holds(
         &self,
@@ -117,7 +122,8 @@ impl CalmLanes {
         let theta = qubes.state.theta[lane];
         let spring = brake.potential_v_rad(theta - self.middle[lane]);
         let most_j = own.torque_per_volt.mul_add(spring, motion_j);
-        // The arm is lightest while the pendulum hangs or is upright, where it is free to give way.
+        // The arm's effective inertia is smallest while the pendulum hangs or is upright, because
+        // the pendulum then gives way most.
         let lightest = own.arm_inertia - own.coupling * own.coupling / own.pendulum_inertia;
         let square = 2.0 * most_j / lightest;
         let fastest = square * inverse_square_root(square);
@@ -127,9 +133,10 @@ impl CalmLanes {
         (energy_j < high_j) & (energy_j < low_j)
     }
 
-    /// Least energy, J up to a constant, that spring and cable have taken from a lane's arm at this angle. The arm
-    /// moves to the end on this side (1 or -1). Before the brake's middle the spring's energy counts in full; beyond
-    /// it, the part that the motor's dead zone withholds is subtracted.
+    /// Least energy, J up to a constant, that spring and cable have taken from a lane's arm at this
+    /// angle, for an arm that moves to the end on this side (1 or -1). Short of the brake's middle
+    /// the spring's energy counts in full; past it, the part that the motor's dead zone withholds
+    /// is subtracted.
     #[inline(always)]
     fn held_j(
         &self,
@@ -155,10 +162,12 @@ impl CalmLanes {
         dynamics.ideal.torque_per_volt[lane].mul_add(spring, cable)
     }
 
-    /// Whether the arm comes to rest short of the ends after the pendulum has given it all its momentum.
+    /// Whether a lane's arm comes to rest short of the ends after the pendulum has given it all its
+    /// momentum.
     ///
-    /// Only torques on the arm change the momentum p = (A + q sin^2 a) th' + c cos a a'. The arm's angle at
-    /// that moment follows from th + r sin a with r = c / A.
+    /// Only torques on the arm change the momentum p = (A + q sin^2 a) th' + c cos a a', where A is
+    /// `arm_inertia`, q is `quarter_inertia` and c is `coupling`. The arm's angle at that moment
+    /// follows from th + r sin a with r = c / A.
     #[inline(always)]
     fn momentum_holds(&self, lane: usize, own: &Dynamics<f32>, state: &State<f32>) -> bool {
         let (sin, cos) = sin_cos(state.alpha);

@@ -18,20 +18,20 @@ use crate::qube::{
     BLOCK, CONTROL_PERIOD_S, InLanes, Lanes, MAX_HISTORY, QubeLanes, SUBSTEPS, State, limited_to,
 };
 
-/// Blocks of sixteen particles that are simulated side by side. With four, the processor always has
-/// another block to compute while one waits for its own last result.
+/// Number of blocks of sixteen particles that are simulated side by side. With four, the processor
+/// always has another block to compute while the result of one is not ready yet.
 const GROUP: usize = 4;
 
-/// Simulates the brake before it is needed, on every Qube that this one may be: a voltage is held for some
-/// control periods, then the brake takes over. Each particle has its own delay, and its brake sees the
-/// velocities that the estimator would show.
+/// Simulates the brake before it is needed, for every Qube that this one may be: a voltage is held
+/// for some control periods, then the brake takes over. Each of these Qubes is a particle with its
+/// own delay, and its brake acts on the velocities that the estimator would show.
 ///
-/// Trap: the simulation ends at its horizon, and an arm may reach an end later. A pendulum that comes to
-/// rest nearly upright falls later than 0.5 s: of arms at +-30 % that are neither calm nor at an end after
-/// 0.5 s, one in forty reaches an end within 1.5 s.
+/// Trap: the simulation ends at its horizon, and an arm may reach an end later. A pendulum that
+/// comes to rest nearly upright falls later than 0.5 s. Of the arms of Qubes at +-30 % that after
+/// 0.5 s are neither calm (`calm.rs`) nor at an end, one in forty reaches an end within 1.5 s.
 ///
-/// A block of sixteen particles ends early once none of their arms can reach an end any more (`calm.rs`),
-/// and a group of 64 particles ends with its last block. Nothing is allocated after [`Self::new`]. The
+/// A block of sixteen particles ends early once none of their arms can reach an end any more, and a
+/// group of 64 particles ends with its last block. Nothing is allocated after [`Self::new`]. The
 /// outlook has the same bits on every instruction set.
 #[derive(Clone, Debug)]
 pub struct Foresight<B> {
@@ -73,7 +73,7 @@ pub struct Ends {
 pub struct Outlook {
     /// Whether the brake keeps every particle's arm short of both ends.
     pub holds: bool,
-    /// Smallest distance of any arm from an end, rad: negative beyond the end, not a number where the
+    /// Smallest distance of any arm from an end, rad: negative beyond the end, NaN if the
     /// simulation diverged.
     pub room_rad: f32,
     /// Index of the particle whose arm came closest.
@@ -82,7 +82,7 @@ pub struct Outlook {
     pub periods: u32,
 }
 
-/// The numbers of sixteen particles that are not part of their Qubes.
+/// The values of a block of sixteen particles that their [`QubeLanes`] do not hold.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 struct ParticleLanes {
@@ -90,19 +90,19 @@ struct ParticleLanes {
     positive_share: Lanes,
     negative_share: Lanes,
     calm: CalmLanes,
-    /// Periods after which only the brake's voltages act at the motors.
+    /// Control periods after which only the brake's voltages act at the motors.
     settled: u32,
     /// Largest voltage of the plant, V.
     largest_v: f32,
 }
 
 impl<B: BrakeLaw + Copy> Foresight<B> {
-    /// Prepares the simulation of these particles, which should be sorted with the hardest first. The
-    /// simulated estimator is the guard's, at its own corner frequency.
+    /// Prepares the simulation of these particles, which should be sorted with the hardest first.
+    /// The simulated estimator is the guard's, at its own corner frequency.
     ///
     /// # Panics
-    /// Panics if there is no particle, if an end lies on the wrong side of 0, if a share of the voltage is
-    /// outside 0 to 1, or if a delay is longer than [`MAX_HISTORY`] control periods.
+    /// Panics if there is no particle, if an end lies on the wrong side of 0, if a share of the
+    /// voltage is outside 0 to 1, or if a delay is longer than [`MAX_HISTORY`] control periods.
     #[must_use]
     pub fn new(particles: &[Particle], brake: B, ends: Ends, reach: Reach) -> Self {
         assert!(!particles.is_empty(), "no particles");
@@ -112,7 +112,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         let largest_v = brake.largest_v() as f32;
         let mut qubes = vec![QubeLanes::hanging_limited_to(largest_v); groups * GROUP];
         let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
-        // Copies of the last particle fill the last group.
+        // Copies of the last particle fill up the last group.
         let of_lane = |lane: usize| &particles[lane.min(particles.len() - 1)];
         for lane in 0..groups * GROUP * BLOCK {
             let Particle { model, positive_share, negative_share, .. } = of_lane(lane);
@@ -141,8 +141,9 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         self
     }
 
-    /// Sets the number of control periods between the last two samples, which is 1 unless samples were lost.
-    /// Estimated velocities are differences of angles, so they are older where more samples were lost.
+    /// Sets the number of control periods between the last two samples, which is 1 unless samples
+    /// were lost. Estimated velocities are differences of angles, so they are older where more
+    /// samples were lost.
     pub fn sampled_after(&mut self, periods: u32) {
         self.lag_s = lag_s(&self.filter, periods);
     }
@@ -152,7 +153,8 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         self.ends.high_rad.min(-self.ends.low_rad)
     }
 
-    /// Follows every arm to the horizon, for tests of the shortcut.
+    /// Switches off the early end of blocks, so that tests can compare it with a simulation to the
+    /// horizon.
     #[cfg(test)]
     fn without_calm(mut self) -> Self {
         for particles in &mut self.particles {
@@ -161,8 +163,8 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         self
     }
 
-    /// Simulates this voltage and the brake after it, from the estimated state and with the last commands
-    /// (V, newest first) still on their way.
+    /// Simulates this voltage and the brake after it, from the estimated state and with the last
+    /// commands (V, newest first) still on their way.
     #[must_use]
     pub fn look(
         &mut self,
@@ -219,7 +221,7 @@ impl ParticleLanes {
         }
     }
 
-    /// Counts `settled` from the end of a first voltage that is held for this many periods.
+    /// Lengthens `settled` by the periods for which the first voltage is held.
     fn holding(self, held: u32) -> Self {
         Self { settled: self.settled + held - 1, ..self }
     }
@@ -325,10 +327,11 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
     }
 }
 
-/// Starts a block from the estimated state plus each particle's error, with the last commands on their way.
+/// Starts a block from the estimated state plus each particle's error, with the last commands still
+/// on their way.
 ///
-/// An estimated velocity is older than its angle by `lag_s`. Each particle's acceleration under the
-/// voltage that its motor had brings the velocity up to date.
+/// An estimated velocity is older than its angle by `lag_s`. The acceleration of each particle
+/// under the voltage that was at its motor brings the velocity up to date.
 #[inline(always)]
 fn resume(
     qubes: &mut QubeLanes,
@@ -355,10 +358,11 @@ fn resume(
     }
 }
 
-/// The age of an estimated velocity, s, when the last two samples are this many control periods apart and those
-/// before them one period.
+/// The age of an estimated velocity, s, when the last two samples are this many control periods
+/// apart and those before them one period.
 ///
-/// The difference of two angles lags half the time between them; the filter's memory of earlier ones adds the rest.
+/// A difference of two angles lags by half the time between them; the filter's memory of earlier
+/// differences adds the rest.
 fn lag_s(filter: &FilterGains<f32>, periods: u32) -> f32 {
     let regular_s = CONTROL_PERIOD_S as f32 * (0.5 + filter.decay / (1.0 - filter.decay));
     if periods <= 1 {
@@ -368,7 +372,7 @@ fn lag_s(filter: &FilterGains<f32>, periods: u32) -> f32 {
     half_s + filter.decay.powi(periods.min(100) as i32) * (half_s + regular_s)
 }
 
-/// Updates the states that the estimator shows of a block after a period.
+/// Updates the estimated states of a block after a control period.
 #[inline(always)]
 fn observe(
     seen: &mut State<Lanes>,
@@ -401,7 +405,7 @@ fn narrow(rooms: &mut Lanes, qubes: &QubeLanes, ends: &Ends) {
         let theta = qubes.state.theta[lane];
         let (above, below) = (ends.high_rad - theta, theta - ends.low_rad);
         let room = if above < below { above } else { below };
-        // A distance that is NaN stays NaN, because the diverged state does.
+        // A distance that is NaN stays NaN, because the state that caused it stays NaN.
         rooms[lane] = if room >= rooms[lane] { rooms[lane] } else { room };
     }
 }

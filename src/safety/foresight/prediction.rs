@@ -8,21 +8,23 @@ use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
 use crate::estimation::FilterGains;
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, MAX_HISTORY, QubeLanes, SUBSTEPS, State};
 
-/// Control periods after which the prediction restarts from the estimate: long enough for the motions of two
-/// different Qubes to part, short enough that a balancing pendulum stays predictable.
+/// Control periods after which the prediction restarts from the estimate. They are enough for the
+/// motions of two different Qubes to part, and few enough that a balancing pendulum stays
+/// predictable.
 const WINDOW_PERIODS: u32 = 10;
 
-/// Deviation of a sample from its time at which the prediction restarts, s.
+/// Difference between a sample's time and its expected time at which the prediction restarts, s.
 const LATE_S: f64 = 0.002;
 
-/// Allowed distance of a measured angle from all particles, rad: one degree of play between motor and arm, plus
-/// two counts.
+/// Allowed distance of a measured angle from the range of the particles' angles, rad: one degree of
+/// play between motor and arm, plus two encoder counts.
 const PLAY_RAD: f64 = 0.025;
 
-/// Additional distance for each rad/s of velocity, s: the allowed error of a sample's time.
+/// Additional allowed distance for each rad/s of velocity, s: the allowed error of a sample's time.
 const JITTER_S: f64 = 0.0005;
 
-/// Simulates every particle beside the Qube, ten periods at a time, and compares the Qube's motion with theirs.
+/// Simulates every particle beside the Qube, ten control periods at a time, and compares the Qube's
+/// motion with theirs.
 ///
 /// Nothing is allocated after [`Self::of`]. The result has the same bits on every instruction set.
 #[derive(Clone, Debug)]
@@ -37,14 +39,14 @@ pub struct Prediction {
     run: Option<Run>,
 }
 
-/// A run of the particles since their last restart from the estimate.
+/// The time since the last restart of the particles from the estimate.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     since_us: u64,
     periods: u32,
 }
 
-/// The ranges of the particles' angles, least and largest, rad.
+/// The smallest and the largest angle among all particles, rad.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Spread {
     theta: [f32; 2],
@@ -52,7 +54,7 @@ struct Spread {
 }
 
 impl Prediction {
-    /// Predicts with the particles of a foresight.
+    /// A prediction with the particles of a foresight.
     #[must_use]
     pub fn of<B>(foresight: &Foresight<B>) -> Self {
         let Foresight { particles, qubes, filter, lag_s, level, .. } = foresight;
@@ -60,18 +62,22 @@ impl Prediction {
         Self { particles, qubes, filter: *filter, lag_s: *lag_s, level: *level, run: None }
     }
 
-    /// Sets the number of control periods between the last two samples, as [`Foresight::sampled_after`] does.
+    /// Sets the number of control periods between the last two samples, as
+    /// [`Foresight::sampled_after`] does.
     pub fn sampled_after(&mut self, periods: u32) {
         self.lag_s = lag_s(&self.filter, periods);
     }
 
-    /// Restarts the particles at the next sample, because its angles may be counted from another zero.
+    /// Restarts the particles at the next sample, because its angles may be counted from another
+    /// zero.
     pub fn begin_anew(&mut self) {
         self.run = None;
     }
 
-    /// Whether some particle may have moved as the Qube did. Takes the estimated state of the next sample, its
-    /// time by the device's clock, and the commands before it (V, newest first).
+    /// Returns whether the Qube's angles lie within the range of the particles' angles, apart from
+    /// the allowed distance. Also returns `true` for the first sample and for one at an unexpected
+    /// time; the particles then restart. Takes the estimated state of the next sample, its time by
+    /// the device's clock, us, and the commands before it (V, newest first).
     #[must_use]
     pub fn is_kept(
         &mut self,

@@ -108,7 +108,7 @@ fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
         theta_dot: f64::from(case.state.theta_dot),
         alpha_dot: f64::from(case.state.alpha_dot),
     };
-    // The estimated velocities are old by the filter's lag.
+    // The filter's lag makes the estimated velocities older than the angles.
     let ago = (particle.model.nonidealities.command_delay_s / CONTROL_PERIOD_S).floor() as usize;
     let before_v = commands_v[commands_v.len().saturating_sub(1 + ago).min(commands_v.len() - 1)];
     let then = dynamics.acceleration(&state, before_v);
@@ -123,7 +123,7 @@ fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
         let newest = (commands_v.len() - 1) as f64;
         for step in 0..FINE_STEPS {
             let step_s = CONTROL_PERIOD_S / f64::from(FINE_STEPS);
-            // The mean voltage of a step in which it changes.
+            // In a step in which the voltage changes, its mean acts.
             let late = particle.model.nonidealities.command_delay_s / CONTROL_PERIOD_S;
             let begin = newest + f64::from(step) / f64::from(FINE_STEPS) - late;
             let end = begin + 1.0 / f64::from(FINE_STEPS);
@@ -160,11 +160,12 @@ fn it_agrees_with_a_simulation_of_each_particle_alone() {
     }
     println!("{held} held, {reached} reached, room off by {worst:e} rad at most");
     assert!(held > 300 && reached > 150);
-    // Lanes do not resolve the steep part of friction.
+    // The simulation in lanes does not resolve the steep part of friction.
     assert!(worst < 0.005, "{worst} rad");
 }
 
-/// Tests the velocity of an arm that has accelerated all along, by the estimate after three lost samples.
+/// Tests the velocity of an arm that has accelerated all along, by the estimate after three lost
+/// samples.
 #[test]
 fn a_velocity_is_brought_up_to_date_after_lost_samples() {
     let particle = Particle::exact(QubeModel::NOMINAL);
@@ -198,8 +199,9 @@ fn a_velocity_is_brought_up_to_date_after_lost_samples() {
     assert!((mended_rad - true_rad).abs() < 0.01, "{mended_rad} and {true_rad} rad");
 }
 
-/// Looks for states that are accepted before the horizon and from which the arm reaches an end in 1.5 s,
-/// with as many Qubes at the corners of +-30 % as inside; gives how many are accepted early.
+/// Looks for states that are accepted before the horizon although the arm reaches an end within
+/// 1.5 s; panics if there is one. Each parameter has even odds to be at its limit of +-30 % or
+/// inside. Returns the number of states that are accepted early.
 fn search_for_hasty_acceptance(seed: u64, particles: u32) -> u32 {
     let mut draw = Draw::new(seed);
     let mut early = 0;
@@ -298,7 +300,8 @@ fn a_state_that_is_not_a_number_does_not_hold() {
     }
 }
 
-/// Tests the argument by which an arm need not be simulated once its energy does not reach an end.
+/// Tests the argument by which an arm need not be simulated on once its energy is too small to
+/// reach an end.
 #[test]
 fn a_brake_that_is_not_late_takes_energy_from_every_qube() {
     let mut draw = Draw::new(1003);
