@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use crate::storage::{Disk, MachineDisk, write_whole};
 use crate::telemetry::Fault;
 
-/// A doubt about a sensor or the motor of a Qube. It lasts until an operator has acknowledged it and an
-/// examination has passed.
+/// A doubt about a sensor or the motor of a Qube. It lasts until an operator has acknowledged it
+/// and an examination has passed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Doubt {
     /// Fault that caused the doubt; `None` where its record cannot be read.
@@ -49,8 +49,8 @@ impl DoubtMemory {
         Self { folder }
     }
 
-    /// The doubt about a board, if there is one. An unreadable file is a doubt too; a file about a fault
-    /// that leaves no doubt by this release's table is not.
+    /// The doubt about a board, if there is one. An unreadable file is a doubt too. A file about a
+    /// fault that leaves no doubt by this release's table of faults is not.
     #[must_use]
     pub fn recall(&self, board: &str) -> Option<Doubt> {
         let path = self.path(board);

@@ -1,9 +1,10 @@
-//! A Qube and the thread that drives it: opening the device, examining and homing the Qube, and recording one
-//! rollout at a time.
+//! A Qube and the thread that drives it: opening the device, examining and homing the Qube, and
+//! recording one rollout at a time.
 //!
-//! The room may import `clock`, `device`, `control`, `preflight`, `estimation`, `safety`, `policy`, `qube`,
-//! `recording`, `telemetry` and `storage`. Sessions, experiments and the commands `run`, `check` and `soak` use
-//! it alike: [`RigSettings`] describe a rig, [`Rig::open`] opens it, and [`Rig::rollout`] records a rollout.
+//! The room may import `clock`, `device`, `control`, `preflight`, `estimation`, `safety`, `policy`,
+//! `qube`, `recording`, `telemetry` and `storage`. Sessions, experiments and the commands `run`,
+//! `check` and `soak` use it in the same way: [`RigSettings`] describe a rig, [`Rig::open`] opens
+//! it, and [`Rig::rollout`] records a rollout.
 
 mod connection;
 mod doubt;

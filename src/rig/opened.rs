@@ -21,7 +21,7 @@ use crate::recording::Viewer;
 use crate::safety::{HardwareLimits, IdentifiedQube, MotorHeat};
 use crate::telemetry::{CheckResult, Consequence, Ending, Fault, MeasuredLink, Preflight};
 
-/// Pauses before the second and third attempt at homing, ns, so that a link or computer that is late for
+/// Pauses before the second and third attempt at homing, ns. A link or computer that is late for
 /// two seconds does not use up all attempts.
 const HOMING_PAUSES_NS: [u64; 2] = [1_000_000_000, 2_000_000_000];
 
@@ -35,22 +35,24 @@ pub struct Rig {
     pub(super) preflight: Preflight,
     /// Measured link; `None` for the embedded emulator, unless it emulates a USB bridge.
     pub(super) link: Option<MeasuredLink>,
-    /// Whether samples carry a time of the device; otherwise their age is unknown.
+    /// Whether the device adds its own time to each sample; otherwise the age of a sample is
+    /// unknown.
     pub(super) has_device_clock: bool,
     clock: ClockChoice,
     pub(super) limits: HardwareLimits,
     stop: Arc<AtomicBool>,
     link_patience_s: f64,
     memory: Option<DoubtMemory>,
-    /// Time that foresight's longest prediction takes on this processor, us; 0 for an emulated Qube.
+    /// Time that foresight's longest prediction takes on this processor, us; 0 for an emulated
+    /// Qube.
     pub(super) foresight_time_us: f64,
-    /// Model that the guard uses, until a rollout contradicts it.
+    /// Identified model that the guard uses, until a rollout contradicts it.
     pub(super) identified: Cell<Option<IdentifiedQube>>,
-    /// Viewer of rollouts while they are recorded.
+    /// Viewers that show rollouts while they are recorded.
     pub(super) viewers: Vec<Arc<dyn Viewer>>,
     /// Fault that ended the last motion, until the Qube is homed again.
     pub(super) last_fault: Cell<Option<Fault>>,
-    /// Emulator, served until the rig is closed; dropped after the control thread.
+    /// Emulator, which serves the rig until it is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
 }
 
@@ -102,11 +104,11 @@ impl Rig {
         Ok(rig)
     }
 
-    /// Opens the device and reads its identity without any motion.
+    /// Opens the device and reads its identity without moving the motor.
     ///
     /// # Errors
-    /// The device does not exist, is another board than the settings are for, or is hardware whose plant file needs a consent
-    /// that the settings lack.
+    /// The device does not exist, is another board than the settings require, or is hardware with a
+    /// plant that needs a consent that the settings lack.
     pub fn connect(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let (device, clock, emulator) = connect(settings)?;
         let realtime = settings.clock == ClockChoice::Wall;
@@ -149,8 +151,8 @@ impl Rig {
         })
     }
 
-    /// Checks the Qube and, if no check failed, homes it, which is the last check. With `learn_signs` the
-    /// rig adopts the signs that are found.
+    /// Examines the Qube and, if no check failed, homes it, which is the last check. With
+    /// `learn_signs` the rig adopts the signs that the examination finds.
     ///
     /// # Errors
     /// The device no longer answers, or a stop was requested. A failed check is not an error here.
@@ -169,7 +171,8 @@ impl Rig {
         Ok(examination)
     }
 
-    /// Measures the link where no check does, which sets the time that ticks wait for their samples.
+    /// Measures the link if no examination does; the result determines how long ticks wait for
+    /// their samples.
     fn measure_link(&mut self) -> Result<(), RigError> {
         let port = self.identity.port.clone();
         let link = self
@@ -185,7 +188,9 @@ impl Rig {
         self.link.as_ref()
     }
 
-    /// Presses the arm outward against the stop that it touches, for a limited number of ticks.
+    /// Presses the arm outward against the stop that it touches, with `push_v` volts for at most
+    /// `ticks` control periods. A rehearsal ends once somebody has pushed the arm off its stop and
+    /// the arm has come back or has stayed there.
     ///
     /// # Errors
     /// The device has not answered a hello, a fault is latched, or the device could not be armed.
@@ -215,7 +220,7 @@ impl Rig {
         }
     }
 
-    /// Performs all checks except homing.
+    /// Performs all checks of the examination except homing.
     fn examine(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
         let settings = ExaminationSettings {
             signs: self.homing.signs,
@@ -233,17 +238,19 @@ impl Rig {
         Ok(examination)
     }
 
-    /// Performs the program's reaction to the last fault by the table of faults: a new hello, which reopens
-    /// a lost port and clears the device's latch, and homing.
+    /// Reacts to the last fault as the table of faults demands: says hello again, which reopens a
+    /// lost port and clears the device's latch, and homes the arm.
     ///
     /// # Errors
-    /// The fault leaves a doubt, or another attempt would end the same way; the device does not answer; another board answers; or homing fails.
+    /// The fault leaves a doubt, or another attempt would end in the same way; the device does not
+    /// answer; another board answers; or homing fails.
     pub fn start_again(&mut self) -> Result<(), RigError> {
         if let Some(fault) = self.last_fault.get() {
             match fault.consequence() {
                 Consequence::Examine => return Err(RigError::InDoubt(Box::new(self.doubt(fault)))),
                 Consequence::End => return Err(RigError::Ended { fault }),
-                // The motor may still have its last voltage: the operator hears it before the wait.
+                // The motor may still have its last voltage, so the operator is warned before the
+                // wait begins.
                 Consequence::Reconnect => tracing::warn!(
                     "{fault}. {} The program waits {} s for the same board",
                     fault.operator_step(),
@@ -297,7 +304,8 @@ impl Rig {
         }
     }
 
-    /// Latches the fault that ended a motion; a doubt is stored where it can outlive the program.
+    /// Remembers the fault that ended a motion; a doubt is also stored so that it outlives the
+    /// program.
     pub(super) fn latch(&self, ending: Ending) {
         let Ending::Fault(fault) = ending else { return };
         self.last_fault.set(Some(fault));
@@ -306,8 +314,8 @@ impl Rig {
         }
     }
 
-    /// Homes the arm; repeats it when only the link or the computer failed, which says nothing about the
-    /// Qube.
+    /// Homes the arm. Homing is repeated if only the link or the computer failed, which says
+    /// nothing about the Qube.
     fn home(&mut self) -> Result<(), RigError> {
         for pause_ns in HOMING_PAUSES_NS {
             match self.home_once() {
@@ -328,7 +336,7 @@ impl Rig {
             (_, Some(measured)) => {
                 self.measured = measured;
                 let calibration = measured.calibration;
-                // The middle is known from now on, wherever a fault may leave the arm.
+                // From here on the middle is known, wherever a fault may leave the arm.
                 let middle_rad = -self.homing.theta_offset_rad;
                 self.homing.hand_counts = Some(calibration.theta_counts_at(middle_rad));
                 self.last_fault.set(None);
@@ -363,7 +371,7 @@ impl Rig {
         &self.preflight
     }
 
-    /// Whether the device may have a real motor; known from its hello, not from the port alone.
+    /// Whether the device may have a real motor, according to its hello and not to its port alone.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         self.control.is_hardware()

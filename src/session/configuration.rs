@@ -13,8 +13,8 @@ use crate::simulation::SensorModel;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 impl SessionSettings {
-    /// Reads a complete configuration to resume its session. A file that names no guard selects the box
-    /// alone.
+    /// Reads a complete configuration to resume its session. A file that names no guard selects the
+    /// box alone.
     ///
     /// # Errors
     /// The file cannot be read, is not a configuration, or has a setting that no longer exists.
@@ -49,9 +49,9 @@ impl SessionSettings {
         self.overridden_by_text(&text, path).map_err(|error| error.located(&text, ""))
     }
 
-    /// Configures a new session like [`overridden_by`](Self::overridden_by). An estimator that the file
-    /// names for the machine alone or for simulations alone applies to both, because a policy should train
-    /// on the states that it will see.
+    /// Configures a new session like [`overridden_by`](Self::overridden_by). If the file names an
+    /// estimator only for the Qube or only for simulations, it applies to both, because a policy
+    /// should train on states that are estimated as they will be on the Qube.
     ///
     /// # Errors
     /// The file cannot be read, or holds an unknown setting.
@@ -70,8 +70,8 @@ impl SessionSettings {
         settings.checked(path)
     }
 
-    /// Overrides these settings with the text of a file; `path` only appears in errors. Safe for text of
-    /// any origin.
+    /// Overrides these settings with the text of a file; `path` only appears in errors. The text
+    /// may be of any origin, also an untrusted one.
     ///
     /// # Errors
     /// The text holds an unknown setting, or one that no longer exists.
@@ -92,7 +92,7 @@ impl SessionSettings {
             path: path.to_owned(),
             source: Box::new(source),
         };
-        // Parsed alone first, so that an error names the file's own line.
+        // The text is parsed alone first, so that an error names a line of the file.
         let alone: Self = toml::from_str(text).map_err(invalid)?;
         let below = match alone.preset {
             Some(preset) => self.clone().trained_with(preset),
@@ -193,8 +193,8 @@ mod tests {
         let custom = "preset = \"quick\"\n[training]\nupdates = 7\n";
         assert_eq!(preset(custom), (Some(Preset::Custom), 7));
 
-        // The numbers of a preset may change after a session began; a file of a version that did not record
-        // the preset names none.
+        // The numbers of a preset may change after a session began; a file of a version that did
+        // not record the preset names none.
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("session.toml");
         let origin = |text: &str| {

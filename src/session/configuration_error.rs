@@ -22,10 +22,10 @@ pub enum ConfigurationError {
     Invalid {
         /// Path of the file.
         path: PathBuf,
-        /// Cause with its line.
+        /// Cause, with the line in the file.
         source: Box<toml::de::Error>,
     },
-    /// A value is out of range.
+    /// A value is out of range, or a setting is refused.
     #[error("{path}{}: {reason}", at_line(*line))]
     OutOfRange {
         /// Path of the file.
@@ -44,12 +44,13 @@ pub enum ConfigurationError {
 }
 
 impl ConfigurationError {
-    /// Adds to the error the line of the wrong value, which the file has below the key `above`.
+    /// Adds to the error the line of the wrong value; `above` is the prefix of the value's key in
+    /// the file.
     #[must_use]
     pub fn located(self, text: &str, above: &str) -> Self {
         match self {
             Self::OutOfRange { path, reason, .. } => {
-                // A reason begins with the key that it is about.
+                // A reason begins with the key of the wrong value.
                 let is_of_key = |letter: char| letter.is_alphanumeric() || "._".contains(letter);
                 let key: String = reason.chars().take_while(|&letter| is_of_key(letter)).collect();
                 let line = line_of(text, &format!("{above}{}", key.trim_end_matches('.')));

@@ -1,4 +1,4 @@
-//! Decides how the search around an identified Qube goes on.
+//! Decides how the search around an identified Qube continues.
 
 use super::{Purpose, ScoredCandidate};
 
@@ -15,7 +15,8 @@ pub enum Decision {
         /// Number of the candidate.
         candidate: u32,
     },
-    /// End the search if one more candidate is expected to gain less than `smallest_gain`; evaluate it otherwise.
+    /// End the search if one more candidate is expected to gain less than `smallest_gain`; evaluate
+    /// it otherwise.
     EndBelow {
         /// Mean return of the verified policy.
         verified: f64,
@@ -26,11 +27,14 @@ pub enum Decision {
     End,
 }
 
-/// Decides the next move; all rollouts of `candidates` must be finished.
+/// Decides the next move; all rollouts of `candidates` must be finished. `largest` is the largest
+/// number of searched candidates.
 ///
-/// A candidate whose rollouts all succeed and whose mean return is the highest is verified at once. Once its policy is
-/// verified with success in every rollout, only an expected gain keeps the search going. At the largest number of
-/// candidates the best is verified, whatever its rollouts were.
+/// The candidate with the highest mean return is verified at once if all its rollouts succeeded. If
+/// every rollout of the verification succeeded too, the search continues only while one more
+/// candidate is expected to gain at least the fraction [`WORTHWHILE_GAIN`] of the verified return.
+/// At the largest number of candidates the best one is verified, whether or not its rollouts
+/// succeeded, and the search ends.
 #[must_use]
 pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
     let searched = || candidates.iter().filter(|it| it.candidate.purpose.is_searched());
@@ -105,7 +109,7 @@ mod tests {
         let end = Decision::EndBelow { verified: 540.0, smallest_gain: 5.4 };
         assert_eq!(decide(&candidates, 10), end);
         assert_eq!(decide(&candidates, 2), Decision::End);
-        // A better candidate is verified in its turn.
+        // A candidate that is better than the verified one is verified too.
         candidates.push(scored(4, Purpose::Search, 2.0, &[(545.0, true)]));
         assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 4 });
     }

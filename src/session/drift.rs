@@ -11,16 +11,16 @@ use crate::telemetry::Phase;
 /// Number of rollouts from which a day's drift is estimated.
 pub const DRIFT_ROLLOUTS: usize = 3;
 
-/// Smallest change of the delay that counts, s.
+/// Smallest change of the delay that counts as drift, s.
 const DELAY_TOLERANCE_S: f64 = 0.002;
 
-/// Smallest change of the cable's rest angle that counts, rad.
+/// Smallest change of the cable's rest angle that counts as drift, rad.
 const REST_TOLERANCE_RAD: f64 = 0.1;
 
-/// Smallest change of the hanging pendulum's angle that counts, counts of its encoder.
+/// Smallest change of the hanging pendulum's angle that counts as drift, in counts of its encoder.
 const ALPHA_TOLERANCE_COUNTS: f64 = 5.0;
 
-/// Smallest change in standard errors.
+/// Smallest change that counts as drift, in standard errors.
 const STANDARD_ERRORS: f64 = 3.0;
 
 /// Number of final ticks of settling over which the pendulum's angle is averaged.
@@ -31,8 +31,8 @@ const SETTLED_TICKS: usize = 20;
 pub struct Drift {
     /// Delay from command to motor, s.
     pub command_delay_s: Compared,
-    /// The cable's rest angle from the arm's zero, rad; the zero that homing finds and the cable's position
-    /// both change it.
+    /// Rest angle of the cable from the arm's zero, rad. It changes with the zero that homing finds
+    /// and with the cable's position.
     pub cable_rest_rad: Compared,
     /// Angle of the hanging pendulum at rest, rad.
     pub alpha_zero_rad: Compared,
@@ -40,7 +40,7 @@ pub struct Drift {
     pub rollouts: usize,
 }
 
-/// A quantity today and in the profile.
+/// A quantity, estimated today and from the profile, both in the quantity's unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Compared {
     /// Value today.
@@ -138,7 +138,7 @@ impl fmt::Display for Drift {
     }
 }
 
-/// The pendulum's angle at the end of settling.
+/// Mean angle of the pendulum over the last ticks of settling, rad; `None` if there are too few.
 fn hanging_rad(recording: &Recording) -> Option<f64> {
     let settled: Vec<f64> = recording
         .ticks

@@ -30,7 +30,7 @@ fn is_zero(value: &f64) -> bool {
 }
 
 impl EmulatedQubeSettings {
-    /// An emulator without faults whose start follows from this seed.
+    /// The settings of an emulator of this Qube without faults; the seed determines its start.
     #[must_use]
     pub fn emulator(&self, seed: u64) -> EmulatorSettings {
         EmulatorSettings {
@@ -43,8 +43,8 @@ impl EmulatedQubeSettings {
         }
     }
 
-    /// A Qube around this one that follows from this seed: every parameter and every strength among the nonidealities
-    /// is uniform within this part of its value.
+    /// A Qube near this one, determined by the seed: every parameter, and every nonideality that is
+    /// a strength, is drawn uniformly within `width` of its value, a fraction.
     #[must_use]
     pub fn varied(&self, width: f64, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);

@@ -18,7 +18,7 @@ pub enum SessionError {
     /// A stop was requested.
     #[error("stopped")]
     Stopped,
-    /// A rollout failed as often as allowed.
+    /// A rollout was ended by faults as often as allowed.
     #[error(
         "rollout {rollout} of candidate {candidate} was ended by a fault {tries} times, last: {reason}. \
          The motor is off; look at the Qube"
@@ -67,7 +67,7 @@ pub enum SessionError {
         /// Path of the session's `session.toml`.
         path: PathBuf,
     },
-    /// One of several Qubes has the place of another.
+    /// A Qube is given in the place of another of the session's Qubes.
     #[error(
         "board {now} is named in the place of board {before}: give the Qubes in the order in which they began"
     )]
@@ -131,7 +131,7 @@ impl SessionError {
         }
     }
 
-    /// Whether a rig is the cause, so that another rig can go on.
+    /// Whether the cause is one rig alone, so that the other rigs can continue.
     #[must_use]
     pub fn is_of_rig(&self) -> bool {
         match self {

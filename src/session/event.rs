@@ -20,18 +20,21 @@ pub enum SessionEvent<'a> {
         /// Names of the effects that the verdict says are missing.
         doubts: &'a [String],
     },
-    /// No recording can be fitted yet, for this reason; another one is made.
+    /// No recording can be fitted yet, for this reason; another excitation follows.
     ExcitesAgain(&'a str),
-    /// The recordings identify no Qube, for this reason; the search goes on as for an unknown one.
+    /// The Qube could not be identified from its recordings, for this reason; the search continues
+    /// as for an unknown one.
     NotIdentified(&'a str),
     /// The recordings of the verification left the profile as it was, for this reason.
     NotUpdated(&'a str),
-    /// The search around the identified Qube ended: one more candidate was expected to gain this return.
+    /// The search around the identified Qube ended: one more candidate was expected to gain this
+    /// return.
     SearchEnded {
         /// Expected gain.
         expected_gain: f64,
     },
-    /// A verified policy is not the end yet: one more candidate is expected to gain this return.
+    /// The search continues after a verified policy, because one more candidate is expected to gain
+    /// this return.
     GoesOn {
         /// Expected gain.
         expected_gain: f64,
@@ -81,13 +84,13 @@ pub enum SessionEvent<'a> {
         /// The drift, or the reason why it cannot be estimated.
         drift: &'a Result<Drift, Unfit>,
     },
-    /// A rig of several that share the session was taken out; the others make its rollouts.
+    /// A rig of several that share the session was taken out; the other rigs make its rollouts.
     RigTakenOut {
         /// Number of the rig, from 1.
         rig: u32,
         /// Reason for people.
         reason: &'a str,
     },
-    /// The session of one Qube among several has ended early; those of the others go on.
+    /// One session of several that run side by side has ended early; the others continue.
     EndedEarly(&'a SessionError),
 }

@@ -54,8 +54,9 @@ pub struct SessionFolder {
 }
 
 impl SessionFolder {
-    /// Creates a new folder on this computer's disk with the session's configuration. An existing folder is
-    /// accepted if it is empty or holds only the leftovers of a session that was killed at its start.
+    /// Creates a new folder on this computer's disk with the session's configuration. An existing
+    /// folder is accepted if it is empty or holds only the leftovers of a session that was killed
+    /// at its start.
     ///
     /// # Errors
     /// The folder has other content, or cannot be created.
@@ -79,7 +80,7 @@ impl SessionFolder {
         disk.create_folder(&paths.candidates()).map_err(io(root))?;
         let folder = Self::hold(disk, paths)?;
         let settings = folder.paths.configuration();
-        // Another process may have begun there before this one held the folder.
+        // Another process may have begun a session in the folder before this one held it.
         if folder.disk().exists(&settings) {
             return Err(FolderError::Exists { path: root.to_owned() });
         }
@@ -147,7 +148,8 @@ impl SessionFolder {
         self.disk.create_folder(paths.folder()).map_err(io(paths.folder()))
     }
 
-    /// Removes the files of a session that has decided nothing yet. Files that cannot be removed stay.
+    /// Removes the files of a session that has proposed nothing yet. Files that cannot be removed
+    /// stay.
     pub fn withdraw(self) {
         for file in [self.paths.configuration(), self.paths.ledger()] {
             let _ = self.disk.remove(&file);
@@ -156,8 +158,8 @@ impl SessionFolder {
     }
 }
 
-/// Whether a folder holds only the leftovers of a session that was killed before it had its configuration:
-/// an empty folder for candidates, and a partial configuration.
+/// Whether a folder holds only the leftovers of a session that was killed before its `session.toml`
+/// was complete: an empty folder for candidates, and a partial configuration.
 fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
     let names = match disk.names(root) {
         Err(error) if error.kind() == ErrorKind::NotADirectory => return Ok(false),
@@ -180,8 +182,8 @@ fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
     Ok(true)
 }
 
-/// Renames an unfinished recording, so that the rollout can be repeated under its own name. The file is
-/// kept because it may show the cause of a crash.
+/// Renames an unfinished recording, so that the rollout can be repeated under its own name. The
+/// file is kept because it may show the cause of a crash.
 ///
 /// # Errors
 /// The file cannot be renamed.
@@ -223,7 +225,8 @@ mod tests {
     fn a_session_begins_where_an_earlier_one_was_killed_before_it_had() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("killed");
-        // The moments of such a kill in order, each followed by a session that begins there.
+        // The steps after which the earlier session may be killed, in order; a new session begins
+        // after each.
         let leave: [fn(&Path); 3] = [
             |_| (),
             |root| std::fs::create_dir(root.join("candidates")).unwrap(),

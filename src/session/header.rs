@@ -50,7 +50,7 @@ impl RolloutPlan {
         }
     }
 
-    /// The header before a rig fills in device, check, calibration and time.
+    /// The header of the recording; the rig fills in device, check, calibration and time.
     #[must_use]
     pub fn header(&self) -> RolloutHeader {
         RolloutHeader {

@@ -1,22 +1,25 @@
 use serde::{Deserialize, Serialize};
 
-/// The settings of a session that identifies its Qube first and searches around what it found.
+/// The settings of a session that identifies its Qube first and then searches around the identified
+/// model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IdentificationSettings {
     /// Number of recordings under an excitation, of 10 s each.
     pub excitations: u32,
-    /// Largest voltage of an excitation of a Qube, V. Another plant gets the voltage that moves its arm alike.
+    /// Largest voltage of an excitation of a Qube, V. Another plant gets the voltage that moves its
+    /// arm in the same way.
     pub excitation_v: f64,
-    /// Largest number of candidates. One means that a policy is trained around the identified Qube and nothing is
-    /// searched.
+    /// Largest number of candidates. With 1, a policy is trained for the identified Qube and no
+    /// search follows.
     pub candidates: u32,
     /// Number of rollouts of each candidate.
     pub rollouts: u32,
-    /// Standard deviation of the simulations beside the identification's errors, as a part of each value: it stands
-    /// for the errors of the model itself.
+    /// Standard deviation that the simulations have in addition to the identification's errors, as
+    /// a fraction of each value. It stands for the errors of the model itself.
     pub spread: f64,
-    /// Number of trainings of each candidate, which differ in their seed; the best policy in simulations is kept.
+    /// Number of trainings of each candidate, which differ in their seed; the best policy in
+    /// simulations is kept.
     pub trainings: u32,
 }
 

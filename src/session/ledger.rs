@@ -7,13 +7,13 @@ use thiserror::Error;
 use super::SessionState;
 use crate::storage::{Disk, DiskFile, sync_name};
 
-/// The checksum of whole files. It is longer than that of a line, because files are longer.
+/// The checksum of whole files. It has more bits than that of a line, because files are longer.
 const FILE_CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
 
 const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// A decision or a finished piece of work of a session. No entry can be computed from other files; returns,
-/// for example, are read from the recordings.
+/// A decision or a finished piece of work of a session. No entry can be computed from other files;
+/// returns, for example, are read from the recordings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "event", deny_unknown_fields)]
 pub enum Entry {
@@ -30,7 +30,8 @@ pub enum Entry {
         purpose: Purpose,
         /// Psi in the units and order of the search box.
         psi: Vec<f64>,
-        /// Candidates of the search whose returns were awaited, and unknown to it, when it chose psi.
+        /// Numbers of the candidates whose returns were still unknown to the search when it chose
+        /// psi.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         pending: Vec<u32>,
     },
@@ -53,24 +54,26 @@ pub enum Entry {
     },
     /// The Qube was identified, and its profile is complete on disk.
     Identified {
-        /// Number of recordings that the profile was fitted to, by which its file is named. Recordings that cannot be
-        /// fitted do not count.
+        /// Number of recordings that the profile was fitted to; the name of its file contains this
+        /// number. Recordings that cannot be fitted do not count.
         recordings: u32,
         /// The fit's verdict by its name: `fits` or `fits_but`.
         verdict: String,
         /// Names of the effects that the verdict says are missing.
         doubts: Vec<String>,
-        /// The checksum of the profile, as [`file_checksum`] computes it: the guard follows that file.
+        /// The checksum of the profile, as [`file_checksum`] computes it. It protects the file,
+        /// which determines the guard.
         checksum: String,
     },
-    /// The recordings identify no Qube; the search goes on as for an unknown one.
+    /// The Qube could not be identified from its recordings; the search continues as for an unknown
+    /// one.
     NotIdentified {
-        /// Reason for people.
+        /// Reason, as a text for the operator.
         reason: String,
     },
     /// The recordings of the verification left the profile as it was.
     NotUpdated {
-        /// Reason for people.
+        /// Reason, as a text for the operator.
         reason: String,
     },
     /// The search around an identified Qube ended.
@@ -79,14 +82,14 @@ pub enum Entry {
         /// Return that one more candidate was expected to gain over the verified policy.
         expected_gain: f64,
     },
-    /// A rig was taken out after a fault; the others make its rollouts.
+    /// A rig was taken out after a fault; the other rigs make its rollouts.
     RigTakenOut {
         /// Number of the rig, from 1.
         rig: u32,
-        /// Reason for people.
+        /// Reason, as a text for the operator.
         reason: String,
     },
-    /// A fault ended a rollout. Its recording is kept.
+    /// A fault ended a rollout; the recording is kept.
     RolloutVoid {
         /// Number of the candidate.
         candidate: u32,
@@ -112,28 +115,29 @@ pub enum Purpose {
     Search,
     /// The search's recommendation, trained and run to verify it.
     Verification,
-    /// The best searched candidate: its existing policy is verified beside the recommendation's. All
-    /// rollouts of a policy share the luck of its training, and the recommendation's training may have gone
-    /// worse.
+    /// The best searched candidate, whose existing policy is verified beside the recommendation's.
+    /// All rollouts of a policy share the luck of its training, and the training for the
+    /// recommendation may have turned out worse.
     Incumbent,
     /// A policy that was trained on the nominal Qube, for comparison.
     Baseline,
 }
 
 impl Purpose {
-    /// Whether the candidate is one of the search's, which has a psi to be evaluated.
+    /// Whether the candidate belongs to the search, so that it has a psi to be evaluated.
     #[must_use]
     pub fn is_searched(self) -> bool {
         matches!(self, Self::Initial | Self::Search)
     }
 
-    /// Whether its rollouts inform the method: they identify the Qube or evaluate a psi.
+    /// Whether the candidate's rollouts inform the method: they identify the Qube or evaluate a
+    /// psi.
     #[must_use]
     pub fn informs(self) -> bool {
         self == Self::Excitation || self.is_searched()
     }
 
-    /// Whether its rollouts verify the result.
+    /// Whether the candidate's rollouts verify the result.
     #[must_use]
     pub fn verifies(self) -> bool {
         matches!(self, Self::Verification | Self::Incumbent)
@@ -176,15 +180,15 @@ pub enum LedgerError {
 /// Largest ledger that is read, bytes; the longest session's has less than 10 MB.
 pub(super) const MAX_FILE_BYTES: u64 = 64 << 20;
 
-/// The append-only record of a session, `ledger.jsonl`: one entry a line, each with a checksum and synced
-/// before work continues. A crash leaves at most a torn last line, which is cut.
+/// The append-only record of a session, `ledger.jsonl`: one entry a line, each with a checksum and
+/// synced before work continues. A crash leaves at most a torn last line, which is cut.
 #[derive(Debug)]
 pub struct Ledger {
     path: PathBuf,
     file: Box<dyn DiskFile>,
     /// Length of the complete lines in bytes.
     length: u64,
-    /// Whether a failed append left bytes after the complete lines that could not be cut yet.
+    /// Whether a failed append left bytes after the complete lines that could not be removed yet.
     torn: bool,
     entries: Vec<Entry>,
     state: SessionState,
@@ -215,7 +219,7 @@ impl Ledger {
         if whole_bytes < bytes.len() {
             file.cut_to(whole_bytes as u64).and_then(|()| file.sync()).map_err(io)?;
         }
-        // The file's name must survive a loss of power too.
+        // The file's name must survive a loss of power as well.
         sync_name(disk, path).map_err(io)?;
         let length = whole_bytes as u64;
         Ok(Self { path: path.to_owned(), file, length, torn: false, entries, state })
@@ -236,8 +240,9 @@ impl Ledger {
     /// Adds one entry; it is on disk when the call returns.
     ///
     /// # Errors
-    /// The entry cannot follow the earlier ones. Or the disk is full or failing. The entry is then not recorded here, but may be on disk: the effect of
-    /// a failed sync is unknown.
+    /// The entry cannot follow the earlier ones, or the disk is full or failing. In the second case
+    /// the entry is not recorded here but may be on disk, because the effect of a failed sync is
+    /// unknown.
     pub fn append(&mut self, entry: Entry) -> Result<(), LedgerError> {
         let mut state = self.state.clone();
         state
@@ -264,7 +269,8 @@ impl Ledger {
     }
 }
 
-/// The checksum of the bytes of a whole file, by which a ledger knows its own `session.toml` and profiles.
+/// The checksum of a whole file, 16 hexadecimal digits, with which a ledger recognises its own
+/// `session.toml` and profiles.
 #[must_use]
 pub fn file_checksum(bytes: &[u8]) -> String {
     format!("{:016x}", FILE_CHECKSUM.checksum(bytes))
@@ -286,7 +292,7 @@ fn decode(line: &str) -> Result<Entry, String> {
     serde_json::from_str(line.entry.get()).map_err(|error| error.to_string())
 }
 
-/// The content of a ledger's bytes.
+/// The entries and the state in the bytes of a ledger.
 #[derive(Debug, Default)]
 pub struct Parsed {
     /// Entries in order.
@@ -297,7 +303,7 @@ pub struct Parsed {
     pub whole_bytes: usize,
 }
 
-/// A defect that no crash causes.
+/// A damaged line in a ledger, which no crash can have caused.
 #[derive(Debug, PartialEq, Eq)]
 pub struct DamagedLine {
     /// Number of the line, from 1.
@@ -314,11 +320,11 @@ impl DamagedLine {
     }
 }
 
-/// Reads the bytes of a ledger. Safe for bytes of any origin.
+/// Reads the bytes of a ledger, which may be of any origin.
 ///
-/// Only the last line may be broken: cut off before its newline, because lines are written in one piece
-/// with the newline last; or with zeros, which a file system shows for data that a loss of power kept from
-/// being written.
+/// Only the last line may be broken. A crash can cut it off before its newline, because each line
+/// is written in one piece with the newline last. After a loss of power it can contain zeros, which
+/// a file system shows in place of data that were not yet written.
 ///
 /// # Errors
 /// Another line is broken, its checksum does not match, or it cannot follow the lines before it.

@@ -1,11 +1,12 @@
 use serde::{Deserialize, Serialize};
 
-/// The measured watchdog of a card behind the vendor's library; `[watchdog]` in `qube.toml`. The motor was seen to
-/// go off: the arm turned no farther than when the push was ended by the program.
+/// The measured watchdog of a board behind the vendor's library; `[watchdog]` in `qube.toml`. The
+/// check also shows that the motor goes off: the arm turned no farther than after a push that the
+/// program ended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LibraryWatchdog {
-    /// Time from the last act until the library called its watchdog expired, ms.
+    /// Time from the last act until the library reported that its watchdog had expired, ms.
     pub expired_ms: f64,
     /// Date of the check, as year-month-day.
     pub date: String,

@@ -1,8 +1,11 @@
 //! Sessions: the method's algorithm, its ledger on disk, and resuming after a crash.
 //!
-//! The room may import `rig`, `scoring`, `jobs`, `learning`, `simulation`, `search`, `surrogate`, `identification`, `replay`,
-//! `recording`, `control`, `device`, `policy`, `estimation`, `safety`, `telemetry`, `storage` and `qube`.
-//! Reading order: [`SessionState`] folds the ledger, [`next_step`] computes the next step from it, [`Session`] performs it with a
+//! The room may import `rig`, `scoring`, `jobs`, `learning`, `simulation`, `search`, `surrogate`,
+//! `identification`, `replay`, `recording`, `control`, `device`, `policy`, `estimation`, `safety`,
+//! `telemetry`, `storage` and `qube`.
+//!
+//! Reading order: [`SessionState`] computes the state from the ledger's entries, [`next_step`]
+//! computes the next step from the state, [`Session`] performs this step with a
 //! [`Rig`](crate::rig::Rig), and [`score`](crate::scoring::score) scores a recording.
 
 mod configuration;

@@ -95,7 +95,7 @@ impl PolicyPaths {
         self.folder.join("curve.csv")
     }
 
-    /// Path of the times of its trainings.
+    /// Path of the times at which the policy's trainings ran.
     #[must_use]
     pub fn training_times(&self) -> PathBuf {
         self.folder.join("training-times.json")

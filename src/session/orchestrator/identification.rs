@@ -1,4 +1,5 @@
-//! Identifies the Qube from the session's recordings and decides how the search around it goes on.
+//! Identifies the Qube from the session's recordings and decides whether the search around it
+//! continues.
 
 use std::path::PathBuf;
 
@@ -19,14 +20,16 @@ use crate::session::{
 use crate::storage::write_whole;
 
 impl Session {
-    /// Guards an emulated Qube that is to be identified like a real one, which nobody knows before.
+    /// Guards an emulated Qube as an unidentified one if the session will identify it, because a
+    /// real Qube is unknown before its identification too.
     pub(super) fn guard_as_unknown(&mut self) {
         if self.settings.identification.is_some() {
             self.rigs[0].settings.unidentified = true;
         }
     }
 
-    /// Searches around the Qube that the ledger says was identified; guards it by its latest profile.
+    /// Takes over the settings of the search around the identified Qube, and guards the Qube by its
+    /// latest profile. Does nothing before an identification.
     pub(super) fn search_around_identified(&mut self) -> Result<(), SessionError> {
         let Identification::Found { profiles, .. } = self.ledger.state().identification() else {
             return Ok(());
@@ -37,7 +40,8 @@ impl Session {
         let (first, latest) = (self.profile_of(first)?, self.profile_of(latest)?);
         let plan = self.settings.identification.unwrap_or_default();
         self.settings = self.settings.clone().around(&plan, &first, &latest);
-        // A profile of a real Qube holds for its own board only; each rollout in virtual time has another one.
+        // The profile of a real Qube holds for one board only. In virtual time each rollout has a
+        // board of its own.
         let settings = &self.rigs[0].settings;
         if settings.is_hardware() && settings.board.is_none() {
             self.rigs[0].settings.board = self.board(None)?;
@@ -48,7 +52,8 @@ impl Session {
         Ok(())
     }
 
-    /// Identifies the Qube from its excitations; at the end of the search once more, from the verification too.
+    /// Identifies the Qube from its excitations, and again after the search, from the recordings of
+    /// the verification too.
     pub(super) fn identify(
         &mut self,
         tell: &mut dyn FnMut(SessionEvent),
@@ -69,8 +74,9 @@ impl Session {
         }
     }
 
-    /// Updates the profile with the recordings of the verification. Nothing is searched any more, so that they inform
-    /// the guard, the report and whoever uses the profile, but not the method.
+    /// Updates the profile with the recordings of the verification. The search is over by then, so
+    /// these recordings improve the guard, the report and the profile for later use, but do not
+    /// influence the search.
     fn take_in_verification(
         &mut self,
         tell: &mut dyn FnMut(SessionEvent),
@@ -94,7 +100,8 @@ impl Session {
         }
     }
 
-    /// Whether another recording may replace those that cannot be fitted, as a rollout is repeated after a fault.
+    /// Whether another excitation may be recorded because the earlier ones cannot be fitted: as
+    /// many extra excitations are allowed as repetitions of a rollout after a fault.
     fn may_excite_again(&self) -> bool {
         let planned = self.settings.identification.unwrap_or_default().excitations;
         let made = self.ledger.state().count_of(Purpose::Excitation);
@@ -142,8 +149,8 @@ impl Session {
         Ok(())
     }
 
-    /// Updates the profile with the rollouts so far and proposes a candidate around it: first the simulations as
-    /// identified, then points of the search.
+    /// Updates the profile with the recordings so far and proposes a candidate: first the
+    /// distribution exactly as identified, then points of the search around the identified Qube.
     fn propose_around(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
         let searched = self.ledger.state().searched().count() as u32;
         if searched == 0 {
@@ -163,11 +170,12 @@ impl Session {
         self.append_proposal(purpose, psi, tell)
     }
 
-    /// The return that one more candidate is expected to gain over the verified policy.
+    /// The return that one more candidate is expected to gain over the verified policy, at least 0.
     ///
-    /// From the third candidate on, the surrogate tells what its best point earns more than the best evaluated one.
-    /// Before, it knows nothing of the box, and the simulations of the Qube as it is known tell how much more their
-    /// best policy earns there: the search can win back no more than what was lost from simulation to reality.
+    /// Once there are [`INITIAL_AROUND`] observations, this is the posterior mean at the
+    /// surrogate's best point minus that at the best evaluated point. Before, the best policy's
+    /// mean return in simulations of the identified Qube is compared with its verified return: a
+    /// search can win back no more than the loss from simulation to reality.
     fn expected_gain(
         &mut self,
         scored: &[ScoredCandidate],
@@ -242,19 +250,19 @@ impl Session {
         self.search_around_identified()
     }
 
-    /// The profile in the session's folder.
+    /// Reads a profile from the session's folder and checks it against the ledger.
     fn profile_of(&self, found: &(u32, String)) -> Result<Profile, SessionError> {
         identified_profile(self.folder.disk(), self.folder.paths(), found)
     }
 
-    /// The recordings that identify the Qube, in order: those of excitations and of the search's candidates, and after
-    /// the end of the search those of the verification.
+    /// The recordings that identify the Qube, in order: those of excitations and of the search's
+    /// candidates, and after the end of the search those of the verification.
     fn recordings(&self) -> Result<Vec<Recording>, SessionError> {
         let read = |path: &PathBuf| Ok(read_on(self.folder.disk(), path)?);
         self.used_recordings().iter().map(read).collect()
     }
 
-    /// The paths of those recordings.
+    /// The paths of the recordings that identify the Qube.
     fn used_recordings(&self) -> Vec<PathBuf> {
         let of = |candidate: &Candidate| {
             let number = candidate.number;
@@ -274,13 +282,14 @@ impl Session {
 enum Fitted {
     /// The profile.
     Found(Box<Found>),
-    /// No recording shows a motion that can be fitted, for this reason; another one may.
+    /// No recording shows a motion that can be fitted, for this reason; another recording may show
+    /// one.
     Unfit(String),
-    /// The model describes no Qube that moves so, for this reason.
+    /// The fit failed, or the model does not describe this Qube, for this reason.
     Refused(String),
 }
 
-/// A profile with what is told of it.
+/// A fitted profile with the fit's result and its doubts.
 struct Found {
     recordings: u32,
     profile: Profile,

@@ -28,27 +28,29 @@ use crate::scoring::{Verdict, score, score_finished};
 use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;
 
-/// A session in its folder: the algorithm of the method's section 1, one step at a time.
+/// A session in its folder, which performs the method's algorithm ([`next_step`]) step by step.
 pub struct Session {
     folder: SessionFolder,
     ledger: Ledger,
-    /// Settings of the search: as the session began, or around the Qube that it has identified.
+    /// Settings of the search: those with which the session began, or those around the identified
+    /// Qube.
     settings: SessionSettings,
     /// The rigs that make the rollouts: one, or several that share the session.
     rigs: Vec<SessionRig>,
     verdicts: HashMap<(u32, u32, u32), Verdict>,
     stop: Arc<AtomicBool>,
     executor: Arc<dyn Executor>,
-    /// Trainings beside the rollouts, where the search proposes while it awaits returns.
+    /// Trainings that run beside the rollouts; `None` unless the search proposes while returns are
+    /// pending.
     ahead: Option<TrainingAhead>,
 }
 
 impl Session {
-    /// Continues a session where its ledger ends; an empty ledger starts a new one, and is bound to the
-    /// folder's `session.toml`.
+    /// Opens a session and continues where its ledger ends. An empty ledger starts a new session
+    /// and is bound to the folder's `session.toml`.
     ///
     /// # Errors
-    /// The ledger is damaged or cannot be opened; it belongs to another `session.toml`.
+    /// The ledger is damaged or cannot be opened, or it belongs to another `session.toml`.
     pub fn open(
         folder: SessionFolder,
         settings: SessionSettings,
@@ -57,7 +59,8 @@ impl Session {
     ) -> Result<Self, SessionError> {
         let mut ledger = Ledger::open(folder.disk(), &folder.paths().ledger())?;
         bind(&mut ledger, &folder)?;
-        // An emulated Qube in virtual time is not late, whatever else the computer does.
+        // Trainings that run beside rollouts leave a core to the control thread, except in virtual
+        // time, where no tick is late.
         let in_real_time = rig_settings.clock == ClockChoice::Wall;
         let executor = if settings.extent.pending > 0 && in_real_time {
             LocalExecutor::beside_control_thread()
@@ -82,16 +85,17 @@ impl Session {
         Ok(session)
     }
 
-    /// Compares the rig with its profile after the first rollouts and reports the drift.
+    /// Compares the rig with its profile after the first rollouts and reports the drift from the
+    /// profile.
     #[must_use]
     pub fn beside(mut self, profile: Option<QubeModel>) -> Self {
         self.rigs[0].profile = profile;
         self
     }
 
-    /// Spreads the rollouts of each candidate over these rigs too, each with the model in its profile, if any. The
-    /// first rig is the one with which the session was opened. It is for a session without identification, which
-    /// describes one Qube.
+    /// Spreads the rollouts of each candidate over these rigs too, each with the model of its
+    /// profile if there is one. The first rig remains the one with which the session was opened.
+    /// The session must not identify its Qube, because an identification describes one Qube.
     #[must_use]
     pub fn spread_over(
         mut self,
@@ -103,14 +107,15 @@ impl Session {
         self
     }
 
-    /// Trains on an executor other than this computer's cores; the policies do not depend on it.
+    /// Trains on this executor instead of this computer's cores; the policies do not depend on the
+    /// executor.
     #[must_use]
     pub fn trained_by(mut self, executor: Arc<dyn Executor>) -> Self {
         self.executor = executor;
         self
     }
 
-    /// Refuses other boards than those of this session's first recordings, where real Qubes are driven.
+    /// Refuses real boards other than those that made this session's first recordings.
     ///
     /// # Errors
     /// A recording cannot be read, or the settings of a rig are for another board.
@@ -131,8 +136,8 @@ impl Session {
         Ok(self)
     }
 
-    /// Serial number of the board that made the first finished recording of a rig, if several share the session, or of
-    /// all; `None` before it.
+    /// Serial number of the board that made the first finished recording of this rig, or of any rig
+    /// if `rig` is `None`. `None` if there is no such recording.
     ///
     /// # Errors
     /// The recording cannot be read.
@@ -154,8 +159,8 @@ impl Session {
         self.run_while(|_| true, tell)
     }
 
-    /// Runs until this many candidates of the search have all their rollouts; the session can be resumed
-    /// afterwards.
+    /// Runs until this many candidates of the search have all their rollouts; the session can be
+    /// resumed afterwards.
     ///
     /// # Errors
     /// [`run`](Self::run) would fail.
@@ -177,7 +182,8 @@ impl Session {
     ) -> Result<(), SessionError> {
         let ended = self.perform_while(goes_on, tell);
         if ended.is_err() {
-            // Its trainings end, and begin again when the session goes on.
+            // An error ends the trainings that run ahead; they begin again when the session is
+            // resumed.
             self.ahead = None;
         }
         ended
@@ -189,7 +195,8 @@ impl Session {
         tell: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         self.heed_doubt(tell)?;
-        // Before anything moves or is trained: the search needs every return.
+        // Reads every recording before anything moves or is trained, because the search needs every
+        // return.
         self.scored_candidates()?;
         self.connect_early(tell)?;
         while goes_on(self.ledger.state()) {
@@ -221,7 +228,8 @@ impl Session {
         next_step(self.ledger.state(), extent, identification.as_ref())
     }
 
-    /// Acknowledges the session's doubt for the operator: the Qube is examined when it is next opened.
+    /// Acknowledges the session's doubt for the operator; the Qube is examined when its rig is next
+    /// opened.
     pub fn acknowledge(&mut self) {
         for rig in &mut self.rigs {
             rig.opened = None;
@@ -229,8 +237,8 @@ impl Session {
         }
     }
 
-    /// Passes a doubt at the end of the ledger to the rig, so that nothing moves without the operator's
-    /// acknowledgement, also on another computer.
+    /// Passes a doubt from the last entry of the ledger to its rig, so that nothing moves without
+    /// the operator's acknowledgement, even if the session continues on another computer.
     fn heed_doubt(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
         let Some(&Entry::RolloutVoid { candidate, rollout, attempt, rig }) =
             self.ledger.entries().last()
@@ -238,7 +246,8 @@ impl Session {
             return Ok(());
         };
         let path = self.recording(candidate, rollout, attempt);
-        // A missing recording leaves no doubt that could be named; the port's memory holds its own.
+        // Without the recording the fault is unknown here; the store of doubts on the computer that
+        // drove the board still has it.
         let Some(recording) = read_on(self.folder.disk(), &path).ok() else { return Ok(()) };
         let Some(doubt) = doubt_of(&recording) else { return Ok(()) };
         let index = rig.map_or(0, |rig| rig as usize - 1);
@@ -251,8 +260,8 @@ impl Session {
         Ok(())
     }
 
-    /// Connects, checks and homes a real Qube before any training, so that its defects do not show after
-    /// hours.
+    /// Connects, checks and homes every real Qube before any training, so that a defect shows at
+    /// once and not after hours.
     fn connect_early(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
         let is_over = self.next_step() == Step::Done;
         for index in 0..self.rigs.len() {
@@ -276,7 +285,7 @@ impl Session {
         &self.settings
     }
 
-    /// The state that the ledger gives.
+    /// The state that follows from the ledger's entries.
     #[must_use]
     pub fn state(&self) -> &SessionState {
         self.ledger.state()
@@ -288,13 +297,13 @@ impl Session {
         self.ledger.entries()
     }
 
-    /// Whether anything was decided yet.
+    /// Whether a candidate has been proposed yet.
     #[must_use]
     pub fn has_decided(&self) -> bool {
         !self.ledger.state().candidates().is_empty()
     }
 
-    /// The session's folder, without the session.
+    /// Ends the session and returns its folder.
     #[must_use]
     pub fn into_folder(self) -> SessionFolder {
         self.folder
@@ -365,8 +374,9 @@ fn has_psi(candidate: &Candidate) -> bool {
     candidate.purpose.is_searched() || candidate.purpose.verifies()
 }
 
-/// Writes into an empty ledger which settings it belongs to, and compares those of another with the
-/// folder's. A ledger of a program that wrote no such line belongs to any.
+/// Binds a ledger to its settings: an empty ledger records their checksum; a ledger whose recorded
+/// checksum differs from the folder's settings is refused. A ledger without a recorded checksum
+/// comes from an older program and is accepted.
 fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError> {
     let path = folder.paths().configuration();
     let bytes = folder

@@ -1,4 +1,5 @@
-//! Makes the policies of candidates: trained at once or ahead of their rollouts, copied, or excitations.
+//! Provides the policies of candidates: trained when they are due or ahead of their rollouts,
+//! copied from the incumbent, or excitations.
 
 use std::sync::Arc;
 
@@ -15,7 +16,8 @@ use crate::session::{
 use crate::storage::write_whole;
 
 impl Session {
-    /// Trains the policies of these candidates, or waits until trainings that are under way have ended.
+    /// Trains the policies of these candidates, or waits until trainings that are under way have
+    /// ended.
     pub(super) fn train(
         &mut self,
         numbers: &[u32],
@@ -39,7 +41,8 @@ impl Session {
         Ok(())
     }
 
-    /// Begins the trainings of all proposed candidates, where the search proposes while it awaits returns.
+    /// Begins the trainings of all proposed candidates if the search proposes while returns are
+    /// pending.
     pub(super) fn train_ahead(
         &mut self,
         tell: &mut dyn FnMut(SessionEvent),
@@ -64,7 +67,8 @@ impl Session {
         Ok(())
     }
 
-    /// Makes the folder of a candidate's policy; returns the candidate if its policy is to be trained.
+    /// Makes the folder of a candidate, and its policy if it need not be trained. Returns the
+    /// candidate if its policy must be trained.
     pub(super) fn prepare(&mut self, number: u32) -> Result<Option<Candidate>, SessionError> {
         self.folder.make_candidate(number)?;
         // Policy files appear atomically: an existing file was trained before a crash.
@@ -97,14 +101,14 @@ impl Session {
         }
     }
 
-    /// The excitation of a candidate; consecutive ones start in opposite directions.
+    /// The excitation of a candidate; those of consecutive candidates start in opposite directions.
     pub(super) fn excitation(&self, candidate: u32) -> Policy {
         let of_qube_v = self.settings.identification.unwrap_or_default().excitation_v;
         let limit_v = self.settings.plant().volts_like(of_qube_v);
         Policy::Excitation(Excitation::of_rollout(ExcitationShape::Chirp, limit_v, candidate))
     }
 
-    /// The bytes of a candidate's policy, checked.
+    /// Reads and checks the policy of a candidate; returns the bytes of its file.
     pub(super) fn policy(&self, candidate: u32) -> Result<Vec<u8>, SessionError> {
         let path = self.policy_path(candidate);
         let bytes = self

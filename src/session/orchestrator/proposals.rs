@@ -15,8 +15,8 @@ impl Session {
         let mut pending = Vec::new();
         let chosen = match purpose {
             Purpose::Initial => {
-                // All initial points are computed each time, so that a crash between two of them changes
-                // nothing.
+                // All initial points are computed on each call, and those already proposed are
+                // skipped, so that a crash between two of them changes nothing.
                 let all = self.settings.extent.initial_candidates;
                 let points = strategy.propose(&[], &[], all as usize)?;
                 points.into_iter().skip((all - count) as usize).collect()

@@ -1,4 +1,5 @@
-//! Makes rollouts on the rigs: one after another on one, side by side on several that share the session.
+//! Makes the rollouts: one after another on a single rig, or side by side on several rigs that
+//! share the session.
 
 use std::sync::atomic::Ordering;
 
@@ -15,14 +16,16 @@ use crate::session::{
     DRIFT_ROLLOUTS, Drift, Entry, Purpose, RolloutPlan, SessionError, SessionEvent, rig_of_rollout,
 };
 
-/// A rig of the session, with what this process knows of it.
+/// A rig of the session and its state in this process.
 pub(super) struct SessionRig {
     pub(super) settings: RigSettings,
     /// The rig itself, opened on first use.
     pub(super) opened: Option<Rig>,
-    /// Model in the rig's profile, until the drift from it is known.
+    /// Model in the rig's profile; `None` without a profile and once the drift from it has been
+    /// reported.
     pub(super) profile: Option<QubeModel>,
-    /// First recordings that this process entered, until there are enough for the drift.
+    /// First recordings of this rig that this process entered into the ledger, until there are
+    /// enough to estimate the drift.
     first_recordings: Vec<Recording>,
     /// Number of consecutive rollouts that could not begin.
     not_begun: u32,
@@ -59,7 +62,7 @@ impl Session {
         self.ledger.state().is_taken_out(index as u32 + 1)
     }
 
-    /// Index of the rig that makes this rollout. The last rig is never taken out.
+    /// Index of the rig that makes this rollout. At least one rig always remains.
     pub(super) fn index_of(&self, rollout: u32) -> usize {
         let taken_out: Vec<u32> =
             self.ledger.state().taken_out().iter().map(|(rig, _)| *rig).collect();
@@ -67,7 +70,8 @@ impl Session {
         rig.map_or(0, |rig| rig as usize - 1)
     }
 
-    /// Takes out a rig after a fault of its own where another is left; otherwise the fault ends the session.
+    /// Takes out a rig after a fault of this rig if another rig remains; otherwise the fault ends
+    /// the session.
     pub(super) fn take_out(
         &mut self,
         index: usize,
@@ -84,8 +88,8 @@ impl Session {
         Ok(self.ledger.append(Entry::RigTakenOut { rig, reason })?)
     }
 
-    /// Makes the rollout that is due, and beside it those of the same candidate that other rigs make; enters them in
-    /// their order as far as they have a result.
+    /// Makes the rollout that is due and, at the same time, the candidate's next rollouts on the
+    /// other rigs. Enters them into the ledger in order, up to the first without a result.
     pub(super) fn roll_out(
         &mut self,
         candidate: u32,
@@ -117,7 +121,7 @@ impl Session {
             };
             match goes_on {
                 Ok(true) => {}
-                // The other recordings are on disk, and are taken over when they are due.
+                // The other recordings are on disk and are taken over when they are due.
                 Ok(false) => return Ok(()),
                 Err(error) => return self.take_out(turn.index, error, tell),
             }
@@ -125,7 +129,8 @@ impl Session {
         Ok(())
     }
 
-    /// The rollout that is due and those after it that other rigs make meanwhile.
+    /// The rollout that is due, and the next ones, each on another rig, that can be made at the
+    /// same time.
     fn turns(&self, candidate: u32, rollout: u32, attempt: u32) -> Vec<Turn> {
         let state = self.ledger.state();
         let purpose = state.candidates()[candidate as usize].purpose;
@@ -142,9 +147,10 @@ impl Session {
         turns
     }
 
-    /// Whether a recording exists and is taken over: it was made before a crash or a stop, or beside a rollout that
-    /// came before it. An unfinished or unreadable one, which a crash or a loss of power cut off, is put aside,
-    /// because nothing refers to it yet.
+    /// Whether the recording of a turn already exists and is taken over: it was made before a crash
+    /// or a stop, or at the same time as an earlier rollout. An unfinished or unreadable recording,
+    /// cut off by a crash or a loss of power, is put aside, because no entry of the ledger refers
+    /// to it yet.
     fn takes_over(&self, turn: &Turn) -> Result<bool, SessionError> {
         let path = self.recording(turn.candidate, turn.rollout, turn.attempt);
         let disk = self.folder.disk();
@@ -157,7 +163,8 @@ impl Session {
                 put_aside(disk, &path)?;
                 Ok(false)
             }
-            // It may be of a rig whose fault is long mended, or which is out; a real one remembers its fault itself.
+            // The rig of a void recording may have been mended or taken out since. A doubt about a
+            // real Qube is stored apart from the recordings, so it is not lost.
             Ok(Verdict::Void { .. }) if is_shared => {
                 put_aside(disk, &path)?;
                 Ok(false)
@@ -175,15 +182,16 @@ impl Session {
     ) -> Result<(), SessionError> {
         let Turn { candidate, rollout, attempt, index } = *turn;
         self.ready_rig(index, SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
-        // The ledger does not have the fault of its last rollout: another rig's fault ended that round first.
+        // The rig's last rollout may have ended with a fault that is not in the ledger, because
+        // another rig's fault ended the round first.
         match self.rigs[index].opened.as_ref().and_then(Rig::last_fault) {
             Some(fault) => self.start_again(turn, &fault.to_string()),
             None => Ok(()),
         }
     }
 
-    /// Opens the rig at this index, on first use. Under virtual time each rollout has a new one that follows from the
-    /// seed alone, so that a resumed session repeats byte for byte.
+    /// Opens the rig at this index if it is not open. In virtual time each rollout gets a new rig
+    /// that follows from the seed alone, so that a resumed session repeats byte for byte.
     pub(super) fn ready_rig(
         &mut self,
         index: usize,
@@ -207,7 +215,7 @@ impl Session {
         Ok(())
     }
 
-    /// Records these rollouts side by side; returns the errors of rigs, by their rigs.
+    /// Records these rollouts side by side; returns the errors with the indices of their rigs.
     fn record(&mut self, turns: &[Turn]) -> Result<Vec<(usize, RigError)>, SessionError> {
         let Some(&Turn { candidate, .. }) = turns.first() else { return Ok(Vec::new()) };
         let policy = self.policy(candidate)?;
@@ -234,7 +242,8 @@ impl Session {
                 };
                 threads.push((index, scope.spawn(record)));
             }
-            // The first one is made by this thread, so that a session of one rig has no other.
+            // This thread makes the first recording, so that a session of one rig starts no other
+            // thread.
             if let Some((index, path, header, span)) = first
                 && let Some(rig) = rigs[index].take()
             {
@@ -276,7 +285,8 @@ impl Session {
         }
     }
 
-    /// Enters a recorded rollout into the ledger; returns whether it has a result, so that the next one is due.
+    /// Enters a recorded rollout into the ledger; returns whether it has a result, so that the next
+    /// rollout is due.
     fn enter(
         &mut self,
         turn: &Turn,
@@ -304,7 +314,7 @@ impl Session {
                 }
                 self.start_again(turn, reason)?;
             }
-            // The stop request is still set and ends the session; --resume repeats the rollout.
+            // The stop request is still set and ends the session; `--resume` repeats the rollout.
             Verdict::Unfinished => {}
         }
         let has_result = matches!(verdict, Verdict::Result { .. });
@@ -315,7 +325,8 @@ impl Session {
         Ok(has_result)
     }
 
-    /// Repeats a rollout that could not begin; it left nothing on disk and is the next step again.
+    /// Starts the rig again after a rollout that could not begin. Nothing of that rollout is on
+    /// disk, so it is the next step again.
     fn try_again(&mut self, turn: &Turn, error: RigError) -> Result<(), SessionError> {
         let not_begun = &mut self.rigs[turn.index].not_begun;
         *not_begun += 1;
@@ -329,7 +340,7 @@ impl Session {
         let span = span_of(self.number_of(turn.index));
         let Some(rig) = &mut self.rigs[turn.index].opened else { return Ok(()) };
         span.in_scope(|| rig.start_again()).map_err(|source| match source {
-            // The operator stopped it; the fault before is in the ledger.
+            // The operator requested a stop; the fault before it is in the ledger.
             RigError::Stopped { .. } => SessionError::Stopped,
             source => SessionError::NotStartedAgain {
                 candidate: turn.candidate,
@@ -340,7 +351,8 @@ impl Session {
         })
     }
 
-    /// Estimates a rig's drift from its profile once this process has entered enough rollouts.
+    /// Estimates a rig's drift from its profile once this process has entered [`DRIFT_ROLLOUTS`] of
+    /// its rollouts.
     fn watch_drift(
         &mut self,
         index: usize,

@@ -1,4 +1,5 @@
-//! Trains the policies of candidates, each with one seed or with several of which the best is kept.
+//! Trains the policies of candidates: one training, or several with different seeds of which the
+//! best policy is kept.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -17,32 +18,33 @@ use crate::session::{
 use crate::simulation::{DomainDistribution, Evaluation, Model, SimulationSettings};
 use crate::storage::{Disk, write_whole};
 
-/// The Qubes that a policy is trained for.
+/// The kind of Qubes that a policy is trained for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum TrainedFor {
-    /// Those of the candidate's psi.
+    /// The distribution of the candidate's psi.
     Psi,
-    /// Those that an unknown Qube may be.
+    /// The distribution of Qubes that an unidentified Qube may belong to.
     Unknown,
-    /// The nominal one.
+    /// The nominal Qube.
     Nominal,
 }
 
-/// The trainings of one candidate that compete.
+/// The trainings of one candidate in one round, of which the best policy is kept.
 struct Competition {
     /// Number of trainings that have not ended.
     missing: u32,
-    /// Best policy so far with its score and purpose, until it is written.
+    /// Best policy so far with its score and the Qubes that it was trained for, until it is
+    /// written.
     best: Option<(f64, Trained, TrainedFor)>,
-    /// When its trainings were under way, with those of earlier rounds.
+    /// Times of the candidate's trainings that have ended, also of earlier rounds.
     times: Vec<TrainingTime>,
 }
 
 /// A candidate whose policy is to be trained, with the times of its trainings so far.
 type Due = (Candidate, Vec<TrainingTime>);
 
-/// Trains policies and writes them into the session's folder. It owns neither rig nor ledger, so it can run in another
-/// thread.
+/// Trains policies and writes them into the session's folder. It owns neither rig nor ledger, so it
+/// can run in another thread.
 #[derive(Clone)]
 pub(super) struct Trainer {
     pub(super) disk: Arc<dyn Disk>,
@@ -50,12 +52,13 @@ pub(super) struct Trainer {
     pub(super) settings: SessionSettings,
     pub(super) identification: Identification,
     pub(super) executor: Arc<dyn Executor>,
-    /// Whether the times of trainings are kept. Under virtual time they mean nothing, and files repeat byte for byte.
+    /// Whether the times of trainings are kept. In virtual time they mean nothing and would keep
+    /// files from repeating byte for byte.
     pub(super) in_real_time: bool,
 }
 
 impl Trainer {
-    /// Trains the policies of these candidates, round after round.
+    /// Trains the policies of these candidates in at most [`ROUNDS`] rounds.
     pub(super) fn train(
         &self,
         candidates: Vec<Candidate>,
@@ -72,11 +75,13 @@ impl Trainer {
         Ok(())
     }
 
-    /// The trainings of a candidate in each round: several around an identified Qube, of which the best is kept. Where
-    /// its identification is doubted, a policy for an unknown Qube competes with the first candidate's.
+    /// The trainings of a candidate in each round. Around an identified Qube there are several, of
+    /// which the best policy is kept. If the identification is doubted, a policy for an
+    /// unidentified Qube competes with the policies of the candidate that is exactly as identified.
     fn trainings(&self, candidate: &Candidate) -> Vec<TrainedFor> {
         if candidate.purpose == Purpose::Baseline {
-            // It is for comparison, and nothing depends on its luck.
+            // The baseline is only for comparison, so its training is not repeated for a better
+            // result.
             return vec![TrainedFor::Nominal];
         }
         let (Identification::Found { doubts, .. }, Some(plan)) =
@@ -91,9 +96,9 @@ impl Trainer {
         trainings
     }
 
-    /// Carries out a round of each candidate's trainings and keeps its best policy as soon as all of them have ended.
-    /// Returns the candidates whose trainings have all failed in simulation; in the last round the best of them is
-    /// kept nonetheless.
+    /// Performs one round of each candidate's trainings and keeps the best policy as soon as all
+    /// trainings of the candidate have ended. Returns the candidates of which every policy failed
+    /// in simulation; in the last round their best policy is kept nonetheless.
     fn train_round(
         &self,
         due: Vec<Due>,
@@ -155,8 +160,9 @@ impl Trainer {
         Ok(again.map(|(candidate, competition)| (candidate, competition.times)).collect())
     }
 
-    /// Enters a policy into its candidate's competition. The last one decides it: the best is written and its return
-    /// told, unless it fails in simulation and another round may be better.
+    /// Enters a policy into its candidate's competition. After the last training the best policy is
+    /// written and its return is the result, unless that policy fails in simulation and another
+    /// round follows.
     fn compete(
         &self,
         candidate: &Candidate,
@@ -180,7 +186,7 @@ impl Trainer {
         }
         let Some((_, best, trained_for)) = competition.best.take() else { return Ok(None) };
         let best_return = best.best_return;
-        // A policy on disk implies the times of its trainings.
+        // The times are written before the policy, so that no policy is on disk without its times.
         if self.in_real_time {
             let path = self.paths.candidate(candidate.number).training_times();
             TrainingTime::write_all(&competition.times, self.disk.as_ref(), &path)?;
@@ -206,7 +212,8 @@ impl Trainer {
             }
             TrainedFor::Unknown => (base(Model::Robust)?, settings.training.clone()),
             TrainedFor::Nominal => {
-                // A baseline that ignores the nonidealities: the Qube's sensors, and no history of commands.
+                // The baseline ignores the nonidealities: it has the Qube's sensors, but no history
+                // of commands.
                 let simulation = SimulationSettings { history: 0, ..settings.training.simulation };
                 (base(Model::Nominal)?, TrainSettings { simulation, ..TrainSettings::quick() })
             }
@@ -231,7 +238,7 @@ impl Trainer {
         })
     }
 
-    /// Evaluates a policy of a candidate in fresh simulations of the Qube as it is known now.
+    /// Evaluates a policy of a candidate in fresh simulations from the search's base distribution.
     pub(super) fn simulated(
         &self,
         candidate: u32,
