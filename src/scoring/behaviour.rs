@@ -12,18 +12,21 @@ const LAST_STEPS: usize = 300;
 /// Share of the final steps in which a chattering pendulum is near upright.
 const CHATTERING_SHARE: f64 = 0.5;
 
-/// Root mean square voltage from which a pendulum is held by force, V; quiet balancing takes less.
+/// Root mean square voltage, V, from which the pendulum counts as held by force; quiet balancing
+/// takes less.
 const CHATTERING_RMS_V: f64 = 1.0;
 
-/// Sign changes of the voltage per second from which holding by force counts as chattering: 3 Hz. The limit
-/// cycle of filter and delay has 5 to 6 Hz.
+/// Sign changes of the voltage per second from which holding by force counts as chattering: 6,
+/// which is 3 Hz. The limit cycle that filter and delay cause has 5 to 6 Hz.
 const CHATTERING_CHANGES_PER_S: f64 = 6.0;
 
-/// The class of a rollout's behaviour, computed from its recording. The classes exclude each other.
+/// The class of a rollout's behaviour, computed from its recording. Each rollout with a result has
+/// exactly one class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Behaviour {
-    /// Success: within 0.2 rad of upright in each of the last 100 steps, and a return of at least 400.
+    /// Success: within 0.2 rad of upright in each of the last 100 steps, and a return of at least
+    /// 400.
     #[serde(rename = "stood")]
     Balanced,
     /// Balanced quietly at the end, but too late to earn a return of 400.
@@ -31,11 +34,11 @@ pub enum Behaviour {
     BalancedLate,
     /// Left the safety box, or was ended by the guard.
     LeftBox,
-    /// Kept the pendulum near upright (within 0.5 rad in half of the last 300 steps) without holding it
-    /// still, or held it with a voltage of at least 1 V (root mean square) whose sign changed at least six
-    /// times in the last second.
+    /// Kept the pendulum near upright (within 0.5 rad in half of the last 300 steps) without
+    /// holding it still, or held it with a voltage of at least 1 V (root mean square) whose sign
+    /// changed at least six times in the last second.
     Chattered,
-    /// Never got the pendulum up, or lost it.
+    /// Never brought the pendulum up, or lost it.
     Fell,
     /// Every attempt was ended by a fault.
     Fault,
@@ -77,7 +80,7 @@ fn of_a_failure(running: &[&TickRecord]) -> Behaviour {
     let last = |count: usize| &running[running.len().saturating_sub(count)..];
     let up = last(LAST_STEPS).iter().filter(|tick| is_about_upright(&tick.state));
     let is_about_up = up.count() as f64 >= CHATTERING_SHARE * LAST_STEPS as f64;
-    // A change of voltage needs one tick more.
+    // A hundred changes of the voltage need one tick more.
     let chatters = chatters(last(UPRIGHT_STEPS + 1));
     let holds = running.len() > UPRIGHT_STEPS && balanced_to_the_end(running);
     match (holds, is_about_up) {
@@ -87,10 +90,10 @@ fn of_a_failure(running: &[&TickRecord]) -> Behaviour {
     }
 }
 
-/// Whether the voltage of this stretch alternates.
+/// Whether the voltage in these ticks is large and alternates often enough to count as chattering.
 fn chatters(ticks: &[&TickRecord]) -> bool {
     let mut quietness = Quietness::NONE;
-    // The plant's motor only matters to the losses.
+    // The motor of the plant only affects the losses, which are not used here.
     quietness.add_stretch(ticks, &PlantModel::QUBE);
     quietness.figures().is_some_and(|figures| {
         figures.rms_v >= CHATTERING_RMS_V && figures.sign_changes_per_s >= CHATTERING_CHANGES_PER_S
@@ -126,7 +129,7 @@ mod tests {
     #[test]
     fn each_way_to_fail_has_its_name() {
         assert_eq!(behaviour(|_| 0.1, |_| 0.0), Behaviour::Fell);
-        // The pendulum is up for three seconds, then lost.
+        // The pendulum is up for the first four seconds, then lost.
         assert_eq!(behaviour(|tick| if tick < 400 { PI } else { 0.5 }, |_| 1.0), Behaviour::Fell);
         // The pendulum swings about upright from side to side, whichever way it went up.
         for up in [PI, -PI] {
@@ -135,7 +138,7 @@ mod tests {
         }
         // The pendulum is held by force.
         assert_eq!(behaviour(|_| PI + 0.1, alternating), Behaviour::Chattered);
-        // The pendulum is held quietly from the fifth second on.
+        // The pendulum is held quietly from 4.5 s on.
         let late = |tick: u32| if tick < 450 { 0.0 } else { PI };
         assert_eq!(behaviour(late, |tick| f64::from(tick % 2) * 0.4), Behaviour::BalancedLate);
     }

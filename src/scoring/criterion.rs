@@ -5,15 +5,15 @@ use std::f64::consts::PI;
 use crate::qube::{State, wrap_angle};
 use crate::telemetry::{Phase, TickRecord};
 
-/// Smallest return of a successful rollout, and smallest mean return of a successful policy (method of the
-/// thesis, section 5.2).
+/// Smallest return of a successful rollout, and smallest mean return of a successful policy (method
+/// of the thesis, section 5.2).
 pub const SUCCESS_RETURN: f64 = 400.0;
 
-/// Smallest share of successful rollouts of a successful policy: four of five.
+/// Smallest fraction of successful rollouts of a successful policy: four of five.
 pub const POLICY_SHARE: f64 = 0.8;
 
-/// Smallest share of successful rollouts of a successful recommendation, over all its policies: the next
-/// policy that somebody trains with it is a random one of them.
+/// Smallest fraction of successful rollouts of a successful recommendation, over all policies that
+/// were trained with it: the next policy that somebody trains is like a random one of these.
 pub const RECOMMENDATION_SHARE: f64 = 0.9;
 
 /// Largest distance from upright of a balancing pendulum, rad.
@@ -51,13 +51,13 @@ fn from_upright_rad(state: &State) -> f64 {
     wrap_angle(state.alpha - PI).abs()
 }
 
-/// Whether the share of successful rollouts is that of a successful policy.
+/// Whether the fraction of successful rollouts is at least [`POLICY_SHARE`].
 pub(crate) fn is_policy_share(successes: usize, rollouts: usize) -> bool {
     successes as f64 >= POLICY_SHARE * rollouts as f64
 }
 
-/// Smallest number of successful rollouts of a successful recommendation.
+/// Smallest number of successful rollouts among `rollouts` that makes a recommendation successful.
 pub(crate) fn needed_of(rollouts: u32) -> u32 {
-    // Rounding must not turn nine of ten into ten of ten.
+    // Without the small term, rounding could turn nine of ten into ten of ten.
     (RECOMMENDATION_SHARE * f64::from(rollouts) - 1e-9).ceil() as u32
 }

@@ -1,7 +1,7 @@
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::telemetry::{LatencySummary, TickRecord};
 
-/// The timing of many ticks, of one rollout or of a session.
+/// The timing of many ticks, of one rollout or of many.
 #[derive(Clone, Debug, Default)]
 pub struct Latencies {
     lateness_us: Vec<f64>,
@@ -34,8 +34,9 @@ impl Latencies {
         self.lateness_us.len()
     }
 
-    /// Number of wake-ups that were late by at most each of these bounds, in rising order, and by more than the bound
-    /// before; what is later than the last bound counts there.
+    /// Histogram of the lateness of wake-ups, us: for each of these bounds, in rising order, the
+    /// number of wake-ups that were at most this late and later than the bound before. The last
+    /// number also counts every wake-up that was later than the last bound.
     #[must_use]
     pub fn lateness_counts(&self, bounds_us: &[f64]) -> Vec<u64> {
         let mut counts = vec![0; bounds_us.len()];
@@ -48,13 +49,13 @@ impl Latencies {
         counts
     }
 
-    /// Lateness of wake-ups, microseconds.
+    /// Percentiles of the lateness of wake-ups, us.
     #[must_use]
     pub fn lateness_us(&self) -> LatencySummary {
         summary(&self.lateness_us)
     }
 
-    /// Time from sample to act by the device's clock, microseconds.
+    /// Percentiles of the time from sample to act, us, by the device's clock.
     #[must_use]
     pub fn sample_to_act_us(&self) -> LatencySummary {
         summary(&self.sample_to_act_us)

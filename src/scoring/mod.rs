@@ -1,8 +1,9 @@
-//! Scores of rollouts, each computed from the recording and stored nowhere: return, verdict, success,
-//! behaviour, quietness of balancing, timing.
+//! Scores of rollouts: return, verdict, success, behaviour, quietness of balancing, timing. Each is
+//! computed from the recording and stored nowhere.
 //!
-//! Sessions, experiments, single runs and their tables use the same definitions. [`criterion`] states when a
-//! rollout, a policy and a recommendation succeed; [`score`] reads a recording and gives its [`Verdict`].
+//! Sessions, experiments, single runs and their tables use the same definitions. [`criterion`]
+//! states when a rollout, a policy and a recommendation succeed; [`score`] reads a recording and
+//! gives its [`Verdict`].
 //!
 //! The room may import `recording`, `telemetry`, `qube` and `storage`.
 

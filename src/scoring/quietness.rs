@@ -4,15 +4,15 @@ use super::criterion::{is_about_upright, running};
 use crate::qube::{CONTROL_PERIOD_S, PlantModel};
 use crate::telemetry::TickRecord;
 
-/// Number of ticks nearly upright before balancing begins: half a second, after which swing-up and catch
-/// are over.
+/// Number of ticks for which the pendulum is nearly upright before balancing begins: half a second,
+/// after which swing-up and catch are over.
 const CATCH_TICKS: usize = 50;
 
-/// The quietness of balancing over the recorded ticks of any number of rollouts: size and frequency of
-/// voltage changes, and their cost.
+/// The quietness of balancing over the recorded ticks of any number of rollouts: size and frequency
+/// of voltage changes, and their cost.
 ///
-/// A tick counts when the policy has the motor and the pendulum has been nearly upright for
-/// half a second before it.
+/// A tick counts if the policy has the motor and the pendulum has been nearly upright for the half
+/// second before the tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quietness {
     ticks: u64,
@@ -65,14 +65,14 @@ impl Quietness {
         }
     }
 
-    /// Adds every tick but the first of a stretch, whatever the pendulum does in it.
+    /// Adds every tick of these except the first, whatever the pendulum does.
     pub(super) fn add_stretch(&mut self, ticks: &[&TickRecord], plant: &PlantModel) {
         for pair in ticks.windows(2) {
             self.add_tick(pair[0], pair[1], plant);
         }
     }
 
-    /// Adds one tick and its change since the one before.
+    /// Adds one tick and the change of the voltage since the tick before.
     fn add_tick(&mut self, before: &TickRecord, tick: &TickRecord, plant: &PlantModel) {
         let (last_mv, now_mv) = (before.voltage_mv, tick.voltage_mv);
         let voltage_v = volts(now_mv);
@@ -112,9 +112,9 @@ fn volts(millivolts: i16) -> f64 {
     f64::from(millivolts) / 1000.0
 }
 
-/// Copper loss I^2 R of the plant's nominal winding, W, with the current computed from voltage and speed as in
-/// [`crate::safety::MotorHeat`]. The measured current is not used, because at rest it is mostly the
-/// sensor's zero error.
+/// Copper loss I^2 R of the plant's nominal winding, W, with the current computed from voltage and
+/// speed as in [`crate::safety::MotorHeat`]. The measured current is not used, because at rest it
+/// is mostly the sensor's zero error.
 fn copper_loss_w(voltage_v: f64, theta_dot_rad_s: f64, plant: &PlantModel) -> f64 {
     let nominal = &plant.parameters;
     let across_winding_v = voltage_v - nominal.motor_back_emf_v_s * theta_dot_rad_s;

@@ -14,9 +14,10 @@ use crate::surrogate::{
 
 /// Bayesian optimisation of the return over a box (BayRn: Eilers 2019, Muratore et al. 2021).
 ///
-/// The first points are random. After them a Gaussian process is fitted to the mean returns, and each new
-/// point maximises an acquisition function. The recommendation is the maximum of the posterior mean over
-/// the whole box, a point that need not have been evaluated.
+/// The first points are uniformly random or a Sobol sequence, as the settings say. After them a
+/// Gaussian process is fitted to the mean returns, and each new point maximises an acquisition
+/// function. The recommendation is the maximum of the posterior mean over the whole box, a point
+/// that need not have been evaluated.
 #[derive(Clone, Debug)]
 pub struct BayRn {
     search_box: SearchBox,
@@ -28,7 +29,8 @@ impl BayRn {
     /// A search in a box with settings and a seed.
     ///
     /// # Errors
-    /// The settings have no initial point, no start of the fit, or a `beta` that is negative or not finite.
+    /// The settings have no initial point, no start of the fit, or a `beta` that is negative or not
+    /// finite.
     pub fn new(
         search_box: SearchBox,
         settings: BayRnSettings,
@@ -78,11 +80,13 @@ impl BayRn {
         }
     }
 
-    /// The next point by the acquisition function while others are pending; `index` counts all points of the search.
+    /// The next point by the acquisition function while other points are pending; `index` is its
+    /// number among all points of the search.
     ///
-    /// The noisy expected improvement averages over the returns that pending points may have. For the other functions
-    /// the surrogate is conditioned on its own mean at each of them ("kriging believer", Ginsbourger et al. 2010).
-    /// Either removes the uncertainty there and drives the next point elsewhere.
+    /// The noisy expected improvement averages over the returns that pending points may have. For
+    /// the other functions the surrogate is conditioned at each pending point on its own mean
+    /// ("kriging believer", Ginsbourger et al. 2010). Both methods reduce the uncertainty at the
+    /// pending points and drive the next point elsewhere.
     fn acquire(
         &self,
         process: &GaussianProcess,
@@ -137,7 +141,7 @@ impl BayRn {
 /// Number of evaluated points around which the maximiser samples more densely.
 const HINTS: usize = 5;
 
-/// Posterior means at the evaluated points with these points, best first.
+/// Posterior means at the evaluated points, each with its point, highest first.
 type Means = Vec<(f64, Vec<f64>)>;
 
 fn means_at_data(process: &GaussianProcess) -> Means {
@@ -157,7 +161,8 @@ fn on<C: Criterion>(process: &GaussianProcess, criterion: C) -> OnProcess<'_, C>
 }
 
 impl Strategy for BayRn {
-    /// Points after the initial ones are chosen one after the other, each as if its predecessors were pending.
+    /// Chooses the points after the initial ones one after the other, each as if those before it
+    /// were pending.
     fn propose(
         &mut self,
         data: &[Observation],
@@ -283,7 +288,8 @@ mod tests {
             let data = evaluated(&mut search, vec![], 8);
             let batch = search.propose(&data, &[], 6).unwrap();
             assert_eq!(batch[0], search.propose(&data, &[], 1).unwrap()[0]);
-            // It does not matter whether points were proposed at once or are pending since before.
+            // The result does not depend on whether the pending points were proposed in this call
+            // or earlier.
             assert_eq!(batch[4..], search.propose(&data, &batch[..4], 2).unwrap());
             let units: Vec<Vec<f64>> = batch.iter().map(|p| search_box().to_unit(p)).collect();
             for i in 0..units.len() {

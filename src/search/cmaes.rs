@@ -5,11 +5,11 @@ use super::random::{best_evaluated, stream};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
 
-/// Covariance matrix adaptation (CMA-ES; Hansen 2016, "The CMA Evolution Strategy: A Tutorial", with its
-/// default settings, on the unit cube).
+/// Covariance matrix adaptation (CMA-ES; Hansen 2016, "The CMA Evolution Strategy: A Tutorial",
+/// with its default settings, on the unit cube).
 ///
-/// Samples outside the box are drawn again and, after some attempts, clamped to its bound; the update uses
-/// the points as they were evaluated.
+/// A sample outside the box is drawn again and, after some attempts, clamped to the bounds
+/// of the box. The update uses the points as they were evaluated.
 #[derive(Clone, Debug)]
 pub struct CmaEs {
     search_box: SearchBox,
@@ -43,9 +43,9 @@ struct Distribution {
     generations: usize,
 }
 
-/// Initial standard deviation in widths of the box, as the tutorial advises.
+/// Initial standard deviation as a fraction of the box's width, as the tutorial advises.
 const INITIAL_STEP: f64 = 0.3;
-/// Number of samples outside the box before one is clamped to its bound.
+/// Number of samples that may lie outside the box before the last is clamped to its bounds.
 const ATTEMPTS: usize = 20;
 
 impl Constants {
@@ -168,8 +168,8 @@ impl CmaEs {
 }
 
 impl Strategy for CmaEs {
-    /// A point is drawn from the distribution that the complete generations in the data give, also where a later
-    /// generation is pending.
+    /// Draws each point from the distribution after the complete generations in the data; points of
+    /// a later generation may be pending.
     fn propose(
         &mut self,
         data: &[Observation],

@@ -3,9 +3,9 @@ use super::random::{best_evaluated, stream};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
 
-/// The cross-entropy method: samples from a Gaussian with independent coordinates and moves it to the best
-/// quarter of each generation (De Boer et al. 2005; Vuong et al. 2019 use it on distributions of simulation
-/// parameters).
+/// The cross-entropy method: samples points from a Gaussian with independent coordinates and moves
+/// the Gaussian to the best quarter of each generation (De Boer et al. 2005; Vuong et al. 2019
+/// apply the method to distributions of simulation parameters).
 ///
 /// The Gaussian is truncated to the box, coordinate by coordinate.
 #[derive(Clone, Debug)]
@@ -14,9 +14,9 @@ pub struct CrossEntropy {
     seed: u64,
 }
 
-/// Weight of the elite against the previous Gaussian.
+/// Weight of the best quarter against the previous Gaussian.
 const SMOOTHING: f64 = 0.8;
-/// Smallest standard deviation in widths of the box, which keeps the search moving.
+/// Smallest standard deviation as a fraction of the box's width, which keeps the search moving.
 const LEAST_DEVIATION: f64 = 0.01;
 
 /// The Gaussian of the next generation on the unit cube.
@@ -65,8 +65,8 @@ impl CrossEntropy {
 }
 
 impl Strategy for CrossEntropy {
-    /// A point is drawn from the Gaussian that the complete generations in the data give, also where a later generation
-    /// is pending.
+    /// Draws each point from the Gaussian after the complete generations in the data; points of a
+    /// later generation may be pending.
     fn propose(
         &mut self,
         data: &[Observation],
@@ -84,7 +84,7 @@ impl Strategy for CrossEntropy {
                     .zip(&gaussian.deviation)
                     .map(|(mean, deviation)| {
                         loop {
-                            // The mean lies inside the box, so a fair share of the draws does too.
+                            // The mean lies inside the box, so enough of the draws do too.
                             let u = mean + deviation * normal::draw(&mut random);
                             if (0.0..=1.0).contains(&u) {
                                 break u;

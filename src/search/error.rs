@@ -26,7 +26,7 @@ pub enum SearchError {
     /// A recommendation needs at least one evaluated candidate.
     #[error("no candidate was evaluated yet, so there is no best one")]
     NothingEvaluated,
-    /// No strategy has this name.
+    /// Name that was given.
     #[error("there is no strategy {name:?}: choose one of {known}")]
     UnknownStrategy {
         /// Name given.

@@ -1,8 +1,9 @@
-//! Strategies of the search for psi: each proposes points and takes returns, behind one trait.
+//! Strategies of the search for psi: each proposes points and learns from their returns, behind the
+//! trait [`Strategy`].
 //!
-//! BayRn is the method of this program; the others are its baselines. A strategy keeps no state between
-//! calls: its proposals follow from seed and data, so that a session on disk is its whole state. The room
-//! may import `surrogate`.
+//! [`BayRn`] is the method of this program; the others are its baselines. A strategy keeps no state
+//! between calls: its proposals follow from its seed and the data, so that a session can be resumed
+//! from its files alone. The room may import `surrogate`.
 //!
 //! ```
 //! use qube_hil::search::{BayRnSettings, Observation, StrategyKind};

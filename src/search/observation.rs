@@ -9,7 +9,7 @@ use super::{SearchBox, SearchError};
 pub struct Observation {
     /// Coordinates of the point, in the box's units.
     pub point: Vec<f64>,
-    /// One return a rollout, at least one; all finite.
+    /// Return of each rollout: at least one, all finite.
     pub returns: Vec<f64>,
 }
 
@@ -20,7 +20,8 @@ impl Observation {
         self.returns.iter().sum::<f64>() / self.returns.len() as f64
     }
 
-    /// Standard error of the mean, from the returns' own spread; `None` for a single return.
+    /// Standard error of the mean return, estimated from the spread of the returns; `None` for a
+    /// single return.
     #[must_use]
     pub fn standard_error(&self) -> Option<f64> {
         let n = self.returns.len() as f64;
@@ -45,8 +46,8 @@ pub(super) fn check(search_box: &SearchBox, data: &[Observation]) -> Result<(), 
     Ok(())
 }
 
-/// Checks data like [`check`], and that every pending point lies in the box. Returns the numbers of the next `count`
-/// points of the search.
+/// Checks the data like [`check`], and that every pending point lies in the box. Returns the
+/// indices of the next `count` points of the search, counted from 0 over all its points.
 pub(super) fn check_beside(
     search_box: &SearchBox,
     data: &[Observation],
@@ -61,7 +62,8 @@ pub(super) fn check_beside(
     Ok(first..first + count)
 }
 
-/// The index of the evaluated candidate with the highest mean return; of equals the earlier one.
+/// The index of the evaluated candidate with the highest mean return; the earliest of several equal
+/// ones.
 pub(super) fn highest_mean_return(data: &[Observation]) -> Result<usize, SearchError> {
     let means: Vec<f64> = data.iter().map(Observation::mean_return).collect();
     (0..data.len())

@@ -5,7 +5,7 @@ use super::observation::{check, check_beside, highest_mean_return};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::sobol_point;
 
-/// Uniform random search, the baseline of every other strategy.
+/// Uniform random search, with which every other strategy is compared.
 #[derive(Clone, Debug)]
 pub struct RandomSearch {
     search_box: SearchBox,
@@ -75,15 +75,15 @@ impl Strategy for SobolSearch {
     }
 }
 
-/// The `index`-th point of a uniform random sequence. Each point has its own random stream and depends on
-/// seed and index alone.
+/// The point with this index in a uniform random sequence. Each point has its own random stream and
+/// depends on seed and index alone.
 pub(super) fn uniform_point(search_box: &SearchBox, seed: u64, index: usize) -> Vec<f64> {
     let mut random = stream(seed, index);
     let unit: Vec<f64> = (0..search_box.dimensions()).map(|_| random.random()).collect();
     search_box.from_unit(&unit)
 }
 
-/// The `index`-th point of a scrambled Sobol sequence.
+/// The point with this index in a scrambled Sobol sequence; the seed determines the scrambling.
 pub(super) fn quasi_random_point(search_box: &SearchBox, seed: u64, index: usize) -> Vec<f64> {
     let scramble: u32 = stream(seed, usize::MAX).random();
     search_box.from_unit(&sobol_point(index, search_box.dimensions(), scramble))

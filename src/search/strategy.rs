@@ -4,15 +4,16 @@ use super::{Observation, SearchError};
 
 /// A strategy that searches for the point with the highest return.
 ///
-/// Its proposals depend on its settings, its seed and the data alone. A resumed session therefore continues
-/// as if it had not been interrupted, and only the data has to be stored. The data must be in the order in
-/// which the points were proposed.
+/// Its proposals depend on its settings, its seed and the data alone. A resumed session therefore
+/// continues as if it had not been interrupted, and only the data has to be stored. The data must
+/// be in the order in which the points were proposed.
 pub trait Strategy: Send {
-    /// Proposes `count` points to evaluate next, in the box's units, while the returns of the `pending` points, proposed
-    /// after those of the data, are awaited.
+    /// Proposes `count` points to evaluate next, in the box's units. `pending` are the points that
+    /// were proposed after those of the data and whose returns are not known yet.
     ///
     /// # Errors
-    /// The data is invalid (a point outside the box, a return that is not finite) or cannot be fitted.
+    /// The data is invalid (a point outside the box, a return that is not finite) or cannot be
+    /// fitted.
     fn propose(
         &mut self,
         data: &[Observation],
@@ -20,7 +21,7 @@ pub trait Strategy: Send {
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError>;
 
-    /// Recommends the best point.
+    /// Recommends the point with the highest expected return.
     ///
     /// # Errors
     /// The data is empty, or [`Strategy::propose`] would fail on it.
@@ -37,10 +38,10 @@ pub struct Best {
     pub point: Vec<f64>,
     /// Return expected at the point.
     pub expected_return: f64,
-    /// Standard deviation of that expectation; `None` where it is unknown.
+    /// Standard deviation of the expected return; `None` if it is unknown.
     pub standard_deviation: Option<f64>,
     /// Index of the evaluated candidate with the highest expected return, from 0.
     pub best_evaluated: usize,
-    /// Return expected of that candidate.
+    /// Return expected at the point of this candidate.
     pub best_evaluated_return: f64,
 }

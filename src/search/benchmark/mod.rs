@@ -1,4 +1,4 @@
-//! Measures the strategies on functions whose maximum is known.
+//! Benchmarks of the search strategies on functions whose maximum is known.
 
 mod objective;
 mod regret;

@@ -4,8 +4,8 @@ use super::Objective;
 use super::statistics::{Quartiles, quartiles};
 use crate::search::{BayRnSettings, Observation, SearchError, StrategyKind};
 
-/// The simple regret of one strategy on one objective: the maximum minus the best value found so far, after
-/// each evaluation, over all repetitions.
+/// The simple regret of one strategy on one objective: the maximum minus the best value found so
+/// far, after each evaluation, over all repetitions.
 #[derive(Clone, Debug, Serialize)]
 pub struct RegretCurve {
     /// Objective of the search.
@@ -20,8 +20,8 @@ pub struct RegretCurve {
     pub regret: Vec<Quartiles>,
 }
 
-/// Runs one repetition and returns the simple regret after each of `evaluations` evaluations. Each point is proposed while
-/// the `pending` points before it are not evaluated yet.
+/// Runs one repetition and returns the simple regret after each of `evaluations` evaluations. Each
+/// point is proposed while the `pending` points before it have not been evaluated yet.
 ///
 /// # Errors
 /// The strategy cannot be built or cannot propose.

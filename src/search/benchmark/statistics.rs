@@ -31,11 +31,11 @@ pub fn quartiles(mut sample: Vec<f64>) -> Quartiles {
 pub struct Interval {
     /// Mean of the sample.
     pub mean: f64,
-    /// Half width of 1.96 standard errors, which suits samples of hundreds of repetitions.
+    /// Half width, 1.96 standard errors, a factor that suits samples of hundreds of repetitions.
     pub half_width: f64,
 }
 
-/// Mean and confidence interval of a sample of at least two.
+/// Mean and 95 % confidence interval of a sample of at least two values.
 #[must_use]
 pub fn confidence_interval(sample: &[f64]) -> Interval {
     let n = sample.len() as f64;

@@ -8,11 +8,13 @@ use crate::search::{
     AcquisitionKind, BayRn, BayRnSettings, Observation, SearchBox, SearchError, Strategy,
 };
 
-/// A search on returns that are distributed as in the thesis: a rollout either balances (500) or falls
-/// (50), and the candidate determines the probability. The optimum differs between repetitions.
+/// A search on returns with the two-humped distribution of the thesis: each rollout either balances
+/// (return 500) or falls (50), and the candidate's point determines the probability. Each
+/// repetition has another optimum.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct TwoHumped {
-    /// Dimensions of the box, 1 to 8. The landscape is equally wide in any number of them.
+    /// Dimensions of the box, 1 to 8. The hump of the success probability is equally wide in any
+    /// number of them.
     pub dimensions: usize,
     /// Number of initial points.
     pub initial_points: usize,
@@ -20,8 +22,9 @@ pub struct TwoHumped {
     pub candidates: usize,
     /// Number of rollouts of each candidate.
     pub rollouts: usize,
-    /// Correlation of two rollouts of one policy: the part of the trainings that alone decide whether all rollouts of
-    /// their policy balance or all fall. With 0 trainings do not differ.
+    /// Correlation of two rollouts of one policy, 0 to 1: the fraction of trainings that alone
+    /// decide whether all rollouts of their policy balance or all fall. With 0 the trainings do not
+    /// differ.
     pub rollout_correlation: f64,
 }
 
@@ -38,9 +41,10 @@ impl TwoHumped {
         rollout_correlation: 0.0,
     };
 
-    /// Correlation of two rollouts of a policy where trainings differ as those for the emulated `lab` do. Of 20 policies
-    /// by one psi 7 succeed, in four or five of five rollouts, and 37 of all 100 rollouts balance (docs/results.md,
-    /// table 5.3, `opt-nominal`): counts that correlations from 0.33 to 0.94 give.
+    /// Correlation of two rollouts of a policy, chosen for trainings that differ as those for the
+    /// emulated Qube `lab` do. Of its 20 policies from one psi, 7 succeed, in four or five of five
+    /// rollouts each, and 37 of all 100 rollouts balance (docs/results.md, table 5.3,
+    /// `opt-nominal`). Correlations from 0.33 to 0.94 are compatible with these counts.
     pub const OF_TRAININGS: f64 = 0.8;
 
     /// The same problem with trainings that differ.
@@ -59,13 +63,13 @@ const MOST_LIKELY: f64 = 0.95;
 /// Success probability far from the optimum.
 const LEAST_LIKELY: f64 = 0.02;
 
-/// The combinations of noise model and acquisition function that are compared, all with the same number of
-/// rollouts.
+/// The combinations of noise model, acquisition function and recommendation that are compared, all
+/// with the same number of rollouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SearchVariant {
-    /// The thesis's settings (one noise variance, EI over the largest mean return), recommending the
-    /// candidate with the largest mean return.
+    /// The thesis's settings (one noise variance, EI over the largest mean return), recommending
+    /// the candidate with the largest mean return.
     PlainLuckiest,
     /// The thesis's settings, recommending the maximum of the posterior mean as the thesis does.
     Plain,
@@ -142,7 +146,7 @@ impl TwoHumped {
     }
 }
 
-/// The success probability over the box in one repetition.
+/// The success probability over the box in one repetition of the benchmark.
 struct Landscape {
     centre: Vec<f64>,
     weights: Vec<f64>,
@@ -153,7 +157,8 @@ impl Landscape {
     fn new(dimensions: usize, seed: u64) -> Self {
         let mut random = stream(seed ^ 0x7477_6f68_756d_7073, 0);
         let centre = (0..dimensions).map(|_| 0.2 + 0.6 * random.random::<f64>()).collect();
-        // Coordinates have unequal weights, but their sum is the same in every number of dimensions.
+        // Coordinates have unequal weights, but their sum is the same in every number of
+        // dimensions.
         let chosen = &HUMP_WEIGHTS[..dimensions.min(HUMP_WEIGHTS.len())];
         let share = HUMP_WEIGHTS.iter().sum::<f64>() / chosen.iter().sum::<f64>();
         Self { centre, weights: chosen.iter().map(|w| w * share).collect(), seed }
@@ -168,7 +173,8 @@ impl Landscape {
         FALLS + (BALANCES - FALLS) * self.success_probability(point)
     }
 
-    /// The random numbers of a candidate depend on its index alone, so that all variants share them.
+    /// Draws the returns of a candidate at this point. Its random numbers depend on the seed and
+    /// its index alone, so that all variants share them.
     fn rollouts(&self, point: &[f64], problem: TwoHumped, index: usize) -> Vec<f64> {
         let mut random = stream(self.seed ^ 0x726f_6c6c_6f75_7473, index);
         let mut training = stream(self.seed ^ 0x7472_6169_6e69_6e67, index);
@@ -185,7 +191,7 @@ impl Landscape {
     }
 }
 
-/// The result of one variant, also relative to plain EI, repetition by repetition.
+/// The result of one variant, and its difference to plain EI over the same repetitions.
 #[derive(Clone, Debug, Serialize)]
 pub struct VariantResult {
     /// Variant of the search.
@@ -198,8 +204,8 @@ pub struct VariantResult {
 }
 
 impl VariantResult {
-    /// Builds the table from the expected returns of the recommended points: one list for each variant,
-    /// repetitions in the same order.
+    /// Builds the table from the expected returns of the recommended points: one list for each
+    /// variant, repetitions in the same order.
     #[must_use]
     pub fn table(found: &[Vec<f64>]) -> Vec<Self> {
         let plain = SearchVariant::ALL.iter().position(|c| *c == SearchVariant::Plain).unwrap_or(0);
