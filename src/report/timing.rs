@@ -41,7 +41,7 @@ pub fn add_timing(page: &mut Page, latencies: &Latencies) {
         .collect();
     let counts = latencies.lateness_counts(&edges);
     let half = 10_f64.powf(0.5 / f64::from(PER_DECADE));
-    // What is earlier than the first edge is drawn beside it.
+    // Lateness up to the first edge counts in the first bar.
     let bars: Vec<(f64, u64)> = edges.iter().map(|edge| edge / half).zip(counts).collect();
     let used = |bars: &[(f64, u64)]| bars.iter().position(|(_, count)| *count > 0);
     let first = used(&bars).unwrap_or(0);
@@ -59,7 +59,7 @@ pub fn add_timing(page: &mut Page, latencies: &Latencies) {
         )],
         logarithmic: true,
         y_logarithmic: true,
-        // A single tick is a bar, too.
+        // A single tick must show as a bar, too, on the logarithmic axis.
         y_range: Some([0.5, (2.0 * latencies.ticks() as f64).max(10.0)]),
         ..Chart::default()
     };

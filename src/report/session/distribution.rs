@@ -1,4 +1,5 @@
-//! The distribution of simulations that the session recommends, beside the nominal Qube.
+//! The section about the distribution of simulations that the session recommends, beside the
+//! nominal Qube.
 
 use super::SessionSource;
 use crate::qube::Quantity;
@@ -6,7 +7,7 @@ use crate::report::densities::{FIRST, density_chart, has_spread, words};
 use crate::report::page::{Cell, Page};
 use crate::session::{ScoredCandidate, SessionSettings};
 
-/// Adds the recommended distribution; nothing before the search has a result.
+/// Adds the distribution of the best policy, or nothing before a policy has run on the Qube.
 pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     let verified = ScoredCandidate::best_verified(&source.candidates);
     let searched = || source.candidates.iter().filter(|it| it.candidate.purpose.is_searched());
@@ -72,7 +73,7 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     add_psi(page, &settings, &chosen.candidate.psi);
 }
 
-/// Adds the entries of psi with units and ranges.
+/// Adds the entries of the chosen psi with units and ranges.
 fn add_psi(page: &mut Page, settings: &SessionSettings, psi: &[f64]) {
     page.details("Psi, which shapes it", |page| {
         let rows: Vec<Vec<Cell>> = settings

@@ -1,4 +1,5 @@
-//! The section about the identified Qube: parameters, verdict, and its simulation beside recordings.
+//! The section about the identified Qube: parameters, verdict, and its simulation beside
+//! recordings.
 
 use super::SessionSource;
 use super::source::ComparedMotion;
@@ -10,7 +11,8 @@ use crate::report::densities::words;
 use crate::report::page::{Cell, Page};
 use crate::session::{Entry, Identification};
 
-/// Adds the identified Qube, with the recordings beside its simulation; nothing if nothing was to be identified.
+/// Adds the section about the identified Qube, with recordings beside simulations of it; adds
+/// nothing for a session without identification.
 pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
     match source.state.identification() {
         Identification::None => {}
@@ -71,7 +73,7 @@ fn add_values(page: &mut Page, source: &SessionSource, profile: &Profile) {
     page.table(&["quantity", "nominal", "identified", "standard error", "unit"], &rows, None);
 }
 
-/// Adds how the errors of the values go together; nothing for a profile without correlations.
+/// Adds the correlations of the errors; adds nothing for a profile without correlations.
 fn add_correlations(page: &mut Page, profile: &Profile) {
     let Some(correlations) = &profile.correlations else { return };
     let quantities: Vec<Quantity> =

@@ -9,8 +9,8 @@ use crate::report::timing::add_timing;
 use crate::scoring::criterion::SUCCESS_RETURN;
 use crate::session::{Identification, Purpose, ScoredCandidate};
 
-/// The page of a session. `name` is the session's folder; `commands` repeat the session and use its result, each with
-/// its purpose.
+/// The report on a session as one HTML page. `name` is the session's folder. `commands` are the
+/// commands that repeat the session and use its result, each with its purpose.
 ///
 /// # Errors
 /// The data of the figures cannot be written.
@@ -39,7 +39,7 @@ pub fn session_page(
     Ok(page.finish()?)
 }
 
-/// The outcome: one sentence, and some more.
+/// The sentences about the outcome; the first is the headline.
 fn outcome(source: &SessionSource) -> Vec<String> {
     let largest = source.settings.extent.steps;
     let mut sentences = Vec::new();
@@ -137,7 +137,7 @@ fn add_rollouts(page: &mut Page, source: &SessionSource) {
     page.table(&heads, &rows, None);
 }
 
-/// The player's sentence; an excitation has no result.
+/// The sentence about a rollout below the player; an excitation has no result.
 fn sentence(purpose: Purpose, view: &RolloutView) -> String {
     let sentence = view.sentence();
     match purpose {

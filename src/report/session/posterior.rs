@@ -10,16 +10,16 @@ use crate::session::SessionSettings;
 use crate::simulation::PsiDimension;
 use crate::surrogate::GaussianProcess;
 
-/// Smallest number of candidates from which a posterior says something.
+/// Smallest number of candidates to which a surrogate is fitted.
 const ENOUGH: usize = 3;
 
-/// Number of places along a slice.
+/// Number of points along a slice.
 const PLACES: usize = 61;
 
-/// Number of places along each side of the map.
+/// Number of points along each side of the map.
 const SIDE: usize = 31;
 
-/// A session's surrogate of the return over psi, as the search has it now.
+/// A session's surrogate of the return over psi, fitted to all returns so far.
 #[derive(Debug)]
 pub struct SessionSurrogate {
     /// Settings of the search, whose psi are the surrogate's coordinates.
@@ -32,7 +32,7 @@ pub struct SessionSurrogate {
     pub best: Vec<f64>,
 }
 
-/// The reason why a session has no surrogate.
+/// The reason why a session has no surrogate, as a sentence for the report.
 #[derive(Debug, Error, PartialEq)]
 pub enum NoSurrogate {
     /// There are too few candidates.
@@ -40,7 +40,7 @@ pub enum NoSurrogate {
         "A surrogate of the return over psi needs {ENOUGH} candidates; the session has {0} with rollouts."
     )]
     TooFew(usize),
-    /// The strategy fits none.
+    /// The strategy of the session fits no surrogate.
     #[error("The strategy {0} has no surrogate.")]
     NoneInStrategy(&'static str),
     /// The data cannot be fitted.
@@ -69,7 +69,8 @@ impl SessionSource {
     }
 }
 
-/// Adds slices of the posterior through the recommended psi, and a map of the two most relevant entries.
+/// Adds slices of the posterior through the recommended psi, and a map over the two most relevant
+/// entries of psi.
 pub(super) fn add_posterior(page: &mut Page, source: &SessionSource) {
     page.section("What the search believes");
     match source.surrogate() {
@@ -109,7 +110,7 @@ fn axis(dimension: &PsiDimension) -> Axis {
     Axis::new(dimension.target.to_string(), dimension.target.unit())
 }
 
-/// Places from one end of an entry's range to the other.
+/// Evenly spaced values from the lower to the upper end of an entry's range.
 fn places(dimension: &PsiDimension, count: usize) -> impl Iterator<Item = f64> {
     let (lower, upper) = (dimension.lower, dimension.upper);
     (0..count).map(move |index| lower + (upper - lower) * index as f64 / (count - 1) as f64)
@@ -122,7 +123,7 @@ fn slice(
     data: &[Observation],
     index: usize,
 ) -> Chart {
-    // Places with their posterior, and candidates with their mean return.
+    // Each row is either a place with its posterior or a candidate with its mean return.
     let mut rows: Vec<(f64, Option<[f64; 3]>, Option<f64>)> = places(dimension, PLACES)
         .map(|at| {
             let mut point = best.to_vec();

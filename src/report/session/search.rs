@@ -1,4 +1,4 @@
-//! The search: returns of the candidates, and their table.
+//! The section about the search: returns of the candidates, and their table.
 
 use super::SessionSource;
 use crate::report::chart::{Chart, Mark};
@@ -6,7 +6,7 @@ use crate::report::page::{Cell, Page, significant};
 use crate::report::returns::{CandidateReturns, returns_chart};
 use crate::session::{Purpose, ScoredCandidate};
 
-/// Adds the returns of all candidates with a policy, and the table of all.
+/// Adds the returns of all candidates that have run a policy, and the table of all candidates.
 pub(super) fn add_search(page: &mut Page, source: &SessionSource) {
     page.section("What the search did");
     let shown: Vec<&ScoredCandidate> = source
@@ -94,7 +94,7 @@ fn add_table(page: &mut Page, source: &SessionSource) {
     add_rigs(page, source);
 }
 
-/// Adds the mean return of each candidate on each rig, where several share the session.
+/// Adds the mean return of each candidate on each rig, if several rigs share the session.
 fn add_rigs(page: &mut Page, source: &SessionSource) {
     let rigs = &source.settings.rigs;
     if rigs.is_empty() {

@@ -15,17 +15,17 @@ use crate::session::{
 };
 use crate::storage::Disk;
 
-/// Number of recordings of each kind that the identification is compared with.
+/// Largest number of recordings of each kind beside which the identified Qube is simulated.
 const COMPARED: usize = 3;
 
-/// A session as it was read from its folder; nothing was written there.
+/// The content of a session's folder; reading writes nothing there.
 #[derive(Debug)]
 pub struct SessionSource {
     /// Settings with which the session began.
     pub(super) settings: SessionSettings,
-    /// Ledger's entries.
+    /// Entries of the ledger.
     pub(super) entries: Vec<Entry>,
-    /// State that they give.
+    /// State that follows from the ledger's entries.
     pub(super) state: SessionState,
     /// Profiles that the session identified, each with its number of recordings, in order.
     pub(super) profiles: Vec<(u32, Profile)>,
@@ -43,9 +43,9 @@ pub struct SessionSource {
     pub(super) latencies: Latencies,
     /// Number of observer resets.
     pub(super) observer_resets: u64,
-    /// Motions that the identification is compared with.
+    /// Motions beside which the identified Qube is simulated.
     pub(super) motions: Vec<ComparedMotion>,
-    /// Number of motions so far that inform the method and can be fitted.
+    /// Number of motions added so far that inform the method and can be fitted.
     fittable: usize,
     /// Sentences about files that could not be read.
     pub(super) problems: Vec<String>,
@@ -56,7 +56,7 @@ pub struct SessionSource {
 pub(super) struct ComparedMotion {
     /// Name of the rollout.
     pub(super) name: String,
-    /// Whether the profile before the end of the search was fitted to it.
+    /// Whether the last profile before the end of the search was fitted to it.
     pub(super) fitted: bool,
     /// Whether its policy is an excitation.
     pub(super) excitation: bool,
@@ -65,8 +65,8 @@ pub(super) struct ComparedMotion {
 }
 
 impl SessionSource {
-    /// Reads a session's folder. Recordings, profiles and curves that cannot be read are left out and named in the
-    /// report.
+    /// Reads a session's folder. Recordings, profiles and curves that cannot be read are left out,
+    /// and the report names them.
     ///
     /// # Errors
     /// The folder is not a session; its settings or its ledger cannot be read.
@@ -186,7 +186,8 @@ impl SessionSource {
         }
     }
 
-    /// The last profile that was identified before the search ended, which no recording of the verification informed.
+    /// The last profile that was identified before the search ended. The recordings of the
+    /// verification did not inform it.
     pub(super) fn profile_before_end(&self) -> Option<&(u32, Profile)> {
         let is_end = |entry: &Entry| matches!(entry, Entry::SearchEnded { .. });
         let count =
@@ -202,21 +203,23 @@ impl SessionSource {
         &self.candidates
     }
 
-    /// Whether the rollouts were made under virtual time, which gives the same bytes again.
+    /// Whether all rollouts were made in virtual time, so that a repetition of the session gives
+    /// the same bytes.
     #[must_use]
     pub fn is_of_computed_time(&self) -> bool {
         self.rollouts.iter().all(|(_, view)| view.header.started_unix_ns.is_none())
     }
 
-    /// Whether nothing is left to do in the session.
+    /// Whether the session has no further step.
     #[must_use]
     pub fn is_finished(&self) -> bool {
         let SessionSettings { extent, identification, .. } = &self.settings;
         next_step(&self.state, extent, identification.as_ref()) == Step::Done
     }
 
-    /// The settings of the search: around the identified Qube as it was known when a candidate was proposed, or as the
-    /// session began. `None` asks for the latest.
+    /// The settings of the search when this candidate was proposed, or the latest with `None`:
+    /// around the Qube as it was identified by then, or those of the session's beginning if it was
+    /// not identified.
     pub(super) fn search_settings(&self, candidate: Option<u32>) -> SessionSettings {
         let mut known = None;
         for entry in &self.entries {
@@ -238,7 +241,8 @@ impl SessionSource {
         }
     }
 
-    /// The candidate whose policy this one runs: another one for a verification of the incumbent.
+    /// Number of the candidate whose training made this candidate's policy: for a verification of
+    /// the incumbent, the searched candidate with the same psi.
     pub(super) fn trained_as(&self, candidate: &Candidate) -> u32 {
         let is_same = |it: &&Candidate| it.purpose.is_searched() && it.psi == candidate.psi;
         match candidate.purpose {

@@ -1,4 +1,4 @@
-//! How busy the Qube and the computers that train were, in the course of the session.
+//! The section about the times at which the Qube was driven and policies were trained.
 
 use super::SessionSource;
 use crate::qube::CONTROL_PERIOD_NS;
@@ -7,23 +7,24 @@ use crate::report::chart::{Axis, Chart, Series, Style};
 use crate::report::page::Page;
 use crate::session::TrainingTime;
 
-/// Seconds of a nanosecond, and of a minute.
+/// Seconds in a nanosecond and in a minute.
 const S_PER_NS: f64 = 1e-9;
 const S_PER_MIN: f64 = 60.0;
 
-/// Rollouts and trainings in time, each from its begin to its end, ns since 1970.
+/// The rollouts and trainings of a session in time, each from its beginning to its end, ns since
+/// 1970.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct TimeLine {
-    /// Recordings of rollouts, also of void attempts: the Qube is driven.
+    /// Times at which the Qube was driven: the recordings of all rollouts, also of void attempts.
     rollouts: Vec<(u64, u64)>,
-    /// Trainings under way.
+    /// Times at which policies were trained.
     trainings: Vec<(u64, u64)>,
 }
 
-/// The sums of a time line.
+/// The total times in a time line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Busy {
-    /// From the first begin to the last end, s.
+    /// Time from the first beginning to the last end, s.
     all_s: f64,
     /// Time for which the Qube was driven, s.
     driven_s: f64,
@@ -34,7 +35,7 @@ struct Busy {
 }
 
 impl TimeLine {
-    /// Adds a rollout by the wall clock.
+    /// Adds a recorded rollout, unless it was made in virtual time.
     pub(super) fn add_rollout(&mut self, recording: &Recording) {
         let (Some(began_unix_ns), Some(first), Some(last)) =
             (recording.header.started_unix_ns, recording.ticks.first(), recording.ticks.last())
@@ -50,7 +51,8 @@ impl TimeLine {
         self.trainings.extend(times.iter().map(|it| (it.began_unix_ns, it.ended_unix_ns)));
     }
 
-    /// The times at which something begins or ends, each with the number of rollouts and of trainings from then on.
+    /// The times at which something begins or ends, ns since 1970, each with the number of rollouts
+    /// and of trainings that are under way from then on.
     fn changes(&self) -> Vec<(u64, u32, u32)> {
         let mut events: Vec<(u64, i32, i32)> = Vec::new();
         events.extend(self.rollouts.iter().flat_map(|&(from, to)| [(from, 1, 0), (to, -1, 0)]));
@@ -85,7 +87,7 @@ impl TimeLine {
     }
 }
 
-/// Adds the time line of a session by the wall clock; under virtual time there is none.
+/// Adds the time line of a session; adds nothing without rollouts and trainings in real time.
 pub(super) fn add_time_line(page: &mut Page, source: &SessionSource) {
     let line = &source.time_line;
     if line.rollouts.is_empty() || line.trainings.is_empty() {
@@ -144,7 +146,7 @@ mod tests {
         };
         let changes = line.changes();
         assert_eq!(changes[0], (0, 0, 2));
-        // One ends as another begins.
+        // One rollout ends as another begins.
         assert!(changes.contains(&(10 * S, 1, 0)), "{changes:?}");
         assert_eq!(changes.last(), Some(&(26 * S, 0, 0)));
         let busy = TimeLine::busy(&changes);
