@@ -2,16 +2,19 @@ use nalgebra::{DMatrix, DVector};
 
 use super::{SearchBox, SurrogateError};
 
-/// Checked observations, scaled to the priors' assumptions: inputs on the unit cube, outputs with mean 0
-/// and (n-1) standard deviation 1.
+/// Checked observations, scaled as the priors of the hyperparameters assume: inputs on the unit
+/// cube, outputs with mean 0 and sample standard deviation 1 (n - 1 in the denominator).
+/// "Standardised" values are in these scaled units.
 #[derive(Clone, Debug)]
 pub struct Dataset {
     search_box: SearchBox,
-    /// Inputs on the unit cube, n x d; columns are dimensions, so that loops over points are contiguous.
+    /// Inputs on the unit cube, n x d. Each column holds one dimension of all points, so that a
+    /// loop over points reads contiguous memory.
     pub(super) inputs: DMatrix<f64>,
     /// Standardised outputs, n.
     pub(super) targets: DVector<f64>,
-    /// Variance of each point's own noise, standardised, n; the fitted noise variance is added to it.
+    /// Known noise variance of each point, standardised, n; the fitted noise variance is added to
+    /// it.
     pub(super) own_noise: DVector<f64>,
     offset: f64,
     scale: f64,
@@ -20,16 +23,16 @@ pub struct Dataset {
 impl Dataset {
     /// Checks and scales `n` observations.
     ///
-    /// `points`: n x d in the box's units; `values`: n; `noise_variances`: n variances of the noise of each
-    /// value, in squared units of the values, or `None` where they are unknown. The fitted noise variance,
-    /// common to all points, is added in both cases.
+    /// `points` are n x d, in the box's units; `values` are n. `noise_variances` are n known noise
+    /// variances of the values, in squared units of the values, or `None` if they are unknown. In
+    /// both cases the fit adds a noise variance that all points share.
     ///
-    /// Outputs that are all equal, or a single output, have no standard deviation: they are centred and
-    /// keep scale 1.
+    /// A single value, or values that are all equal, have no usable standard deviation: they are
+    /// centred and keep scale 1.
     ///
     /// # Errors
-    /// There is no data, lists differ in length, a point lies outside the box, or a value or variance is
-    /// not finite.
+    /// There is no data, the lists differ in length, a point has another dimension than the box or
+    /// lies outside it, a value is not finite, or a variance is negative or not finite.
     pub fn new(
         search_box: &SearchBox,
         points: &[Vec<f64>],
@@ -86,7 +89,7 @@ impl Dataset {
         self.targets.len()
     }
 
-    /// Always false: a data set has at least one observation.
+    /// Whether the data set is empty: always false, since [`Self::new`] refuses an empty one.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.targets.is_empty()
@@ -104,13 +107,13 @@ impl Dataset {
         &self.search_box
     }
 
-    /// Offset subtracted from the values, in their units.
+    /// Mean that was subtracted from the values, in their units.
     #[must_use]
     pub fn offset(&self) -> f64 {
         self.offset
     }
 
-    /// Scale by which the values were divided, in their units.
+    /// Standard deviation by which the values were divided, in their units; 1 if they have none.
     #[must_use]
     pub fn scale(&self) -> f64 {
         self.scale
@@ -134,7 +137,7 @@ impl Dataset {
         self.offset + self.scale * self.targets.max()
     }
 
-    /// Every `n / size`-th observation, with unchanged scaling.
+    /// A subset of `size` observations, evenly spaced in the list, with unchanged scaling.
     pub(super) fn thinned(&self, size: usize) -> Self {
         let chosen: Vec<usize> = (0..size).map(|k| k * self.len() / size).collect();
         Self {
@@ -145,12 +148,13 @@ impl Dataset {
         }
     }
 
-    /// The data set without the points' own noise.
+    /// The data set without the known noise of its points.
     pub(super) fn without_own_noise(&self) -> Self {
         Self { own_noise: DVector::zeros(self.len()), ..self.clone() }
     }
 
-    /// The data set with one more standardised observation and unchanged scaling.
+    /// The data set with one more observation and unchanged scaling: `unit` on the unit cube,
+    /// `target` and `own_noise` standardised.
     pub(super) fn extended(&self, unit: &[f64], target: f64, own_noise: f64) -> Self {
         let n = self.len();
         let mut inputs = self.inputs.clone().insert_row(n, 0.0);
@@ -166,7 +170,8 @@ impl Dataset {
     }
 }
 
-/// Sample mean and (n-1) standard deviation; 1 in place of a deviation that is undefined or below rounding.
+/// Sample mean and standard deviation (n - 1 in the denominator). A deviation that is undefined or
+/// below rounding is replaced by 1.
 fn mean_and_scale(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;

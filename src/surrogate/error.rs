@@ -84,7 +84,7 @@ pub enum SurrogateError {
     ValueNotFinite {
         /// Index of the point, from 0.
         index: usize,
-        /// The value.
+        /// The observed value.
         value: f64,
     },
     /// A noise variance is negative or not finite.
@@ -92,10 +92,11 @@ pub enum SurrogateError {
     BadNoise {
         /// Index of the point, from 0.
         index: usize,
-        /// The value.
+        /// The noise variance.
         value: f64,
     },
-    /// Hyperparameters have another dimension or are not positive.
+    /// The hyperparameters have another dimension than the data, or one of them is out of its
+    /// range.
     #[error("bad hyperparameters: {reason}")]
     BadHyperparameters {
         /// Reason why they are refused.
@@ -109,7 +110,9 @@ pub enum SurrogateError {
     NotPositiveDefinite {
         /// Number of points.
         points: usize,
-        /// The largest jitter that was tried, as a fraction of the signal variance.
+        /// Jitter of the last attempt. For the covariance of the data it is a fraction of the
+        /// signal variance; for the draws of the noisy expected improvement it is the number added
+        /// to the diagonal.
         jitter: f64,
     },
 }

@@ -5,15 +5,17 @@ use nalgebra::{DMatrix, DVector};
 use super::factor::{Factor, LARGEST_JITTER, dot};
 use super::{Dataset, Hyperparameters, Kernel, SurrogateError};
 
-/// The log marginal likelihood `log p(y | X, eta)` of standardised outputs, and its gradient.
+/// The log marginal likelihood `log p(y | X, eta)` of standardised outputs `y` at inputs `X` under
+/// the hyperparameters `eta`, and its gradient.
 ///
-/// `-1/2 (y-m)^T K^-1 (y-m) - 1/2 log|K| - n/2 log 2 pi` (Rasmussen and Williams 2006, equation
-/// 2.30); gradient `1/2 tr((a a^T - K^-1) dK)` with `a = K^-1 (y-m)` (equation 5.9).
+/// With the covariance matrix `K` (noise included) and the prior mean `m`, the value is `-1/2
+/// (y-m)^T K^-1 (y-m) - 1/2 log|K| - n/2 log 2 pi` (Rasmussen and Williams 2006, equation 2.30),
+/// and the gradient is `1/2 tr((a a^T - K^-1) dK)` with `a = K^-1 (y-m)` (equation 5.9).
 #[derive(Clone, Debug)]
 pub struct LogMarginalLikelihood {
     /// The value, in nats, summed over the n observations.
     pub value: f64,
-    /// Derivative with respect to the mean.
+    /// Derivative with respect to the standardised prior mean `m`.
     pub d_mean: f64,
     /// d derivatives with respect to the logarithm of each lengthscale.
     pub d_log_lengthscales: Vec<f64>,
@@ -26,7 +28,7 @@ pub struct LogMarginalLikelihood {
 /// The log marginal likelihood at given hyperparameters. Costs O(n^3).
 ///
 /// # Errors
-/// Bad hyperparameters; a covariance that cannot be factored.
+/// The hyperparameters are invalid, or the covariance cannot be factored.
 pub fn log_marginal_likelihood(
     data: &Dataset,
     kernel: Kernel,
@@ -38,8 +40,9 @@ pub fn log_marginal_likelihood(
     Ok(covariance.evidence(data, hyperparameters, &factor, hyperparameters.mean))
 }
 
-/// Maximises the likelihood over the mean for the other hyperparameters (generalised least squares: `m =
-/// 1^T K^-1 y / 1^T K^-1 1`) and returns that mean too.
+/// The log marginal likelihood with the prior mean that maximises it at the other hyperparameters,
+/// and that mean, standardised. The mean follows from generalised least squares: `m = 1^T K^-1 y /
+/// 1^T K^-1 1`.
 pub(super) fn profiled_over_mean(
     data: &Dataset,
     kernel: Kernel,
@@ -60,7 +63,7 @@ fn best_mean(factor: &Factor, data: &Dataset) -> f64 {
 pub(super) struct Covariance {
     /// Lower triangle of `K`, noise included.
     matrix: DMatrix<f64>,
-    /// Lower triangle of signal variance x slope of the correlation.
+    /// Lower triangle of the signal variance times the slope of [`Kernel::correlation_and_slope`].
     slopes: DMatrix<f64>,
     /// n x d inputs divided by the lengthscales.
     scaled: DMatrix<f64>,
@@ -116,7 +119,7 @@ impl Covariance {
         let fit = residuals.dot(&weights);
         let value = -0.5 * (fit + factor.log_determinant() + n as f64 * (2.0 * PI).ln());
 
-        // The lower triangle of (a a^T - K^-1) overwrites the inverse.
+        // The lower triangle of (a a^T - K^-1), with a = K^-1 (y - m), overwrites the inverse.
         let mut pull = factor.inverse();
         for j in 0..n {
             let a = weights[j];
@@ -154,7 +157,8 @@ impl Covariance {
             value,
             d_mean: weights.sum(),
             d_log_lengthscales,
-            // tr((a a^T - K^-1) K) has a closed form; the noise is subtracted from it.
+            // tr((a a^T - K^-1) K) = fit - n; the part of the noise, which does not scale with the
+            // signal variance, is subtracted.
             d_log_signal_variance: 0.5 * (fit - n as f64 - noise_part),
             d_log_noise_variance: 0.5 * hyperparameters.noise_variance * d_noise,
         }

@@ -1,16 +1,19 @@
 use nalgebra::{DMatrix, DMatrixViewMut, DVector};
 
-/// The Cholesky factorisation `K = L L^T` together with `L^-1`, with which every solve is a product.
+/// The Cholesky factorisation `K = L L^T` of an n x n covariance matrix. It keeps `L^-1`, so that
+/// every solve is a matrix product.
 ///
-/// It recurses by halves, so that nearly all work is in large matrix products, which run several times
-/// faster than column-wise elimination; leaves are eliminated column by column.
+/// The factorisation splits the matrix into halves recursively, because large matrix products run
+/// several times faster than elimination column by column; blocks of up to [`LEAF`] rows are
+/// eliminated column by column.
 #[derive(Clone, Debug)]
 pub(super) struct Factor {
     /// `L^-1`, n x n, lower triangular; zeros above.
     inverse: DMatrix<f64>,
     /// `log |K|`.
     log_determinant: f64,
-    /// Jitter added to the diagonal.
+    /// Number that was added to the diagonal to make the matrix positive definite; 0 if none was
+    /// needed.
     jitter: f64,
 }
 
@@ -18,16 +21,17 @@ pub(super) struct Factor {
 const LEAF: usize = 32;
 /// Number of rows of the inverse that are multiplied at once.
 const BLOCK: usize = 64;
-/// Jitters that are tried in this order until the factorisation succeeds, as fractions of the scale.
+/// Jitters that are tried in this order until the factorisation succeeds, as fractions of the
+/// `scale` that [`Factor::new`] is given.
 const JITTERS: [f64; 5] = [0.0, 1e-10, 1e-8, 1e-6, 1e-4];
 
 /// Largest jitter, as a fraction of the scale.
 pub(super) const LARGEST_JITTER: f64 = JITTERS[JITTERS.len() - 1];
 
 impl Factor {
-    /// Factors a symmetric matrix given by its lower triangle. A matrix that is not positive definite gets
-    /// up to [`LARGEST_JITTER`] times `scale` on its diagonal; the result is `None` when that is not
-    /// enough.
+    /// Factors a symmetric matrix given by its lower triangle. If the matrix is not positive
+    /// definite, a jitter of up to [`LARGEST_JITTER`] times `scale` is added to its diagonal;
+    /// `None` if the largest jitter does not suffice.
     pub(super) fn new(matrix: &DMatrix<f64>, scale: f64) -> Option<Self> {
         JITTERS.iter().find_map(|jitter| Self::with_jitter(matrix, jitter * scale))
     }
@@ -106,8 +110,8 @@ impl Factor {
     }
 }
 
-/// Overwrites the lower triangle of `a` by `L` and that of `inverse` by `L^-1`; false when `a` is
-/// not positive definite.
+/// Overwrites the lower triangle of `inverse` by `L^-1` and reports whether `a` is positive
+/// definite. The lower triangle of `a` is used as working memory.
 fn factor(a: &mut DMatrixViewMut<f64>, inverse: &mut DMatrixViewMut<f64>) -> bool {
     let n = a.nrows();
     if n <= LEAF {
@@ -176,7 +180,8 @@ fn factor_leaf(a: &mut DMatrixViewMut<f64>, inverse: &mut DMatrixViewMut<f64>) -
     true
 }
 
-/// Sums products in eight lanes, which the compiler can keep in vector registers.
+/// The scalar product of two slices of equal length. Eight partial sums let the compiler use vector
+/// registers.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (a_chunks, b_chunks) = (a.chunks_exact(8), b.chunks_exact(8));
     let rest: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(a, b)| a * b).sum();

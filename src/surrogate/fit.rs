@@ -10,14 +10,14 @@ use super::{Dataset, Hyperparameters, Kernel, PriorSet, SurrogateError, log_marg
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MeanFunction {
-    /// Zero on standardised outputs: the sample mean.
+    /// Zero on standardised outputs, which is the sample mean of the values.
     #[default]
     Zero,
-    /// A constant without prior, fitted with the other hyperparameters.
+    /// A constant that has no prior and is fitted together with the other hyperparameters.
     Constant,
 }
 
-/// The form of a surrogate and the search for its hyperparameters.
+/// The form of a surrogate, and the effort of the search for its hyperparameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FitSettings {
@@ -27,7 +27,8 @@ pub struct FitSettings {
     pub mean: MeanFunction,
     /// Priors of the hyperparameters.
     pub priors: PriorSet,
-    /// Number of starts of the optimiser: the first at a fixed place, the others random.
+    /// Number of starting points of the optimiser: the first is fixed, the others are random. 0
+    /// counts as 1.
     pub starts: usize,
     /// Seed of the random starts.
     pub seed: u64,
@@ -45,7 +46,7 @@ impl Default for FitSettings {
     }
 }
 
-/// The maximum a posteriori hyperparameters and their objective.
+/// The maximum a posteriori hyperparameters and the objective that they reach.
 #[derive(Clone, Debug)]
 pub struct Fit {
     /// The hyperparameters.
@@ -54,11 +55,13 @@ pub struct Fit {
     pub objective: f64,
 }
 
-/// Largest number of points with which every start uses all data. With more, the starts compete on a
-/// thinned set of this size, and only the best one is refined on all, because a start costs O(n^3) a step.
+/// Largest number of points with which every start uses all data. With more points, the starts are
+/// compared on a subset of this size, and only the best one is refined on all points, because each
+/// step of a start costs O(n^3).
 const WHOLE: usize = 100;
 
-/// Maximises log marginal likelihood + log priors by L-BFGS on the logarithms, from several starts.
+/// Finds the hyperparameters that maximise log marginal likelihood + log priors, by L-BFGS on their
+/// logarithms from several starts.
 ///
 /// # Errors
 /// The covariance cannot be factored at any start.
@@ -85,15 +88,16 @@ pub fn fit(data: &Dataset, settings: &FitSettings) -> Result<Fit, SurrogateError
     Ok(Fit { hyperparameters: search.complete(data, &polished.point)?, objective: -polished.value })
 }
 
-/// The objective as a function of the vector `[ln l_1 .. ln l_d, ln noise, (ln signal)]`.
+/// The objective as a function of the vector `[ln l_1 .. ln l_d, ln noise variance, ln signal
+/// variance]`; the last entry is missing where the priors fix the signal variance.
 struct Search {
     kernel: Kernel,
     mean: MeanFunction,
     priors: PriorSet,
 }
 
-/// Ranges of the variances of noise and signal, for standardised outputs. The lower bound of the noise is BoTorch's;
-/// the others only keep the arithmetic finite.
+/// Ranges of the variances of noise and signal, for standardised outputs. The lower bound of the
+/// noise is that of BoTorch; the other three bounds only keep the arithmetic finite.
 const NOISE_RANGE: (f64, f64) = (PriorSet::LEAST_NOISE_VARIANCE, 1e3);
 const SIGNAL_RANGE: (f64, f64) = (1e-4, 1e4);
 
@@ -101,7 +105,8 @@ impl Search {
     fn starts(&self, dimensions: usize, settings: &FitSettings) -> Vec<Vec<f64>> {
         let mut random = ChaCha8Rng::seed_from_u64(settings.seed);
         let signal_is_free = self.priors.signal_variance().is_some();
-        // The lengthscale of the first start: the mode or median of its prior.
+        // The lengthscale of the first start: the mean of Gamma(3, 6); for the log-normal prior a
+        // value between its mode, 0.2 sqrt(d), and its median, 4.1 sqrt(d).
         let usual = match self.priors {
             PriorSet::Gamma => 0.5,
             PriorSet::Lognormal => (dimensions as f64).sqrt(),
@@ -139,7 +144,8 @@ impl Search {
         )
     }
 
-    /// The negative objective; NaN where the covariance cannot be factored.
+    /// The negative objective, with its gradient written to `gradient`; NaN if the covariance
+    /// cannot be factored.
     fn evaluate(&self, data: &Dataset, at: &[f64], gradient: &mut [f64]) -> f64 {
         let d = data.dimensions();
         let hyperparameters = self.hyperparameters(d, at);
@@ -151,7 +157,8 @@ impl Search {
         let Ok(evidence) = evidence else {
             return f64::NAN;
         };
-        // One entry a hyperparameter: slope of the evidence, log density of the prior and its slope.
+        // For each hyperparameter: derivative of the evidence, log density of the prior and its
+        // derivative, all with respect to the hyperparameter's logarithm.
         let lengthscale = self.priors.lengthscale(d);
         let mut parts: Vec<(f64, (f64, f64))> = evidence
             .d_log_lengthscales

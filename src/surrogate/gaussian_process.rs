@@ -4,10 +4,12 @@ use super::evidence::{Covariance, scaled_inputs};
 use super::factor::{Factor, dot};
 use super::{Dataset, FitSettings, Hyperparameters, Kernel, PriorSet, SurrogateError, fit};
 
-/// A Gaussian process conditioned on data: the posterior over the function.
+/// A Gaussian process conditioned on data: the posterior over the function that was observed.
 ///
-/// Points and values are in the data set's own units; the unit cube and the standardised outputs are
-/// internal.
+/// Public methods take points in the search box's units and return values in the units of the
+/// observations; the unit cube and the standardised outputs are internal. In the comments `X` are
+/// the n observed points, `y` their standardised values, `m` is the prior mean and `K` the
+/// covariance matrix of the data with noise.
 #[derive(Clone, Debug)]
 pub struct GaussianProcess {
     data: Dataset,
@@ -23,21 +25,23 @@ pub struct GaussianProcess {
 /// Posterior mean and variance of the function at one point, without observation noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Posterior {
-    /// Mean in the values' units.
+    /// Mean, in the values' units.
     pub mean: f64,
-    /// Variance in the values' units, squared; never below the arithmetic's resolution.
+    /// Variance, in squared units of the values, always above zero: at least 1e-14 of the signal
+    /// variance.
     pub variance: f64,
 }
 
 impl Posterior {
-    /// The square root of the variance.
+    /// The standard deviation, in the values' units.
     #[must_use]
     pub fn deviation(&self) -> f64 {
         self.variance.sqrt()
     }
 }
 
-/// A posterior with its derivatives with respect to the d coordinates, in the box's own units.
+/// A posterior with its derivatives with respect to the d coordinates of the point, in the box's
+/// own units.
 #[derive(Clone, Debug)]
 pub struct PosteriorSlope {
     /// Mean and variance.
@@ -51,22 +55,23 @@ pub struct PosteriorSlope {
 /// Variance below which rounding dominates, as a fraction of the signal variance.
 const RESOLUTION: f64 = 1e-14;
 
-/// Noise variance used for noise-free data, as a fraction of the signal variance: large enough to factor
-/// the covariance of points close together.
+/// Noise variance that stands for "no noise", as a fraction of the signal variance. It is large
+/// enough that the covariance of points close together can be factored.
 const NOISELESS: f64 = 1e-6;
 
-/// Covariances of one point with the data, and the terms of their gradient.
+/// The prior covariances of one point `x` with the n observed points, and the terms of their
+/// gradient.
 pub(super) struct Cross {
     /// The point divided by the lengthscales, d.
     scaled_point: Vec<f64>,
     /// `k(X, x)`, n.
     pub values: Vec<f64>,
-    /// signal variance x slope, n.
+    /// Signal variance times the slope of [`Kernel::correlation_and_slope`], n.
     slopes: Vec<f64>,
 }
 
 impl GaussianProcess {
-    /// Conditions on data at given hyperparameters. Costs O(n^3).
+    /// A process with the given hyperparameters, conditioned on data. Costs O(n^3).
     ///
     /// # Errors
     /// The hyperparameters are invalid, or the covariance cannot be factored.
@@ -83,7 +88,7 @@ impl GaussianProcess {
         Ok(Self { data, kernel, hyperparameters, factor, weights, scaled })
     }
 
-    /// Fits the hyperparameters and conditions on the data.
+    /// A process whose hyperparameters are fitted to data, conditioned on the same data.
     ///
     /// # Errors
     /// The covariance cannot be factored.
@@ -92,11 +97,13 @@ impl GaussianProcess {
         Self::new(data, settings.kernel, found.hyperparameters)
     }
 
-    /// Conditions on a fantasy observation: `value` at `point` (own units), almost without noise.
-    /// Hyperparameters and scaling stay. Costs O(n^3).
+    /// This process with one more observation, which was imagined and not made (a fantasy): `value`
+    /// at `point`, in the units of the data, almost without noise. Hyperparameters and scaling
+    /// stay. Costs O(n^3).
     ///
     /// # Errors
-    /// The point lies outside the box, the value is not finite, or the covariance cannot be factored.
+    /// The point lies outside the box, the value is not finite, or the covariance cannot be
+    /// factored.
     pub fn with_fantasies(&self, point: &[f64], value: f64) -> Result<Self, SurrogateError> {
         let search_box = self.data.search_box();
         search_box.check(self.data.len(), point)?;
@@ -105,7 +112,8 @@ impl GaussianProcess {
         }
         let unit = search_box.to_unit(point);
         let target = (value - self.data.offset()) / self.data.scale();
-        // The shared noise is added to every point; a negative own part cancels it here.
+        // The fitted noise is added to every point; a negative variance of this point cancels all
+        // of it but the smallest noise variance.
         let own_noise = PriorSet::LEAST_NOISE_VARIANCE - self.hyperparameters.noise_variance;
         let data = self.data.extended(&unit, target, own_noise.min(0.0));
         Self::new(data, self.kernel, self.hyperparameters.clone())
@@ -123,8 +131,8 @@ impl GaussianProcess {
         &self.hyperparameters
     }
 
-    /// Mean and variance of the function at a point in the box's own units (it may lie outside).
-    /// Costs O(n^2).
+    /// Mean and variance of the function at a point in the box's own units; the point may lie
+    /// outside the box. Costs O(n^2).
     #[must_use]
     pub fn posterior(&self, point: &[f64]) -> Posterior {
         let cross = self.cross(point);
@@ -145,7 +153,7 @@ impl GaussianProcess {
         PosteriorSlope { posterior, d_mean, d_variance }
     }
 
-    /// Posterior, d slopes of mean and of variance, and `K^-1 k`.
+    /// The posterior, the d derivatives of its mean and of its variance, and `K^-1 k(X, x)`.
     pub(super) fn slope_of(&self, cross: &Cross) -> (Posterior, Vec<f64>, Vec<f64>, DVector<f64>) {
         let white = self.factor.whiten(&cross.values);
         let solved = self.factor.whiten_transposed(white.as_slice());
@@ -158,7 +166,8 @@ impl GaussianProcess {
         (self.posterior_of(cross, explained), d_mean, d_variance, solved)
     }
 
-    /// `factor * sum_i c_i dk(x_i, x)/dx`, d derivatives in the box's own units.
+    /// The gradient `factor * sum_i c_i dk(x_i, x)/dx`: d derivatives with respect to the point's
+    /// coordinates in the box's own units. `coefficients` are the n `c_i`.
     pub(super) fn pull_back(&self, cross: &Cross, coefficients: &[f64], factor: f64) -> Vec<f64> {
         let n = self.data.len();
         let pulls: Vec<f64> = coefficients.iter().zip(&cross.slopes).map(|(c, s)| c * s).collect();
@@ -211,12 +220,12 @@ impl GaussianProcess {
         self.factor.solve(v)
     }
 
-    /// Variance of the noise of each observation, n, standardised.
+    /// Noise variance of each observation (known, fitted and jitter together), n, standardised.
     pub(super) fn noise_variances(&self) -> DVector<f64> {
         self.data.own_noise.add_scalar(self.hyperparameters.noise_variance + self.factor.jitter())
     }
 
-    /// Variance that stands for none, standardised.
+    /// Noise variance that stands for "no noise", standardised.
     pub(super) fn noiseless_variance(&self) -> f64 {
         NOISELESS * self.hyperparameters.signal_variance
     }
@@ -228,7 +237,7 @@ impl GaussianProcess {
         Covariance::new(&self.data.without_own_noise(), self.kernel, &noiseless).factor(&noiseless)
     }
 
-    /// `K^-1`, its lower triangle.
+    /// The lower triangle of `K^-1`.
     pub(super) fn inverse(&self) -> DMatrix<f64> {
         self.factor.inverse()
     }
@@ -243,8 +252,8 @@ impl GaussianProcess {
         self.data.targets.add_scalar(-self.hyperparameters.mean)
     }
 
-    /// The standardised variance that remains after `explained` is subtracted, and whether it is only
-    /// rounding.
+    /// The standardised variance that remains when the data explain the part `explained` of the
+    /// signal variance, and whether the remainder is only rounding.
     pub(super) fn variance_left(&self, explained: f64) -> (f64, bool) {
         let signal = self.hyperparameters.signal_variance;
         let least = signal * RESOLUTION;

@@ -3,21 +3,24 @@ use serde::{Deserialize, Serialize};
 /// A stationary covariance function of the scaled distance
 /// `r^2 = sum_d (x_d - x'_d)^2 / l_d^2` (ARD: one lengthscale `l_d` per dimension).
 ///
-/// Both are correlations: the signal variance multiplies them. Formulas: Rasmussen and Williams
-/// 2006, equations 4.9 and 4.17.
+/// Each kernel is a correlation (1 at distance 0); the process multiplies it by the signal
+/// variance. Formulas: Rasmussen and Williams 2006, equations 4.9 and 4.17.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kernel {
-    /// `(1 + s + s^2/3) exp(-s)` with `s = sqrt(5) r`: twice differentiable functions.
+    /// `(1 + s + s^2/3) exp(-s)` with `s = sqrt(5) r`; models functions that are twice
+    /// differentiable.
     #[default]
     Matern52,
-    /// `exp(-r^2/2)`: infinitely differentiable functions.
+    /// `exp(-r^2/2)`; models functions that are infinitely differentiable.
     SquaredExponential,
 }
 
 impl Kernel {
-    /// The correlation at a squared scaled distance and its slope `-2 d/d(r^2)`, from which all gradients
-    /// follow: `dk/dl_d = slope * delta_d^2 / l_d^3` and `dk/dx_d = -slope * delta_d / l_d^2`.
+    /// The correlation `k` at a squared scaled distance `r^2`, and its slope `-2 dk/d(r^2)`.
+    ///
+    /// All gradients follow from the slope: with `delta_d = x_d - x'_d`, `dk/dl_d = slope *
+    /// delta_d^2 / l_d^3` and `dk/dx_d = -slope * delta_d / l_d^2`.
     #[inline]
     #[must_use]
     pub fn correlation_and_slope(self, squared_distance: f64) -> (f64, f64) {

@@ -1,9 +1,10 @@
-/// Stopping criteria of [`minimise`].
+/// Stopping criteria of [`minimise`], which ends as soon as one of them is met.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tolerances {
-    /// Largest entry of the projected gradient.
+    /// Size that no entry of the gradient exceeds, apart from coordinates held at a bound.
     pub gradient: f64,
-    /// Decrease per iteration, relative to `1 + |value|`, twice in a row.
+    /// Decrease of the value, relative to `1 + |value|`, that two iterations in a row do not
+    /// exceed.
     pub decrease: f64,
     /// Largest number of iterations.
     pub iterations: usize,
@@ -16,18 +17,18 @@ pub(super) struct Minimum {
     pub value: f64,
 }
 
-/// Number of pairs of steps and gradient changes that are kept.
+/// Number of last steps whose change of the gradient is remembered.
 const MEMORY: usize = 12;
-/// Armijo's fraction of the decrease that the gradient predicts.
+/// Fraction of the decrease predicted by the gradient that a step must reach (Armijo's condition).
 const SUFFICIENT: f64 = 1e-4;
 
 /// Minimises a smooth function over a box by projected L-BFGS.
 ///
-/// Each iteration fixes the coordinates at a bound whose descent direction points outwards, takes the
-/// quasi-Newton step in the others (two-loop recursion, Nocedal and Wright 2006, algorithm 7.4), projects
-/// it onto the box and shortens it until Armijo's condition holds along the projected path (Bertsekas
-/// 1982). `function` writes the gradient and returns the value; a value that is not finite counts as a step
-/// that is too long.
+/// Each iteration fixes the coordinates that are at a bound and whose descent direction points
+/// outwards. In the other coordinates it takes the quasi-Newton step (two-loop recursion, Nocedal
+/// and Wright 2006, algorithm 7.4), projects the step onto the box and shortens it until Armijo's
+/// condition holds along the projected path (Bertsekas 1982). `function` writes the gradient to its
+/// second argument and returns the value; after a value that is not finite the step is shortened.
 pub(super) fn minimise(
     mut function: impl FnMut(&[f64], &mut [f64]) -> f64,
     start: &[f64],
@@ -61,7 +62,7 @@ pub(super) fn minimise(
             memory.clear();
             direction = quasi_newton_direction(&gradient, &free, &memory);
         }
-        // Without curvature the step length is a guess: about a tenth of the unit scale.
+        // Without remembered curvature the step is a guess: its largest entry is at most 0.1.
         let mut step = if memory.is_empty() { (0.1 / steepest).min(1.0) } else { 1.0 };
 
         let mut accepted = None;
@@ -75,7 +76,8 @@ pub(super) fn minimise(
                 accepted = Some((trial, trial_value));
                 break;
             }
-            // The minimum of the parabola through the known values, within [0.1, 0.5] of the step.
+            // The next step goes to the minimum of the parabola through both values and the slope,
+            // held within 0.1 to 0.5 of this step.
             let curvature = trial_value - value - promised;
             let shrink = if curvature > 0.0 { -0.5 * promised / curvature } else { 0.5 };
             step *= if shrink.is_finite() { shrink.clamp(0.1, 0.5) } else { 0.1 };
@@ -115,7 +117,8 @@ struct Pair {
 }
 
 impl Pair {
-    /// `None` where the curvature along the step is not clearly positive.
+    /// The pair for a step between two points; `None` if the curvature along it is not clearly
+    /// positive.
     fn new(from: &[f64], to: &[f64], gradient_from: &[f64], gradient_to: &[f64]) -> Option<Self> {
         let difference =
             |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| b - a).collect::<Vec<_>>();
@@ -127,7 +130,8 @@ impl Pair {
     }
 }
 
-/// `-H g` on the free coordinates, 0 on the others.
+/// The direction `-H g` on the free coordinates and 0 on the others, with the gradient `g` and the
+/// approximate inverse Hessian `H` that the remembered pairs define.
 fn quasi_newton_direction(gradient: &[f64], free: &[bool], memory: &[Pair]) -> Vec<f64> {
     let mut q: Vec<f64> =
         gradient.iter().zip(free).map(|(g, f)| if *f { *g } else { 0.0 }).collect();

@@ -4,12 +4,12 @@ use rand_chacha::ChaCha8Rng;
 use super::lbfgs::{Tolerances, minimise};
 use super::{Acquisition, SearchBox};
 
-/// The effort of a maximisation.
+/// The effort of a maximisation by [`maximise()`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MaximiserSettings {
-    /// Number of quasi-random points at which only the value is computed.
+    /// Number of quasi-random points at which the value alone is computed.
     pub raw: usize,
-    /// Number of the best of these points from which the gradient is followed.
+    /// Number of the best points from which a local search follows the gradient.
     pub starts: usize,
     /// Seed of the random points.
     pub seed: u64,
@@ -30,17 +30,20 @@ pub struct Maximum {
     pub value: f64,
 }
 
-/// Half widths, on the unit cube, of the clouds that are drawn around each hint.
+/// Half widths, on the unit cube, of the clouds of random points around each hint.
 const CLOUDS: [f64; 3] = [0.2, 0.05, 0.01];
 /// Points in each cloud.
 const CLOUD_POINTS: usize = 8;
-/// Distance on the unit cube by which two starts differ in at least one coordinate. Closer points are used only when
-/// too few others remain.
+/// Distance on the unit cube by which two starts differ in at least one coordinate. Closer points
+/// become starts only if there are too few others.
 const APART: f64 = 0.03;
 
-/// Maximises an acquisition over the box. It evaluates Owen-scrambled Sobol points and clouds around the `hints`, then
-/// follows the gradient from the best of them by bounded L-BFGS. Hints are points in the box's own units near which a
-/// maximum is likely, such as the best ones known.
+/// Maximises an acquisition over the box.
+///
+/// The function evaluates Owen-scrambled Sobol points and clouds of points around the `hints`, then
+/// follows the gradient from the best of these points by L-BFGS within the box. Hints are points in
+/// the box's own units near which a maximum is likely, such as the best observed points. A value
+/// that is NaN counts as minus infinity.
 #[must_use]
 pub fn maximise(
     acquisition: &dyn Acquisition,
@@ -102,15 +105,17 @@ fn raw_points(
     points
 }
 
-/// The `index`-th point of an Owen-scrambled Sobol sequence on the unit cube (Burley 2020). The sequence
-/// has 65,536 points; beyond them the scrambling changes.
+/// The `index`-th point of an Owen-scrambled Sobol sequence on the unit cube (Burley 2020). The
+/// sequence has 65,536 points; larger indices take its points again with another scrambling.
 #[must_use]
 pub fn sobol_point(index: usize, dimensions: usize, seed: u32) -> Vec<f64> {
     let (round, index) = (index >> 16, index & 0xffff);
     let seed = seed.wrapping_add((round as u32).wrapping_mul(0x9e37_79b9));
     (0..dimensions)
         .map(|d| {
-            // The crate's direction numbers end at 256 dimensions.
+            // The crate has direction numbers for 256 dimensions; further dimensions use the same
+            // ones
+            // with another seed.
             let (block, d) =
                 (d as u32 / sobol_burley::NUM_DIMENSIONS, d as u32 % sobol_burley::NUM_DIMENSIONS);
             f64::from(sobol_burley::sample(index as u32, d, seed.wrapping_add(block)))
@@ -118,8 +123,8 @@ pub fn sobol_point(index: usize, dimensions: usize, seed: u32) -> Vec<f64> {
         .collect()
 }
 
-/// Chooses `count` points of a list that begins with the best: the first ones that are farther apart than [`APART`],
-/// and, if these are too few, the first of the others.
+/// Chooses at most `count` points of a list that is sorted from best to worst: the best points that
+/// are farther apart than [`APART`], and, if these are too few, the best of the others.
 fn spread_out(sorted: &[(f64, Vec<f64>)], count: usize) -> Vec<&[f64]> {
     let mut chosen: Vec<&[f64]> = Vec::with_capacity(count);
     let mut left = Vec::new();

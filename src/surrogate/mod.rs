@@ -1,10 +1,11 @@
-//! Gaussian-process regression and acquisition functions: a model of an expensive function, and the choice
-//! of the next point to evaluate.
+//! Gaussian-process regression and acquisition functions: a model of an expensive function, and the
+//! choice of the next point to evaluate.
 //!
-//! The room knows vectors of `f64` and nothing of Qubes; it imports no other room and would serve as a
-//! crate of its own. A [`SearchBox`] and observations make a [`Dataset`] (checked and scaled),
-//! [`GaussianProcess::fit`] finds the hyperparameters (maximum a posteriori) and conditions on the data, an
-//! [`Acquisition`] scores points, and [`maximise()`] finds the best one.
+//! The room works on vectors of `f64`, not on Qubes; it imports no other room and could be a crate
+//! of its own. [`Dataset`] checks and scales observations in a [`SearchBox`].
+//! [`GaussianProcess::fit`] finds the hyperparameters (maximum a posteriori) and conditions the
+//! process on the data. An [`Acquisition`] scores points, and [`maximise()`] finds the point with
+//! the highest score.
 //!
 //! ```
 //! use qube_hil::surrogate::{Dataset, FitSettings, GaussianProcess, SearchBox};
@@ -17,9 +18,9 @@
 //! # Ok::<(), qube_hil::surrogate::SurrogateError>(())
 //! ```
 //!
-//! With n observations, one evaluation of the likelihood costs O(n^3), of a posterior O(n^2). The same call
-//! gives the same bytes on the same machine; another processor may round its matrix products differently in
-//! the last bits.
+//! With n observations, one evaluation of the likelihood costs O(n^3) operations, one of a
+//! posterior O(n^2). Two calls with equal arguments give identical results on one machine; another
+//! processor may round the last bits of its matrix products differently.
 
 mod acquisition;
 mod dataset;

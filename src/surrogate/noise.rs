@@ -1,16 +1,20 @@
-/// Weight of the pooled variance against a point's own sample variance, in degrees of freedom.
+/// Weight of the pooled variance relative to a point's own sample variance, in degrees of freedom.
 const PRIOR_DEGREES: f64 = 12.0;
 
-/// Estimates the noise variance of each point's mean from the spread of its repeated values.
+/// Estimates the noise variance of each point's mean from the spread of the point's repeated
+/// values. `groups` has one non-empty list of values for each point; the result is in squared units
+/// of the values.
 ///
-/// A variance of two or five values is itself mostly noise: among returns that are either 50 or 500, five
-/// equal ones are common and would suggest certainty. Each sample variance is therefore shrunk towards the
-/// pooled one, as under a scaled inverse chi-squared prior (moderated variances, Smyth 2004): `s~_i^2 = (12
-/// s_0^2 + (k_i - 1) s_i^2) / (12 + k_i - 1)` with the pooled `s_0^2 = sum (k_i - 1) s_i^2 / sum (k_i -
-/// 1)`; the mean of `k_i` values then has variance `s~_i^2 / k_i`.
+/// The sample variance of two or five values is itself very uncertain: among returns that are
+/// either 50 or 500, five equal ones are common and would suggest certainty. Each sample variance
+/// `s_i^2` of `k_i` values is therefore shrunk towards the pooled variance `s_0^2 = sum (k_i - 1)
+/// s_i^2 / sum (k_i - 1)`, as under a scaled inverse chi-squared prior (moderated variances, Smyth
+/// 2004): `s~_i^2 = (12 s_0^2 + (k_i - 1) s_i^2) / (12 + k_i - 1)`. The mean of the `k_i` values
+/// then has the variance `s~_i^2 / k_i`.
 ///
-/// Returns `None` where no point has two values. An error that all values of a point share (such as one
-/// policy's seed) does not show in their spread; the fitted noise variance of the surrogate covers it.
+/// Returns `None` if no point has two values. An error that all values of a point share (such as
+/// the luck of one policy's training) does not show in their spread; the fitted noise variance of
+/// the surrogate covers it.
 #[must_use]
 pub fn noise_of_means(groups: &[&[f64]]) -> Option<Vec<f64>> {
     let degrees = |group: &[f64]| group.len().saturating_sub(1) as f64;

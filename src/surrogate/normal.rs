@@ -5,39 +5,41 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// The density.
+/// The density of the standard normal distribution at `z`.
 #[must_use]
 pub fn density(z: f64) -> f64 {
     log_density(z).exp()
 }
 
-/// Draws one number (Box and Muller 1958) with `libm`'s functions: the same bits on every platform. The
-/// transform is also in `elementary`, which this room does not import because it imports no other.
+/// Draws one standard normal number (Box and Muller 1958). The functions of `libm` give the same
+/// bits on every platform. The room `elementary` has this transform too, but this room imports no
+/// other.
 pub fn draw(random: &mut ChaCha8Rng) -> f64 {
     // The argument lies in (0, 1], so that the logarithm is finite.
     let radius = (-2.0 * libm::log(1.0 - random.random::<f64>())).sqrt();
     radius * libm::cos(2.0 * PI * random.random::<f64>())
 }
 
-/// The logarithm of the density.
+/// The natural logarithm of [`density`].
 #[must_use]
 pub fn log_density(z: f64) -> f64 {
     -0.5 * (z * z + (2.0 * PI).ln())
 }
 
-/// The distribution function.
+/// The distribution function: the probability that a standard normal number is at most `z`.
 #[must_use]
 pub fn distribution(z: f64) -> f64 {
     0.5 * libm::erfc(-z * FRAC_1_SQRT_2)
 }
 
-/// The logarithm of the distribution function.
+/// The natural logarithm of [`distribution`], accurate also where the probability underflows to 0.
 #[must_use]
 pub fn log_distribution(z: f64) -> f64 {
     if z > -1.0 { distribution(z).ln() } else { log_density(z) + tail(z).mills.ln() }
 }
 
-/// Logarithm of `h(z) = density(z) + z distribution(z)`, the expected improvement of a unit normal.
+/// The natural logarithm of `h(z) = density(z) + z distribution(z)`: the expected improvement over
+/// 0 of a normal number with mean `z` and standard deviation 1.
 #[must_use]
 pub fn log_improvement(z: f64) -> f64 {
     if z > -1.0 {
@@ -47,7 +49,8 @@ pub fn log_improvement(z: f64) -> f64 {
     }
 }
 
-/// Quantities of the lower tail, divided by the density.
+/// The distribution function and `h` (see [`log_improvement`]) in the lower tail, divided by the
+/// density, which underflows there.
 pub(super) struct Tail {
     /// `distribution(z) / density(z)`, Mills' ratio.
     pub mills: f64,
@@ -55,9 +58,9 @@ pub(super) struct Tail {
     pub improvement: f64,
 }
 
-/// Computes the tail for z <= -1. The difference `1 - |z| mills` in `h` loses about `z^2` units in the last
-/// place; from |z| = 14 on it comes from the asymptotic series instead (Abramowitz and Stegun 1964,
-/// 26.2.12), whose smallest term is then far below rounding.
+/// Computes the tail for z <= -1. The difference `1 - |z| mills` in `h` loses about `z^2` units in
+/// the last place. From |z| = 14 on, `h` comes from the asymptotic series (Abramowitz and Stegun
+/// 1964, 26.2.12), whose smallest term is far below rounding there.
 pub(super) fn tail(z: f64) -> Tail {
     let distance = -z;
     let mills = (0.5 * PI).sqrt() * scaled_complementary_error(distance * FRAC_1_SQRT_2);

@@ -2,7 +2,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-/// The density of one positive hyperparameter before any data is seen.
+/// The prior density of one positive hyperparameter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Prior {
@@ -25,8 +25,8 @@ pub enum Prior {
 impl Prior {
     /// Log density at `value` > 0, and its derivative with respect to `ln value`.
     ///
-    /// The density is that of the value itself, without a Jacobian term, so that the posterior mode does
-    /// not depend on the optimiser's scale.
+    /// The density is that of the value, not of its logarithm (there is no Jacobian term), so that
+    /// the posterior mode does not change because the optimiser works on logarithms.
     #[must_use]
     pub fn log_density(self, value: f64) -> (f64, f64) {
         let log_value = value.ln();
@@ -43,16 +43,19 @@ impl Prior {
     }
 }
 
-/// The two sets of priors that BoTorch has used, for inputs on the unit cube and standardised outputs.
+/// A set of priors for inputs on the unit cube and standardised outputs: one of the two that
+/// BoTorch has used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PriorSet {
-    /// BoTorch 0.1, as at the thesis's time: lengthscales Gamma(3, 6), signal variance Gamma(2, 0.15),
-    /// noise variance Gamma(1.1, 0.05).
+    /// Priors of BoTorch 0.1, which was current when the thesis was written: lengthscales Gamma(3,
+    /// 6), signal variance Gamma(2, 0.15), noise variance Gamma(1.1, 0.05), each with shape and
+    /// rate.
     #[default]
     Gamma,
-    /// BoTorch 0.12 and later (Hvarfner et al. 2024): lengthscales log-normal and growing with the root of
-    /// the dimension, signal variance fixed at 1, noise variance LogNormal(-4, 1).
+    /// Priors of BoTorch 0.12 and later (Hvarfner et al. 2024): log-normal lengthscales that grow
+    /// with the square root of the number of dimensions, signal variance fixed at 1, noise variance
+    /// LogNormal(-4, 1).
     Lognormal,
 }
 
@@ -72,7 +75,7 @@ impl PriorSet {
         }
     }
 
-    /// The prior of the signal variance; `None` where it is fixed at 1.
+    /// The prior of the signal variance; `None` if the signal variance is fixed at 1.
     #[must_use]
     pub fn signal_variance(self) -> Option<Prior> {
         match self {
@@ -90,8 +93,9 @@ impl PriorSet {
         }
     }
 
-    /// The range in which lengthscales are fitted. BoTorch has no upper bound, and for `gamma` no lower
-    /// one; these bounds only keep the arithmetic finite.
+    /// The range in which lengthscales are fitted, on the unit cube. The lower bound of `lognormal`
+    /// is that of BoTorch, which has no other bounds; the other three only keep the arithmetic
+    /// finite.
     #[must_use]
     pub fn lengthscale_range(self) -> (f64, f64) {
         match self {

@@ -2,9 +2,9 @@ use serde::{Deserialize, Serialize};
 
 use super::SurrogateError;
 
-/// A box of finite, non-empty intervals: the search space.
+/// The search space: a box with one finite, non-empty interval for each of its `d` dimensions.
 ///
-/// Points are `d` coordinates in the box's own units; the surrogate works on the unit cube.
+/// A point has `d` coordinates in the box's own units; the surrogate converts it to the unit cube.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Bounds", into = "Bounds")]
 pub struct SearchBox {
@@ -12,7 +12,7 @@ pub struct SearchBox {
     upper: Vec<f64>,
 }
 
-/// The box as a file contains it, before validation.
+/// The bounds as a file contains them, before they are checked.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Bounds {
@@ -24,7 +24,8 @@ impl SearchBox {
     /// A box from its `d` lower and `d` upper bounds.
     ///
     /// # Errors
-    /// There is no dimension, lists differ in length, a bound is not finite, or `lower >= upper`.
+    /// There is no dimension, the lists differ in length, a bound or an interval's width is not
+    /// finite, or a lower bound is not below the upper one.
     pub fn new(lower: Vec<f64>, upper: Vec<f64>) -> Result<Self, SurrogateError> {
         if lower.len() != upper.len() {
             return Err(SurrogateError::BoundsDiffer { lower: lower.len(), upper: upper.len() });
@@ -46,7 +47,7 @@ impl SearchBox {
     /// The unit cube of `dimensions` dimensions.
     ///
     /// # Errors
-    /// There is no dimension.
+    /// `dimensions` is 0.
     pub fn unit(dimensions: usize) -> Result<Self, SurrogateError> {
         Self::new(vec![0.0; dimensions], vec![1.0; dimensions])
     }
@@ -69,20 +70,20 @@ impl SearchBox {
         &self.upper
     }
 
-    /// Length of the interval of one dimension.
+    /// Width of the interval of one dimension, in the box's own units.
     #[must_use]
     pub fn width(&self, dimension: usize) -> f64 {
         self.upper[dimension] - self.lower[dimension]
     }
 
-    /// Coordinates on the unit cube of a point given in the box's own units.
+    /// The `d` coordinates on the unit cube of a point that is given in the box's own units.
     #[must_use]
     pub fn to_unit(&self, point: &[f64]) -> Vec<f64> {
         point.iter().enumerate().map(|(d, &x)| (x - self.lower[d]) / self.width(d)).collect()
     }
 
-    /// The point at coordinates of the unit cube, in the box's own units. Rounding never moves it outside
-    /// the box.
+    /// The point in the box's own units that has these coordinates on the unit cube. Coordinates
+    /// beyond the cube, as by rounding, are put on the border of the box.
     #[must_use]
     pub fn from_unit(&self, unit: &[f64]) -> Vec<f64> {
         unit.iter()
@@ -94,7 +95,8 @@ impl SearchBox {
     /// Checks that a point has `d` coordinates and lies in the box, bounds included.
     ///
     /// # Errors
-    /// The number of coordinates differs, or a coordinate is NaN or outside; `index` names the point.
+    /// The number of coordinates is not `d`, or a coordinate is NaN or outside its interval. The
+    /// error names the point by `index`.
     pub fn check(&self, index: usize, point: &[f64]) -> Result<(), SurrogateError> {
         let expected = self.dimensions();
         if point.len() != expected {

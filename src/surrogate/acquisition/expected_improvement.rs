@@ -1,8 +1,10 @@
 use super::{Criterion, Score};
 use crate::surrogate::normal::{density, distribution, log_improvement};
 
-/// `EI = (mu - f) Phi(z) + sigma phi(z)` with `z = (mu - f) / sigma` over an incumbent `f`
-/// (Jones, Schonlau and Welch 1998).
+/// The expected improvement over an incumbent `f` (Jones, Schonlau and Welch 1998).
+///
+/// `EI = (mu - f) Phi(z) + sigma phi(z)` with `z = (mu - f) / sigma`, the posterior mean `mu` and
+/// standard deviation `sigma`, and the standard normal distribution `Phi` and density `phi`.
 #[derive(Clone, Copy, Debug)]
 pub struct ExpectedImprovement {
     /// Value that is to be exceeded, in the values' units.
@@ -13,7 +15,8 @@ impl Criterion for ExpectedImprovement {
     fn score(&self, mean: f64, deviation: f64) -> Score {
         let z = (mean - self.incumbent) / deviation;
         Score {
-            // Computed through the logarithm, because the two terms cancel in the tail.
+            // Computed from the logarithm, because the two terms nearly cancel far below the
+            // incumbent.
             value: deviation * log_improvement(z).exp(),
             d_mean: distribution(z),
             d_deviation: density(z),

@@ -6,21 +6,26 @@ use crate::surrogate::GaussianProcess;
 use crate::surrogate::factor::dot;
 use crate::surrogate::normal::{log_density, log_distribution, log_improvement};
 
-/// The logarithm of the knowledge gradient: the expected rise of the largest posterior mean after one more
-/// *noisy* observation at a point. The maximum is taken over a set of alternatives: the observed points,
-/// further ones (the maximiser of the posterior mean belongs among them, since it is the current
-/// recommendation), and the point itself.
+/// The natural logarithm of the knowledge gradient: the expected rise of the largest posterior mean
+/// after one more *noisy* observation at a point (Scott, Frazier and Powell 2011).
 ///
-/// The criterion is the quantity that scores the search (the largest posterior mean), so a lucky
-/// sample earns nothing, and a second observation of an uncertain point can be worth more than a new one.
-/// Scott, Frazier and Powell 2011 (KGCP); the expectation of the maximum of lines `a_i + b_i Z` is exact,
-/// by their upper envelope (Frazier, Powell and Dayanik 2009). Without noise it is the expected improvement
-/// over the best posterior mean.
+/// The largest posterior mean is taken over a set of alternatives: the observed points, further
+/// points that the caller gives, and the point itself. The maximiser of the posterior mean should
+/// be one of the further points, since it is the current recommendation.
+///
+/// The search is scored by its recommendation, which maximises the posterior mean. A criterion of
+/// the posterior mean therefore does not reward a single lucky observation, and a second
+/// observation of an uncertain point can be worth more than the observation of a new one. Without
+/// noise the knowledge gradient is the expected improvement over the best posterior mean.
+///
+/// After the observation the posterior mean of alternative `i` is `a_i + b_i Z` with a standard
+/// normal `Z`. The expectation of the maximum of these lines is exact, from their upper envelope
+/// (Frazier, Powell and Dayanik 2009).
 pub struct LogKnowledgeGradient<'a> {
     process: &'a GaussianProcess,
     /// Posterior means at the n observed points and the further alternatives, standardised.
     means: Vec<f64>,
-    /// The further alternatives, each with `K^-1 k(X, a)`.
+    /// The further alternatives `a`, each with `K^-1 k(X, a)`, n.
     further: Vec<(Vec<f64>, DVector<f64>)>,
     /// Noise variances of the n observations, standardised.
     noise: DVector<f64>,
@@ -28,7 +33,8 @@ pub struct LogKnowledgeGradient<'a> {
     next_noise: f64,
 }
 
-/// One line `height + slope z` of the envelope.
+/// One line `height + slope z`: the posterior mean of an alternative after the next observation,
+/// standardised, as a function of the observation's standard normal deviation `z`.
 #[derive(Clone, Copy)]
 struct Line {
     height: f64,
@@ -38,8 +44,9 @@ struct Line {
 }
 
 impl<'a> LogKnowledgeGradient<'a> {
-    /// A knowledge gradient on a process, with further alternatives in the box's own units. The next
-    /// observation is assumed as noisy as the median one. Costs O(n^2) for each alternative.
+    /// A knowledge gradient on a process, with further alternatives in the box's own units. The
+    /// next observation is assumed to have the median noise variance of the past ones. Costs O(n^2)
+    /// for each alternative.
     #[must_use]
     pub fn new(process: &'a GaussianProcess, further: &[Vec<f64>]) -> Self {
         let data = process.data();
@@ -66,8 +73,8 @@ impl<'a> LogKnowledgeGradient<'a> {
         let variance = posterior.variance / (scale * scale);
         let spread = (variance + self.next_noise).sqrt();
 
-        // Covariances of f(x) with f at the alternatives, given the data. At an observed point they are
-        // noise_i (K^-1 k)_i, since K = k(X, X) + noise.
+        // Posterior covariances of the function at the point and at each alternative. For the i-th
+        // observed point it is noise_i (K^-1 k)_i, since K = k(X, X) + noise.
         let observed = (0..n).map(|i| self.noise[i] * solved[i]);
         let between: Vec<(f64, Vec<f64>)> = self
             .further
@@ -93,7 +100,8 @@ impl<'a> LogKnowledgeGradient<'a> {
         lines.push(Line { height, slope: variance / spread, index: new });
         let envelope = upper_envelope(lines);
 
-        // The sum over neighbours of (b' - b) h(-|c|), where c is their crossing.
+        // The expected rise is the sum over neighbouring lines of (b' - b) h(-|c|), where b and b'
+        // are their slopes, c is the z at which they cross, and h is that of `log_improvement`.
         let crossing = |pair: &[Line]| {
             let rise = pair[1].slope - pair[0].slope;
             (rise, (pair[0].height - pair[1].height) / rise)
@@ -117,7 +125,8 @@ impl<'a> LogKnowledgeGradient<'a> {
             let slope_weight = (log_density(at) - log_sum).exp();
             by_slope[pair[1].index] += slope_weight;
             by_slope[pair[0].index] -= slope_weight;
-            // The upper line gains height, the lower one loses it.
+            // The expected rise grows with the height of the line that is lower at z = 0, and falls
+            // with that of the other.
             let height_weight = (log_distribution(-at.abs()) - log_sum).exp() * at.signum();
             if pair[1].index == new {
                 by_height += height_weight;
@@ -132,7 +141,8 @@ impl<'a> LogKnowledgeGradient<'a> {
             .zip(&d_variance)
             .map(|(m, v)| by_height * m / scale + by_variance * v / (scale * scale))
             .collect();
-        // The gradients of the covariances; those through k(X, x) are pulled back together.
+        // The gradients of the covariances. All parts that depend on k(X, x) share one call of
+        // `pull_back`.
         if by_slope[..new].iter().any(|g| *g != 0.0) {
             let pulled: Vec<f64> = by_slope.iter().zip(&self.noise).map(|(g, s)| g * s).collect();
             let mut through = self.process.solve(&pulled);
@@ -160,7 +170,7 @@ impl Acquisition for LogKnowledgeGradient<'_> {
     }
 }
 
-/// The lines that are highest somewhere, by rising slope.
+/// The upper envelope of lines: those that are the highest at some z, sorted by rising slope.
 fn upper_envelope(mut lines: Vec<Line>) -> Vec<Line> {
     lines.sort_by(|a, b| a.slope.total_cmp(&b.slope).then(a.height.total_cmp(&b.height)));
     let mut kept: Vec<Line> = Vec::with_capacity(lines.len());
@@ -208,7 +218,7 @@ mod tests {
             let best = |process: &GaussianProcess| {
                 candidates.iter().map(|c| process.mean(c)).fold(f64::NEG_INFINITY, f64::max)
             };
-            // The integral over the next value, by the midpoint rule in quantiles of z.
+            // The integral over the next value, by the midpoint rule in z.
             let spread = (now.variance / data.scale().powi(2) + acquisition.next_noise).sqrt();
             let h = 0.005;
             let mut gain = 0.0;

@@ -1,8 +1,9 @@
 use super::{Criterion, Score};
 use crate::surrogate::normal::{density, distribution, log_density, tail};
 
-/// The logarithm of the expected improvement, exact where EI underflows to a plateau without gradient
-/// (Ament et al. 2023). It has the same maximiser.
+/// The natural logarithm of the expected improvement (EI) over an incumbent (Ament et al. 2023).
+/// Its maximum lies at the same point as that of EI, and it has a gradient also where EI underflows
+/// to 0.
 #[derive(Clone, Copy, Debug)]
 pub struct LogExpectedImprovement {
     /// Value that is to be exceeded, in the values' units.
@@ -21,8 +22,9 @@ impl Criterion for LogExpectedImprovement {
     }
 }
 
-/// Computes `ln h(z)` with `h = density + z distribution`, and the ratios `distribution / h` and `density /
-/// h`, which are its slopes in mean and deviation times the deviation.
+/// `ln h(z)` with `h = density + z distribution`, and the ratios `distribution / h` and `density /
+/// h`. Divided by the standard deviation, the ratios are the derivatives of `ln (deviation * h)`
+/// with respect to mean and standard deviation.
 pub(super) fn logarithm_and_slopes(z: f64) -> (f64, f64, f64) {
     if z > -1.0 {
         let improvement = density(z) + z * distribution(z);

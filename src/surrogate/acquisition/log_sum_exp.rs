@@ -1,4 +1,4 @@
-/// Computes `ln sum exp(t)` without overflow; minus infinity for no terms.
+/// Computes `ln sum exp(t)` over the terms without overflow; minus infinity if there are none.
 pub(super) fn log_sum_exp(terms: &[f64]) -> f64 {
     let largest = terms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     if largest.is_finite() {

@@ -1,5 +1,5 @@
-//! Acquisition functions: the value of evaluating a point next, given the surrogate. All are to be
-//! maximised.
+//! Acquisition functions: the value of evaluating a point next, given the surrogate. The next point
+//! is their maximum.
 
 mod expected_improvement;
 #[cfg(test)]
@@ -25,14 +25,15 @@ use super::GaussianProcess;
 
 /// A function over the box whose maximum is the next point to evaluate.
 pub trait Acquisition {
-    /// The value at a point in the box's own units.
+    /// The value at a point of d coordinates in the box's own units.
     fn value(&self, point: &[f64]) -> f64;
 
     /// The value and its d derivatives with respect to the point's coordinates.
     fn value_and_gradient(&self, point: &[f64]) -> (f64, Vec<f64>);
 }
 
-/// An acquisition that depends only on the posterior mean and standard deviation at the point.
+/// An acquisition function that depends on the posterior mean and standard deviation at the point
+/// alone. [`OnProcess`] makes an [`Acquisition`] of it.
 pub trait Criterion {
     /// The value at a mean and a standard deviation > 0, both in the observed values' units, and
     /// its two derivatives.
@@ -50,7 +51,7 @@ pub struct Score {
     pub d_deviation: f64,
 }
 
-/// A criterion applied to a process.
+/// A criterion applied to the posterior of a process.
 pub struct OnProcess<'a, C> {
     /// Posterior over the function.
     pub process: &'a GaussianProcess,

@@ -11,35 +11,39 @@ use crate::surrogate::factor::{Factor, dot};
 use crate::surrogate::normal::draw;
 use crate::surrogate::{GaussianProcess, SurrogateError};
 
-/// The logarithm of the noisy expected improvement: the improvement over the best *true* value among the
-/// observed points, averaged over the posterior of these unknown values.
+/// The natural logarithm of the noisy expected improvement: the expected improvement over the best
+/// *true* value among the observed points, averaged over the posterior of these unknown values.
 ///
-/// Values at the n observed points are drawn from their joint posterior. Given each draw, the function is
-/// known there without noise, and the expected improvement over the draw's best is exact (Letham et al.
-/// 2019, "Constrained Bayesian optimization with noisy experiments"). Unlike the best posterior mean, the
-/// incumbent keeps its own uncertainty, and unlike the best observation it is not biased by luck. The
-/// criterion never asks for a second observation of a point, however noisy.
+/// Values at the n observed points are drawn from their joint posterior. Given a draw, the function
+/// is known at these points without noise, and the expected improvement over the largest drawn
+/// value has a closed form (Letham et al. 2019, "Constrained Bayesian optimization with noisy
+/// experiments"). The drawn incumbent carries its uncertainty, which the best posterior mean does
+/// not, and is not biased by luck, as the best observation is. The criterion never proposes to
+/// observe a point a second time, however noisy the first observation was.
 ///
-/// Points that are under evaluation are *pending*: their values are drawn together with those at the observed points
-/// (fantasies; Snoek et al. 2012, `X_pending` of BoTorch), and an improvement is one over them too. Points that are
-/// chosen one after the other, each with its predecessors pending, are the greedy maximiser of the expected improvement
-/// of all together (q-noisy expected improvement; Balandat et al. 2020).
+/// Points that are being evaluated are *pending*: their values are drawn together with those at the
+/// observed points (fantasies; Snoek et al. 2012, `X_pending` of BoTorch), and a new point must
+/// improve on these values too. If points are chosen one after the other, each with the earlier
+/// ones pending, they greedily maximise the expected improvement of all of them together (q-noisy
+/// expected improvement; Balandat et al. 2020).
 pub struct LogNoisyExpectedImprovement<'a> {
-    /// Process whose points `X` are the n observed ones and the pending ones behind them. Of its values only the
-    /// observed ones count.
+    /// Process whose points `X` are the n observed points, followed by the pending points. The
+    /// criterion does not use its values at pending points; the draws replace them.
     process: Cow<'a, GaussianProcess>,
-    /// `k(X, X)` without noise.
+    /// Factor of the covariance `k(X, X)` without noise.
     noiseless: Factor,
-    /// For each draw `f`: `k(X, X)^-1 (f - m)`, and the largest `f - m`.
+    /// For each draw `f` of the values at `X`: `k(X, X)^-1 (f - m)`, and the largest entry of `f -
+    /// m`, standardised.
     draws: Vec<(DVector<f64>, f64)>,
 }
 
-/// Number of antithetic pairs of draws.
+/// Number of pairs of draws. The two draws of a pair deviate from the mean in opposite directions,
+/// which lowers the error of the average (antithetic sampling).
 const PAIRS: usize = 32;
 
 impl<'a> LogNoisyExpectedImprovement<'a> {
-    /// A noisy expected improvement on a process, with draws from a seed, while the returns of `pending` points (in the
-    /// box's own units) are awaited. Costs O(n^3).
+    /// A noisy expected improvement on a process. `pending` are the points under evaluation, in the
+    /// box's own units; `seed` determines the draws. Costs O(n^3).
     ///
     /// # Errors
     /// A pending point lies outside the box, or the covariance without noise cannot be factored.
@@ -89,7 +93,8 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
         if !with_gradient {
             return (value, Vec::new());
         }
-        // d ln sum = sum of share_s * (by_mean d mean_s + by_deviation d deviation) / deviation.
+        // With the share of each draw s in the sum, the derivative is
+        // d ln sum = sum_s share_s * (by_mean d mean_s + by_deviation d deviation) / deviation.
         let mut coefficients = DVector::zeros(white.len());
         let mut by_deviation = 0.0;
         for ((log, mean_slope, deviation_slope), (weights, _)) in each.iter().zip(&self.draws) {
@@ -116,12 +121,12 @@ impl Acquisition for LogNoisyExpectedImprovement<'_> {
     }
 }
 
-/// The values at pending points, given those at the n observed points without noise: a normal distribution whose mean
-/// is linear in the observed values.
+/// The distribution of the values at pending points, given noise-free values at the n observed
+/// points: normal, with a mean that is linear in the observed values.
 struct Fantasies {
     /// For each pending point `p`: `k(X, X)^-1 k(X, p)`, n.
     weights: Vec<DVector<f64>>,
-    /// A root of their covariance.
+    /// Lower triangular root of the covariance of the pending values, standardised.
     root: DMatrix<f64>,
 }
 
@@ -147,7 +152,8 @@ impl Fantasies {
         Ok(Self { weights, root })
     }
 
-    /// The observed values of a draw, and behind them the pending ones that standard normal numbers give.
+    /// The drawn values at the observed points, followed by values at the pending points. `normals`
+    /// has one standard normal number for each pending point.
     fn appended_to(&self, observed: DVector<f64>, normals: &DVector<f64>) -> DVector<f64> {
         let noise = &self.root * normals;
         let means = self.weights.iter().map(|weights| weights.dot(&observed));
@@ -158,12 +164,12 @@ impl Fantasies {
     }
 }
 
-/// Mean (above the prior mean) and a root of the covariance of the function at the observed points,
-/// standardised.
+/// The posterior of the function at the n observed points: its mean above the prior mean, n, and a
+/// root of its covariance, n x n, both standardised.
 ///
-/// With the noise `S` and `K = k(X, X) + S`, the mean is `y - m - S K^-1 (y - m)` and the
-/// covariance `S - S K^-1 S = R (I - R K^-1 R) R` with `R = sqrt S`, whose bracket is well
-/// conditioned where the noise is small.
+/// With the diagonal matrix `S` of the noise variances and `K = k(X, X) + S`, the mean is `y - m -
+/// S K^-1 (y - m)` and the covariance is `S - S K^-1 S = R (I - R K^-1 R) R` with `R = sqrt S`. The
+/// bracket is well conditioned also where the noise is small.
 fn posterior_at_data(
     process: &GaussianProcess,
 ) -> Result<(DVector<f64>, DMatrix<f64>), SurrogateError> {
@@ -225,11 +231,13 @@ mod tests {
             let largest =
                 grid.iter().map(|point| before.value(point).exp()).fold(0.0_f64, f64::max);
             for point in &grid {
-                // No point gains by it, but for the error of a finite number of draws.
+                // A pending point raises the improvement nowhere, except by the error of a finite
+                // number of draws.
                 let gain = after.value(point).exp() - before.value(point).exp();
                 assert!(gain < 0.25 * largest, "{point:?}: {gain} of {largest}");
             }
-            // Two pending points lower it around both, and the same one twice does no harm.
+            // Two pending points lower the improvement around both; a point that is pending twice
+            // does no harm.
             let both = [pending.clone(), search_box.from_unit(&[0.2, 0.1]), pending.clone()];
             let after = LogNoisyExpectedImprovement::new(&process, &both, 3).unwrap();
             for point in &both {
@@ -251,7 +259,8 @@ mod tests {
             .collect();
         let there = process.posterior(&pending);
         for point in [[0.7, 26.0], [0.5, 23.0], [0.1, 12.0]] {
-            // Integrated over the return at the pending point, by a sum over its normal distribution.
+            // The integral over the return at the pending point, by a sum over its normal
+            // distribution.
             let (mut sum, mut weights) = (0.0, 0.0);
             for step in -40..=40 {
                 let z = f64::from(step) / 10.0;

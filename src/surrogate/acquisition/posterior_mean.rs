@@ -1,6 +1,7 @@
 use super::{Criterion, Score};
 
-/// The posterior mean: not a criterion for the next point, but for the recommendation.
+/// The posterior mean, whose maximum is the point that a search recommends. It does not serve to
+/// choose the next point to evaluate, since it ignores uncertainty.
 #[derive(Clone, Copy, Debug)]
 pub struct PosteriorMean;
 

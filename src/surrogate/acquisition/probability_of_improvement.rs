@@ -1,7 +1,8 @@
 use super::{Criterion, Score};
 use crate::surrogate::normal::{density, distribution, log_density, log_distribution};
 
-/// `PI = Phi((mu - f) / sigma)` over an incumbent `f` (Kushner 1964).
+/// The probability of improvement over an incumbent `f`: `Phi((mu - f) / sigma)` with the posterior
+/// mean `mu` and standard deviation `sigma` (Kushner 1964).
 #[derive(Clone, Copy, Debug)]
 pub struct ProbabilityOfImprovement {
     /// Value that is to be exceeded, in the values' units.
@@ -16,8 +17,8 @@ impl Criterion for ProbabilityOfImprovement {
     }
 }
 
-/// The logarithm of the probability of improvement. It has the same maximiser, and a gradient where the
-/// probability itself is 0 or 1 in double precision.
+/// The natural logarithm of the probability of improvement. Its maximum lies at the same point, and
+/// it has a gradient also where the probability is 0 in double precision.
 #[derive(Clone, Copy, Debug)]
 pub struct LogProbabilityOfImprovement {
     /// Value that is to be exceeded, in the values' units.
