@@ -25,7 +25,8 @@ pub(super) struct Block {
 }
 
 impl Block {
-    /// Nominal Qubes that hang at rest, whose motors get at most this voltage, V.
+    /// Sixteen nominal Qubes that hang at rest. `largest_v` is the largest voltage of their motors,
+    /// V.
     pub(super) fn hanging(largest_v: f32) -> Self {
         let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
         Self {
@@ -43,7 +44,8 @@ impl Block {
         self.sight.seen.lane(lane)
     }
 
-    /// The longest observation of a lane: the state, then all remembered commands.
+    /// The longest possible observation of a lane: the features of the state, then all remembered
+    /// commands, newest first.
     pub(super) fn observed(&self, lane: usize) -> [f32; OBSERVATION_SIZE + MAX_HISTORY] {
         let mut observed = [0.0; OBSERVATION_SIZE + MAX_HISTORY];
         let (state, commands) = observed.split_at_mut(OBSERVATION_SIZE);
@@ -66,7 +68,8 @@ impl Block {
     }
 }
 
-/// Everything of a simulation that surrounds the physics, in the lanes' number type.
+/// The parts of a simulation around the physics (sensors, observation, reward and box), in the
+/// lanes' number type.
 #[derive(Clone, Debug)]
 pub(super) struct Surroundings {
     /// Sensors and estimators through which policy and guard see the states.
@@ -80,7 +83,8 @@ pub(super) struct Surroundings {
 /// Integrates one control period of all blocks.
 pub(super) struct Step<'a> {
     pub(super) blocks: &'a mut [Block],
-    /// Memory of the policies' observers, block by block; empty without observers.
+    /// Memory of the observers that estimate the policies' states, one entry for each block; empty
+    /// if there are no observers.
     pub(super) observers: &'a mut [ObserverLanes],
     pub(super) surroundings: &'a Surroundings,
     pub(super) voltages_v: &'a [Lanes],
@@ -101,8 +105,8 @@ impl VectorKernel for Step<'_> {
         for ((block, voltages_v), rewards) in earned {
             earn(block, &surroundings.reward, voltages_v, rewards);
         }
-        // Each substep is computed for every block before the next substep: blocks are independent, so that
-        // the processor works on several at once.
+        // Each substep is computed for every block before the next substep. Blocks do not depend on
+        // each other, so that the processor can work on several at once.
         if blocks.iter().all(|block| block.qubes.are_ideal()) {
             for _ in 0..SUBSTEPS {
                 for (block, voltages_v) in blocks.iter_mut().zip(voltages_v) {

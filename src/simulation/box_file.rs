@@ -1,11 +1,12 @@
-//! The safety box as files of settings write it: each limit with its unit. Files without units, as older
-//! programs wrote them, are read too.
+//! The safety box in settings files, where the name of each limit ends in its unit. Names without a
+//! unit, as in `theta`, are read too, because earlier versions wrote them.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::safety::{Guard, SafetyBox};
 
-/// Each limit by its name in the box, and by its name in files.
+/// The names of each limit: without its unit, as [`SafetyBox`] has it, and with its unit, as files
+/// have it.
 pub const NAMES: [(&str, &str); 4] = [
     ("theta", "theta_rad"),
     ("alpha", "alpha_rad"),
@@ -54,24 +55,25 @@ impl From<BoxFile> for SafetyBox {
 }
 
 impl Default for BoxFile {
-    /// The thesis's box, whose guard a file means that names none.
+    /// The box of the thesis. A file that leaves out a limit or the guard gets the value of this
+    /// box.
     fn default() -> Self {
         SafetyBox::THESIS.into()
     }
 }
 
-/// Writes a box.
+/// Writes a box with the names of files, rad and rad/s.
 ///
 /// # Errors
-/// The format's own.
+/// The serializer fails.
 pub fn serialize<S: Serializer>(safety_box: &SafetyBox, serializer: S) -> Result<S::Ok, S::Error> {
     BoxFile::from(*safety_box).serialize(serializer)
 }
 
-/// Reads a box.
+/// Reads a box, rad and rad/s; a limit or guard that is left out has the value of the thesis's box.
 ///
 /// # Errors
-/// An unknown name, a limit that is named twice, a value of another type.
+/// A name is unknown, a limit is named twice, or a value has another type.
 pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SafetyBox, D::Error> {
     BoxFile::deserialize(deserializer).map(SafetyBox::from)
 }

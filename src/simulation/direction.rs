@@ -6,10 +6,12 @@ use serde::{Deserialize, Serialize};
 use super::DomainDistribution;
 use crate::qube::{PlantModel, Profile, Quantity};
 
-/// Smallest part of a quantity's spread in the distribution `robust` that a direction of errors is kept for.
+/// Smallest width of a direction that [`Direction::of_errors`] keeps, in the units of width that
+/// are described there; narrower directions are negligible.
 const SMALLEST_SHARE: f64 = 1e-6;
 
-/// A joint deviation of quantities: how far one standard normal number moves each, in its unit.
+/// A joint deviation of several quantities: a standard normal number `z` moves each quantity by `z`
+/// times its entry here, which is in the quantity's unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "BTreeMap<String, f64>", into = "BTreeMap<String, f64>")]
 pub struct Direction {
@@ -17,7 +19,8 @@ pub struct Direction {
 }
 
 impl Direction {
-    /// A direction that moves these quantities and no others.
+    /// A direction that moves each of these quantities by this deviation, in its unit, and no other
+    /// quantity.
     #[must_use]
     pub fn new(deviations: &[(Quantity, f64)]) -> Self {
         let mut direction = Self { deviations: [0.0; Quantity::COUNT] };
@@ -27,10 +30,13 @@ impl Direction {
         direction
     }
 
-    /// The principal directions of a profile's errors, the widest first: together they have the profile's
-    /// covariance. A direction's width is measured in the spreads of the distribution `robust` for the profile's
-    /// plant, which is what is believed of a specimen before any data, so that quantities of different units compare.
-    /// A profile without standard errors has none.
+    /// The principal directions of the errors of a profile's identification, the widest first.
+    /// Together they have the covariance of these errors. The list is empty for a profile without
+    /// standard errors.
+    ///
+    /// To compare quantities of different units, the width of a direction is measured in the
+    /// standard deviations of the distribution `robust` for the profile's plant, the belief about a
+    /// specimen before any data.
     #[must_use]
     pub fn of_errors(profile: &Profile, plant: &PlantModel) -> Vec<Self> {
         let quantities: Vec<Quantity> =
@@ -38,12 +44,13 @@ impl Direction {
         let before = DomainDistribution::robust();
         let scale = |quantity: Quantity| {
             let of_qube = match before.standard_deviation(quantity) {
-                // What `robust` knows exactly counts in tenths of its value.
+                // A quantity that `robust` holds constant is measured in tenths of its value.
                 0.0 => (0.1 * before.get(quantity).mean().abs()).max(f64::MIN_POSITIVE),
                 deviation => deviation,
             };
             match plant.proportion(quantity) {
-                // The plant's file has no value to compare with.
+                // The plant's nominal value is 0 and gives no scale: the standard error is its own
+                // scale.
                 0.0 => profile.standard_error(quantity),
                 proportion => proportion * of_qube,
             }
@@ -65,7 +72,7 @@ impl Direction {
             .filter(|&(_, width)| width > SMALLEST_SHARE)
             .map(|(index, width)| {
                 let vector = eigen.eigenvectors.column(index);
-                // An eigenvector has no sign of its own: its largest entry is made positive.
+                // The sign of an eigenvector is arbitrary: its largest entry is made positive.
                 let sign = vector[vector.icamax()].signum();
                 let entry = |(row, &quantity): (usize, &Quantity)| {
                     (quantity, sign * width * vector[row] * scales[row])
@@ -75,13 +82,14 @@ impl Direction {
             .collect()
     }
 
-    /// How far the direction moves a quantity, in its unit.
+    /// The deviation by which the direction moves a quantity, in the quantity's unit; 0 if it does
+    /// not.
     #[must_use]
     pub fn of(&self, quantity: Quantity) -> f64 {
         self.deviations[quantity.index()]
     }
 
-    /// The direction times a factor.
+    /// The direction with every deviation multiplied by a factor.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         Self { deviations: self.deviations.map(|deviation| factor * deviation) }
@@ -114,7 +122,8 @@ mod tests {
     use super::*;
     use crate::qube::{Correlations, QubeModel};
 
-    /// A profile whose resistance and back-EMF err together and whose delay errs alone.
+    /// A profile in which the errors of resistance and back-EMF are correlated and the error of the
+    /// delay is independent.
     fn profile() -> Profile {
         let mut profile = Profile::exact("one", &QubeModel::NOMINAL);
         let errors = [("R_m", 0.5), ("k_m", 0.002), ("command_delay_s", 0.001)];

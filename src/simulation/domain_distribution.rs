@@ -9,11 +9,12 @@ use super::{Direction, DistributionError, Psi, PsiTarget, reach};
 use crate::elementary::normal_pair;
 use crate::qube::{Distribution, DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
 
-/// Standard deviation of a handcrafted distribution as a fraction of the nominal value (thesis, section
-/// 5.2).
+/// Standard deviation of a handcrafted distribution as a fraction of the nominal value (thesis,
+/// section 5.2).
 const HANDCRAFTED_SPREAD: f64 = 0.2;
 
-/// The masses and lengths, which `nominal-handcrafted` randomises and the thesis's psi shapes.
+/// The masses and lengths: the parameters that the model `nominal-handcrafted` randomises and that
+/// psi sets in the thesis's search space.
 const MASSES_AND_LENGTHS: [DomainParameter; 4] = [
     DomainParameter::RotaryMass,
     DomainParameter::PendulumMass,
@@ -33,7 +34,7 @@ pub enum Family {
 }
 
 impl Family {
-    /// The distribution of this family with these moments.
+    /// The distribution of this family with these moments, in the unit of the quantity.
     #[must_use]
     pub fn with_moments(self, mean: f64, standard_deviation: f64) -> Distribution {
         match self {
@@ -43,26 +44,29 @@ impl Family {
     }
 }
 
-/// The distribution p_psi(xi) from which a trajectory's Qube is drawn: the nine domain parameters and the
-/// nonidealities, each independently, and then moved together along directions, if there are any. A nonideality
-/// without a distribution is zero.
+/// The distribution p_psi(xi) from which the Qube of a trajectory is drawn.
 ///
-/// Constructors check the distributions, and a draw that a direction moves out of a quantity's range is put at the
-/// end of the range, so every draw is physical.
+/// The nine domain parameters and the nonidealities are drawn independently. If there are
+/// directions, each of them then moves several quantities together. A distribution of specimens
+/// ([`Self::of_specimens`]) draws one of the given Qubes instead, each equally often.
 ///
-/// A distribution of specimens ([`Self::of_specimens`]) draws one of them instead, each equally often.
+/// Every draw is physical: distributions are checked or limited when they are set
+/// ([`Self::constant`] trusts its caller), and a value that a direction moves out of its range is
+/// put at the end of the range.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "Written")]
 pub struct DomainDistribution {
     /// One distribution a quantity, in the order of [`Quantity::all`].
     distributions: [Distribution; Quantity::COUNT],
-    /// Joint deviations, each times a standard normal number of its own.
+    /// Joint deviations; each draw multiplies each of them by a standard normal number of its own.
     directions: Vec<Direction>,
-    /// Qubes of which each draw is one; with none, draws follow the distributions and directions.
+    /// Qubes of which each draw takes one; if the list is empty, draws follow the distributions and
+    /// directions.
     specimens: Vec<QubeModel>,
 }
 
-/// A distribution as files have it: each quantity by the name that it has in profiles, and the directions.
+/// A distribution as files contain it: the distribution of each quantity, under the quantity's name
+/// in profiles, then directions and specimens, if there are any.
 #[derive(Serialize, Deserialize)]
 struct Written {
     #[serde(flatten)]
@@ -74,13 +78,15 @@ struct Written {
 }
 
 impl DomainDistribution {
-    /// The model `nominal`: no randomisation.
+    /// The distribution of the model `nominal`: it always draws the nominal Qube, without
+    /// nonidealities.
     #[must_use]
     pub fn nominal() -> Self {
         Self::constant(&QubeModel::NOMINAL)
     }
 
-    /// A distribution that always draws this Qube. The caller has checked the model.
+    /// A distribution that always draws this Qube. The values of `model` are not checked; the
+    /// caller must have made sure that they can be simulated.
     #[must_use]
     pub fn constant(model: &QubeModel) -> Self {
         let mut distributions = [Distribution::Constant { value: 0.0 }; Quantity::COUNT];
@@ -90,8 +96,9 @@ impl DomainDistribution {
         Self { distributions, directions: Vec::new(), specimens: Vec::new() }
     }
 
-    /// A distribution that draws one of these Qubes, each equally often: any belief about a Qube, by samples of it.
-    /// The distribution of each quantity tells the mean and the standard deviation of the samples.
+    /// A distribution that draws one of these Qubes, each equally often. Any belief about a Qube
+    /// can be represented in this way, by samples of the belief. [`Self::get`] then returns for
+    /// each quantity a normal distribution with the mean and standard deviation of the samples.
     ///
     /// # Errors
     /// A value of a Qube cannot be simulated.
@@ -112,22 +119,23 @@ impl DomainDistribution {
         Ok(Self { specimens, ..moments })
     }
 
-    /// The model `handcrafted`: all nine parameters normal around nominal, with a fifth of it as standard
-    /// deviation.
+    /// The distribution of the model `handcrafted`: all nine parameters vary around their nominal
+    /// values, with a fifth of the value as standard deviation.
     #[must_use]
     pub fn handcrafted(family: Family) -> Self {
         Self::nominal().with_handcrafted(&DomainParameter::ALL, family)
     }
 
-    /// The model `nominal-handcrafted`: masses and lengths as in `handcrafted`, the other parameters
-    /// nominal.
+    /// The distribution of the model `nominal-handcrafted`: masses and lengths vary as in
+    /// `handcrafted`, the other parameters are nominal.
     #[must_use]
     pub fn nominal_handcrafted(family: Family) -> Self {
         Self::nominal().with_handcrafted(&MASSES_AND_LENGTHS, family)
     }
 
-    /// The model `robust`, for a Qube that nobody has identified: parameters within the uncertainty of name
-    /// plate, ruler and balance, and nonidealities of any size that was found in a Qube.
+    /// The distribution of the model `robust`, for a Qube that nobody has identified: motor
+    /// constants, masses and lengths vary by the uncertainty of name plate, ruler and balance, and
+    /// nonidealities over the sizes that were found in Qubes.
     #[must_use]
     pub fn robust() -> Self {
         let mut robust = Self::nominal();
@@ -159,8 +167,9 @@ impl DomainDistribution {
         robust
     }
 
-    /// A distribution around an identified Qube: each quantity has its value as the mean and `spread` (0 to
-    /// 1) times the value as the standard deviation.
+    /// A distribution around an identified Qube: the mean of each quantity is its value in `model`,
+    /// the standard deviation is `spread` (0 to 1) times the value's size, and less near an end of
+    /// the quantity's range.
     ///
     /// # Errors
     /// A value of the model cannot be simulated, such as a delay that is too long.
@@ -172,33 +181,38 @@ impl DomainDistribution {
         let mut around = Self::constant(model);
         for quantity in Quantity::all() {
             let mean = model.get(quantity);
-            // The spread shrinks near the end of a quantity's range.
+            // The standard deviation is at most the distance to the nearer end of the range.
             let standard_deviation = (spread * mean.abs()).min(reach(quantity, mean));
             around = around.with(quantity, family.with_moments(mean, standard_deviation))?;
         }
         Ok(around)
     }
 
-    /// Adds joint deviations to those that there are: those of an identified Qube's errors.
+    /// Adds joint deviations, such as the errors of an identification ([`Direction::of_errors`]),
+    /// to the present ones.
     #[must_use]
     pub fn along(mut self, directions: &[Direction]) -> Self {
         self.directions.extend_from_slice(directions);
         self
     }
 
-    /// The joint deviations, each times a standard normal number of its own.
+    /// The joint deviations; each draw multiplies each of them by a standard normal number of its
+    /// own.
     #[must_use]
     pub fn directions(&self) -> &[Direction] {
         &self.directions
     }
 
-    /// The Qubes of which each draw is one; empty where draws follow the distributions and directions.
+    /// The Qubes of which each draw takes one; empty if draws follow the distributions and
+    /// directions.
     #[must_use]
     pub fn specimens(&self) -> &[QubeModel] {
         &self.specimens
     }
 
-    /// The standard deviation of a quantity's draws before truncation: its own and that of all directions together.
+    /// The standard deviation of a quantity's draws before truncation, in the quantity's unit: the
+    /// root of the sum of squares of its own standard deviation and the deviations of all
+    /// directions.
     #[must_use]
     pub fn standard_deviation(&self, quantity: impl Into<Quantity>) -> f64 {
         let quantity = quantity.into();
@@ -207,22 +221,25 @@ impl DomainDistribution {
         sqrt(own * own + squares.sum::<f64>())
     }
 
-    /// The model `opt-nominal`: quantities that psi names follow psi, the others are nominal.
+    /// The distribution of the model `opt-nominal`: quantities that psi names follow psi, the
+    /// others are nominal.
     #[must_use]
     pub fn opt_nominal(psi: &Psi, family: Family) -> Self {
         Self::nominal().shaped_by(psi, family)
     }
 
-    /// The model `opt-handcrafted`: quantities that psi names follow psi, the others are as in
-    /// `handcrafted`.
+    /// The distribution of the model `opt-handcrafted`: quantities that psi names follow psi, the
+    /// others are as in `handcrafted`.
     #[must_use]
     pub fn opt_handcrafted(psi: &Psi, family: Family) -> Self {
         Self::handcrafted(family).shaped_by(psi, family)
     }
 
-    /// Gives the quantities that psi names distributions of this family with psi's moments; a moment that
-    /// psi does not name stays. A standard deviation that is too large for its mean is reduced to the
-    /// largest accepted one.
+    /// Applies psi to the distribution. A quantity that psi names gets a distribution of this
+    /// family with psi's mean and standard deviation; of these two, the one that psi does not name
+    /// stays. Then the shifts along the directions, the common width and the lag of the command
+    /// follow, as far as psi names them (see [`PsiTarget`]). A standard deviation that is too large
+    /// for its mean is reduced to the largest accepted one.
     #[must_use]
     pub fn shaped_by(mut self, psi: &Psi, family: Family) -> Self {
         for quantity in Quantity::all() {
@@ -253,7 +270,8 @@ impl DomainDistribution {
         self
     }
 
-    /// Moves the means by so many standard deviations along a direction, as far as their ranges go.
+    /// Moves the means along the direction with this index, by `deviations` times its standard
+    /// deviation. A mean that would leave its range is put at the end of the range.
     fn shifted(mut self, direction: usize, deviations: f64, family: Family) -> Self {
         for quantity in Quantity::all() {
             let moved = deviations * self.directions[direction].of(quantity);
@@ -266,7 +284,7 @@ impl DomainDistribution {
         self
     }
 
-    /// Multiplies every standard deviation by a factor.
+    /// Multiplies every standard deviation and every direction by a factor.
     fn widened(mut self, factor: f64, family: Family) -> Self {
         for quantity in Quantity::all() {
             let own = self.get(quantity);
@@ -281,7 +299,7 @@ impl DomainDistribution {
         self
     }
 
-    /// Adds to the command's delay a lag with this mean and standard deviation, s.
+    /// Adds an independent lag with this mean and standard deviation, s, to the command's delay.
     fn delayed(self, mean_s: f64, deviation_s: f64, family: Family) -> Self {
         let delay = Quantity::Nonideality(Nonideality::CommandDelay);
         let own = self.get(delay);
@@ -290,15 +308,16 @@ impl DomainDistribution {
         self.moments(delay, mean, deviation, family)
     }
 
-    /// Gives a quantity these moments; a standard deviation that is too large for the mean is reduced.
+    /// Gives a quantity a distribution of this family with these moments. A standard deviation that
+    /// is too large for the mean is reduced to the largest accepted one.
     fn moments(mut self, quantity: Quantity, mean: f64, deviation: f64, family: Family) -> Self {
         let deviation = deviation.min(largest_standard_deviation(quantity, mean));
         self.distributions[quantity.index()] = family.with_moments(mean, deviation);
         self
     }
 
-    /// The same distribution of another plant than the Qube that it describes: each quantity is in the proportion of
-    /// the two plants ([`PlantModel::proportion`]).
+    /// This distribution, which describes Qubes, converted to another plant: each quantity is
+    /// scaled by [`PlantModel::proportion`].
     ///
     /// # Errors
     /// A quantity of the plant cannot be simulated.
@@ -313,7 +332,7 @@ impl DomainDistribution {
         Ok(self)
     }
 
-    /// The distribution of a quantity.
+    /// The distribution of a quantity, without the directions.
     #[must_use]
     pub fn get(&self, quantity: impl Into<Quantity>) -> Distribution {
         self.distributions[quantity.into().index()]
@@ -322,7 +341,7 @@ impl DomainDistribution {
     /// Replaces the distribution of one quantity.
     ///
     /// # Errors
-    /// The distribution has draws that are not physical.
+    /// The distribution can draw values that are not physical.
     pub fn with(
         mut self,
         quantity: impl Into<Quantity>,
@@ -334,7 +353,8 @@ impl DomainDistribution {
         Ok(self)
     }
 
-    /// Draws one xi. A constant takes no number from the generator.
+    /// Draws one Qube: the parameters xi and the nonidealities. A constant quantity takes no number
+    /// from the generator.
     pub fn sample(&self, rng: &mut impl rand::Rng) -> QubeModel {
         if !self.specimens.is_empty() {
             return self.specimens[rng.random_range(0..self.specimens.len())];
@@ -550,7 +570,8 @@ mod tests {
         assert!(delays.iter().any(|&s| s < 0.001) && delays.iter().any(|&s| s > 0.015));
     }
 
-    /// A posterior in which motor resistance and back-EMF err together and the arm's friction is not known.
+    /// A posterior in which the errors of motor resistance and back-EMF are correlated and the
+    /// arm's friction is nearly unknown.
     fn posterior() -> DomainDistribution {
         let (resistance, back_emf) =
             (DomainParameter::MotorResistance, DomainParameter::MotorBackEmf);
@@ -600,7 +621,7 @@ mod tests {
         let moved = shaped(&[0.0, -1.5, 0.0, 0.004, 0.001]);
         assert!((moved.get(resistance).mean() - (nominal - 0.6)).abs() < 1e-12);
         assert_eq!(moved.get(delay), Family::Normal.with_moments(0.004, 0.001));
-        // What is below the range stays at its end.
+        // A mean that would fall below its range is put at the range's end.
         let held = shaped(&[0.0, 0.0, -2.0, -0.004, 0.0]);
         assert_eq!(held.get(Nonideality::CoulombTorque).mean(), 0.0);
         assert_eq!(held.get(delay).mean(), 0.0);

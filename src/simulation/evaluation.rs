@@ -1,7 +1,7 @@
 use super::{DomainDistribution, LaneStatus, Pendulums, SimulationSettings, Trajectory};
 use crate::qube::MAX_STEPS;
 
-/// A controller that chooses voltages for many pendulums at once.
+/// A controller that computes the voltages of many pendulums at once.
 pub trait Actor {
     /// Computes voltages in V from `observations`, `[observation_size][lanes]` (see
     /// [`SimulationSettings::observation_size`]). `voltages_v` has `lanes` entries, a multiple of
@@ -15,23 +15,24 @@ impl<F: FnMut(&[f32], &mut [f32])> Actor for F {
     }
 }
 
-/// The results of an evaluation, one entry for each trajectory.
+/// The results of an evaluation: the lists have one entry for each trajectory, in the order of
+/// their numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evaluation {
     /// Returns: sums of rewards, at most 600.
     pub returns: Vec<f64>,
-    /// Steps taken; fewer than 600 when the trajectory left the safety box.
+    /// Numbers of steps: 600, or fewer if the trajectory left the safety box.
     pub steps: Vec<u32>,
 }
 
 impl Evaluation {
-    /// The mean return.
+    /// The mean return of all trajectories; NaN if there are none.
     #[must_use]
     pub fn mean_return(&self) -> f64 {
         self.returns.iter().sum::<f64>() / self.returns.len() as f64
     }
 
-    /// The standard deviation of the returns.
+    /// The standard deviation of the returns, with the number of trajectories in the denominator.
     #[must_use]
     pub fn return_standard_deviation(&self) -> f64 {
         let mean = self.mean_return();
@@ -40,11 +41,11 @@ impl Evaluation {
     }
 }
 
-/// Runs an actor through the trajectories 0 to `starts` - 1 of a seed, each to its end, and sums their
-/// rewards. The same seed gives the same Qubes and starts to every actor.
+/// Runs an actor through the trajectories 0 to `starts` - 1 of a seed, each to its end, and sums
+/// the rewards of each. Two actors that are evaluated with one seed meet the same Qubes and starts.
 ///
-/// 100 starts suffice to choose a policy during training; a published figure takes 1,000 or more, from a
-/// fresh seed.
+/// 100 starts suffice to choose a policy during training. A figure for publication should use 1,000
+/// or more, with a seed that was not used to choose the policy.
 pub fn evaluate(
     actor: &mut impl Actor,
     distribution: &DomainDistribution,
@@ -55,8 +56,8 @@ pub fn evaluate(
     evaluate_and_tell(actor, distribution, settings, seed, starts, |_, _, _| {})
 }
 
-/// Evaluates like [`evaluate`] and calls `tell` after each step with the trajectory's number, its reward,
-/// and its voltage before clipping, V.
+/// Evaluates as [`evaluate`] does, and after each step calls `tell` for each running trajectory
+/// with its number, the reward of the step and the actor's voltage before clipping, V.
 pub fn evaluate_and_tell(
     actor: &mut impl Actor,
     distribution: &DomainDistribution,
@@ -102,7 +103,7 @@ mod tests {
     use crate::safety::SafetyBox;
     use crate::simulation::Family;
 
-    /// Turns the arm with 3 V and damps with the observed velocity.
+    /// An actor that applies 3 V, less a part of the observed velocity.
     fn pushing(observations: &[f32], voltages_v: &mut [f32]) {
         let lanes = voltages_v.len();
         for (lane, voltage_v) in voltages_v.iter_mut().enumerate() {

@@ -10,22 +10,24 @@ use crate::qube::{
     BLOCK, CONTROL_PERIOD_S, Encoders, InLanes, Lanes, PlantModel, State, limited_to,
 };
 
-/// Number of last commands remembered: they cover the longest delay of an observer.
+/// Number of last commands that are remembered; they cover the longest delay of an observer.
 const REMEMBERED: usize = 12;
 
 /// Largest number of pieces of constant voltage in a prediction.
 const MAX_PIECES: usize = REMEMBERED;
 
-/// The observer of [`crate::estimation`] for the lanes of a simulation. The period is fixed, so the command
-/// that acts at a given time has the same age in every step.
+/// The observer of [`crate::estimation`], computed for the lanes of a simulation. The control
+/// period is fixed, so the command that acts at a given time within the period is equally old in
+/// every period.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LaneObserver {
     equations: ObserverEquations<f32>,
     theta_gains: KalmanGains<f32>,
     alpha_gains: KalmanGains<f32>,
-    /// Voltage pieces from the last sample to the current one.
+    /// Pieces of constant voltage from the last sample to the current one.
     since: Pieces,
-    /// Voltage pieces from the current sample to the instant at which the next command acts.
+    /// Pieces of constant voltage from the current sample to the instant at which the next command
+    /// acts.
     ahead: Pieces,
     /// Largest voltage of the plant, V.
     largest_v: f32,
@@ -79,7 +81,8 @@ impl ObserverLanes {
 impl LaneObserver {
     pub(super) fn new(settings: &ObserverSettings, plant: &PlantModel) -> Self {
         const PERIOD_US: u64 = (CONTROL_PERIOD_S * 1e6) as u64;
-        // Numbers the commands of a long sequence to find the age of the one that acts at each time.
+        // A long sequence of commands whose "voltages" are their numbers: the number of the command
+        // that acts at a given time shows the command's age.
         let newest = REMEMBERED as u64;
         let mut sent = SentVoltages::new(settings.model.nonidealities.command_delay_s, 0);
         for command in 0..=newest {
@@ -110,8 +113,9 @@ impl LaneObserver {
         }
     }
 
-    /// Advances by one sample: takes the commands of the elapsed period and the guard's filtered states,
-    /// and returns the states at the instant at which the next commands will act.
+    /// Advances the observers by one sample. `voltages_v` are the commands of the elapsed period,
+    /// V; `filtered` are the states of the guard's filter at the sample. Returns the estimated
+    /// states at the instant at which the next commands will act.
     #[inline(always)]
     pub(super) fn update(
         &self,

@@ -5,9 +5,10 @@ pub enum LaneStatus {
     /// The trajectory continues.
     #[default]
     Running,
-    /// The state has left the safety box: the trajectory earns nothing more, and the value of its final
-    /// state is 0.
+    /// The state has left the safety box, which ends the trajectory: it earns no further reward,
+    /// and the value of its final state is 0.
     LeftBox,
-    /// The trajectory has its 600 steps; a learner bootstraps the value of its final state.
+    /// The trajectory ended after 600 steps; a learner estimates the value of its final state
+    /// (bootstrapping).
     TimeUp,
 }

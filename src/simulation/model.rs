@@ -3,24 +3,25 @@ use serde::{Deserialize, Serialize};
 use super::{Direction, DomainDistribution, Family, Psi, PsiError};
 use crate::qube::{PlantModel, Profile, QubeModel};
 
-/// A named distribution over simulations: the thesis's five (section 5.2) and those with the nonidealities
-/// of real Qubes. A searched model leaves masses and lengths, or whatever psi names, to a search.
+/// A named distribution over simulations: one of the thesis's five (section 5.2), or one with the
+/// nonidealities of real Qubes. In a *searched* model, masses and lengths, or the quantities that
+/// psi names, are left to a search for psi.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
-    /// The nominal values, always the same.
+    /// The nominal values in every simulation.
     Nominal,
-    /// All nine parameters, with a fifth of nominal as standard deviation.
+    /// All nine parameters vary, with a fifth of the nominal value as standard deviation.
     Handcrafted,
-    /// Masses and lengths as in `handcrafted`, the other five parameters nominal.
+    /// Masses and lengths vary as in `handcrafted`; the other five parameters are nominal.
     NominalHandcrafted,
     /// A psi that a session searches; quantities that it does not shape are as in `handcrafted`.
     OptHandcrafted,
     /// A psi that a session searches; quantities that it does not shape are nominal.
     OptNominal,
-    /// Parameters and nonidealities of a Qube that is not identified.
+    /// Parameters and nonidealities vary as for a Qube that is not identified.
     Robust,
-    /// Parameters and nonidealities around an identified Qube.
+    /// Parameters and nonidealities vary around those of an identified Qube.
     Profile,
     /// A psi that a session searches; quantities that it does not shape are as in `robust`.
     OptRobust,
@@ -32,18 +33,19 @@ pub enum Model {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProfileSettings {
-    /// Model of the Qube.
+    /// Parameters and nonidealities of the Qube.
     pub model: QubeModel,
-    /// Standard deviations as a part of each value, which stand for the errors of the model itself.
+    /// Standard deviation of each quantity as a part of its value, 0 to 1. It stands for errors of
+    /// the model, which `directions` do not contain.
     pub spread: f64,
-    /// Directions of the identification's errors, the widest first.
+    /// Directions of the identification's errors ([`Direction::of_errors`]), the widest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<Direction>,
 }
 
 impl ProfileSettings {
-    /// The specimen of a plant that a profile describes, with the errors that its identification found, and a spread
-    /// beside them.
+    /// The settings for the specimen of a plant that a profile describes, with the errors of the
+    /// profile's identification and an additional `spread`.
     #[must_use]
     pub fn of(profile: &Profile, plant: &PlantModel, spread: f64) -> Self {
         let directions = Direction::of_errors(profile, plant);
@@ -74,7 +76,7 @@ impl Model {
         Self::OptNominal,
     ];
 
-    /// The name in files and on the command line.
+    /// The model's name in files and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -90,7 +92,7 @@ impl Model {
         }
     }
 
-    /// A description for people.
+    /// A description of the model in one sentence, for people.
     #[must_use]
     pub fn description(self) -> &'static str {
         match self {
@@ -121,8 +123,8 @@ impl Model {
         searched.map(Self::name).collect::<Vec<_>>().join(", ")
     }
 
-    /// The model with the same distribution for the quantities that a psi does not shape, which are those
-    /// besides masses and lengths in the thesis's space.
+    /// The searched model that draws the quantities that psi does not name from the same
+    /// distribution as this model. In the thesis's space these are all but masses and lengths.
     #[must_use]
     pub fn searched(self) -> Self {
         match self {
@@ -145,10 +147,11 @@ impl Model {
         matches!(self.searched(), Self::OptRobust | Self::OptProfile)
     }
 
-    /// The distribution for a plant before a psi shapes it.
+    /// The distribution of simulations of a plant before psi is applied.
     ///
     /// # Errors
-    /// The model needs a profile that is missing or cannot be simulated.
+    /// The model needs a profile and there is none, or a value of the profile or the plant cannot
+    /// be simulated.
     pub fn base_distribution(
         self,
         plant: &PlantModel,
@@ -163,7 +166,7 @@ impl Model {
             Self::Profile | Self::OptProfile => {
                 let ProfileSettings { model, spread, directions } =
                     profile.ok_or(PsiError::NoProfile)?;
-                // A profile is of a specimen of the plant itself.
+                // A profile describes a specimen of the plant, so its values are not converted.
                 let around = DomainDistribution::around(model, *spread, family);
                 return Ok(around.map_err(PsiError::Base)?.along(directions));
             }
@@ -171,11 +174,11 @@ impl Model {
         of_qube.of_plant(plant).map_err(PsiError::Base)
     }
 
-    /// The distribution of simulations of a plant. A searched model needs a psi; for the others, which have none, it
-    /// is left out.
+    /// The distribution of simulations of a plant. A searched model needs a psi; the others ignore
+    /// it.
     ///
     /// # Errors
-    /// The psi is missing; the model needs a profile that is missing or cannot be simulated.
+    /// A searched model has no psi, or [`Self::base_distribution`] fails.
     pub fn distribution(
         self,
         plant: &PlantModel,

@@ -5,21 +5,22 @@ use super::{LaneStatus, MAX_COMMAND_DELAY_S, SimulationSettings, Trajectory};
 use crate::elementary::{Level, Scalar, dispatch_at};
 use crate::qube::{BLOCK, MAX_HISTORY, State};
 
-/// Granularity of the number of lanes.
+/// Number of lanes in a block; the number of lanes of [`Pendulums`] is a multiple of it.
 pub const LANES_MULTIPLE: usize = BLOCK;
 
-/// Many pendulums in parallel lanes, in `f32`. Each has its own parameters, nonidealities and trajectory;
-/// each [`Self::step`] advances all of them by one control period.
+/// Many simulated pendulums in `f32`, computed side by side in the lanes of vector instructions.
+/// Each has its own parameters, nonidealities and trajectory; [`Self::step`] advances all of them
+/// by one control period.
 ///
-/// Slices over lanes have length [`Self::lanes`]. Observations are feature-major,
-/// `[observation_size][lanes]`: feature `f` of lane `i` is entry `f * lanes + i`. The features are those of
-/// [`crate::qube::observation`], then the last commands as fractions of 5 V, newest first, zero at the
-/// start of a trajectory. A lane's numbers depend on its own trajectory and voltages alone, and are the
-/// same bits on every instruction set.
+/// Slices with one entry for each lane have length [`Self::lanes`]. Observations are feature-major,
+/// `[observation_size][lanes]`: feature `f` of lane `i` is entry `f * lanes + i`. The features are
+/// those of [`crate::qube::observation`], then the last commands as fractions of 5 V, newest first;
+/// commands before the start of a trajectory count as zero. The numbers of a lane depend on its own
+/// trajectory and voltages alone, and have the same bits on every instruction set.
 #[derive(Clone, Debug)]
 pub struct Pendulums {
     blocks: Vec<Block>,
-    /// Memory of the observers, one a block; empty without observers.
+    /// Memory of the observers, one entry for each block; empty if there are no observers.
     observers: Vec<ObserverLanes>,
     surroundings: Surroundings,
     observation_size: usize,
@@ -27,8 +28,8 @@ pub struct Pendulums {
 }
 
 impl Pendulums {
-    /// At least `lanes` pendulums (rounded up to a multiple of [`LANES_MULTIPLE`]), nominal and hanging at
-    /// rest until they are [`restarted`](Self::restart).
+    /// At least `lanes` pendulums (rounded up to a multiple of [`LANES_MULTIPLE`]). They are
+    /// nominal Qubes that hang at rest, until [`Self::restart`] gives them a trajectory.
     ///
     /// # Panics
     /// Panics if the history is longer than [`MAX_HISTORY`].
@@ -52,14 +53,15 @@ impl Pendulums {
         }
     }
 
-    /// Selects the instruction set, for comparisons (see [`crate::elementary::dispatch_at`]).
+    /// Selects the instruction set, for comparisons (see [`crate::elementary::dispatch_at`]); the
+    /// best available one is the default.
     #[must_use]
     pub fn at_level(mut self, level: Level) -> Self {
         self.level = level;
         self
     }
 
-    /// Number of pendulums.
+    /// Number of pendulums, a multiple of [`LANES_MULTIPLE`].
     #[must_use]
     pub fn lanes(&self) -> usize {
         self.blocks.len() * BLOCK
@@ -73,11 +75,12 @@ impl Pendulums {
 
     /// Starts a new trajectory in a lane at step 0.
     ///
-    /// Arrays of observations keep the lane's old entries until [`Self::observe_lane`] overwrites them. A
-    /// command may be delayed by at most [`super::MAX_COMMAND_DELAY_S`].
+    /// The caller's array of observations keeps the lane's old entries until [`Self::observe_lane`]
+    /// overwrites them.
     ///
     /// # Panics
-    /// Panics if the lane does not exist or the delay is longer.
+    /// Panics if the lane does not exist, or if the Qube's command delay is negative or longer than
+    /// [`super::MAX_COMMAND_DELAY_S`].
     pub fn restart(&mut self, lane: usize, trajectory: &Trajectory) {
         let Trajectory { model, start } = trajectory;
         let delays = 0.0..=MAX_COMMAND_DELAY_S;
@@ -121,12 +124,13 @@ impl Pendulums {
 
     /// Advances all lanes by one control period.
     ///
-    /// `voltages_v` is clipped to the motor's +-5 V. The call writes the `rewards` of the states before the
-    /// step with these voltages, the `statuses` of the trajectories, and the `observations` after the step,
-    /// `[observation_size][lanes]`, also of trajectories that end with it.
+    /// `voltages_v` are clipped to the largest voltage of the plant, ±5 V for a Qube. The call
+    /// writes the `rewards` for the states before the step and the clipped voltages, the `statuses`
+    /// of the trajectories after the step, and the `observations` after the step,
+    /// `[observation_size][lanes]`, also those of trajectories that end with this step.
     ///
-    /// A lane whose trajectory has ended goes on with meaningless numbers until it is restarted; they do
-    /// not reach other lanes. A state that is not a number counts as outside the box.
+    /// A lane whose trajectory has ended continues with meaningless numbers until it is restarted;
+    /// they do not affect other lanes. A state that is not a number counts as outside the box.
     ///
     /// # Panics
     /// Panics if a slice has another length.
@@ -163,7 +167,7 @@ impl Pendulums {
         assert_eq!(observations.len(), expected, "observations: [observation_size][lanes]");
     }
 
-    /// The true state in a lane.
+    /// The true state of the Qube in a lane, rad and rad/s.
     ///
     /// # Panics
     /// Panics if the lane does not exist.
@@ -172,7 +176,8 @@ impl Pendulums {
         self.blocks[lane / BLOCK].state(lane % BLOCK)
     }
 
-    /// The state in a lane as sensors and estimator show it to the policy.
+    /// The state of the Qube in a lane as sensors and estimator show it to the policy, rad and
+    /// rad/s.
     ///
     /// # Panics
     /// Panics if the lane does not exist.

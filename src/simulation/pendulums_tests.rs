@@ -1,4 +1,5 @@
-//! Compares the lanes with the `f64` equations, the scalar bits, and the estimator of the machine.
+//! Compares the lanes with the equations in `f64`, with the bits of the scalar equations in `f32`,
+//! and with the estimator that runs on a real Qube ("the machine").
 
 use super::{
     DomainDistribution, Family, LaneStatus, Pendulums, SensorModel, SimulationSettings, Trajectory,
@@ -43,8 +44,8 @@ impl Bench {
     }
 }
 
-/// A trajectory with a drawn Qube that starts anywhere in the given part of the box; all numbers are exact
-/// in `f32`.
+/// A trajectory with a drawn Qube, whose start has angles and velocities up to those of `reach` on
+/// either side; all numbers are exact in `f32`.
 fn anywhere(number: u64, reach: &State) -> Trajectory {
     let distribution = DomainDistribution::handcrafted(Family::Normal);
     let trajectory = Trajectory::draw(&distribution, 11, number);
@@ -68,7 +69,8 @@ fn voltage_v(lane: usize) -> f32 {
 #[test]
 fn a_step_is_within_a_microradian_of_the_same_step_in_f64() {
     let lanes = 8192;
-    // The test covers one turn either way: farther out, a last bit of `f32` is as large as the tolerance.
+    // The test covers one turn to either side: for larger angles the last bit of an `f32` is as
+    // large as the tolerance.
     let reach = State { theta: 2.3, alpha: 6.3, theta_dot: 20.0, alpha_dot: 21.0 };
     let mut bench = Bench::new(lanes, &SimulationSettings::default());
     let (mut worst_angle, mut worst_velocity) = (0.0_f64, 0.0_f64);
@@ -185,8 +187,9 @@ fn a_trajectory_ends_at_the_box_at_what_is_not_a_number_and_after_600_steps() {
     assert_eq!(bench.statuses[0], LaneStatus::Running);
 }
 
-/// Moves one lane for 3 s beside the machine's estimator, which gets the same counts; returns the largest
-/// differences of the policies' states: rad and rad/s.
+/// Simulates one lane for 3 s, with the machine's estimator beside it that gets the same encoder
+/// counts. Returns the largest differences between the states that both show to a policy, rad and
+/// rad/s.
 fn beside_the_machine(estimator: EstimatorSettings, safety_box: SafetyBox) -> (f64, f64) {
     let settings = SimulationSettings {
         sensors: SensorModel::Encoders { estimator },

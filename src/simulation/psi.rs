@@ -7,8 +7,8 @@ use super::{PsiError, PsiTarget};
 use crate::qube::Quantity;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
-/// A psi: the parameters of the distribution over simulations, which the search varies. Every value is
-/// physical; the searched box is a [`super::PsiSpace`].
+/// A psi: the parameters of the distribution over simulations that a search varies. Every value is
+/// physical; a [`super::PsiSpace`] is the box in which a search looks for a psi.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "BTreeMap<String, f64>", into = "BTreeMap<String, f64>")]
 pub struct Psi {
@@ -16,7 +16,7 @@ pub struct Psi {
 }
 
 impl Psi {
-    /// Checks the values and keeps them in this order.
+    /// A psi with these entries, which are kept in this order.
     ///
     /// # Errors
     /// A value is not physical.
@@ -39,14 +39,16 @@ impl Psi {
         self.values.iter().find(|(own, _)| *own == target).map(|(_, value)| *value)
     }
 
-    /// The mean and standard deviation that psi gives to a quantity; `None` for a moment it does not name.
+    /// The mean and standard deviation that psi gives to a quantity, in the quantity's unit; `None`
+    /// for each of the two that psi does not name.
     #[must_use]
     pub fn moments(&self, quantity: Quantity) -> (Option<f64>, Option<f64>) {
         let (mean, deviation) = (PsiTarget::Mean(quantity), PsiTarget::StandardDeviation(quantity));
         (self.get(mean), self.get(deviation))
     }
 
-    /// The corner of the simulated velocity filter, rad/s; `None` if psi does not name it.
+    /// The corner frequency of the simulated velocity filter, rad/s; `None` if psi does not name
+    /// it.
     #[must_use]
     pub fn filter_corner_rad_s(&self) -> Option<f64> {
         self.get(PsiTarget::Filter)
@@ -55,7 +57,8 @@ impl Psi {
     /// Reads a TOML file with one line `name = value` for each entry.
     ///
     /// # Errors
-    /// The file cannot be read, has an unknown name, or a value that is not physical.
+    /// The file cannot be read, has no entry or one with an unknown name, or a value is not
+    /// physical.
     pub fn load(path: &Path) -> Result<Self, PsiError> {
         let text = read_text(path, SETTINGS_BYTES)
             .map_err(|source| PsiError::Unreadable { path: path.to_owned(), source })?;

@@ -10,19 +10,20 @@ use crate::qube::{Distribution, DomainParameter, Nonideality, PlantModel, Quanti
 pub enum PsiTarget {
     /// The mean of a quantity in its SI unit: `mean_M_p`, `mean_delay` ...
     Mean(Quantity),
-    /// The standard deviation of a quantity: `std_M_p`, `std_delay` ... One that is too large for the mean
-    /// is reduced to the largest accepted one.
+    /// The standard deviation of a quantity in its SI unit: `std_M_p`, `std_delay` ... A value that
+    /// is too large for the mean is reduced to the largest accepted one.
     StandardDeviation(Quantity),
-    /// The corner of the simulated velocity filter, rad/s: `filter`.
+    /// The corner frequency of the simulated velocity filter, rad/s: `filter`.
     Filter,
-    /// The natural logarithm of the factor of every standard deviation: `log_width`.
+    /// The natural logarithm of a factor by which every standard deviation is multiplied:
+    /// `log_width`.
     LogWidth,
-    /// How far the means lie along a direction of the identification's errors, in its standard deviations:
-    /// `shift_1` along the widest, to `shift_3`.
+    /// The shift of the means along a direction of the identification's errors, in standard
+    /// deviations: `shift_1` along the widest direction, then `shift_2` and `shift_3`.
     Shift(u8),
-    /// The mean of a lag beside the command's delay, s: `mean_lag`.
+    /// The mean of a lag that is added to the command's delay, s: `mean_lag`. It may be negative.
     MeanLag,
-    /// The standard deviation of that lag, s: `std_lag`.
+    /// The standard deviation of the lag that `mean_lag` describes, s: `std_lag`.
     LagDeviation,
 }
 
@@ -30,7 +31,7 @@ impl PsiTarget {
     /// Number of directions along which psi may shift the means.
     pub const SHIFTS: usize = 3;
 
-    /// The targets that are no moments of a quantity.
+    /// The targets other than the mean or standard deviation of a quantity.
     const OF_SIMULATIONS: [Self; 7] = [
         Self::Filter,
         Self::LogWidth,
@@ -57,8 +58,9 @@ impl PsiTarget {
         target.ok_or_else(|| PsiError::UnknownName { name: name.to_owned() })
     }
 
-    /// The range that a search covers by default: that of the thesis's table 5.2 where it has one, a range
-    /// around nominal for other parameters, and one that exceeds every measured Qube for the nonidealities.
+    /// The range that a search covers by default, in the target's unit. Masses and lengths have the
+    /// ranges of the thesis's table 5.2, other parameters a range around the nominal value, and
+    /// nonidealities a range that covers every measured Qube.
     #[must_use]
     pub fn default_range(self) -> (f64, f64) {
         use DomainParameter as P;
@@ -94,7 +96,7 @@ impl PsiTarget {
                 G::CommandDelay => (0.0, 0.01),
             },
             Self::Filter => (20.0, 500.0),
-            // Half to three times as wide.
+            // Factors from 0.5 to 3.
             Self::LogWidth => (-0.7, 1.1),
             Self::Shift(_) => (-2.0, 2.0),
             Self::MeanLag => (-0.004, 0.004),
@@ -102,7 +104,8 @@ impl PsiTarget {
         }
     }
 
-    /// Its SI unit.
+    /// The unit of the target's values: an SI unit, `1` for a pure number, or `std` for a number of
+    /// standard deviations.
     #[must_use]
     pub fn unit(self) -> &'static str {
         match self {
@@ -160,7 +163,8 @@ impl fmt::Display for PsiTarget {
     }
 }
 
-/// One dimension of the search space: its target and the range that is searched, in the target's unit.
+/// One dimension of the search space: its target and the range that is searched, in the target's
+/// unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "DimensionTable", into = "DimensionTable")]
 pub struct PsiDimension {
@@ -183,7 +187,8 @@ impl PsiDimension {
         Ok(Self { target, lower, upper })
     }
 
-    /// The same dimension of another plant than the Qube that it describes.
+    /// This dimension, which describes Qubes, converted to another plant: the range of a mean or a
+    /// standard deviation is scaled by [`PlantModel::proportion`], any other range stays.
     #[must_use]
     pub fn of_plant(self, plant: &PlantModel) -> Self {
         let factor = match self.target {
@@ -211,7 +216,7 @@ impl PsiDimension {
     }
 }
 
-/// A dimension as `session.toml` writes it; a missing end takes its default.
+/// A dimension as `session.toml` contains it; an end of the range that is left out has its default.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DimensionTable {

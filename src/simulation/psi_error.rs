@@ -45,7 +45,7 @@ pub enum PsiError {
         name: String,
         /// Value given.
         value: f64,
-        /// Range that the value must lie in.
+        /// Reason for the refusal, with the range that the value must lie in.
         reason: String,
     },
     /// The lower end of a range is not below the upper end.
@@ -66,7 +66,7 @@ pub enum PsiError {
         /// Name of the entry.
         name: String,
     },
-    /// The base distribution, which psi modifies, cannot be drawn.
+    /// The base distribution, to which psi is applied, has a value that cannot be simulated.
     #[error("the profile cannot be simulated: {0}")]
     Base(DistributionError),
     /// The model needs a profile, and none is given.
@@ -94,7 +94,7 @@ pub enum PsiError {
     NotPsi {
         /// Path of the file.
         path: PathBuf,
-        /// Cause with its line.
+        /// Cause, with the line in the file.
         source: Box<toml::de::Error>,
     },
 }

@@ -9,7 +9,8 @@ use crate::qube::PlantModel;
 const THESIS: [&str; 8] =
     ["mean_M_p", "std_M_p", "mean_M_r", "std_M_r", "mean_L_p", "std_L_p", "mean_L_r", "std_L_r"];
 
-/// The search space of psi: its dimensions in the order of a point's entries, with the range of each.
+/// The search space of psi: its dimensions, each with its range. A point of the space has one entry
+/// for each dimension, in this order and in the unit of the dimension's target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<PsiDimension>", into = "Vec<PsiDimension>")]
 pub struct PsiSpace {
@@ -42,8 +43,8 @@ impl PsiSpace {
         Self::new(dimensions.collect::<Result<_, _>>()?)
     }
 
-    /// The thesis's space: mean and standard deviation of each mass and length, in the box of its table
-    /// 5.2.
+    /// The thesis's space: mean and standard deviation of each mass and length, with the ranges of
+    /// its table 5.2.
     ///
     /// # Panics
     /// Never panics.
@@ -52,9 +53,10 @@ impl PsiSpace {
         Self::named(&THESIS).expect("names that exist, each once")
     }
 
-    /// The space around an identified Qube: how wide the simulations are spread, how far their means lie along the
-    /// widest directions of the identification's errors, of which there are `directions`, and mean and spread of a
-    /// lag that the identification missed.
+    /// The search space around an identified Qube: the common width of all standard deviations,
+    /// shifts of the means along the widest directions of the identification's errors, and mean and
+    /// standard deviation of a lag that the identification may have missed. `directions` is the
+    /// number of directions; at most [`PsiTarget::SHIFTS`] of them are searched.
     ///
     /// # Panics
     /// Never panics.
@@ -69,14 +71,14 @@ impl PsiSpace {
         Self::named(&names).expect("names that exist, each once")
     }
 
-    /// The point of a space around an identified Qube that changes nothing: the simulations are as the identification
-    /// says.
+    /// The point at which psi changes nothing: all entries are 0. It is meaningful for a space of
+    /// [`Self::of_posterior`], where the simulations at this point follow the identification.
     #[must_use]
     pub fn as_identified(&self) -> Vec<f64> {
         vec![0.0; self.dimensions.len()]
     }
 
-    /// The same space of another plant than the Qube that it describes.
+    /// This space, which describes Qubes, converted to another plant ([`PsiDimension::of_plant`]).
     #[must_use]
     pub fn of_plant(self, plant: &PlantModel) -> Self {
         let dimensions = self.dimensions.into_iter().map(|dimension| dimension.of_plant(plant));
@@ -121,7 +123,8 @@ impl PsiSpace {
     /// The psi at a point.
     ///
     /// # Errors
-    /// The point has another dimension than the space, or lies outside the box.
+    /// The point has another dimension than the space or lies outside the box, or a value is not
+    /// physical.
     pub fn psi(&self, point: &[f64]) -> Result<Psi, PsiError> {
         if point.len() != self.dimensions.len() {
             return Err(PsiError::WrongLength {

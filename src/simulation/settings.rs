@@ -6,23 +6,26 @@ use crate::safety::SafetyBox;
 
 use super::{Psi, box_file};
 
-/// Sensors, observation, reward and end of a simulated trajectory.
+/// The settings of simulated trajectories: sensors, observation, reward, and the box that ends
+/// them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SimulationSettings {
-    /// Sensors through which policy and reward see the state; the guard has its own filter.
+    /// Sensors through which policy and reward see the state. With encoders, the guard sees it
+    /// through a filter of its own.
     pub sensors: SensorModel,
     /// Number of last commands in an observation in addition to the state, 0 to
-    /// [`crate::qube::MAX_HISTORY`]. They tell the policy which voltages are still on their way to the
-    /// motor.
+    /// [`crate::qube::MAX_HISTORY`]. They show the policy which voltages have not reached the motor
+    /// yet.
     pub history: usize,
     /// Weights of the reward.
     pub reward: RewardWeights,
-    /// Box that ends a trajectory when the state leaves it. Simulations have no guard besides it.
+    /// Box that ends a trajectory when the state leaves it. Simulations have no other guard.
     #[serde(with = "box_file")]
     pub safety_box: SafetyBox,
-    /// Plant whose encoders and largest voltage the simulation has; files that name none mean the built-in Qube.
-    /// Its parameters are those of the distribution that trajectories are drawn from.
+    /// Plant whose encoders and largest voltage the simulation has. A file that names no plant
+    /// means the built-in Qube. The simulated parameters come from the distribution of the
+    /// trajectories, not from this plant.
     #[serde(skip_serializing_if = "PlantModel::is_qube")]
     pub plant: PlantModel,
 }
@@ -34,8 +37,8 @@ impl SimulationSettings {
         OBSERVATION_SIZE + self.history
     }
 
-    /// Applies the velocity filter's corner that psi names, if it names one. A simulation with true states
-    /// has no filter and stays as it is.
+    /// Sets the velocity filter's corner frequency to the one in psi, if psi names it. A simulation
+    /// with true states has no filter and stays as it is.
     #[must_use]
     pub fn shaped_by(mut self, psi: &Psi) -> Self {
         if let (SensorModel::Encoders { estimator }, Some(corner_rad_s)) =
@@ -46,22 +49,24 @@ impl SimulationSettings {
         self
     }
 
-    /// The same simulation of another plant, whose box has the plant's part of a Qube's travel.
+    /// These settings, which describe Qubes, converted to another plant. The limit of theta shrinks
+    /// in proportion if the plant's stops are nearer than those of a Qube.
     #[must_use]
     pub fn of_plant(self, plant: &PlantModel) -> Self {
         Self { safety_box: self.safety_box.within_travel(plant), plant: *plant, ..self }
     }
 
-    /// The machine's sensors, the last two commands in the observation, for Qubes with a delay and
-    /// uncertain parameters, and a box of 1.7 rad: foresight ends a swing-up that needs more of the
-    /// arm's travel than the brake can give back.
+    /// The settings for Qubes with a delay and uncertain parameters: the sensors of
+    /// [`Self::machine`], the last two commands in the observation, and a limit of 1.7 rad for
+    /// theta. The limit is narrow because foresight, the guard on a real Qube, ends a swing-up from
+    /// which the brake could not stop the arm in time.
     #[must_use]
     pub fn robust() -> Self {
         let safety_box = SafetyBox { theta: 1.7, ..SafetyBox::THESIS };
         Self { history: 2, safety_box, ..Self::machine() }
     }
 
-    /// The machine's sensors: encoders and their velocity filter.
+    /// The settings with the sensors of a real Qube: encoders and their velocity filter.
     #[must_use]
     pub fn machine() -> Self {
         Self {
@@ -72,7 +77,7 @@ impl SimulationSettings {
 }
 
 impl Default for SimulationSettings {
-    /// The thesis's settings: true states, its reward and its box.
+    /// The settings of the thesis: true states, its reward and its box.
     fn default() -> Self {
         Self {
             sensors: SensorModel::TrueState,
@@ -91,7 +96,8 @@ pub enum SensorModel {
     /// True angles and velocities without error.
     #[default]
     TrueState,
-    /// Encoder counts, from which the machine's estimator of [`crate::estimation`] computes the state.
+    /// Encoder counts, from which the estimator of [`crate::estimation`], as on a real Qube,
+    /// computes the state.
     Encoders {
         /// Velocity filter or observer.
         #[serde(default)]

@@ -1,4 +1,5 @@
-//! Compares lanes with nonidealities with the emulator's plant, the `f64` equations and the ideal lanes.
+//! Compares lanes that have nonidealities with the emulator's plant, the equations in `f64` and
+//! ideal lanes.
 
 use super::{DomainDistribution, LaneStatus, Pendulums, SimulationSettings, Trajectory};
 use crate::device::emulator::{EmulatorSettings, Plant};
@@ -28,7 +29,7 @@ fn command_v(lane: usize, step: usize) -> f32 {
     if (step / (6 + lane % 5)).is_multiple_of(2) { 1.2 } else { -1.3 }
 }
 
-/// The states of all lanes after some steps from the starts of their trajectories.
+/// The states of all lanes after this number of steps from the starts of their trajectories.
 fn run(level: Level, trajectories: &[Trajectory], steps: usize) -> Vec<State<f32>> {
     let settings = SimulationSettings::default();
     let mut pendulums = Pendulums::new(trajectories.len(), &settings).at_level(level);
@@ -46,8 +47,8 @@ fn run(level: Level, trajectories: &[Trajectory], steps: usize) -> Vec<State<f32
     (0..trajectories.len()).map(|lane| pendulums.state(lane)).collect()
 }
 
-/// The largest distance between lanes and the emulator's plants after 0.8 s, rad. Each lane has its own
-/// delay and these nonidealities.
+/// The largest distance between lanes and the emulator's plants after 0.8 s, rad. `real_model`
+/// gives the Qube of each lane.
 fn farthest_from_plants(real_model: impl Fn(usize) -> QubeModel) -> f64 {
     let steps = 80;
     let plant = |lane: usize| {
@@ -69,7 +70,7 @@ fn farthest_from_plants(real_model: impl Fn(usize) -> QubeModel) -> f64 {
             plant.advance_to((step as u64 + 1) * 10_000);
             furthest_rad = furthest_rad.max(plant.state().theta.abs());
         }
-        // The plant has stops; a lane's trajectory ends at the box before it reaches them.
+        // Only the plant has stops; the trajectory of a lane ends at the box before them.
         if furthest_rad > 2.3 {
             continue;
         }
@@ -94,8 +95,9 @@ fn delay_dead_zone_and_cable_move_a_lane_as_they_move_the_plant() {
     assert!(worst < 3e-5, "{worst:e} rad");
 }
 
-/// Neither resolves the steep part of friction where the arm reverses: compared with steps of 0.1 ms, lanes
-/// are off by up to 7e-4 rad here, and the plant, whose steps are longer, by 2e-3.
+/// Neither lanes nor plant resolve the steep part of friction where the arm reverses: compared with
+/// steps of 0.1 ms, the error is up to 7e-4 rad for lanes and 2e-3 rad for the plant, whose steps
+/// are longer.
 #[test]
 fn friction_moves_a_lane_as_the_plant_within_two_counts() {
     let worst = farthest_from_plants(real_model);

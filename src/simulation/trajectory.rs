@@ -4,22 +4,23 @@ use rand_chacha::ChaCha8Rng;
 use super::DomainDistribution;
 use crate::qube::{QubeModel, State};
 
-/// Largest start angle from hanging, rad. Starts are at rest with uniform angles, in training and
-/// evaluation alike. (The thesis does not state its starts.)
+/// Largest angle of arm and pendulum at the start of a trajectory, rad. In training and in
+/// evaluation, a trajectory starts at rest, with both angles uniform between minus and plus this
+/// value. (The thesis does not state its starts.)
 pub const START_REACH_RAD: f64 = 0.1;
 
-/// The random draw of one trajectory: its Qube and its start.
+/// The random part of one trajectory: its Qube and its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trajectory {
-    /// Domain parameters xi and nonidealities.
+    /// The Qube: domain parameters xi and nonidealities.
     pub model: QubeModel,
-    /// State at step 0.
+    /// State at step 0, rad and rad/s.
     pub start: State,
 }
 
 impl Trajectory {
-    /// Draws the trajectory with this number under this seed. Each has its own random stream, so that it
-    /// does not depend on earlier draws or on the number of threads.
+    /// Draws the trajectory that has this number under this seed. Each trajectory has its own
+    /// random stream, so that it does not depend on earlier draws or on the number of threads.
     #[must_use]
     pub fn draw(distribution: &DomainDistribution, seed: u64, number: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
