@@ -1,35 +1,37 @@
-//! Computes the next step from the ledger's state alone: a session that was killed at any instant continues exactly
-//! where it was.
+//! Computes the next step of a session from the ledger's state alone, so that a session that was
+//! killed at any instant continues exactly where it stopped.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Candidate, Identification, IdentificationSettings, Purpose, SessionState};
 use crate::qube::MAX_STEPS;
 
-/// The extent of a session.
+/// The extent of a session: numbers of candidates and rollouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Extent {
     /// Number of initial points of the search.
     pub initial_candidates: u32,
-    /// Number of points that the search proposes after them.
+    /// Number of points that the search proposes after the initial ones.
     pub iterations: u32,
     /// Number of rollouts of each candidate.
     pub rollouts: u32,
     /// Number of rollouts that verify the recommendation.
     pub verification_rollouts: u32,
-    /// Whether as many rollouts verify the best candidate's existing policy.
+    /// Whether the best candidate's existing policy is verified too, by `verification_rollouts`.
     #[serde(default)]
     pub verifies_incumbent: bool,
-    /// Steps of a rollout; the thesis uses 600, which is 6 s.
+    /// Number of steps of a rollout, 10 ms each; the thesis uses 600.
     pub steps: u32,
-    /// Number of repetitions of a rollout after faults before the session stops.
+    /// Number of times that one rollout is repeated after faults before the session stops.
     pub repetitions: u32,
-    /// Whether a policy that was trained on the nominal Qube is run once at the end, for comparison.
+    /// Whether a policy that was trained on the nominal Qube makes one rollout at the end, for
+    /// comparison.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub baseline: bool,
-    /// Number of candidates whose returns the search awaits when it proposes another, which is trained while these run
-    /// on the Qube. With 0, Qube and trainings wait for each other. A search around an identified Qube awaits none.
+    /// Number of candidates whose returns may still be unknown when the search proposes the next
+    /// one. The next candidate is then trained while the earlier ones run on the Qube. With 0, Qube
+    /// and training wait for each other. A search around an identified Qube acts as with 0.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub pending: u32,
 }
@@ -39,7 +41,7 @@ fn is_zero(count: &u32) -> bool {
 }
 
 impl Extent {
-    /// The extent of a session that takes minutes.
+    /// The extent of a session of some minutes.
     pub const QUICK: Self = Self {
         initial_candidates: 6,
         iterations: 4,
@@ -52,7 +54,8 @@ impl Extent {
         pending: 0,
     };
 
-    /// The thesis's extent: 15 points and 10 iterations, five rollouts each.
+    /// The thesis's extent: 15 initial points and 10 iterations, with five rollouts for each
+    /// candidate.
     pub const THESIS: Self =
         Self { initial_candidates: 15, iterations: 10, rollouts: 5, ..Self::QUICK };
 }
@@ -66,20 +69,20 @@ impl Default for Extent {
 /// A step of the session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Choose psi.
+    /// Choose psi for new candidates.
     Propose {
-        /// Number of psi.
+        /// Number of candidates to propose.
         count: u32,
         /// Reason of the proposal.
         purpose: Purpose,
     },
-    /// Identify the Qube from the recordings of its excitations, and once more at the end from all recordings but the
-    /// baseline's.
+    /// Identify the Qube: first from the recordings of its excitations, and again at the end from
+    /// all recordings but that of the baseline.
     Identify,
-    /// Decide how the search around the identified Qube goes on: by another candidate, by the verification of the best,
-    /// or not at all.
+    /// Decide how the search around the identified Qube continues: with another candidate, with the
+    /// verification of the best one, or not at all.
     Decide,
-    /// Train the policies of these candidates, which do not depend on each other.
+    /// Train the policies of these candidates; the trainings do not depend on each other.
     Train {
         /// Numbers of the candidates.
         candidates: Vec<u32>,
@@ -90,10 +93,10 @@ pub enum Step {
         candidate: u32,
         /// Number of the rollout.
         rollout: u32,
-        /// Number of the attempt.
+        /// Number of the attempt, from 0.
         attempt: u32,
     },
-    /// The rollout has failed as often as allowed.
+    /// Stop: faults have ended this rollout more often than `repetitions` allows.
     GiveUp {
         /// Number of the candidate.
         candidate: u32,
@@ -104,8 +107,8 @@ pub enum Step {
     Done,
 }
 
-/// The next step of a session in this state. A session with `identification` first identifies its Qube; where that
-/// fails, it searches like one without.
+/// The next step of a session in this state. A session with `identification` first identifies its
+/// Qube. If the identification fails, the session continues as if it had no `identification`.
 #[must_use]
 pub fn next_step(
     state: &SessionState,
@@ -117,7 +120,8 @@ pub fn next_step(
     }
     let missing = |purpose, wanted: u32| state.missing(purpose, wanted);
     let identifies = identifying(state, identification);
-    // All excitations, and all initial points, are proposed together; policies can then train on all cores.
+    // All excitations, or all initial points, are proposed in one step, so that their policies can
+    // be trained at the same time on all cores.
     let together = match identifies {
         Some(plan) => missing(Purpose::Excitation, plan.excitations),
         None => missing(Purpose::Initial, extent.initial_candidates),
@@ -142,7 +146,7 @@ pub fn next_step(
         .unwrap_or(Step::Done)
 }
 
-/// Whether policies are trained while others run on the Qube.
+/// Whether the session trains policies while earlier ones run on the Qube.
 #[must_use]
 pub fn trains_ahead(
     state: &SessionState,
@@ -152,7 +156,8 @@ pub fn trains_ahead(
     extent.pending > 0 && identifying(state, identification).is_none()
 }
 
-/// The settings of the identification, unless it has failed.
+/// The settings of the identification; `None` if the session has none or its identification has
+/// failed.
 pub(super) fn identifying<'a>(
     state: &SessionState,
     identification: Option<&'a IdentificationSettings>,
@@ -160,12 +165,14 @@ pub(super) fn identifying<'a>(
     identification.filter(|_| !matches!(state.identification(), Identification::Refused(_)))
 }
 
-/// The next step of a search that proposes while it awaits returns.
+/// The next step of a search that makes proposals while the returns of earlier candidates are
+/// awaited.
 ///
-/// A proposal is due as soon as no more than `extent.pending` candidates are awaited, before the next rollout. So its
-/// data do not depend on the time that trainings take, and a candidate has either all of its rollouts or none when it is
-/// made. `Step::Train` means that the first unfinished candidate cannot run before its policy is trained; the other
-/// trainings are under way since their proposals.
+/// A proposal is due as soon as no more than `extent.pending` candidates lack returns, and comes
+/// before the next rollout. The data of a proposal therefore do not depend on how long trainings
+/// take, and at that moment every candidate has either all of its rollouts or none. The training of
+/// a candidate begins with its proposal. `Step::Train` only means that the first unfinished
+/// candidate cannot run before its policy is trained.
 fn next_step_ahead(state: &SessionState, extent: &Extent) -> Step {
     if let Some(step) = state.missing(Purpose::Initial, extent.initial_candidates) {
         return step;
@@ -175,7 +182,8 @@ fn next_step_ahead(state: &SessionState, extent: &Extent) -> Step {
         return Step::Propose { count: 1, purpose: Purpose::Search };
     }
     if awaited == 0 {
-        // The best candidate's policy runs while that of the recommendation is trained.
+        // The incumbent comes first: its policy exists and can run while the policy of the
+        // recommendation is trained.
         let last = [
             (Purpose::Incumbent, extent.verifies_incumbent),
             (Purpose::Verification, true),
@@ -190,7 +198,8 @@ fn next_step_ahead(state: &SessionState, extent: &Extent) -> Step {
     state.candidates().iter().find_map(|it| lacking(it, extent, None)).unwrap_or(Step::Done)
 }
 
-/// The training or rollout that the first unfinished candidate lacks; `None` if all are finished.
+/// The training of all candidates without a policy, or else the next rollout of the first
+/// unfinished candidate; `None` if all candidates are finished.
 fn unfinished(
     state: &SessionState,
     extent: &Extent,
@@ -205,7 +214,7 @@ fn unfinished(
     candidates.iter().find_map(|it| lacking(it, extent, identifies))
 }
 
-/// The training or rollout that a candidate lacks; `None` if it is finished.
+/// The next training or rollout of a candidate; `None` if the candidate is finished.
 fn lacking(
     it: &Candidate,
     extent: &Extent,
@@ -239,7 +248,8 @@ pub(super) fn wanted_rollouts(
 }
 
 impl SessionState {
-    /// The proposal of the candidates of a purpose that are missing.
+    /// The step that proposes the candidates of this purpose that are missing from `wanted`; `None`
+    /// if none are.
     fn missing(&self, purpose: Purpose, wanted: u32) -> Option<Step> {
         let count = wanted.saturating_sub(self.count_of(purpose));
         (count > 0).then_some(Step::Propose { count, purpose })
@@ -276,7 +286,8 @@ mod tests {
         session_of(&EXTENT, fault_every)
     }
 
-    /// Performs each step, with a fault now and then, and returns the ledger.
+    /// Carries out every step of a session and returns the ledger; every `fault_every`-th rollout
+    /// is ended by a fault.
     fn session_of(extent: &Extent, fault_every: u32) -> Vec<Entry> {
         let mut entries: Vec<Entry> = Vec::new();
         let mut tries = 0;
@@ -356,7 +367,8 @@ mod tests {
                 else {
                     continue;
                 };
-                // No more candidates are awaited than allowed, and none has run in part.
+                // No more candidates than allowed lack returns, and none has only some of its
+                // rollouts.
                 let expected: Vec<u32> =
                     (candidate.saturating_sub(extent.pending)..*candidate).collect();
                 assert_eq!(*pending, expected, "pending {}", extent.pending);
@@ -372,7 +384,8 @@ mod tests {
             let rollouts: Vec<usize> =
                 state.candidates().iter().map(|it| it.finished.len()).collect();
             assert_eq!(rollouts, [2, 2, 2, 2, 2, 2, 2, 4, 4, 1]);
-            // The recommendation is proposed before its rival runs, so that it trains meanwhile.
+            // The recommendation is proposed before the incumbent runs, so that it trains
+            // meanwhile.
             let proposed = |it: &Entry| matches!(it, Entry::Proposed { candidate: 8, .. });
             let runs = |it: &Entry| matches!(it, Entry::RolloutFinished { candidate: 7, .. });
             assert!(entries.iter().position(proposed) < entries.iter().position(runs));
@@ -439,7 +452,7 @@ mod tests {
         }
         assert_eq!(next_step_after(&entries, &EXTENT), Step::GiveUp { candidate, rollout });
 
-        // The attempts of a rig that is taken out do not count against the others.
+        // Attempts before a rig was taken out do not count against the other rigs.
         entries.push(Entry::RigTakenOut { rig: 1, reason: "it rests".into() });
         for attempt in 4..8 {
             let step = next_step_after(&entries, &EXTENT);
@@ -462,7 +475,7 @@ mod tests {
         Entry::Proposed { candidate, purpose, psi: Vec::new(), pending: Vec::new() }
     }
 
-    /// The entries of a finished candidate with so many rollouts.
+    /// The ledger's entries of a candidate that has finished this number of rollouts.
     fn finished(candidate: u32, purpose: Purpose, rollouts: u32) -> Vec<Entry> {
         let finished =
             |rollout| Entry::RolloutFinished { candidate, rollout, attempt: 0, rig: None };

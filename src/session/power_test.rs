@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
-/// The result of a power test by the rig's owner: the motor's behaviour when its board loses power;
-/// `[power]` in `qube.toml`.
+/// The result of a power test, as `[power]` in `qube.toml` contains it: the motor's behaviour when
+/// the operator pulled the board's USB plug.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PowerTest {
@@ -13,7 +13,7 @@ pub struct PowerTest {
     pub board: String,
 }
 
-/// The motor's behaviour when the board loses the USB power that feeds it.
+/// The motor's behaviour when the board loses its USB power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum UsbLost {
     /// The Qube switches the motor off.
@@ -28,7 +28,7 @@ pub enum UsbLost {
 }
 
 impl PowerTest {
-    /// The finding as a sentence.
+    /// The result of the test as a sentence for people.
     #[must_use]
     pub fn sentence(&self) -> &'static str {
         match self.usb_lost {
@@ -44,8 +44,8 @@ impl PowerTest {
     }
 }
 
-/// The warning before a real Qube is driven, by the result of its power test; `None` where its motor goes
-/// off by itself.
+/// The warning that is shown before a real Qube is driven. It depends on the result of the Qube's
+/// power test, if there was one; `None` if the motor is known to go off without its board.
 #[must_use]
 pub fn power_warning(power: Option<&PowerTest>) -> Option<&'static str> {
     match power.map(|power| power.usb_lost) {

@@ -2,10 +2,12 @@ use super::{FolderError, SessionError, SessionPaths, file_checksum};
 use crate::qube::Profile;
 use crate::storage::{Disk, SETTINGS_BYTES};
 
-/// Reads a profile that a session identified, from its folder, and compares it with its checksum in the ledger.
+/// Reads, from a session's folder, a profile that the session identified. The last argument is what
+/// the ledger holds of the profile: the number of recordings that it was fitted to, and the
+/// checksum of its file.
 ///
 /// # Errors
-/// The profile is missing, was changed, or is none.
+/// The file is missing, does not have this checksum, or is not a valid profile.
 pub fn identified_profile(
     disk: &dyn Disk,
     paths: &SessionPaths,

@@ -1,5 +1,5 @@
-//! The file `qube.toml` with the properties of one Qube. `check --write` writes it, and every command that
-//! drives the Qube reads it.
+//! The file `qube.toml` with the properties of one Qube. `check --write` writes the file, and every
+//! command that drives the Qube reads it.
 
 use std::path::{Path, PathBuf};
 
@@ -22,48 +22,49 @@ pub const QUBE_FILE: &str = "qube.toml";
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct QubeFile {
-    /// Serial port, best by id: such a name stays when other devices are plugged in; or the card of a Qube with the USB
-    /// panel, `hil:CARD@ID`.
+    /// Serial port, or, for a Qube with the USB panel, the card: `hil:CARD@ID`. A port is best
+    /// given by its id, because that name does not change when other devices are plugged in.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub port: Option<String>,
-    /// Serial number of the board; the signs of another rig would be dangerous.
+    /// Serial number of the board. It shows whether the file belongs to the rig: the signs of
+    /// another rig would be dangerous.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub board: Option<String>,
-    /// Profile that `identify` wrote, relative to the folder of this file. The first rollouts of each day
-    /// are compared with it.
+    /// Path of the profile that `identify` wrote, relative to the folder of this file. The first
+    /// rollouts of each day are compared with the profile.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<PathBuf>,
     /// Signs of encoders and motor.
     pub signs: Signs,
-    /// Method and zero of homing.
+    /// Method of homing, zero of the arm, and distance between the stops.
     pub homing: RigHoming,
     /// Limits at which a rollout ends.
     pub limits: RigLimits,
     /// Result of `check --power-test`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<PowerTest>,
-    /// Watchdog of a card behind the vendor's library, as the check has measured it.
+    /// Watchdog of a card behind the vendor's library, as the command `check` has measured it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub watchdog: Option<LibraryWatchdog>,
-    /// Thermal rating of the motor, no higher than the nominal one.
+    /// Thermal rating of the motor, A and s; neither may exceed the nominal rating.
     #[serde(deserialize_with = "motor_rating", skip_serializing_if = "is_nominal")]
     pub motor: MotorRating,
 }
 
-/// The signs of encoders and motor. One of the three may be chosen freely, because inverting all of them
-/// describes the same machine in a mirror.
+/// The signs of encoders and motor. One of the three may be chosen freely: with all three inverted,
+/// they describe the mirror image of the machine, which moves in the same way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Signs {
-    /// The arm's encoder counts down when theta grows.
+    /// Whether the arm's encoder counts down when theta grows.
     pub theta_inverted: bool,
-    /// The pendulum's encoder counts down when alpha grows.
+    /// Whether the pendulum's encoder counts down when alpha grows.
     pub alpha_inverted: bool,
-    /// A positive voltage turns the arm towards negative theta.
+    /// Whether a positive voltage turns the arm towards negative theta.
     pub voltage_inverted: bool,
 }
 
-/// The homing of a rig.
+/// The homing of a rig: how the arm's zero is found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RigHoming {
@@ -72,13 +73,13 @@ pub struct RigHoming {
     /// Zero of the arm relative to the middle that homing finds, rad.
     #[serde(deserialize_with = "offset")]
     pub theta_offset_rad: f64,
-    /// Distance between this rig's stops, rad, where an operator has accepted that it differs from a
-    /// Qube's.
+    /// Distance between this rig's stops, rad, if an operator has accepted that it differs from the
+    /// distance on a Qube.
     #[serde(deserialize_with = "travel", skip_serializing_if = "Option::is_none")]
     pub travel_rad: Option<f64>,
 }
 
-/// The limits of a rollout. A rig may have narrower limits than the task's, never wider ones.
+/// The limits of a rollout on this rig. They may be narrower than those of the task, never wider.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RigLimits {
@@ -130,10 +131,11 @@ impl From<Calibration> for Signs {
 }
 
 impl QubeFile {
-    /// Reads a file.
+    /// Reads a `qube.toml`.
     ///
     /// # Errors
-    /// The file cannot be read, or has an unknown key or an invalid value, each reported with its line.
+    /// The file cannot be read, or has an unknown key or an invalid value; the error names the
+    /// line.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         toml::from_str(&text).map_err(|source| ConfigurationError::Invalid {
@@ -142,7 +144,7 @@ impl QubeFile {
         })
     }
 
-    /// Writes the file atomically; its first line names the writer.
+    /// Writes the file atomically; its first line names `writer`.
     ///
     /// # Errors
     /// The disk is full or failing, or the folder is not writable.
@@ -169,7 +171,7 @@ impl QubeFile {
         }
     }
 
-    /// Narrows a box to the limits of this Qube.
+    /// A box with the narrower of each limit of the task and of this Qube, under the task's guard.
     #[must_use]
     pub fn within_limits(&self, of_the_task: &SafetyBox) -> SafetyBox {
         SafetyBox {
@@ -182,7 +184,7 @@ impl QubeFile {
     }
 }
 
-// Values are checked while they are parsed, so that an error knows its line.
+// Values are checked while they are parsed, so that an error names its line.
 
 fn offset<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     let value = f64::deserialize(deserializer)?;
@@ -211,7 +213,8 @@ fn is_nominal(rating: &MotorRating) -> bool {
     *rating == MotorRating::NOMINAL
 }
 
-/// Accepted travel of a rig, rad: from a quarter less than a Qube's.
+/// Accepted distances between the stops of a rig, rad: about a quarter less or more than the 4.78
+/// rad of a Qube.
 pub(super) const TRAVELS_RAD: std::ops::RangeInclusive<f64> = 3.6..=6.0;
 
 fn travel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {

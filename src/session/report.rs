@@ -10,31 +10,34 @@ use crate::simulation::PsiSpace;
 pub struct SessionReport {
     /// Search space of psi.
     pub psi: PsiSpace,
-    /// Candidates in order, with the verdicts on their rollouts.
+    /// Candidates in the order of their numbers, with the verdicts on their rollouts.
     pub candidates: Vec<ScoredCandidate>,
-    /// Timing of all ticks.
+    /// Timing of all ticks of the finished rollouts.
     pub latencies: Latencies,
-    /// Number of rollouts that a fault ended and that were repeated.
+    /// Number of attempts that a fault ended and that were then repeated.
     pub void_rollouts: u64,
-    /// Number of observer resets.
+    /// Number of observer resets in the finished rollouts.
     pub observer_resets: u64,
     /// Folder of the session.
     pub directory: PathBuf,
-    /// The state of the identification.
+    /// State of the identification of the Qube.
     pub identification: Identification,
-    /// Return that one more candidate was expected to gain when the search around an identified Qube ended.
+    /// Gain in return that one more candidate was expected to bring when the search around an
+    /// identified Qube ended; `None` before its end and for other searches.
     pub settled: Option<f64>,
-    /// Devices of the rigs that share the session, as they were named when it began; empty with one rig.
+    /// Devices of the rigs that share the session, as they were named when it began; empty if there
+    /// is one rig.
     pub rigs: Vec<String>,
     /// Rigs that were taken out, by their numbers from 1, each with the reason.
     pub taken_out: Vec<(u32, String)>,
-    /// Policy to use: the verified one with the highest mean return.
+    /// Policy to use: the verified policy with the highest mean return; `None` before a
+    /// verification.
     pub best: Option<BestPolicy>,
 }
 
 /// The policy that a session recommends for use.
 pub struct BestPolicy {
-    /// Index of its candidate.
+    /// Index of its candidate in [`SessionReport::candidates`].
     pub candidate: usize,
     /// Path of its file.
     pub policy: PathBuf,
@@ -43,7 +46,7 @@ pub struct BestPolicy {
 }
 
 impl BestPolicy {
-    /// Checks that the file can be run.
+    /// Checks that the file is a policy that can be run.
     ///
     /// # Errors
     /// The file is missing or not a policy.
@@ -53,7 +56,7 @@ impl BestPolicy {
 }
 
 impl SessionReport {
-    /// Reads ledger and recordings.
+    /// Reads the results of a session from its ledger and its recordings.
     ///
     /// # Errors
     /// A recording cannot be read.
@@ -96,7 +99,8 @@ impl SessionReport {
         Ok(report)
     }
 
-    /// The searched candidate whose policy this one runs again; they share their psi.
+    /// The number of the searched candidate whose policy the candidate `again` runs once more. It
+    /// is found by its psi, which both share; if there is none, the number of `again`.
     #[must_use]
     pub fn incumbent(&self, again: &Candidate) -> u32 {
         let is_same = |it: &&Candidate| it.purpose.is_searched() && it.psi == again.psi;
@@ -104,13 +108,13 @@ impl SessionReport {
         candidates.find(is_same).unwrap_or(again).number
     }
 
-    /// The candidates of these purposes.
+    /// The candidates whose purpose `is` accepts.
     pub fn of_purpose(&self, is: fn(Purpose) -> bool) -> impl Iterator<Item = &ScoredCandidate> {
         self.candidates.iter().filter(move |it| is(it.candidate.purpose))
     }
 
-    /// Number of real rollouts whose data the method used: excitations and the search's rollouts, without those that
-    /// verify or compare.
+    /// Number of real rollouts whose data the method used: excitations and rollouts of the search,
+    /// without those that verify a result or serve for comparison.
     #[must_use]
     pub fn real_rollouts(&self) -> usize {
         let used = self.candidates.iter().filter(|it| it.candidate.purpose.informs());

@@ -1,4 +1,4 @@
-//! Entries of earlier settings files that are no longer settings, or have another name.
+//! Entries in settings files of earlier versions that are no longer settings or have been renamed.
 
 use std::fmt::{self, Display};
 
@@ -10,7 +10,8 @@ use crate::simulation::box_file;
 const RETIRED: [(&[&str], &str); 2] =
     [(&["training"], "widening"), (&["training", "simulation"], "envelope_room_rad")];
 
-/// Renamed entries: the path of their table within a session's settings, and their earlier and present names.
+/// Renamed entries: the path of their table within a session's settings, and their earlier and
+/// present names.
 const RENAMED: [(&[&str], Names); 3] = [
     (
         &["training"],
@@ -20,7 +21,7 @@ const RENAMED: [(&[&str], Names); 3] = [
     (&["training", "simulation", "safety_box"], &box_file::NAMES),
 ];
 
-/// Earlier and present names.
+/// Pairs of an entry's earlier name and its present one.
 type Names = &'static [(&'static str, &'static str)];
 
 /// An entry of a settings file that is no longer a setting.
@@ -31,7 +32,7 @@ pub struct Retired {
 }
 
 impl Retired {
-    /// Whether the entry had an effect on the run.
+    /// Whether the entry had an effect on the session: a value of 0 had none.
     #[must_use]
     pub fn changed_something(&self) -> bool {
         !matches!(self.value, Value::Float(0.0) | Value::Integer(0))
@@ -56,8 +57,8 @@ pub fn take_retired(settings: &mut Table) -> Vec<Retired> {
     taken
 }
 
-/// Gives renamed entries of a session's settings their present names, so that they override entries of a
-/// preset instead of standing beside them.
+/// Gives renamed entries of a session's settings their present names. Otherwise such an entry would
+/// not override the entry of a preset but stand beside it.
 pub(super) fn rename_entries(settings: &mut Table) {
     for (path, names) in RENAMED {
         let Some(table) = table_at(settings, path) else { continue };

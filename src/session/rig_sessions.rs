@@ -1,4 +1,5 @@
-//! The sessions of several Qubes in one folder, one each, at the same time.
+//! Sessions of several Qubes that run at the same time: one session for each Qube, all in one
+//! folder.
 
 use std::path::{Path, PathBuf};
 
@@ -11,12 +12,12 @@ use super::{
 };
 use crate::storage::{MachineDisk, write_whole};
 
-/// Contents of `rigs.toml`: the device of each session in the folder.
+/// The contents of `rigs.toml`, which names the device of each session in a folder:
 ///
 /// ```text
-/// rigs.toml                               this file; written when all sessions have begun
-/// rig-1/                                  the session of the first Qube
-/// rig-2/                                  the session of the second Qube
+/// rigs.toml          this file; written when every session has its folder and settings
+/// rig-1/             the session of the first Qube
+/// rig-2/             the session of the second Qube
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -26,10 +27,10 @@ pub struct RigSessions {
 }
 
 impl RigSessions {
-    /// Largest number of Qubes.
+    /// Largest number of Qubes whose sessions one folder holds.
     pub const MOST: u32 = 16;
 
-    /// Path of the file.
+    /// Path of `rigs.toml` in the folder `root`.
     #[must_use]
     pub fn path(root: &Path) -> PathBuf {
         root.join("rigs.toml")
@@ -41,13 +42,14 @@ impl RigSessions {
         root.join(format!("rig-{rig}"))
     }
 
-    /// Whether a folder has the sessions of several Qubes.
+    /// Whether a folder holds the sessions of several Qubes: it has a `rigs.toml`.
     #[must_use]
     pub fn are_in(root: &Path) -> bool {
         Self::path(root).exists()
     }
 
-    /// Whether a folder has only sessions that were killed before the last of them had begun, or nothing.
+    /// Whether a folder is empty or holds nothing but folders of rigs without a ledger, which
+    /// remain if the program is killed before it has written `rigs.toml`.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -56,7 +58,7 @@ impl RigSessions {
         for entry in std::fs::read_dir(root).map_err(failed)? {
             let path = entry.map_err(failed)?.path();
             let is_of_rig = (1..=Self::MOST).any(|rig| path == Self::folder(root, rig));
-            // The first entry of a ledger follows this file.
+            // A ledger gets its first entry only after `rigs.toml` is written.
             if !is_of_rig || SessionPaths::new(&path).ledger().exists() {
                 return Ok(false);
             }
@@ -64,7 +66,8 @@ impl RigSessions {
         Ok(true)
     }
 
-    /// Removes `rigs.toml` and the sessions that have decided nothing; ignores errors.
+    /// Removes `rigs.toml` and the settings and ledger of every session beside it; ignores errors.
+    /// The caller makes sure that no session has decided anything yet.
     pub fn withdraw(root: &Path) {
         let _ = std::fs::remove_file(Self::path(root));
         for rig in 1..=Self::MOST {
@@ -76,10 +79,11 @@ impl RigSessions {
         }
     }
 
-    /// Reads the file.
+    /// Reads `rigs.toml` in the folder `root`.
     ///
     /// # Errors
-    /// The file cannot be read or is invalid, or names fewer than two Qubes, or fewer than there are sessions.
+    /// The file cannot be read or is invalid, names fewer than two devices, or names fewer devices
+    /// than there are sessions.
     pub fn load(root: &Path) -> Result<Self, ConfigurationError> {
         let path = Self::path(root);
         let all: Self = match toml::from_str(&read(&path)?) {
@@ -105,7 +109,7 @@ impl RigSessions {
         Err(ConfigurationError::OutOfRange { path, line: None, reason })
     }
 
-    /// Writes the file.
+    /// Writes `rigs.toml` into the folder `root`, atomically.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -119,16 +123,17 @@ impl RigSessions {
     }
 }
 
-/// Runs sessions at the same time, each in its own thread with its own listener, until all of them have ended. A session
-/// that ends early reports `EndedEarly`; the others go on.
+/// Runs sessions at the same time, each in its own thread, until all of them have ended. Each
+/// session comes with the function that receives its events. A session that fails reports
+/// [`SessionEvent::EndedEarly`]; the others continue. The results are in the order of the sessions.
 ///
 /// # Panics
-/// A session panicked; the others have ended before.
+/// Panics if a session panicked, after all of them have ended.
 pub fn run_side_by_side<'a, T: FnMut(SessionEvent) + Send>(
     sessions: impl IntoIterator<Item = (&'a mut Session, T)>,
 ) -> Vec<Result<(), SessionError>> {
     let run = |number: u32, session: &mut Session, mut tell: T| {
-        // Names the rig in the warnings that it logs.
+        // Adds the rig's number to the warnings that its session logs.
         let _rig = tracing::warn_span!("rig", number).entered();
         let ended = session.run(&mut tell);
         if let Err(error) = &ended {

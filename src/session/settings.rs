@@ -14,18 +14,18 @@ use crate::simulation::{
 };
 use crate::surrogate::{GaussianProcess, SearchBox};
 
-/// One of several rigs that share a session.
+/// A rig of a session that several rigs share.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SharedRig {
     /// Device as it was named when the session began.
     pub device: String,
-    /// Settings of the emulated Qube, if it is one.
+    /// Settings of the emulated Qube, used if the device is one.
     pub emulated: EmulatedQubeSettings,
 }
 
-/// Number of candidates around an identified Qube before the surrogate chooses: the simulations as identified, and two
-/// that tell it how the return depends on psi.
+/// Number of initial candidates of a search around an identified Qube. One has the simulations as
+/// identified; the other two show the surrogate how the return depends on psi.
 pub(super) const INITIAL_AROUND: u32 = 3;
 
 /// The settings of a session, as `session.toml` contains them.
@@ -36,20 +36,21 @@ pub struct SessionSettings {
     pub name: String,
     /// Seed from which every random number follows.
     pub seed: u64,
-    /// Model whose psi the search varies: one of the searched.
+    /// Model whose psi the search varies; it must be a searched one ([`Model::is_searched`]).
     #[serde(deserialize_with = "searched_model")]
     pub model: Model,
-    /// Qube of the model `opt-profile`.
+    /// Identified Qube around which the model `opt-profile` is drawn.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<ProfileSettings>,
-    /// Search space: quantities that psi shapes, and their box.
+    /// Search space: the entries of psi and their ranges.
     pub psi: PsiSpace,
     /// Family of the distributions to which psi gives mean and standard deviation.
     pub family: Family,
     /// Number of candidates and rollouts.
     pub extent: Extent,
-    /// Identification before the search, which is then around the identified Qube; `model` and `psi` are those of the
-    /// search if that fails. Without this table the Qube is not identified.
+    /// Settings of the identification that comes before the search; the search is then around the
+    /// identified Qube. `model` and `psi` are used only if the identification fails or this table
+    /// is missing; without the table the Qube is not identified.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub identification: Option<IdentificationSettings>,
     /// Estimator of the state on the Qube.
@@ -59,16 +60,18 @@ pub struct SessionSettings {
     pub safety_box: SafetyBox,
     /// Homing of the arm.
     pub homing: HomingSettings,
-    /// Settings of the emulated Qube, if it is used.
+    /// Settings of the emulated Qube, used if the session runs on one.
     pub emulated: EmulatedQubeSettings,
-    /// Rigs that share the session and its policies; empty with one rig. The command line names them.
+    /// Rigs that share the session and its policies, as the command line named them; empty if there
+    /// is one rig.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub rigs: Vec<SharedRig>,
     /// Strategy of the search for psi.
     pub strategy: StrategyKind,
     /// Settings of BayRn.
     pub bayrn: BayRnSettings,
-    /// Preset that the training's settings come from. Files of versions that did not record it name none.
+    /// Preset that the training's settings come from; `None` in files of versions that did not
+    /// record it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub preset: Option<Preset>,
     /// Settings of the training.
@@ -76,9 +79,10 @@ pub struct SessionSettings {
 }
 
 impl SessionSettings {
-    /// A session of minutes: fewer points, two rollouts each, a training of seconds. The base distribution
-    /// is that of a Qube that is not identified, with friction, cable and delay, and policies observe their
-    /// last two commands, which transfers best to the machine (docs/learning.md).
+    /// The settings of a session of some minutes: few points, two rollouts for each candidate,
+    /// trainings of seconds. The base distribution is that of a Qube that is not identified, with
+    /// friction, cable and delay, and policies observe their last two commands, because policies
+    /// trained in this way transfer best to a real Qube (docs/learning.md).
     #[must_use]
     pub fn quick() -> Self {
         Self {
@@ -102,8 +106,9 @@ impl SessionSettings {
         }
     }
 
-    /// The thesis's model, extent and training budget. Simulations have the machine's sensors, because a
-    /// policy trained on true states fails on the machine (docs/learning.md).
+    /// The settings of the thesis: its model, extent and training budget. In contrast to the
+    /// thesis, simulations have encoders and their velocity filter, because a policy trained on
+    /// true states fails on a real Qube (docs/learning.md).
     #[must_use]
     pub fn thesis() -> Self {
         let training =
@@ -117,14 +122,15 @@ impl SessionSettings {
         }
     }
 
-    /// Plant that is simulated and driven.
+    /// The plant that is simulated in training and driven in rollouts.
     #[must_use]
     pub fn plant(&self) -> &PlantModel {
         &self.training.simulation.plant
     }
 
-    /// These settings for another plant than a Qube: psi's ranges, boxes and the emulated plant are in the proportion
-    /// of the two.
+    /// These settings, which describe Qubes, converted to another plant: the ranges of psi and the
+    /// boxes are in proportion to the plant, and the emulated plant has the plant's nominal
+    /// parameters.
     #[must_use]
     pub fn of_plant(mut self, plant: &PlantModel) -> Self {
         self.psi = self.psi.of_plant(plant);
@@ -141,7 +147,8 @@ impl SessionSettings {
         self
     }
 
-    /// Selects the estimator of machine and simulations; simulations with true states keep them.
+    /// Selects the estimator of the rollouts and of the simulations; simulations with true states
+    /// keep these.
     #[must_use]
     pub fn seen_through(mut self, estimator: EstimatorSettings) -> Self {
         self.estimator = estimator;
@@ -153,8 +160,8 @@ impl SessionSettings {
         self
     }
 
-    /// The settings of the search around an identified Qube: psi says how the simulations differ from the latest
-    /// profile, along the directions of the errors of the first.
+    /// The settings of the search around an identified Qube. Psi describes how the simulations
+    /// differ from the `latest` profile, along the directions of the errors of the `first` one.
     #[must_use]
     pub fn around(self, plan: &IdentificationSettings, first: &Profile, latest: &Profile) -> Self {
         let directions = Direction::of_errors(first, self.plant());
@@ -196,7 +203,7 @@ impl SessionSettings {
         BayRnSettings { initial_points, ..self.bayrn.clone() }
     }
 
-    /// Selects a preset's training, in the same simulation.
+    /// Selects the training of a preset; the settings of the simulation stay.
     #[must_use]
     pub fn trained_with(mut self, preset: Preset) -> Self {
         let simulation = self.training.simulation;
@@ -208,12 +215,12 @@ impl SessionSettings {
     /// The distribution of simulations for one psi.
     ///
     /// # Errors
-    /// A needed profile is missing, or it cannot be simulated.
+    /// The model needs a profile and there is none, or a value cannot be simulated.
     pub fn distribution(&self, psi: &Psi) -> Result<DomainDistribution, PsiError> {
         self.model.distribution(self.plant(), self.family, self.profile.as_ref(), Some(psi))
     }
 
-    /// The simulation settings besides the distribution for one psi.
+    /// The settings of simulations for one psi: sensors, observation, reward and box.
     #[must_use]
     pub fn simulation(&self, psi: &Psi) -> SimulationSettings {
         self.training.simulation.shaped_by(psi)
@@ -222,7 +229,7 @@ impl SessionSettings {
     /// The base distribution that the search varies.
     ///
     /// # Errors
-    /// A needed profile is missing, or it cannot be simulated.
+    /// The model needs a profile and there is none, or a value cannot be simulated.
     pub fn base_distribution(&self) -> Result<DomainDistribution, PsiError> {
         self.model.base_distribution(self.plant(), self.family, self.profile.as_ref())
     }
@@ -234,7 +241,8 @@ impl SessionSettings {
         Origin { model, psi: Some(psi.clone()), preset }
     }
 
-    /// The preset that the training's settings come from.
+    /// The preset that the training's settings come from; if none was recorded, it is found by
+    /// comparing the settings.
     #[must_use]
     pub fn preset(&self) -> Preset {
         self.preset.unwrap_or_else(|| Preset::of(&self.training))

@@ -1,4 +1,4 @@
-//! The ranges of a session's settings.
+//! The check of a session's settings against their ranges.
 
 use super::SessionSettings;
 use super::qube_file::TRAVELS_RAD;
@@ -7,15 +7,16 @@ use crate::qube::{HARD_STOP_RAD, MAX_STEPS};
 use crate::safety::SafetyBox;
 use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
 
-/// Largest offset of the zero, rad; with a larger one the box would reach beyond a stop.
+/// Largest offset of the arm's zero from the middle between the stops, rad; with a larger one the
+/// box would reach beyond a stop.
 pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 
-/// Advice for settings of an earlier version in a session to resume.
+/// Advice when a session cannot be resumed, because its settings are of an earlier version.
 pub(super) const BEGIN_ANEW: &str =
     "it continues with the settings that it began with, so begin a new one";
 
 impl SessionSettings {
-    /// Checks the settings; describes the first invalid one.
+    /// Checks the settings. The error describes the first invalid one.
     pub(super) fn check(&self) -> Result<(), String> {
         self.check_limits()?;
         self.estimator.check().map_err(|error| format!("estimator.{error}"))?;
@@ -62,8 +63,8 @@ impl SessionSettings {
         self.search().map(drop).map_err(|error| error.to_string())
     }
 
-    /// Checks that no limit is invalid or wider than the task's; no file may widen a limit, whatever Qube
-    /// it is used with.
+    /// Checks that no limit is invalid or wider than that of the task. No file may widen a limit,
+    /// not even for an emulated Qube.
     ///
     /// # Errors
     /// Describes the first invalid limit.
@@ -81,7 +82,7 @@ impl SessionSettings {
                  {LARGEST_OFFSET_RAD}, or the box would reach beyond a stop"
             ));
         }
-        // In proportion to the plant's own stops, as `qube.toml` has it for a Qube.
+        // The range that `qube.toml` allows for a Qube, in proportion to the plant's own stops.
         let proportion = self.training.simulation.plant.limits.hard_stop_rad / HARD_STOP_RAD;
         let [least, most] = [TRAVELS_RAD.start(), TRAVELS_RAD.end()].map(|it| it * proportion);
         if let Some(travel_rad) = self.homing.travel_rad
@@ -97,7 +98,7 @@ impl SessionSettings {
     /// Checks that a session with these settings can be resumed.
     ///
     /// # Errors
-    /// The session ran under a guard that only serves to replay recordings.
+    /// The session ran under a guard that exists only to replay old recordings.
     pub fn check_resumable(&self) -> Result<(), String> {
         let simulated = self.training.simulation.safety_box.guard;
         for (key, guard) in
@@ -110,7 +111,7 @@ impl SessionSettings {
         Ok(())
     }
 
-    /// Checks that a new session may begin with these settings; describes the reason why not.
+    /// Checks that a new session may begin with these settings. The error describes why not.
     pub(super) fn check_begun(&self) -> Result<(), String> {
         if !self.training.simulation.safety_box.guard.is_box() {
             return Err(
@@ -127,7 +128,7 @@ impl SessionSettings {
     }
 }
 
-/// Describes the defect of a box, with the names of the file's entries.
+/// An error of a safety box in words, with the limit under its name in files.
 fn of_file(wrong: impl ToString) -> String {
     let wrong = wrong.to_string();
     let renamed = box_file::NAMES.iter().find_map(|(bare, name)| {

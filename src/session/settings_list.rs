@@ -1,4 +1,5 @@
-//! The list of a session's settings, with meaning, unit, range and default, as a file that the program reads back.
+//! The list of a session's settings with meaning, unit, range and default. It is printed in the
+//! form of a settings file that the program can read.
 
 use std::fmt::Write;
 
@@ -14,28 +15,28 @@ use crate::simulation::{Direction, ProfileSettings, SensorModel};
 /// One setting of a session.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setting {
-    /// Path of the key, as `extent.rollouts`.
+    /// Path of the key, for example `extent.rollouts`.
     pub key: String,
-    /// Default; `None` for a setting that is absent unless a file names it.
+    /// Default; `None` if the setting is absent by default.
     pub default: Option<Value>,
-    /// Value in TOML: the default, or an example of one that is absent.
+    /// Value in TOML: the default, or an example if the setting is absent by default.
     pub shown: String,
     /// Meaning in one line.
     pub meaning: &'static str,
     /// Unit; empty for a value without one.
     pub unit: &'static str,
-    /// Accepted values in words, as the check of the settings describes them.
+    /// Accepted values in words, taken from the errors of the settings' own check.
     pub range: String,
 }
 
-/// A setting with another value than the default.
+/// A setting whose value differs from its default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
     /// Path of the key.
     pub key: String,
-    /// Value; `None` if it is absent.
+    /// Value; `None` if the setting is absent.
     pub value: Option<Value>,
-    /// Default; `None` if it is absent by default.
+    /// Default; `None` if the setting is absent by default.
     pub default: Option<Value>,
 }
 
@@ -47,8 +48,9 @@ enum Line {
 }
 
 impl SessionSettings {
-    /// Every setting in the order of the file, with the values of these settings as defaults. A plant of one's own
-    /// (`training.simulation.plant`, `homing.signs.encoders`) is described in a file of its own.
+    /// Every setting in the order of the file, with the values of these settings as defaults.
+    /// Another plant than a Qube (`training.simulation.plant`, `homing.signs.encoders`) is
+    /// described in a file of its own.
     ///
     /// # Errors
     /// A number has no TOML form.
@@ -60,8 +62,8 @@ impl SessionSettings {
         Ok(settings.collect())
     }
 
-    /// These settings as a file in which each entry is explained; settings that are absent by default stand behind a
-    /// `#` without a space, with an example.
+    /// These settings as the text of a file that explains each entry. A setting that is absent by
+    /// default is shown as an example after a `#` without a space.
     ///
     /// # Errors
     /// A number has no TOML form.
@@ -88,7 +90,7 @@ impl SessionSettings {
         Ok(text)
     }
 
-    /// The settings whose values differ between these and the defaults.
+    /// The settings whose values differ from those in `defaults`, sorted by key.
     ///
     /// # Errors
     /// A number has no TOML form.
@@ -140,7 +142,7 @@ impl SessionSettings {
         Ok(lines)
     }
 
-    /// These settings with an example of each one that is absent.
+    /// These settings, with an example for each setting that is absent by default.
     fn with_everything(&self) -> Self {
         let drifting = |mut model: QubeModel| {
             if model.nonidealities.cable_drift_rad_per_min == 0.0 {
@@ -217,7 +219,7 @@ impl Setting {
     }
 }
 
-/// The value at a path; of an array of tables that of its first.
+/// The value at a path. In an array of tables the path leads into the first table.
 fn at<'a>(table: &'a Table, path: &[String]) -> Option<&'a Value> {
     let (name, below) = path.split_first()?;
     let value = table.get(name)?;
@@ -242,7 +244,7 @@ fn at_mut<'a>(table: &'a mut Table, path: &[String]) -> Option<&'a mut Value> {
     at_mut(value.as_table_mut()?, below)
 }
 
-/// Every value that contains no others, with its key.
+/// Collects every value that is not a table, with the path of its key.
 fn leaves(key: &str, value: Value, found: &mut Vec<(String, Value)>) {
     match value {
         Value::Table(table) => {
@@ -255,7 +257,8 @@ fn leaves(key: &str, value: Value, found: &mut Vec<(String, Value)>) {
     }
 }
 
-/// The accepted values in the words of the settings' own check, which is asked about values that cannot be right.
+/// The accepted values of the setting at a path, in words. The function tries extreme values and
+/// takes the range from the error with which the settings' own check refuses them.
 fn range(settings: &Table, path: &[String]) -> String {
     let Some(value) = at(settings, path) else { return String::new() };
     let (trials, otherwise): (Vec<Value>, &str) = match value {
@@ -287,7 +290,8 @@ fn range(settings: &Table, path: &[String]) -> String {
     if ranges.is_empty() { otherwise.into() } else { ranges.join("; ") }
 }
 
-/// The accepted names: those that the reader offers in place of an unknown one, and does not refuse.
+/// The accepted names of the setting at a path, separated by commas: the names that the error for
+/// an unknown name lists, without those that are refused as well.
 fn names(settings: &Table, path: &[String]) -> String {
     let read = |name: &str| {
         let mut asked = settings.clone();
@@ -300,13 +304,13 @@ fn names(settings: &Table, path: &[String]) -> String {
         return "text".into();
     };
     let accepted = offered.split(", ").filter(|name| {
-        // Another variant may lack the fields that this one has.
+        // The error may also be about the other fields, which belong to the present variant.
         read(name).map_or_else(|refused| !refused.message().contains(name), |_| true)
     });
     accepted.collect::<Vec<_>>().join(", ")
 }
 
-/// The names that an error offers in place of an unknown one.
+/// The names that an error lists in place of an unknown one, separated by commas.
 fn choices(refused: &str) -> Option<String> {
     let (_, names) = refused.split_once("expected one of ").or_else(|| {
         let (_, names) = refused.split_once("expected ")?;
@@ -315,14 +319,15 @@ fn choices(refused: &str) -> Option<String> {
     Some(names.lines().next()?.replace("` or `", "`, `").replace('`', ""))
 }
 
-/// The range that an error of the check names for this key.
+/// The range that an error of the check gives for this key; `None` if the error is about another
+/// key.
 fn bound(refused: &str, key: &str) -> Option<String> {
     let (_, range) = refused.strip_prefix(key)?.split_once(": ")?;
     let range = ["it must be ", "give a number ", "give "]
         .iter()
         .find_map(|words| range.strip_prefix(words))
         .unwrap_or(range);
-    // The largest number that there is bounds nothing.
+    // An upper bound with so many digits is the largest number of its type, which limits nothing.
     let bounded = range.split_once(" and up to ").filter(|(_, largest)| largest.len() > 24);
     Some(bounded.map_or(range, |(above, _)| above).to_owned())
 }
@@ -346,7 +351,7 @@ mod tests {
         of_a_session().overridden_by_text(text, Path::new("printed.toml")).unwrap()
     }
 
-    /// The list with every setting that is absent by default.
+    /// The printed list, with the settings that are absent by default no longer behind a `#`.
     fn with_all(text: &str) -> String {
         let lines = text.lines().map(|line| match line.strip_prefix('#') {
             Some(setting) if !setting.starts_with(' ') => setting,
@@ -363,13 +368,13 @@ mod tests {
             assert_eq!(again, settings);
             assert!(settings.differences(&again).unwrap().is_empty());
         }
-        // With a target return the training is of no preset.
+        // A training with a target return belongs to no preset.
         let everything =
             SessionSettings { preset: Some(Preset::Custom), ..of_a_session().with_everything() };
         assert_eq!(read_back(&with_all(&of_a_session().explained().unwrap())), everything);
     }
 
-    /// The names that the program reads in a table: the reader lists them when it refuses an unknown one.
+    /// The names that the program accepts in a table, taken from the error for an unknown name.
     fn read_names(settings: &Table, table: &[String]) -> BTreeSet<String> {
         let mut asked = settings.clone();
         let unknown = ("unknown setting".to_owned(), Value::Boolean(true));
@@ -392,7 +397,8 @@ mod tests {
 
     #[test]
     fn no_setting_that_the_program_reads_is_missing() {
-        // Described in docs/reference/plants.md: a plant of one's own and its encoders. The command line names rigs.
+        // docs/reference/plants.md describes other plants and their encoders. Rigs are named on
+        // the command line.
         const ELSEWHERE: [&str; 3] = ["plant", "encoders", "rigs"];
         let fullest = of_a_session().with_everything();
         let table = Table::try_from(&fullest).unwrap();

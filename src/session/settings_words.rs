@@ -1,10 +1,10 @@
 //! The meaning of each setting of a session, in one line, and its unit.
 
-/// The meaning of settings whose key ends like this, and their unit.
+/// The meaning and the unit of all settings whose key ends in [`Self::key`].
 pub(super) struct Words {
     /// End of the key.
     pub key: &'static str,
-    /// Unit; empty for a number without one and for other kinds of values.
+    /// Unit; empty for a number without a unit and for a value that is not a number.
     pub unit: &'static str,
     /// Meaning in one line.
     pub meaning: &'static str,
@@ -14,7 +14,8 @@ const fn of(key: &'static str, unit: &'static str, meaning: &'static str) -> Wor
     Words { key, unit, meaning }
 }
 
-/// The words of a key: those with the longest end that it has.
+/// The words for the full path of a key: of the entries whose key is an end of the path, the
+/// longest.
 pub(super) fn words(key: &str) -> Option<&'static Words> {
     let is_end = |words: &&Words| {
         key.strip_suffix(words.key).is_some_and(|above| above.is_empty() || above.ends_with('.'))

@@ -1,13 +1,13 @@
 use super::{Entry, Purpose};
 
-/// A candidate according to the ledger.
+/// A candidate of a session, as the ledger's entries describe it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
-    /// Number of the candidate.
+    /// Number of the candidate, from 0.
     pub number: u32,
     /// Reason of its proposal.
     pub purpose: Purpose,
-    /// Psi of the candidate.
+    /// Psi of the candidate: a point of the search space.
     pub psi: Vec<f64>,
     /// Whether its policy is on disk.
     pub trained: bool,
@@ -15,25 +15,26 @@ pub struct Candidate {
     pub finished: Vec<Finished>,
     /// Number of attempts of the current rollout that a fault ended.
     pub void: u32,
-    /// How many of these were made before the last rig was taken out; they do not count against the others.
+    /// Number of these attempts that were made before the last rig was taken out. They do not count
+    /// towards the allowed repetitions.
     pub void_before: u32,
 }
 
 /// A rollout that has a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Finished {
-    /// Number of the rollout for its candidate.
+    /// Number of the rollout among those of its candidate, from 0.
     pub rollout: u32,
-    /// Number of the attempt that has the result.
+    /// Number of the attempt that has the result, from 0.
     pub attempt: u32,
-    /// Number of the rig that made it, from 1, where several rigs share the session.
+    /// Number of the rig that made the rollout, from 1; `None` if the session has a single rig.
     pub rig: Option<u32>,
 }
 
 /// The state of a session's identification of its Qube.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Identification {
-    /// The Qube is not identified yet, or is not to be.
+    /// The Qube is not identified yet, or the session does not identify it.
     #[default]
     None,
     /// The Qube is identified.
@@ -42,17 +43,18 @@ pub enum Identification {
         recordings: u32,
         /// Verdict of that fit, by name.
         verdict: String,
-        /// Names of the effects that the verdict says are missing.
+        /// Names of the effects that the model lacks according to the verdict.
         doubts: Vec<String>,
-        /// Profiles in the order in which they were found: the number of recordings that each was fitted to, and the
-        /// checksum of its file. Psi is relative to the first.
+        /// Profiles in the order in which they were found: the number of recordings that each was
+        /// fitted to, and the checksum of its file. The shifts of psi are along the directions of
+        /// the first.
         profiles: Vec<(u32, String)>,
     },
     /// The recordings identify no Qube, for this reason.
     Refused(String),
 }
 
-/// The state of a session: its ledger's entries, folded one at a time.
+/// The state of a session: the result of applying the ledger's entries one after the other.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SessionState {
     entries: usize,
@@ -67,25 +69,25 @@ impl SessionState {
     /// The state after these entries.
     ///
     /// # Errors
-    /// Names the rule that an entry breaks.
+    /// An entry cannot follow the earlier ones; the text names the rule that it breaks.
     pub fn of<'a>(entries: impl IntoIterator<Item = &'a Entry>) -> Result<Self, &'static str> {
         let mut state = Self::default();
         entries.into_iter().try_for_each(|entry| state.apply(entry))?;
         Ok(state)
     }
 
-    /// The candidates in order.
+    /// All candidates in the order of their numbers.
     #[must_use]
     pub fn candidates(&self) -> &[Candidate] {
         &self.candidates
     }
 
-    /// The candidates of the search, without those that verify its result.
+    /// The candidates whose psi the search evaluates: the initial and the proposed ones.
     pub fn searched(&self) -> impl Iterator<Item = &Candidate> {
         self.candidates.iter().filter(|candidate| candidate.purpose.is_searched())
     }
 
-    /// The candidates of the search that lack some of their rollouts.
+    /// The candidates of the search that have fewer finished rollouts than `rollouts`.
     pub fn awaited(&self, rollouts: u32) -> impl Iterator<Item = &Candidate> {
         self.searched().filter(move |candidate| candidate.finished.len() < rollouts as usize)
     }
@@ -102,26 +104,28 @@ impl SessionState {
         &self.identification
     }
 
-    /// The return that one more candidate was expected to gain when the search around an identified Qube ended; `None`
-    /// before its end.
+    /// The gain in return that one more candidate was expected to bring when the search around an
+    /// identified Qube ended; `None` before its end and for other searches.
     #[must_use]
     pub fn settled(&self) -> Option<f64> {
         self.settled
     }
 
-    /// Whether the last profile is decided: the recordings of the verification have been taken in, or left it as it was.
+    /// Whether the session has used the recordings of the verification: they have led to the last
+    /// profile, or left the profile as it was.
     #[must_use]
     pub fn took_in_verification(&self) -> bool {
         self.took_in_verification
     }
 
-    /// The rigs that were taken out, each with the reason, in order.
+    /// The numbers of the rigs that were taken out, from 1, each with the reason, in the order of
+    /// these events.
     #[must_use]
     pub fn taken_out(&self) -> &[(u32, String)] {
         &self.taken_out
     }
 
-    /// Whether a rig was taken out.
+    /// Whether the rig with this number was taken out.
     #[must_use]
     pub fn is_taken_out(&self, rig: u32) -> bool {
         self.taken_out.iter().any(|(out, _)| *out == rig)
@@ -130,7 +134,7 @@ impl SessionState {
     /// Applies the next entry. An entry that cannot follow the earlier ones changes nothing.
     ///
     /// # Errors
-    /// Names the rule that the entry breaks.
+    /// The entry cannot follow the earlier ones; the text names the rule that it breaks.
     pub fn apply(&mut self, entry: &Entry) -> Result<(), &'static str> {
         match *entry {
             Entry::Begun { .. } if self.entries > 0 => {
@@ -227,7 +231,7 @@ impl SessionState {
         self.candidates.get_mut(number as usize).ok_or("there is no such candidate")
     }
 
-    /// The candidate whose next rollout is this attempt.
+    /// The candidate with this number, if this attempt of this rollout is the next one that is due.
     fn candidate_due(
         &mut self,
         number: u32,

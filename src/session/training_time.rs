@@ -8,17 +8,18 @@ use crate::storage::{Disk, WriteError, write_whole};
 /// Largest file of times that is read, bytes; a candidate has few trainings.
 const FILE_BYTES: u64 = 64 << 10;
 
-/// When a training of a candidate was under way, by the clock of the session's computer.
+/// The begin and the end of one training of a candidate, by the clock of the session's computer.
 ///
-/// A training elsewhere counts from its order to its result.
+/// A training on another computer lasts from the order of the training to the arrival of its
+/// result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingTime {
-    /// Number of the training for its candidate.
+    /// Number of the training among those of its candidate.
     pub training: u32,
-    /// Its begin, ns since 1970.
+    /// Begin of the training, ns since 1970.
     pub began_unix_ns: u64,
-    /// Its end, ns since 1970.
+    /// End of the training, ns since 1970.
     pub ended_unix_ns: u64,
 }
 
@@ -29,7 +30,7 @@ impl TrainingTime {
         disk: &dyn Disk,
         path: &Path,
     ) -> Result<(), WriteError> {
-        // Numbers alone, which serialise.
+        // The structure has only numbers, so that its serialisation cannot fail.
         let text = serde_json::to_string(times).unwrap_or_default();
         write_whole(disk, path, text.as_bytes())
     }
@@ -37,7 +38,7 @@ impl TrainingTime {
     /// Reads the times of a candidate's trainings. Safe for files of any origin.
     ///
     /// # Errors
-    /// The file cannot be read, is no such file, or a training ends before it begins.
+    /// The file cannot be read or has another format, or a training ends before it begins.
     pub fn read_all(disk: &dyn Disk, path: &Path) -> Result<Vec<Self>, String> {
         let shown = path.display();
         let bytes = disk.read(path, FILE_BYTES).map_err(|error| format!("{shown}: {error}"))?;
@@ -50,7 +51,7 @@ impl TrainingTime {
     }
 }
 
-/// The time now, ns since 1970; 0 before then.
+/// The present time, ns since 1970; 0 if the clock shows an earlier time.
 pub(super) fn unix_ns() -> u64 {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     since_1970.as_nanos() as u64

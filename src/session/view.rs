@@ -7,7 +7,7 @@ use crate::scoring::{Verdict, mean_return, score_finished};
 use crate::search::Observation;
 use crate::storage::Disk;
 
-/// A session's ledger and recordings for reading only: nothing is written, and the folder is not held.
+/// Read-only access to a session's ledger and recordings, without locking the session's folder.
 pub struct SessionView<'a> {
     disk: &'a dyn Disk,
     paths: SessionPaths,
@@ -16,7 +16,7 @@ pub struct SessionView<'a> {
 }
 
 impl<'a> SessionView<'a> {
-    /// Reads the ledger; a session that has not begun has an empty one.
+    /// Reads the ledger; a session without a ledger has no entries.
     ///
     /// # Errors
     /// The ledger cannot be read or is damaged.
@@ -39,7 +39,7 @@ impl<'a> SessionView<'a> {
         &self.entries
     }
 
-    /// The state that the ledger gives.
+    /// The state of the session after all entries of the ledger.
     #[must_use]
     pub fn state(&self) -> &SessionState {
         &self.state
@@ -48,7 +48,7 @@ impl<'a> SessionView<'a> {
     /// Reads a candidate's recordings and scores them.
     ///
     /// # Errors
-    /// A recording cannot be read, or has lost its end since the ledger entered it as finished.
+    /// A recording cannot be read, or is incomplete although the ledger calls its rollout finished.
     pub fn scored(&self, candidate: &Candidate) -> Result<ScoredCandidate, RecordingError> {
         let paths = self.paths.candidate(candidate.number);
         let verdicts = candidate
@@ -60,12 +60,12 @@ impl<'a> SessionView<'a> {
     }
 }
 
-/// A candidate with the verdicts on its finished rollouts, in their order.
+/// A candidate with the verdicts on its finished rollouts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScoredCandidate {
-    /// Candidate.
+    /// Candidate as the ledger describes it.
     pub candidate: Candidate,
-    /// Verdict on each finished rollout.
+    /// Verdict on each finished rollout, in the order of [`Candidate::finished`].
     pub verdicts: Vec<Verdict>,
 }
 
@@ -74,9 +74,9 @@ pub struct ScoredCandidate {
 pub struct RigResults {
     /// Number of the rig, from 1.
     pub rig: u32,
-    /// Returns of its rollouts.
+    /// Returns of the candidate's rollouts on this rig.
     pub returns: Vec<f64>,
-    /// Number of successful rollouts.
+    /// Number of successful rollouts on this rig.
     pub successes: usize,
 }
 
@@ -108,11 +108,13 @@ impl ScoredCandidate {
         self.verdicts.iter().filter(|verdict| verdict.is_success()).count()
     }
 
-    /// The results of each rig, where several share the session, in the order of their numbers.
+    /// The results on each rig, in the order of the rigs' numbers; empty if the session has a
+    /// single rig.
     #[must_use]
     pub fn by_rig(&self) -> Vec<RigResults> {
         let mut results: BTreeMap<u32, RigResults> = BTreeMap::new();
-        // A verdict without its recording would move the others to wrong rigs.
+        // Verdicts belong to rollouts by their order: if one is missing, the others cannot be
+        // assigned to rigs.
         let is_whole = self.verdicts.len() == self.candidate.finished.len();
         let made = self.candidate.finished.iter().zip(&self.verdicts).filter(|_| is_whole);
         for (finished, verdict) in made {
@@ -128,13 +130,14 @@ impl ScoredCandidate {
         results.into_values().collect()
     }
 
-    /// The psi with its returns, as the search sees them.
+    /// The candidate's psi with its returns: the data of the search.
     #[must_use]
     pub fn observation(&self) -> Observation {
         Observation { point: self.candidate.psi.clone(), returns: self.returns() }
     }
 
-    /// The index of the verified candidate with the highest mean return; the recommendation in a tie.
+    /// The index of the verified candidate with the highest mean return; in a tie, of the one that
+    /// was proposed first.
     #[must_use]
     pub fn best_verified(candidates: &[Self]) -> Option<usize> {
         let mut best: Option<(usize, f64)> = None;
