@@ -3,24 +3,26 @@ use std::io::{self, ErrorKind, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// Largest settings file that is read: configurations, profiles and recipes have a few kB.
+/// Largest settings file that is read, bytes; configurations, profiles and recipes have a few kB.
 pub const SETTINGS_BYTES: u64 = 1 << 20;
 
-/// Opens a regular file for reading. It refuses anything else without opening it: opening a device may have
-/// effects, opening a pipe may block for ever, and neither has an end.
+/// Opens a regular file for reading. Anything else is refused without being opened, because opening
+/// a device may have effects, opening a pipe may block for ever, and reading from either may never
+/// end.
 ///
 /// # Errors
-/// The file does not exist, or the operating system refuses.
+/// The file does not exist, is not a regular file, or the operating system refuses.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     check_regular(&fs::metadata(path)?)?;
-    // The path may have been replaced in the meantime; opening the replacement must not block either.
+    // Another file may have taken this path in the meantime; opening that file must not block
+    // either.
     let flags = libc::O_NONBLOCK | libc::O_NOCTTY;
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
     check_regular(&file.metadata()?)?;
     Ok(file)
 }
 
-/// Reads a regular file of at most `limit` bytes.
+/// Reads a whole regular file of at most `limit` bytes.
 ///
 /// # Errors
 /// [`open_regular`] fails, or the file is longer.
@@ -35,7 +37,7 @@ pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Reads a text file of at most `limit` bytes.
+/// Reads a whole text file of at most `limit` bytes.
 ///
 /// # Errors
 /// [`read_bounded`] fails, or the file is not UTF-8.

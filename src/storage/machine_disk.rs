@@ -144,7 +144,7 @@ mod tests {
             MachineDisk.create(&path, true).unwrap().write_all(b"mine").unwrap();
             assert!(!MachineDisk.is_link(&path));
             fs::remove_file(&path).unwrap();
-            // Another name of the same file leads nowhere either.
+            // Writing does not reach the foreign file through a second (hard) link to it either.
             fs::hard_link(&foreign, &path).unwrap();
             MachineDisk.create(&path, true).unwrap().write_all(b"mine").unwrap();
             fs::remove_file(&path).unwrap();

@@ -1,7 +1,8 @@
-//! The disk as an argument: everything that must survive a crash is written through a [`Disk`], so that a
-//! test can substitute one that fails, stalls, or loses power at a chosen operation.
+//! The disk as an argument: everything that must survive a crash is written through a [`Disk`], so
+//! that a test can use a disk that fails, stalls, or loses power at a chosen operation.
 //!
-//! Files of any origin are read up to a limit ([`read_bounded`]). The room imports nothing.
+//! A file from an unknown source is read up to a limit only ([`read_bounded`]). The room imports
+//! nothing.
 
 mod bounded;
 mod machine_disk;
@@ -19,30 +20,32 @@ use thiserror::Error;
 
 /// The disk operations of sessions and recordings.
 ///
-/// As on a real disk, a file's bytes survive a loss of power once the file is synced, and its name once its
-/// folder is synced.
+/// The bytes of a file survive a loss of power once the file is synced; its name survives once its
+/// folder is synced. Every implementation has these rules of a real disk.
 pub trait Disk: Send + Sync + fmt::Debug {
-    /// Creates a folder and its missing parents. The new names are durable on return.
+    /// Creates a folder and its missing parents. On return the new names survive a loss of power.
     ///
     /// # Errors
     /// The operating system refuses.
     fn create_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Creates a file. With `replace` an existing file of that name is removed first; without it, that is
-    /// an error of the kind [`io::ErrorKind::AlreadyExists`]. A link of that name is never followed,
-    /// because its target may belong to another user.
+    /// Creates a file. With `replace`, an existing file of this name is removed first; without
+    /// `replace`, an existing file is an error of the kind [`io::ErrorKind::AlreadyExists`]. A link
+    /// of this name is never followed, because its target may belong to another user.
     ///
     /// # Errors
     /// The operating system refuses.
     fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>>;
 
-    /// Opens a file for writing at its end, and creates it if it does not exist. A link is not followed.
+    /// Opens a file for writing at its end, and creates the file if it does not exist. A link of
+    /// this name is not followed.
     ///
     /// # Errors
     /// The operating system refuses.
     fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>>;
 
-    /// Reads a regular file. A file longer than `limit` gives `limit + 1` bytes, which the caller refuses.
+    /// Reads a regular file. Of a file longer than `limit` bytes, `limit + 1` bytes are returned,
+    /// which shows the caller that the file is too long.
     ///
     /// # Errors
     /// The operating system refuses.
@@ -74,16 +77,16 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The file does not exist, or the operating system refuses.
     fn remove(&self, path: &Path) -> io::Result<()>;
 
-    /// Makes the names in a folder durable.
+    /// Syncs a folder, so that the names in it survive a loss of power.
     ///
     /// # Errors
     /// The storage failed.
     fn sync_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Locks a folder against other processes for as long as the hold lives.
+    /// Locks a folder against other processes until the returned [`Hold`] is dropped.
     ///
     /// # Errors
-    /// Another process holds it, or the operating system refuses.
+    /// Another process has locked the folder, or the operating system refuses.
     fn hold(&self, folder: &Path) -> Result<Hold, TryLockError>;
 }
 
@@ -95,21 +98,22 @@ pub trait DiskFile: Write + Send + fmt::Debug {
     /// The storage failed.
     fn sync(&mut self) -> io::Result<()>;
 
-    /// Truncates the file; the next write continues there.
+    /// Truncates the file to `length` bytes; the next write continues there.
     ///
     /// # Errors
     /// The storage failed.
     fn cut_to(&mut self, length: u64) -> io::Result<()>;
 }
 
-/// A lock on a folder. The operating system releases it when the process ends, however it ends.
+/// A lock on a folder. The operating system releases the lock when the process ends, also after a
+/// crash.
 #[derive(Debug)]
 pub struct Hold {
     lock: Option<File>,
 }
 
 impl Hold {
-    /// A hold on a disk that only this process can see.
+    /// A hold that locks nothing, for a disk that only this process can see.
     #[must_use]
     pub fn unshared() -> Self {
         Self { lock: None }
@@ -117,8 +121,9 @@ impl Hold {
 }
 
 impl Drop for Hold {
-    /// Unlocks the folder. To close the file is not enough: a process that another thread starts at this moment has a copy
-    /// of its descriptor until it begins its own program, and would keep the lock for so long.
+    /// Unlocks the folder. Closing the file is not enough: if another thread is just starting a
+    /// process, that process has a copy of the file's descriptor until it begins its own program,
+    /// and would keep the lock until then.
     fn drop(&mut self) {
         if let Some(lock) = &self.lock {
             let _ = lock.unlock();
@@ -126,7 +131,7 @@ impl Drop for Hold {
     }
 }
 
-/// Syncs the folder of a name, which makes the name durable.
+/// Syncs the folder that contains `path`, so that this name survives a loss of power.
 ///
 /// # Errors
 /// The storage failed.
@@ -147,13 +152,16 @@ pub struct WriteError {
     pub source: io::Error,
 }
 
-/// Writes a file atomically: after a loss of power it is complete or absent, or the one before it.
+/// Writes a file atomically: after a loss of power the file has all its new bytes, or is as it was
+/// before the call.
 ///
-/// The bytes first go into `NAME.unfinished` beside it. A file of that name is what an interrupted write has
-/// left, so it is replaced.
+/// The bytes are first written to a file in the same folder (`a.unfinished` for `a.toml`), which is
+/// then renamed. If an interrupted call has left such a file, it is replaced.
 ///
 /// # Errors
-/// The disk is full or failing; no file of that name appears.
+/// The disk is full or failing. The file is then as it was before the call, unless the last
+/// operation failed, which syncs the folder: then it is new, but its name may not survive a loss of
+/// power.
 pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
     write_and_rename(disk, path, bytes)
         .map_err(|source| WriteError { path: path.to_owned(), source })

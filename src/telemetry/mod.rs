@@ -1,8 +1,8 @@
-//! Plain records that leave the tick: the record of a tick, header and outcome of a rollout, and the table
-//! of faults.
+//! Plain data that the tick passes on: the record of a tick, header and outcome of a rollout, and
+//! the table of faults.
 //!
-//! Their fields are the fields of recordings, so they must not be renamed. The room may import `qube`,
-//! `safety` and `estimation`.
+//! Recordings contain these fields under the names that they have here, so fields must not be
+//! renamed. The room may import `qube`, `safety` and `estimation`.
 //!
 //! ```
 //! use qube_hil::telemetry::{Consequence, Fault};

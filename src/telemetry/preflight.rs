@@ -9,9 +9,9 @@ pub struct CheckResult {
     pub name: String,
     /// Verdict: passed, failed, or skipped.
     pub verdict: CheckVerdict,
-    /// Figure or fact that was found, in words; the reason where the check was skipped.
+    /// Figure or fact that was found, in words; for a skipped check, the reason.
     pub value: String,
-    /// Remedy of a failure.
+    /// Advice to the operator on how to remedy a failure; `None` unless the check failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cure: Option<String>,
 }
@@ -24,31 +24,31 @@ pub enum CheckVerdict {
     Pass,
     /// The check failed.
     Fail,
-    /// The check was not done, because one before it failed or there is nothing to check.
+    /// The check was not done, because an earlier check failed or there is nothing to check.
     Skipped,
 }
 
 /// The measured timing of a link, and the control loop's setting for it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeasuredLink {
-    /// Time from the request of a sample to its complete answer, microseconds.
+    /// Time from the request of a sample to its complete answer, µs.
     pub round_trip_us: LatencySummary,
     /// Number of samples without an answer.
     pub lost: u32,
-    /// Time that a tick waits for its sample, microseconds.
+    /// Time that a tick waits for its sample, µs.
     pub sample_time_us: u32,
 }
 
-/// The record of the device's check before a rollout.
+/// The record of whether and how the device was checked before a rollout.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind", content = "checks")]
 pub enum Preflight {
-    /// The recording names no check: it is from a program without one.
+    /// The recording does not mention a check: it is from a version of the program that had none.
     #[default]
     Unknown,
-    /// No check: the embedded emulator needs none.
+    /// There was no check, because the embedded emulator needs none.
     NotNeeded,
-    /// No check: the operator left it out.
+    /// There was no check, because the operator skipped it by a flag.
     SkippedByFlag,
     /// The check was done, with these results.
     Done(Vec<CheckResult>),
@@ -70,7 +70,7 @@ impl CheckResult {
         }
     }
 
-    /// A check that was not done, with the reason.
+    /// A check that was not done, with the reason `why`.
     pub fn skipped(name: &str, why: impl Into<String>) -> Self {
         Self { name: name.into(), verdict: CheckVerdict::Skipped, value: why.into(), cure: None }
     }

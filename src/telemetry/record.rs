@@ -6,17 +6,17 @@ use crate::qube::{Measurement, State};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
-    /// The tick moves the arm to its start angle and waits for the pendulum to rest.
+    /// The arm is moved to its start angle, and the pendulum comes to rest.
     #[default]
     Settling,
-    /// The policy has the motor; these ticks make up the return.
+    /// The policy controls the motor; the return is the sum of the rewards of these ticks.
     Running,
-    /// The rollout is over and the tick stops the arm.
+    /// The rollout is over, and the brake stops the arm.
     Braking,
 }
 
 impl Phase {
-    /// The phase for tools that read numbers alone: 0 settling, 1 running, 2 braking.
+    /// The number of the phase, for tools that read only numbers: 0 settling, 1 running, 2 braking.
     #[must_use]
     pub const fn number(self) -> u8 {
         match self {
@@ -27,7 +27,7 @@ impl Phase {
     }
 }
 
-/// The record of one tick: its inputs and outputs, from which it can be replayed.
+/// The record of one tick: its inputs and outputs, from which the tick can be replayed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TickRecord {
     /// Number of the tick in its rollout, from 0.
@@ -36,21 +36,27 @@ pub struct TickRecord {
     pub phase: Phase,
     /// Time at which the tick was due, by the host's clock, ns.
     pub deadline_ns: u64,
-    /// Lateness of the wake-up, ns.
+    /// Time from the deadline to the wake-up of the tick, ns.
     pub lateness_ns: u64,
-    /// Whole periods skipped before this tick because the one before ran late.
+    /// Number of whole periods that were skipped before this tick because the previous tick ran
+    /// late.
     pub skipped_periods: u32,
-    /// Whether a stop was requested by the time the tick woke.
+    /// Whether a stop had been requested when the tick had read its sample.
     pub stop_requested: bool,
-    /// Sample; `None` when no valid one came in time and the last voltage was held.
+    /// Sample of the encoders; `None` if no valid sample came in time, so that the last voltage was
+    /// held.
     pub measurement: Option<Measurement>,
-    /// Estimated state that the policy sees, also in the other phases. Guard, settling and braking use
-    /// their own filter, which follows from the samples.
+    /// Estimated state that the policy sees, recorded in all phases, rad and rad/s. Guard, settling
+    /// and braking use a filter of their own, whose states can be computed from the samples.
     pub state: State,
-    /// Voltage that the controller asked for before any limit, V; `None` while the last one is held.
+    /// Voltage that the controller asked for, before any limit, V; `None` if the last voltage was
+    /// held.
     pub wanted_v: Option<f64>,
-    /// Voltage sent, mV, in the convention's sign (positive turns the arm to positive theta).
+    /// Voltage that was sent, mV, with the sign of the convention: positive turns the arm towards
+    /// positive theta.
     pub voltage_mv: i16,
-    /// Time from sending the request of the sample to writing the act, by the host's clock, ns.
+    /// Time from the wake-up, at which the tick requests its sample, until the voltage (the act) is
+    /// written, by the host's clock, ns. Without a sample nothing is written, and the time ends
+    /// with the decision.
     pub turnaround_ns: u64,
 }
