@@ -11,7 +11,8 @@ pub struct TrainingProgress {
     progress: Progress,
     updates: u32,
     best_return: f64,
-    began: Option<Instant>,
+    /// Number of the first update of this process, and the time when it was done.
+    first: Option<(u32, Instant)>,
 }
 
 impl TrainingProgress {
@@ -29,7 +30,7 @@ impl TrainingProgress {
             state.phase = "training in simulation".into();
             state.done = Some((0, updates.into()));
         });
-        Self { progress: progress.clone(), updates, best_return: f64::NEG_INFINITY, began: None }
+        Self { progress: progress.clone(), updates, best_return: f64::NEG_INFINITY, first: None }
     }
 
     /// Shows one more update.
@@ -37,13 +38,11 @@ impl TrainingProgress {
         let (done, all) = (update.update + 1, self.updates);
         self.best_return = self.best_return.max(update.mean_return);
         let best_return = self.best_return;
-        let began = *self.began.get_or_insert_with(Instant::now);
-        // The clock starts when the first update is done, so that this update does not count.
-        let left = time_left(
-            began.elapsed(),
-            done.saturating_sub(1).into(),
-            all.saturating_sub(done).into(),
-        );
+        // The clock starts when the first update of this process is done. That update does not
+        // count, and neither do those before a checkpoint.
+        let (first, began) = *self.first.get_or_insert_with(|| (update.update, Instant::now()));
+        let timed = update.update.saturating_sub(first);
+        let left = time_left(began.elapsed(), timed.into(), all.saturating_sub(done).into());
         if !self.progress.has_screen() && (done * LINES) % all < LINES {
             let left = left.map_or(String::new(), |left| format!(", {} left", in_words(left)));
             self.progress

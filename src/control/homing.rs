@@ -427,7 +427,7 @@ impl Motion for Homing {
             return self.off(ending);
         }
         let is_led = !matches!(self.stage, Stage::Observe(_) | Stage::Probe(_));
-        if is_led && self.runaway.lasts(&self.seen(), f64::from(self.voltage_mv)) {
+        if is_led && self.runaway.lasts(&self.seen(), f64::from(self.voltage_mv) * 1e-3) {
             // A stiff cable moves an arm against the voltage even if the motor is dead, so the
             // current decides which of the two faults it is.
             let is_dead = self.current.takes_nothing_at_speed(measurement, self.voltage_mv);

@@ -15,7 +15,8 @@ const LARGEST_NOISE_RATIO: f64 = 1.2;
 const LARGEST_WHITENESS: f64 = 0.02;
 
 /// Largest correlation of neighbouring residuals times the root of the number of samples: over
-/// short recordings chance alone exceeds [`LARGEST_WHITENESS`]. It is five standard deviations.
+/// short recordings chance alone exceeds [`LARGEST_WHITENESS`]. It is about
+/// two standard deviations of the mean over [`LAGS`] lags of white residuals.
 const LARGEST_CHANCE: f64 = 0.9;
 
 /// Largest distance, in samples, of residuals whose correlation is tested.

@@ -229,7 +229,7 @@ fn within_budget(motions: Vec<Motion>, first: usize) -> (Vec<Motion>, usize, Opt
             " {count} of {all} rollouts are left out; a report on their recordings shows them."
         ),
     };
-    let note = format!("To keep this page small, every {stride}th tick is shown.{left_out}");
+    let note = format!("To keep this page small, one tick in {stride} is shown.{left_out}");
     (kept, kept_first, Some(note))
 }
 
@@ -294,7 +294,7 @@ mod tests {
         assert_eq!((kept.len(), first, note), (10, 9, None));
         let (kept, first, note) = within_budget(vec![motion(800); 800], 700);
         assert_eq!((kept.len(), first), (800, 700));
-        assert!(note.unwrap().contains("every 2th"), "");
+        assert!(note.unwrap().contains("one tick in 2 is"), "");
         let (kept, first, note) = within_budget(vec![motion(30_000); 300], 299);
         let bytes: usize = kept.iter().map(Motion::bytes).sum();
         assert!(bytes <= MOTION_BYTES + motion(3_000).bytes(), "{bytes}");

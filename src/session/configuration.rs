@@ -318,7 +318,7 @@ mod tests {
         let shared = SessionSettings { rigs: vec![rig], ..SessionSettings::thesis() };
         let text = shared.to_toml().unwrap();
         let message = overridden(&text).unwrap_err().to_string();
-        assert!(message.contains("rigs: who begins a session"), "{message}");
+        assert!(message.contains("rigs: the command line names"), "{message}");
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("session.toml");
         std::fs::write(&path, text).unwrap();

@@ -121,7 +121,9 @@ impl SessionSettings {
             );
         }
         if !self.rigs.is_empty() {
-            return Err("rigs: who begins a session names its Qubes: leave it out".into());
+            return Err(
+                "rigs: the command line names the Qubes of a new session: leave it out".into()
+            );
         }
         let give = "give guard = \"foresight\" or leave it out";
         self.safety_box.guard.check_driven().map_err(|gone| format!("safety_box.{gone}: {give}"))

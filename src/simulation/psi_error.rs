@@ -67,7 +67,7 @@ pub enum PsiError {
         name: String,
     },
     /// The base distribution, to which psi is applied, has a value that cannot be simulated.
-    #[error("the profile cannot be simulated: {0}")]
+    #[error("the base distribution cannot be simulated: {0}")]
     Base(DistributionError),
     /// The model needs a profile, and none is given.
     #[error("the model `opt-profile` is drawn around a Qube: give it in [profile]")]

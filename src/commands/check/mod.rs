@@ -42,7 +42,7 @@ const WRITER: &str = "qube-hil check --write";
     qube-hil check --device /dev/ttyACM0 --conformance   # does the firmware keep the protocol?")]
 pub struct Arguments {
     /// Test the device's firmware against PROTOCOL.md instead. The motor gets at most 1 V for a few
-    /// milliseconds: the arm hardly moves
+    /// milliseconds, and 0.5 V until the watchdog trips: the arm hardly moves
     #[arg(long, conflicts_with_all = ["write", "home"])]
     conformance: bool,
 

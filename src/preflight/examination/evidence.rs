@@ -32,7 +32,7 @@ const NO_CURRENT_A: f64 = 0.02;
 const CURRENT_FROM_V: f64 = 1.0;
 
 /// Least fall of the current during a push that proves a turning motor, as a share of the largest
-/// current: 1.5 rad/s at 0.25 V. The current of a motor that is held stays constant.
+/// current: about 1 rad/s at 0.25 V. The current of a motor that is held stays constant.
 const TURNING_DROP: f64 = 0.15;
 
 /// Number of pushes that must show a defect, because a hand may have disturbed one of them.

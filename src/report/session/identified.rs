@@ -46,7 +46,8 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
             if let Some((of, profile)) = source.profile_before_end() {
                 if of != recordings {
                     page.paragraph(&format!(
-                        "What follows is predicted with the profile as it was before the verification,                          profile-{of}.toml, so that the verification tests it."
+                        "What follows is predicted with the profile as it was before the verification, \
+                         profile-{of}.toml, so that the verification tests it."
                     ));
                 }
                 add_predictions(page, &source.motions, &profile.model());
