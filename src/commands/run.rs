@@ -154,10 +154,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         tell(&format!("warning: {warning}"));
     }
     if settings.checks() {
-        tell("first a check: the arm is pushed a little (--skip-check leaves it out)");
+        tell(
+            "checking the Qube: before all else the arm is pushed a little (--skip-check leaves it out)",
+        );
     }
     if settings.homing.method == HomingMethod::Stops {
-        tell("before the first rollout homing: the arm looks for its stops");
+        tell("homing: before the first rollout the arm looks for its stops");
     }
     let plan = RolloutPlan { steps: controller.steps, policy: controller.name.clone(), ..plan };
     let mut results = Results::new(arguments.excite.is_some());
