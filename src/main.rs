@@ -1,4 +1,4 @@
-//! The command line of qube-hil; everything it does lives in the library.
+//! The program `qube-hil`; the library implements its command line.
 
 fn main() -> std::process::ExitCode {
     qube_hil::commands::main()

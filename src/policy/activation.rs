@@ -1,4 +1,4 @@
-//! The functions of a network's neurons.
+//! The activation functions of a network's hidden neurons and of its output.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,11 +11,11 @@ pub enum Activation {
     /// Hyperbolic tangent.
     #[default]
     Tanh,
-    /// x above 0, else 0.
+    /// Rectified linear unit: x above 0, else 0.
     Relu,
-    /// x above 0, else exp(x) - 1.
+    /// Exponential linear unit: x above 0, else exp(x) - 1.
     Elu,
-    /// x / (1 + exp(-x)).
+    /// Sigmoid linear unit: x / (1 + exp(-x)).
     Silu,
 }
 
@@ -23,7 +23,7 @@ pub enum Activation {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OutputKind {
-    /// None.
+    /// No function: the output is the weighted sum itself.
     #[default]
     Linear,
     /// Hyperbolic tangent.
@@ -31,7 +31,7 @@ pub enum OutputKind {
 }
 
 impl Activation {
-    /// All four.
+    /// All four functions.
     pub const ALL: [Self; 4] = [Self::Tanh, Self::Relu, Self::Elu, Self::Silu];
 
     /// The name in files.
@@ -51,7 +51,7 @@ impl Activation {
         Self::ALL.into_iter().find(|activation| activation.name() == name)
     }
 
-    /// Applies the function to each value; what is not a number stays so.
+    /// Applies the function to each value; NaN stays NaN.
     #[inline(always)]
     pub(super) fn apply(self, values: &mut [f32]) {
         match self {

@@ -13,9 +13,9 @@ pub struct ClassicalGains {
     pub pump_v_per_j: f64,
     /// Swing-up: largest pump voltage, which keeps the arm from running away.
     pub pump_limit_v: f64,
-    /// Swing-up: recoil r in theta + r sin(alpha), rad: the position of the arm once the pendulum has given
-    /// it all its momentum. The controller centres and damps this quantity, so that the pendulum's own
-    /// swing costs no voltage.
+    /// Swing-up: recoil r, rad. The controller centres and damps theta + r sin(alpha), the position
+    /// of the arm once the pendulum has given it all its momentum, so that the pendulum's own swing
+    /// costs no voltage.
     #[serde(default)]
     pub recoil_rad: f64,
     /// Swing-up: voltage that pulls the arm back for each rad from the centre.
@@ -31,9 +31,10 @@ pub struct ClassicalGains {
 }
 
 impl Default for ClassicalGains {
-    /// Balance: discrete LQR at 100 Hz on the nominal parameters linearised about upright, Q = diag(1, 1,
-    /// 0.02, 0.005), R = 0.05. Swing-up: the gains with the best worst case in a random search from the
-    /// starts of the test below, among those under which the arm can always be braked.
+    /// Balance: discrete LQR at 100 Hz on the nominal parameters linearised about upright, Q =
+    /// diag(1, 1, 0.02, 0.005), R = 0.05. Swing-up: the gains with the best worst case in a random
+    /// search from the starts of the test below, among the gains under which the arm can always be
+    /// braked.
     fn default() -> Self {
         Self {
             pump_v_per_j: 111.0,
@@ -48,8 +49,8 @@ impl Default for ClassicalGains {
     }
 }
 
-/// A controller that swings up by energy (Astrom and Furuta 2000) and balances by state feedback; it works
-/// on any Qube without training.
+/// A controller that swings up by energy (Astrom and Furuta 2000) and balances by state feedback;
+/// it works on any Qube without training.
 #[derive(Clone, Copy, Debug)]
 pub struct ClassicalController {
     gains: ClassicalGains,
@@ -98,13 +99,13 @@ impl ClassicalController {
     fn swing_up(&self, state: &State) -> f64 {
         let (sin, cos) = Scalar::sin_cos(state.alpha);
         let (theta_dot, alpha_dot) = (state.theta_dot, state.alpha_dot);
-        // Energy that the pendulum lacks to be upright and at rest. It includes the coupling term of the
-        // arm's motion but not the arm's own energy.
+        // Energy that the pendulum lacks to be upright and at rest. It includes the coupling term
+        // of the arm's motion but not the arm's own energy.
         let lacking_j = self.dynamics.gravity_torque * (1.0 + cos)
             - 0.5 * self.dynamics.pendulum_inertia * alpha_dot * alpha_dot
             - self.dynamics.coupling * cos * theta_dot * alpha_dot;
-        // Accelerating the arm takes energy -coupling cos(alpha) theta'' alpha_dot into the pendulum. At
-        // rest both directions are equally good.
+        // Accelerating the arm feeds the power -coupling cos(alpha) theta'' alpha_dot into the
+        // pendulum. With the pendulum at rest both directions are equally good.
         let swing = alpha_dot * cos;
         let direction = if swing > 0.0 { -1.0 } else { 1.0 };
         let limit_v = self.gains.pump_limit_v;

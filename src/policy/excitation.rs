@@ -8,11 +8,12 @@ use crate::qube::{CONTROL_PERIOD_S, State};
 /// Length of an excitation in steps: 10 s.
 pub const EXCITATION_STEPS: u32 = 1000;
 
-/// First and last frequency of a chirp, Hz. At lower frequencies 1.5 V would carry the arm to the box.
+/// First and last frequency of a chirp, Hz. At lower frequencies 1.5 V would carry the arm to a
+/// limit of the safety box.
 const FREQUENCIES_HZ: [f64; 2] = [5.0, 1.0];
 
-/// Centring voltage, V/rad: it keeps the cable and an uneven dead zone from carrying the arm to the box. It
-/// is part of the recorded voltage, so that a fit accounts for it.
+/// Centring voltage, V/rad: it keeps the cable and an uneven dead zone from carrying the arm to a
+/// limit of the safety box. The recorded voltage includes it, so that a fit accounts for it.
 const CENTRING_V_PER_RAD: f64 = 0.5;
 
 /// Time over which the arm's position is extrapolated to decide whether steps drive it back, s.
@@ -25,14 +26,16 @@ const WAY_OUT_RAD: f64 = 0.6;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ExcitationShape {
-    /// A cosine from 5 Hz down to 1 Hz.
+    /// A cosine whose frequency falls linearly from 5 Hz to 1 Hz within 10 s.
     Chirp,
-    /// Full and half voltages of both signs, each held for 0.05 to 0.2 s, in a pseudo-random order that is
-    /// always the same. Steps drive an arm back that moves too far out.
+    /// Full and half voltages of both signs, each held for 0.05 to 0.2 s, in a pseudo-random order
+    /// that is always the same. An arm that moves too far out is driven back by steps of the
+    /// opposite sign.
     Steps,
 }
 
-/// An open-loop voltage over time in place of a policy.
+/// A voltage over time in place of a policy. It is open-loop but for a weak centring of the arm and
+/// the sign of steps far from the centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Excitation {
     shape: ExcitationShape,
@@ -48,8 +51,8 @@ impl Excitation {
         Self { shape, voltage_v, tick: 0, step: StepSequence::START }
     }
 
-    /// The excitation of one of several rollouts, counted from 0; consecutive rollouts start in opposite
-    /// directions.
+    /// The excitation of one of several rollouts, counted from 0; consecutive rollouts start in
+    /// opposite directions.
     #[must_use]
     pub fn of_rollout(shape: ExcitationShape, voltage_v: f64, rollout: u32) -> Self {
         Self::new(shape, if rollout.is_multiple_of(2) { voltage_v } else { -voltage_v })
@@ -94,7 +97,7 @@ impl Excitation {
     }
 }
 
-/// The chirp's value, -1 to 1; 0 once its 10 s are over.
+/// The chirp's value at a tick, -1 to 1; 0 from 10 s on.
 fn chirp(tick: u32) -> f64 {
     if tick >= EXCITATION_STEPS {
         return 0.0;
@@ -106,7 +109,7 @@ fn chirp(tick: u32) -> f64 {
     Scalar::sin_cos(2.0 * PI * (turns - turns.floor())).1
 }
 
-/// Pseudo-random levels from a 15-bit linear-feedback shift register.
+/// A pseudo-random sequence of levels, drawn from a 15-bit linear-feedback shift register.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct StepSequence {
     register: u16,
@@ -117,7 +120,9 @@ struct StepSequence {
 impl StepSequence {
     const START: Self = Self { register: 0x5a5a, level: 0.0, ticks_left: 0 };
 
-    /// The level of the next tick; its sign opposes `outward` where that is not 0.
+    /// The level of the next tick, as a fraction of the excitation's voltage, -1 to 1. `outward` is
+    /// the sign of the levels that push the arm further out, or 0 near the centre; a level never
+    /// has that sign.
     fn next(&mut self, outward: f64) -> f64 {
         if self.ticks_left == 0 || self.level * outward > 0.0 {
             let sign = if self.bit() == 0 { -1.0 } else { 1.0 };
@@ -129,7 +134,8 @@ impl StepSequence {
         self.level
     }
 
-    /// The polynomial x^15 + x^14 + 1, which runs through all 32,767 nonzero states.
+    /// Draws one bit. The feedback polynomial x^15 + x^14 + 1 takes the register through all 32,767
+    /// nonzero states.
     fn bit(&mut self) -> u16 {
         let bit = (self.register >> 14 ^ self.register >> 13) & 1;
         self.register = (self.register << 1 | bit) & 0x7fff;

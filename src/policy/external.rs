@@ -5,10 +5,12 @@ use crate::qube::State;
 /// Longest name of an external controller, bytes.
 pub const MAX_NAME_BYTES: usize = 200;
 
-/// A controller outside of this program: a name, and in a replay its recorded answers.
+/// A controller outside of this program: its name and, in a replay, the voltages that it answered
+/// in the recording.
 ///
-/// Its file has the name alone, so that it cannot run again: without answers it asks for a voltage that is not a
-/// number, for which a tick brakes. A replay gives it the answers of the recording and recomputes everything else.
+/// Its policy file holds the name alone, so the controller cannot run from the file: without
+/// recorded answers it returns NaN, and a tick brakes for a voltage that is not a number. A replay
+/// supplies the answers of the recording and recomputes everything else.
 #[derive(Clone, Debug, PartialEq)]
 pub struct External {
     name: String,
@@ -25,7 +27,7 @@ impl External {
         Self { name: name[..cut].to_owned(), answers_v: Vec::new(), next: 0 }
     }
 
-    /// The same controller with these answers, V, one for each time that it is asked.
+    /// The same controller with these answers, V, one for each call of [`Self::voltage_v`].
     #[must_use]
     pub fn answering(self, answers_v: Vec<f64>) -> Self {
         Self { answers_v, next: 0, ..self }
@@ -42,7 +44,7 @@ impl External {
         self.next = 0;
     }
 
-    /// The next answer, V; not a number after the last one.
+    /// The next answer, V; NaN after the last answer.
     #[must_use]
     pub fn voltage_v(&mut self, _state: &State) -> f64 {
         let answer_v = self.answers_v.get(self.next).copied().unwrap_or(f64::NAN);

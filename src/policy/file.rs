@@ -1,7 +1,9 @@
-//! The file format of a policy: safetensors whose metadata has one entry, `policy`, a JSON document.
+//! The file format of a policy: safetensors whose metadata has one entry, `policy`, a JSON
+//! document.
 //!
-//! Nothing in a file is executed, and everything is checked before use. There is one entry because
-//! safetensors writes several in no fixed order; with one, the same policy always gives the same bytes.
+//! Nothing in a file is executed, and everything is checked before use. There is only one entry
+//! because safetensors writes several entries in no fixed order; with a single entry, the same
+//! policy always gives the same bytes.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -20,8 +22,9 @@ use super::{
 };
 use crate::qube::MAX_VOLTAGE_V;
 
-/// Newest version of the format; files of later versions are refused. A policy that version 1 can express, as those
-/// whose randomisation no file has named, is written in version 1, so that its bytes stay.
+/// Newest version of the format; files of later versions are refused. A policy that version 1 can
+/// express is written in version 1, so that its bytes stay the same. Version 1 has no other
+/// functions than tanh and a linear output, no bounds and no randomisation.
 pub const FORMAT_VERSION: u32 = 2;
 
 /// Largest file that is read, bytes: ten times the largest network within the limits.
@@ -72,16 +75,16 @@ pub enum PolicyFault {
     /// The safetensors file is not a policy.
     #[error("has no metadata `{METADATA_KEY}`. Give a file that `train` wrote")]
     NoMetadata,
-    /// The metadata is that of another kind of controller.
+    /// The metadata of a file of another format describes a controller that is no network.
     #[error("has the metadata of a controller that is no network")]
     NoNetwork,
     /// The metadata cannot be parsed.
     #[error("has metadata that this program does not understand: {source}")]
     Metadata {
-        /// Cause with its place.
+        /// Cause, with its place in the JSON text.
         source: serde_json::Error,
     },
-    /// The file has another version of the format.
+    /// This program does not read the file's version of the format.
     #[error(
         "has format version {version}, this program reads versions 1 to {FORMAT_VERSION}. Train it again or use the program that wrote it"
     )]
@@ -89,7 +92,7 @@ pub enum PolicyFault {
         /// Version of the file.
         version: u32,
     },
-    /// The network expects another observation.
+    /// The network expects an observation that this program does not have.
     #[error(
         "was trained for the observation {layout:?}; this program has the first 6 to 10 of {OBSERVATION_LAYOUT:?}. Train it again"
     )]
@@ -136,7 +139,7 @@ pub enum PolicyFault {
         /// Name of the tensor.
         name: String,
     },
-    /// A tensor has another type or shape.
+    /// A tensor has another type or shape than the metadata requires.
     #[error(
         "holds `{name}` as {dtype} {shape:?} where {expected_dtype} {expected_shape:?} is expected"
     )]
@@ -173,7 +176,8 @@ pub enum PolicyFault {
     },
 }
 
-/// Parsed before the rest of the metadata, so that a file of a future version is reported as such.
+/// The version of a file's format, which is parsed before the rest of the metadata, so that a file
+/// of a future version is reported by its version.
 #[derive(Deserialize)]
 struct VersionOnly {
     format_version: u32,
@@ -227,7 +231,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Policy, PolicyFault> {
     }
 }
 
-/// Parses the metadata of a version that this program knows.
+/// Parses metadata and refuses versions that this program does not know.
 fn read_metadata(json: &str) -> Result<Metadata, PolicyFault> {
     let not_understood = |source| PolicyFault::Metadata { source };
     let VersionOnly { format_version } = serde_json::from_str(json).map_err(not_understood)?;
@@ -237,13 +241,14 @@ fn read_metadata(json: &str) -> Result<Metadata, PolicyFault> {
     serde_json::from_str(json).map_err(not_understood)
 }
 
-/// The metadata of a network in the newest version, which names the conventions, for files of other formats.
+/// The metadata of a network as JSON, for files of other formats. It is of the newest version,
+/// because only that version names the conventions.
 pub(super) fn network_metadata(policy: &NetworkPolicy) -> String {
     let metadata = NetworkMetadata::of(policy, FORMAT_VERSION);
     json_of(FORMAT_VERSION, ControllerMetadata::Network(Box::new(metadata)))
 }
 
-/// The network of metadata from a file of another format, with these weights.
+/// Builds the policy of a network from metadata and weights that a file of another format contains.
 pub(super) fn network_of_metadata(
     json: &str,
     layers: Vec<LayerWeights>,
@@ -370,7 +375,7 @@ fn gain_tensors(gains: &ClassicalGains) -> Vec<(String, Tensor)> {
 
 fn read_gains(tensors: &SafeTensors<'_>) -> Result<ClassicalGains, PolicyFault> {
     let one = |name| read_f64::<1>(tensors, name).map(|[value]| value);
-    // Files without this gain centre the arm alone.
+    // A file without this gain means a recoil of 0: the controller centres the arm alone.
     let has_recoil = tensors.names().contains(&"recoil_rad");
     let gains = ClassicalGains {
         pump_v_per_j: one("pump_v_per_j")?,

@@ -272,7 +272,7 @@ fn numbers_that_are_none_are_refused() {
 
 #[test]
 fn a_tensor_too_many_is_refused() {
-    // The tensors have two layers more than the sizes.
+    // The file has a tensor `layers.9.weight` in place of `layers.2.weight`.
     let bytes = network_policy().to_bytes();
     let fewer = with_header_text(&bytes, "layers.2.weight", "layers.9.weight");
     assert!(fault(&fewer).contains("no tensor `layers.2.weight`"));

@@ -1,6 +1,8 @@
-//! One layer of a network: its weights as files and trainings have them, and as the processor multiplies them.
+//! One layer of a network in two layouts: that of files and training, and a transposed, padded one
+//! for fast inference.
 
-/// Rows of weights are padded to a multiple of this number: the lanes of the widest vector.
+/// The number of a layer's outputs is padded to a multiple of this number: the `f32` lanes of the
+/// widest vector register, 512 bits.
 pub(super) const PADDING: usize = 16;
 
 /// Weights of one layer in the layout of files and training.
@@ -12,7 +14,8 @@ pub struct LayerWeights {
     pub bias: Vec<f32>,
 }
 
-/// One layer, transposed so that neighbouring outputs are neighbours in memory.
+/// One layer for inference, transposed so that the weights of neighbouring outputs are neighbours
+/// in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Layer {
     /// Weights, `[inputs][outputs, padded]`.
@@ -53,7 +56,8 @@ impl Layer {
         }
     }
 
-    /// Multiplies the weights with `inputs` and adds the biases; `outputs` is padded.
+    /// Writes the weights times `inputs` plus the biases to `outputs`, which has at least the
+    /// padded length.
     #[inline(always)]
     pub fn apply(&self, inputs: &[f32], outputs: &mut [f32]) {
         let blocks = self.bias.len();

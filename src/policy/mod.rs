@@ -1,10 +1,11 @@
-//! Everything that decides a voltage: trained networks, the classical controller, and excitations for
-//! identification.
+//! Controllers, which decide the voltage of the motor: trained networks, the classical controller,
+//! and excitations for identification.
 //!
-//! A network runs without allocation and gives the same bits on any processor. The classical controller
-//! (energy swing-up and balance) needs no training. All kinds are stored in one file format
-//! ([`Policy::load`]). The room may import `qube`, `elementary` and `storage` (to read a file). It never
-//! imports `learning`, so that a deployed policy runs without the trainer.
+//! A network runs without allocation and gives the same bits on any processor. The classical
+//! controller (energy swing-up and balance) needs no training. All kinds of controller are stored
+//! in one file format ([`Policy::load`]). The room may import `qube`, `elementary` and `storage`
+//! (to read a file). It never imports `learning`, so that a deployed policy runs without the
+//! trainer.
 //!
 //! ```
 //! use qube_hil::policy::{ClassicalController, ClassicalGains, Controller};
@@ -15,8 +16,8 @@
 //! assert_eq!(Controller::voltage_v(&mut controller, &upright), 0.0);
 //! ```
 //!
-//! A controller of any other type runs in the same tick and loop; here one on the emulated Qube, in virtual
-//! time:
+//! A controller of any other type runs in the same tick and loop. This example runs one on the
+//! emulated Qube, in virtual time:
 //!
 //! ```
 //! use std::sync::atomic::AtomicBool;
@@ -93,8 +94,8 @@ pub use training_record::{SimulatedGuard, SimulatedObserver, SimulatedSensors, T
 use crate::qube::State;
 use crate::storage::read_bounded;
 
-/// The controller of a rollout. All kinds share one file format, so that a recording always contains the
-/// controller that drove it.
+/// The controller of a rollout. All kinds of controller share one file format, so that a recording
+/// always contains the controller that drove it.
 #[derive(Clone, Debug)]
 #[expect(
     clippy::large_enum_variant,
@@ -120,18 +121,20 @@ pub struct NetworkPolicy {
     pub training: TrainingRecord,
 }
 
-/// Decides the voltage at each step of a rollout. [`Policy`] implements it for the kinds that a file may hold;
-/// any other type may, and then runs in the same tick, loop and replay ([`crate::policy`] has an example).
+/// Decides the voltage at each step of a rollout. [`Policy`] implements this trait for the kinds of
+/// controller that a file may hold. A controller of any other type that implements it runs in the
+/// same tick, loop and replay ([`crate::policy`] has an example).
 pub trait Controller: Send {
     /// Starts a rollout and resets state that an earlier one left.
     fn start(&mut self) {}
 
-    /// Reports the voltage that acted at the motor, V, for one control period: the permitted part of the
-    /// last request, reported again for each period without a decision.
+    /// Receives the voltage that acted at the motor during one control period, V: the last
+    /// requested voltage after guard and limits. The tick calls it again for each period in which
+    /// it took no decision.
     fn applied(&mut self, _voltage_v: f64) {}
 
-    /// The voltage for a state, V. Implementations do not allocate; the voltage gate of `safety` limits the
-    /// result.
+    /// Returns the voltage for a state, V. Implementations do not allocate. The voltage gate of
+    /// `safety` limits the result.
     fn voltage_v(&mut self, state: &State) -> f64;
 }
 

@@ -5,8 +5,8 @@ use super::{Activation, OutputKind};
 use crate::elementary::{InstructionSet, VectorKernel, dispatch, tanh};
 use crate::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State, observation};
 
-/// Largest number of hidden layers. With [`MAX_WIDTH`] it bounds an inference to some tens of microseconds,
-/// a small part of the tick.
+/// Largest number of hidden layers. With [`MAX_WIDTH`] it bounds an inference to some tens of
+/// microseconds, a small part of the 10 ms between ticks.
 pub const MAX_HIDDEN_LAYERS: usize = 4;
 
 /// Largest width of a hidden layer.
@@ -28,7 +28,7 @@ pub enum NetworkError {
     Length {
         /// Name of the array, such as `layers.0.weight`.
         array: String,
-        /// Its length.
+        /// Length of the array.
         length: usize,
         /// Length that the sizes require.
         expected: usize,
@@ -49,28 +49,32 @@ pub enum NetworkError {
         /// Scale given, V.
         action_scale_v: f32,
     },
-    /// The bounds of the observation do not fit it, or leave nothing between them.
+    /// There is not one pair of bounds for each entry of the observation, or a pair is not a lower
+    /// and an upper number.
     #[error(
         "the observation is clipped by {given} pairs of bounds: it has {entries} entries, and each pair must be two numbers, \
          the lower one first"
     )]
     Bounds {
-        /// Number of pairs.
+        /// Number of pairs given.
         given: usize,
         /// Number of entries of the observation.
         entries: usize,
     },
 }
 
-/// A multilayer perceptron: observation in, an activation (tanh, unless told otherwise) in the hidden layers, and one
-/// output, linear or tanh, which times the action scale is the voltage.
+/// A multilayer perceptron that computes a voltage from an observation. Its hidden layers have one
+/// activation function (tanh by default). Its single output, linear (the default) or tanh, times
+/// the action scale is the voltage.
 ///
-/// The observation contains the state and, for networks with more inputs, the last commands as fractions of
-/// 5 V, newest first. The network remembers commands from [`Self::start`] to the next start;
-/// [`Self::applied`] reports each. A network with bounds clips each entry of the observation before the first layer.
+/// The observation contains the state and, for networks with more inputs, the last commands as
+/// fractions of 5 V, newest first. The network remembers the commands that [`Self::applied`] has
+/// reported since the last call of [`Self::start`]. A network with bounds clips each entry of the
+/// observation before the first layer.
 ///
-/// Every output starts from its bias and adds its inputs in ascending order, each with one fused
-/// multiply-add, which gives the same bits on any processor. An inference allocates nothing.
+/// The sum of each neuron starts from the neuron's bias and adds the weighted inputs in ascending
+/// order, each with one fused multiply-add, which gives the same bits on any processor. An
+/// inference allocates nothing.
 #[derive(Clone, Debug)]
 pub struct Network {
     sizes: Vec<usize>,
@@ -82,15 +86,18 @@ pub struct Network {
     layers: Vec<Layer>,
     /// Inputs and outputs of the current layer, each as wide as the widest layer.
     activations: [Vec<f32>; 2],
-    /// Last commands as fractions of 5 V, newest first; the network uses as many as it has inputs for.
+    /// Last commands as fractions of 5 V, newest first; the network sees as many as it has inputs
+    /// beyond the state.
     commands: [f32; MAX_HISTORY],
 }
 
 impl Network {
-    /// A network with these weights; `sizes` runs from the observation to the output, such as 6, 64, 64, 1.
+    /// A network with these weights; `sizes` runs from the observation to the output, such as 6,
+    /// 64, 64, 1.
     ///
     /// # Errors
-    /// Sizes exceed the limits, arrays have other lengths, or values are not finite.
+    /// Sizes exceed the limits, arrays have other lengths than the sizes require, values are not
+    /// finite, or the action scale is not above 0 V and at most 100 V.
     pub fn new(
         sizes: &[usize],
         layers: &[LayerWeights],
@@ -125,17 +132,19 @@ impl Network {
         })
     }
 
-    /// The same network with these functions of its neurons.
+    /// Replaces the functions of the hidden neurons and of the output.
     #[must_use]
     pub fn with_functions(self, activation: Activation, output: OutputKind) -> Self {
         Self { activation, output, ..self }
     }
 
-    /// The same network behind bounds of the observation, one pair for each entry, infinite where there is none. An entry
-    /// beyond its bounds counts as the bound. Without pairs nothing is clipped.
+    /// Replaces the bounds of the observation: a pair of least and largest value for each entry,
+    /// infinite on a side without a bound. An entry beyond a bound counts as the bound. An empty
+    /// list clips nothing.
     ///
     /// # Errors
-    /// There is another number of pairs, or a lower bound is above the upper one.
+    /// The number of pairs is neither 0 nor the number of entries, or a lower bound is not at most
+    /// its upper bound.
     pub fn with_bounds(self, bounds: Vec<[f32; 2]>) -> Result<Self, NetworkError> {
         let (given, entries) = (bounds.len(), self.sizes[0]);
         let fits = given == entries || given == 0;
@@ -175,7 +184,7 @@ impl Network {
         self.sizes[0] - OBSERVATION_SIZE
     }
 
-    /// Forgets the last commands: the motor is off before a rollout.
+    /// Starts a rollout: the last commands count as 0 V, because the motor is off before a rollout.
     pub fn start(&mut self) {
         self.commands = [0.0; MAX_HISTORY];
     }
@@ -210,8 +219,8 @@ impl Network {
         f64::from(dispatch(Infer { network: self, input: Input::State(state) }))
     }
 
-    /// The voltage for a whole observation, V, without a limit. It has the same bits as [`Self::voltage_v`]
-    /// for the same state and last commands.
+    /// The voltage for a whole observation, V, without a limit. It has the same bits as
+    /// [`Self::voltage_v`] for the same state and last commands.
     ///
     /// # Panics
     /// Panics if the observation's length differs from the network's number of inputs.
@@ -222,7 +231,7 @@ impl Network {
     }
 }
 
-/// Compares weights, functions, bounds and scale; the remembered commands do not count.
+/// Compares sizes, weights, functions, bounds and scale, but not the remembered commands.
 impl PartialEq for Network {
     fn eq(&self, other: &Self) -> bool {
         self.sizes == other.sizes
@@ -331,7 +340,8 @@ mod tests {
         Network::new(sizes, &layers, 5.0).unwrap()
     }
 
-    /// Computes the same network in `f64`, as a textbook writes it.
+    /// Computes the voltage of a network with tanh and a linear output in `f64`, by the textbook's
+    /// formulas.
     fn textbook_voltage(network: &Network, state: &State, commands_v: &[f64]) -> f64 {
         let mut values = observation(state).to_vec();
         values.extend(commands_v.iter().map(|command_v| command_v / 5.0));

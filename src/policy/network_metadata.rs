@@ -8,8 +8,9 @@ use super::network::check_sizes;
 use super::{Activation, Network, NetworkPolicy, OutputKind, TrainingRecord};
 use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE};
 
-/// Entries that an observation may have, in order: the state (see [`crate::qube::observation`]), then as
-/// many of the last commands as the network was trained with.
+/// Names of the entries that an observation may have, in order: the state (see
+/// [`crate::qube::observation`]), then as many of the last commands, as fractions of 5 V, as the
+/// network was trained with.
 pub(super) const OBSERVATION_LAYOUT: [&str; OBSERVATION_SIZE + MAX_HISTORY] = [
     "sin(theta)",
     "cos(theta)",
@@ -23,7 +24,7 @@ pub(super) const OBSERVATION_LAYOUT: [&str; OBSERVATION_SIZE + MAX_HISTORY] = [
     "last command but three / 5 V",
 ];
 
-/// Everything about a network but its weights.
+/// The description of a network in a policy file: everything but its weights.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct NetworkMetadata {
@@ -31,20 +32,21 @@ pub(super) struct NetworkMetadata {
     sizes: Vec<usize>,
     activation: String,
     action_scale_v: f32,
-    /// Function of the output; from version 2 on.
+    /// Function of the output; `None` in version 1, whose networks have a linear output.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     output: Option<OutputKind>,
-    /// Least and largest value of each entry of the observation, `null` for an entry that is not clipped; from version
-    /// 2 on, where entries are clipped.
+    /// Least and largest value of each entry of the observation, `null` for an entry that is not
+    /// clipped. `None` in version 1 and where no entry is clipped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     observation_bounds: Option<Vec<Option<[f32; 2]>>>,
-    /// Conventions for readers in other programs; from version 2 on.
+    /// Conventions for readers in other programs; `None` in version 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     conventions: Option<Conventions>,
     training: TrainingRecord,
 }
 
-/// The conventions of every network of this program, in words and numbers. A file that names others is refused.
+/// The conventions of every network of this program, in words and numbers. A file that names others
+/// is refused.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Conventions {
@@ -82,7 +84,7 @@ impl NetworkMetadata {
         let is_second = version >= 2;
         let pair = |bounds: &[f32; 2]| {
             let [lower, upper] = *bounds;
-            // Text of JSON has no infinite numbers; the largest ones clip nothing either.
+            // JSON has no infinite numbers, so the largest finite ones stand for an open side.
             (lower > f32::NEG_INFINITY || upper < f32::INFINITY)
                 .then(|| [lower.max(f32::MIN), upper.min(f32::MAX)])
         };
@@ -102,7 +104,8 @@ impl NetworkMetadata {
         }
     }
 
-    /// The policy of this metadata, whose weights `layers` reads once the sizes are known to be possible.
+    /// Builds the policy that this metadata describes. `layers` reads the weights and is called
+    /// after the sizes have been checked.
     pub(super) fn into_policy(
         self,
         version: u32,

@@ -1,11 +1,11 @@
-//! From a graph of operators to the layers of a network.
+//! Conversion of an ONNX graph of operators to the layers of a network.
 
 use super::input::{Input, spread};
 use super::model::{Graph, Node, Tensor};
 use super::{ImportError, Layers};
 use crate::policy::{Activation, LayerWeights, OutputKind};
 
-/// An operator of a network, in the order in which the observation passes them.
+/// An operator on the way from the observation to the action.
 enum Step {
     /// A matrix, `[outputs][inputs]`, with or without a bias.
     Matrix {
@@ -33,7 +33,8 @@ pub fn layers(graph: &Graph<'_>) -> Result<Layers, ImportError> {
     };
     let mut steps = Vec::new();
     let mut name = *output;
-    // Every operator is passed once; more passes would be a circle.
+    // Each pass goes back by one operator, so more passes than operators mean that the graph has a
+    // cycle.
     for _ in 0..=graph.nodes.len() {
         if name == *input {
             steps.reverse();
@@ -47,7 +48,8 @@ pub fn layers(graph: &Graph<'_>) -> Result<Layers, ImportError> {
     Err(ImportError::NotOnnx)
 }
 
-/// The step of an operator, and the name of the value that it works on.
+/// Returns the step of an operator, `None` for an operator that changes no value, and the name of
+/// the value that the operator works on.
 fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str), ImportError> {
     let input = |index: usize| node.inputs.get(index).copied().ok_or(ImportError::NotOnnx);
     let constant = |name: &str| graph.constant(name);
@@ -55,7 +57,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
     let first = input(0)?;
     match node.operator {
         "Identity" | "Flatten" | "Expand" | "Reshape" => Ok((None, first)),
-        // To single or double precision.
+        // The types 1 and 11 are single and double precision.
         "Cast" if matches!(node.integer("to", 0), 1 | 11) => Ok((None, first)),
         "Gemm" => {
             let by_default = node.integer("transA", 0) == 0
@@ -117,7 +119,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
         "Elu" if node.number("alpha", 1.0) == 1.0 => {
             Ok((Some(Step::Activation(Activation::Elu)), first))
         }
-        // Newer files give the bounds as inputs, older ones as attributes.
+        // Since version 11 of the operators the bounds are inputs; before, they are attributes.
         "Clip" => {
             let bound = |index: usize, name: &str, open: f32| match node.inputs.get(index) {
                 Some(input) if !input.is_empty() => constant(input)
@@ -148,7 +150,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
     }
 }
 
-/// The value x of a product x times Sigmoid(x), if these two are one.
+/// Returns the name of x if the two factors are x and Sigmoid(x), in either order.
 fn silu<'a>(graph: &Graph<'a>, first: &'a str, second: &'a str) -> Option<&'a str> {
     let is_sigmoid_of = |gate: &str, of: &str| {
         let maker = graph.maker(gate);
@@ -161,7 +163,8 @@ fn silu<'a>(graph: &Graph<'a>, first: &'a str, second: &'a str) -> Option<&'a st
     }
 }
 
-/// Weights as `[outputs][inputs]`, with the number of inputs.
+/// Returns weights as `[outputs][inputs]`, with the number of inputs; `None` if the tensor is no
+/// matrix. A tensor that `is_transposed` has this layout already.
 fn matrix(tensor: &Tensor, is_transposed: bool) -> Option<(Vec<f32>, usize)> {
     let &[rows, columns] = tensor.shape.as_slice() else { return None };
     if rows == 0 || columns == 0 || tensor.values.len() != rows.checked_mul(columns)? {
@@ -174,7 +177,8 @@ fn matrix(tensor: &Tensor, is_transposed: bool) -> Option<(Vec<f32>, usize)> {
     Some(((0..columns).flat_map(column).collect(), rows))
 }
 
-/// Puts the steps together; constants before the first matrix become a part of it.
+/// Assembles layers from the steps, which are in order from the observation to the action.
+/// Constants before the first matrix become a part of the first layer and of the bounds.
 fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
     let refused =
         |operator: &str, place| ImportError::Place { operator: operator.to_owned(), place };
@@ -245,7 +249,8 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
     Ok(Layers { layers, inputs, bounds, activation, output, scale, limits })
 }
 
-/// The scaling after the last layer and its function: a factor, and limits of the product.
+/// The scaling of the output after the last layer and its function: a factor, and limits of the
+/// scaled output.
 struct After {
     is_begun: bool,
     scale: f32,
@@ -272,7 +277,8 @@ impl After {
     }
 }
 
-/// Folds the constants before the first layer into it, and returns the bounds of its inputs.
+/// Folds the constants `before` the first layer into that layer, and returns the least and largest
+/// value of each entry of the observation.
 fn fold(
     before: &[Step],
     layer: &mut LayerWeights,

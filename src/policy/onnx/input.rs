@@ -1,9 +1,10 @@
-//! The constants between a model's input and its first layer: a normalisation, and bounds.
+//! The normalisation and the bounds between a model's input and its first layer.
 
 use super::ImportError;
 use crate::policy::LayerWeights;
 
-/// The preparation of each entry x of the input for the first layer: factor · clip(x, bounds) + offset.
+/// The preparation of each entry x of the input for the first layer: factor · clip(x, bounds) +
+/// offset.
 #[derive(Debug)]
 pub struct Input {
     factors: Vec<f64>,
@@ -12,7 +13,7 @@ pub struct Input {
 }
 
 impl Input {
-    /// The input as it is.
+    /// An input that reaches the first layer unchanged.
     pub fn plain(entries: usize) -> Self {
         Self {
             factors: vec![1.0; entries],
@@ -21,14 +22,14 @@ impl Input {
         }
     }
 
-    /// Adds constants, one for each entry or one for all.
+    /// Adds constants to the entries: one for each entry, or one for all.
     pub fn add(&mut self, values: &[f32]) -> Result<(), ImportError> {
         let values = spread(values, self.factors.len())?;
         self.offsets.iter_mut().zip(values).for_each(|(offset, value)| *offset += f64::from(value));
         Ok(())
     }
 
-    /// Multiplies by constants.
+    /// Multiplies the entries by constants: one for each entry, or one for all.
     pub fn multiply(&mut self, values: &[f32]) -> Result<(), ImportError> {
         for (index, value) in spread(values, self.factors.len())?.into_iter().enumerate() {
             self.factors[index] *= f64::from(value);
@@ -37,7 +38,8 @@ impl Input {
         Ok(())
     }
 
-    /// Clips between constants.
+    /// Clips the entries between constants, which are converted to bounds of the original entries
+    /// x.
     pub fn clip(&mut self, lower: &[f32], upper: &[f32]) -> Result<(), ImportError> {
         let entries = self.factors.len();
         let pairs = spread(lower, entries)?.into_iter().zip(spread(upper, entries)?);
@@ -70,7 +72,7 @@ impl Input {
         }
     }
 
-    /// Least and largest value of each entry; nothing where none is clipped.
+    /// Least and largest value of each entry x; empty if no entry is clipped.
     pub fn into_bounds(self) -> Vec<[f32; 2]> {
         let open = [f64::NEG_INFINITY, f64::INFINITY];
         if self.bounds.iter().all(|bounds| *bounds == open) {
@@ -80,7 +82,7 @@ impl Input {
     }
 }
 
-/// A constant as one value for each of `count` entries.
+/// Spreads a constant, of one value or of `count` values, to one value for each of `count` entries.
 pub fn spread(values: &[f32], count: usize) -> Result<Vec<f32>, ImportError> {
     match values {
         [one] => Ok(vec![*one; count]),
@@ -104,7 +106,7 @@ mod tests {
         let mut layer = LayerWeights { weight: vec![1.0, 10.0], bias: vec![0.5] };
         input.fold(&mut layer);
         assert_eq!((layer.weight, layer.bias), (vec![6.0, -120.0], vec![6.0 - 120.0 + 0.5]));
-        // 6 (x + 1) up to 3, and -12 (x + 1) likewise.
+        // The second clip keeps 6 (x + 1) and -12 (x + 1) at 3 or below.
         assert_eq!(input.into_bounds(), [[-2.0, -0.5], [-1.25, -0.5]]);
         assert!(Input::plain(3).into_bounds().is_empty());
         assert!(Input::plain(3).add(&[1.0, 2.0]).is_err());

@@ -1,4 +1,4 @@
-//! Writes the wire format of Protocol Buffers.
+//! A writer of the wire format of Protocol Buffers.
 
 /// A message that grows field by field.
 #[derive(Debug, Default)]
@@ -7,21 +7,21 @@ pub struct Message {
 }
 
 impl Message {
-    /// The message with an integer, enum or bool.
+    /// Appends an integer, enum or bool as the field of this number.
     pub fn integer(mut self, field: u64, value: u64) -> Self {
         self.varint(field << 3);
         self.varint(value);
         self
     }
 
-    /// The message with a single-precision number.
+    /// Appends a single-precision number.
     pub fn number(mut self, field: u64, value: f32) -> Self {
         self.varint(field << 3 | 5);
         self.bytes.extend(value.to_le_bytes());
         self
     }
 
-    /// The message with bytes.
+    /// Appends bytes.
     pub fn bytes(mut self, field: u64, value: &[u8]) -> Self {
         self.varint(field << 3 | 2);
         self.varint(value.len() as u64);
@@ -29,17 +29,17 @@ impl Message {
         self
     }
 
-    /// The message with a string.
+    /// Appends a string.
     pub fn text(self, field: u64, value: &str) -> Self {
         self.bytes(field, value.as_bytes())
     }
 
-    /// The message with another one in it.
+    /// Appends an embedded message.
     pub fn message(self, field: u64, value: &Self) -> Self {
         self.bytes(field, &value.bytes)
     }
 
-    /// The message with one field for each of several messages.
+    /// Appends several embedded messages, each as a field of this number.
     pub fn messages<'a>(self, field: u64, values: impl IntoIterator<Item = &'a Self>) -> Self {
         values.into_iter().fold(self, |message, value| message.message(field, value))
     }

@@ -1,8 +1,10 @@
-//! Policies as ONNX files: those of other programs are read, and those of this one written and read again.
+//! Policies as ONNX files. This program writes its own policies and reads them again; it also reads
+//! the policies of other programs.
 //!
-//! The reader knows the few messages of the format and the operators that a multilayer perceptron has. It walks back from
-//! the first output to the input, and refuses every other operator by its name, because a policy that is read wrongly would
-//! drive a motor. A file that this program wrote names its conventions; for any other one, the caller names them.
+//! The reader knows only the messages of the format and the operators that a multilayer perceptron
+//! needs. It walks back from the first output to the input, and refuses every other operator by its
+//! name, because a policy that is read wrongly would drive a motor. A file that this program wrote
+//! names its conventions; for any other file, the caller gives them.
 
 mod graph;
 mod input;
@@ -53,7 +55,7 @@ pub enum ImportError {
         /// Name of the tensor.
         name: String,
     },
-    /// The graph has not one input and at least one output.
+    /// The graph does not have exactly one input and at least one output.
     #[error(
         "has {inputs} inputs and {outputs} outputs: a policy has one input, the observation, and its first output is the action"
     )]
@@ -72,7 +74,7 @@ pub enum ImportError {
         /// Name of the operator.
         operator: String,
     },
-    /// An operator is known, but not there or not so.
+    /// An operator is known, but not in this place or not with these attributes.
     #[error("has the operator {operator} {place}")]
     Place {
         /// Name of the operator.
@@ -80,7 +82,7 @@ pub enum ImportError {
         /// Reason why it is refused.
         place: &'static str,
     },
-    /// The layers do not fit together, or not to the observation.
+    /// The first layer has another number of inputs than the observation has entries.
     #[error(
         "has a first layer for {inputs} inputs, and the observation that was named has {named} entries"
     )]
@@ -90,7 +92,7 @@ pub enum ImportError {
         /// Entries of the observation.
         named: usize,
     },
-    /// The output is limited to less than the motor takes.
+    /// The output is limited to a narrower range than the motor's.
     #[error(
         "limits the voltage to {lower_v} V to {upper_v} V, and this program's networks have no limit below the motor's \
          {MAX_VOLTAGE_V} V of either sign: leave the last Clip out of the exported module, or check the action scale"
@@ -101,25 +103,26 @@ pub enum ImportError {
         /// Upper limit, V.
         upper_v: f32,
     },
-    /// An entry of the observation appears twice, clipped differently.
+    /// An entry of the observation appears twice, with different bounds.
     #[error("clips two inputs that are the same entry of the observation at different values")]
     TwoBounds,
-    /// The limit of the observation is no positive number.
+    /// The limit at which the observation is to be clipped is no positive, finite number.
     #[error("is to be clipped at {limit}: give a number above 0")]
     Clip {
         /// Limit that was asked for.
         limit: f32,
     },
-    /// The file does not say the voltage, and the caller does not either.
+    /// Neither the file nor the caller names the voltage of an output of 1.
     #[error("does not say which voltage an output of 1 is: give the action scale in volts")]
     NoActionScale,
-    /// This program wrote the file, which names its conventions, and the caller names others.
+    /// This program wrote the file, which names its conventions, and the caller gives conventions
+    /// as well.
     #[error(
         "was exported by this program and names its conventions itself: leave out action scale, observation, history, \
          filter and clipping"
     )]
     OwnConventions,
-    /// This program wrote the file, and its graph was changed since.
+    /// This program wrote the file, and the graph in it no longer agrees with the metadata.
     #[error(
         "was exported by this program and changed since: graph and metadata are not of one network. Remove the metadata \
          {entry:?} and import it as a file of another program", entry = write::POLICY_ENTRY
@@ -150,19 +153,23 @@ impl From<PolicyFault> for ImportError {
 pub struct ForeignConventions {
     /// Observation that the network sees.
     pub sight: Sight,
-    /// Voltage for an output of 1, V; negative where the signs differ.
+    /// Voltage for an output of 1, V; negative if a positive output means a negative voltage here.
     pub action_scale_v: f32,
-    /// Corner of the velocity filter in training, rad/s, for the policy's record.
+    /// Corner frequency of the velocity filter in training, rad/s, for the policy's record.
     pub corner_rad_s: f64,
-    /// Largest magnitude of an entry of the observation as the network sees it; entries beyond are clipped.
+    /// Magnitude at which each entry of the observation is clipped, as the network sees the entry;
+    /// `None` clips nothing beyond the bounds in the file.
     pub clip_observation: Option<f32>,
 }
 
-/// Reads a policy from the bytes of an ONNX file. A file that this program wrote gives the very policy that was
-/// exported; the file of another program needs its conventions.
+/// Reads a policy from the bytes of an ONNX file. A file that this program wrote gives the same
+/// policy that was exported, without `foreign`; the file of another program needs `foreign`, the
+/// conventions of that program.
 ///
 /// # Errors
-/// The bytes are no model or no policy, or conventions are missing or of no use.
+/// The bytes are no model or no policy; `foreign` is missing, does not fit the layers, or is given
+/// for a file that this program wrote; or the graph of such a file does not agree with its
+/// metadata.
 pub fn from_onnx(
     bytes: &[u8],
     foreign: Option<&ForeignConventions>,
@@ -184,27 +191,28 @@ pub fn from_onnx(
     Ok(policy)
 }
 
-/// The layers of a network as another program wrote them, with the observation in that program's order.
+/// The layers of a network as an ONNX file holds them, with the observation in the order of the
+/// program that trained it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layers {
     /// Weights and biases, layer by layer.
     pub layers: Vec<LayerWeights>,
     /// Number of inputs.
     pub inputs: usize,
-    /// Least and largest value of each input; empty where none is clipped.
+    /// Least and largest value of each input; empty if no input is clipped.
     pub bounds: Vec<[f32; 2]>,
     /// Activation of the hidden layers.
     pub activation: Activation,
     /// Function of the output.
     pub output: OutputKind,
-    /// Factor behind the output's function.
+    /// Factor on the output, applied after its function.
     pub scale: f32,
-    /// Least and largest value of the product.
+    /// Least and largest value of the scaled output.
     pub limits: [f32; 2],
 }
 
 impl Layers {
-    /// Layers without bounds, factors and limits.
+    /// Layers without bounds of the inputs and without a factor or limits of the output.
     #[must_use]
     pub fn plain(
         layers: Vec<LayerWeights>,
@@ -224,7 +232,7 @@ impl Layers {
         graph::layers(&model::Graph::read(bytes)?)
     }
 
-    /// The policy of these layers.
+    /// Converts these layers to a policy.
     ///
     /// # Errors
     /// The conventions do not fit the layers, or the network is outside of the limits.
@@ -239,7 +247,7 @@ impl Layers {
         Ok(NetworkPolicy { network, training: TrainingRecord::imported(*corner_rad_s) })
     }
 
-    /// The same layers behind a clip of each input at this magnitude.
+    /// Clips each input to +-`limit`, in addition to the bounds that it has.
     fn clipped(mut self, limit: f32) -> Result<Self, ImportError> {
         if !(limit > 0.0 && limit.is_finite()) {
             return Err(ImportError::Clip { limit });
@@ -253,11 +261,14 @@ impl Layers {
         Ok(self)
     }
 
-    /// The network that sees what `sight` says and whose output times `action_scale_v` is the voltage; a negative scale
-    /// turns the sign of the last layer.
+    /// Converts these layers to a network of this program. `sight` says which entry of the
+    /// observation each input is. The scaled output times `action_scale_v`, V, is the voltage; a
+    /// negative scale turns the sign of the last layer.
     ///
     /// # Errors
-    /// The observation has another length, the output has limits, or the network is outside of the limits.
+    /// The observation has another length than the first layer, the output is limited below the
+    /// motor's range, one entry of the observation has two different bounds, or the network is
+    /// outside of the limits.
     pub fn network(self, sight: &Sight, action_scale_v: f32) -> Result<Network, ImportError> {
         let Self { mut layers, inputs, bounds, activation, output, scale, limits } = self;
         if inputs != sight.len() {
@@ -278,7 +289,7 @@ impl Layers {
         if action_scale_v < 0.0
             && let Some(last) = layers.last_mut()
         {
-            // The output's function is odd.
+            // Both functions of the output, linear and tanh, are odd.
             last.weight.iter_mut().chain(&mut last.bias).for_each(|weight| *weight = -*weight);
         }
         let bounds = if bounds.is_empty() {

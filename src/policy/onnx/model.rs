@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use super::protobuf::{Fields, Malformed, Value, floats};
 use super::{ImportError, MAX_FILE_BYTES};
 
-/// Number types of a tensor.
+/// Number of the type `float` in ONNX files; the next two are those of `int64` and `double`.
 const FLOAT: i64 = 1;
 const INT64: i64 = 7;
 const DOUBLE: i64 = 11;
@@ -31,14 +31,15 @@ pub struct Node<'a> {
     value: Option<Tensor>,
 }
 
-/// A constant of single or double precision; integers have no values here.
+/// A constant. Its values are in single precision; a constant of integers has a shape alone.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tensor {
     pub shape: Vec<usize>,
     pub values: Vec<f32>,
 }
 
-/// The entry of this name in a model's metadata, if it is there.
+/// Returns the text of an entry in a model's metadata; `None` if the model has no entry of this
+/// name.
 pub fn entry<'a>(bytes: &'a [u8], key: &str) -> Result<Option<&'a str>, Malformed> {
     for field in Fields::of(bytes) {
         let (14, value) = field? else { continue };
@@ -87,7 +88,7 @@ impl<'a> Graph<'a> {
         Ok(read)
     }
 
-    /// The constant of this name, also behind operators that copy it.
+    /// Returns the constant of this name, also if `Identity` or `Cast` operators lie between.
     pub fn constant(&self, name: &str) -> Option<&Tensor> {
         let mut name = name;
         for _ in 0..=self.nodes.len() {
@@ -103,7 +104,7 @@ impl<'a> Graph<'a> {
         None
     }
 
-    /// The operator that makes the value of this name.
+    /// Returns the operator whose output has this name.
     pub fn maker(&self, name: &str) -> Option<&Node<'a>> {
         self.nodes.iter().find(|node| node.outputs.contains(&name))
     }
@@ -141,18 +142,18 @@ impl<'a> Node<'a> {
         Ok(())
     }
 
-    /// An attribute that is an integer.
+    /// Returns the integer attribute of this name, or `default` without one.
     pub fn integer(&self, name: &str, default: i64) -> i64 {
         self.integers.get(name).copied().unwrap_or(default)
     }
 
-    /// An attribute that is a number.
+    /// Returns the floating-point attribute of this name, or `default` without one.
     pub fn number(&self, name: &str, default: f32) -> f32 {
         self.numbers.get(name).copied().unwrap_or(default)
     }
 }
 
-/// Field 1 of a message, which is its name in several messages.
+/// Returns the text of field 1 of a message: in several of ONNX's messages, the name.
 fn name_of(bytes: &[u8]) -> Result<&str, Malformed> {
     let mut name = "";
     for field in Fields::of(bytes) {
@@ -163,7 +164,7 @@ fn name_of(bytes: &[u8]) -> Result<&str, Malformed> {
     Ok(name)
 }
 
-/// A tensor with its name.
+/// Reads a tensor and its name.
 fn tensor(bytes: &[u8]) -> Result<(&str, Tensor), ImportError> {
     let (mut name, mut kind, mut is_outside) = ("", 0, false);
     let (mut shape, mut values, mut raw) = (Vec::new(), Vec::new(), None);
