@@ -11,9 +11,10 @@ pub(super) const VOLTS_PER_OUTPUT: f32 = MAX_VOLTAGE_V as f32;
 /// A policy network that acts without exploration.
 pub(super) struct NetworkActor<'a> {
     network: &'a Network,
-    /// Physics inputs of each lane's Qube, `[input][lanes]`; empty for a network without.
+    /// Physics inputs of each lane's Qube, `[input][lanes]`; empty for a network without physics
+    /// inputs.
     told: Vec<f32>,
-    /// Observations and physics inputs of a step.
+    /// Observations and physics inputs of a step, `[input][lanes]`.
     inputs: Vec<f32>,
 }
 
@@ -36,8 +37,8 @@ impl Actor for NetworkActor<'_> {
     }
 }
 
-/// Computes a network's outputs for `observations`, `[observation_size][lanes]`; the number of lanes is a
-/// multiple of 16.
+/// Computes a network's outputs for `observations`, `[observation_size][lanes]`; the number of
+/// lanes is a multiple of 16.
 pub(super) fn outputs(network: &Network, observations: &[f32], outputs: &mut [f32]) {
     let lanes = outputs.len();
     debug_assert_eq!(observations.len(), network.observation_size * lanes);

@@ -18,20 +18,22 @@ use crate::simulation::{DomainDistribution, LaneStatus, Pendulums, Trajectory};
 /// The transitions of one update, lane by lane and each lane in order of time.
 pub(super) struct Batch {
     pub transitions: Vec<Transition>,
-    /// Further inputs of the networks at each transition; empty without physics inputs that need them.
+    /// Inputs of the networks beyond those of an [`Observation`], at each transition; empty if the
+    /// networks have none.
     pub further: Vec<Further>,
     /// Number of trajectories begun.
     pub trajectories: u32,
-    /// The ends of the trajectories, in order.
+    /// The ends of the trajectories, in order of their indices.
     pub ends: Vec<TrajectoryEnd>,
 }
 
 /// The end of a trajectory in a batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TrajectoryEnd {
-    /// Index after its last transition.
+    /// Index after the trajectory's last transition.
     pub end: usize,
-    /// Whether it left the safety box; others were cut short, or have run their time.
+    /// Whether the trajectory left the safety box; if not, the time limit or the end of the batch
+    /// ended it.
     pub left_box: bool,
 }
 
@@ -48,7 +50,8 @@ pub(super) struct Collector<'a> {
 }
 
 impl Collector<'_> {
-    /// Collects in all lanes, spread over `threads`. The result does not depend on the number of threads.
+    /// Collects the transitions of all lanes, spread over `threads` threads. The result does not
+    /// depend on the number of threads.
     pub fn collect(&self, threads: usize) -> Batch {
         let lanes = usize::from(self.settings.num_envs);
         let share = lanes.div_ceil(threads.max(1)).next_multiple_of(16);
@@ -163,7 +166,7 @@ impl Collector<'_> {
         }
     }
 
-    /// Fills in values, advantages and returns.
+    /// Fills in the value, advantage and return of each transition.
     fn appraise(
         &self,
         transitions: &mut [Transition],
@@ -208,15 +211,16 @@ impl Collector<'_> {
 
 /// The end of a trajectory that the time limit or the end of the batch cut short.
 struct Cut {
-    /// Its index among the ends.
+    /// Index of this end among the ends of all trajectories.
     place: usize,
-    /// Observation after it.
+    /// Observation after the last transition.
     observation: Observation,
-    /// Entries that follow the observation.
+    /// Inputs that follow those of the observation.
     further: Further,
 }
 
-/// The ends of trajectories by their places; `cut` names those that were cut short.
+/// The ends of trajectories in order of their indices; a trajectory that `cut` does not name left
+/// the box.
 fn ends_in_order(ends: &[End], cut: &[Cut]) -> Vec<TrajectoryEnd> {
     let mut in_order: Vec<TrajectoryEnd> =
         ends.iter().map(|end| TrajectoryEnd { end: end.index + 1, left_box: true }).collect();
@@ -268,7 +272,8 @@ fn further(observations: &[f32], lane: usize, lanes: usize) -> Further {
 mod tests {
     use super::*;
 
-    /// A batch of an update with the full weight. The weight changes rewards, not observations or actions.
+    /// Collects a batch in an update in which the weight on voltage changes has its full value. The
+    /// weight changes rewards, not observations or actions.
     fn batch(voltage_change_weight: f32) -> Vec<Transition> {
         let settings =
             TrainSettings { num_envs: 16, voltage_change_weight, ..TrainSettings::quick() };

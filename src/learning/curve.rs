@@ -11,20 +11,20 @@ pub struct TrainUpdate {
     pub mean_return: f64,
     /// Smallest return of the deterministic policy from the fixed starts.
     pub worst_return: f64,
-    /// Mean reward in the batch times 600. The policy explores, and the reward includes the penalty on
-    /// voltage changes.
+    /// Mean reward in the batch times 600. The policy explores, and the reward includes the penalty
+    /// on voltage changes.
     pub training_return: f64,
     /// Trajectories in the batch; more than the number of pendulums when some left the safety box.
     pub trajectories: u32,
-    /// Approximate KL divergence, the mean over minibatches: (r - 1) - ln r, where r is the ratio of new to old
-    /// probability.
+    /// Approximate KL divergence, the mean over minibatches: (r - 1) - ln r, where r is the ratio
+    /// of new to old probability.
     pub approximate_kl: f64,
     /// Largest approximate KL divergence of a minibatch.
     pub largest_kl: f64,
     /// Share of samples whose ratio of new to old probability was outside the clip range.
     pub clip_fraction: f64,
-    /// Explained variance of the value network before the update: 1 - variance of (return - value) /
-    /// variance of return.
+    /// Explained variance of the value network before the update: 1 - variance of (return - value)
+    /// / variance of return.
     pub explained_variance: f64,
     /// Logarithm of the policy's standard deviation, in units of its output.
     pub log_std: f64,
@@ -93,7 +93,7 @@ impl TrainUpdate {
     /// Header line of the CSV table.
     pub const CSV_HEADER: &'static str = "update,mean_return,worst_return,training_return,trajectories,approximate_kl,largest_kl,clip_fraction,explained_variance,log_std,learning_rate,gradient_steps,steps";
 
-    /// One line of the CSV table, without a line end.
+    /// One line of the CSV table, without a line break.
     #[must_use]
     pub fn csv_line(&self) -> String {
         format!(
@@ -123,7 +123,8 @@ pub fn curve_csv(curve: &[TrainUpdate]) -> String {
         .fold(String::new(), |text, line| text + &line + "\n")
 }
 
-/// Largest size of a file with a learning curve, bytes; a long training's has some 200 kB.
+/// Largest size of a file with a learning curve, bytes; the file of a long training has some 200
+/// kB.
 pub const CURVE_BYTES: u64 = 4 << 20;
 
 /// A point of a learning curve that was read from a file.
@@ -141,7 +142,7 @@ pub enum CurveError {
     /// The header line does not name a column.
     #[error("there is no column {0}")]
     NoColumn(&'static str),
-    /// A line has no numbers where the columns are.
+    /// A line has no number in one of the columns.
     #[error("a line is no update: {0}")]
     NoUpdate(String),
 }

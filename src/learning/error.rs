@@ -11,7 +11,8 @@ pub enum TrainError {
     /// The stop flag was set.
     #[error("training was stopped before it was finished")]
     Stopped,
-    /// The policy to go on from is not like a trained one.
+    /// The policy that the training starts from has other layers, functions, scale or bounds than
+    /// the networks of this training.
     #[error(
         "the policy to go on from has the layers {sizes:?}: a training goes on from {expected:?} with tanh, a linear output, \
          a scale of 5 V and an observation that is not clipped. Give it the history that it was trained with, or give another policy"
@@ -35,7 +36,7 @@ pub enum TrainError {
     /// The settings of the simulated estimator are invalid.
     #[error("training setting simulation.sensors.estimator.{0}")]
     Estimator(#[from] SettingsError),
-    /// The best network has weights that are not finite numbers.
+    /// A network of the result has weights that are not finite numbers.
     #[error("training diverged: {0}")]
     Diverged(#[from] NetworkError),
     /// A checkpoint could not be read or written.

@@ -1,8 +1,13 @@
 use crate::policy::Network;
 use crate::simulation::{DomainDistribution, Evaluation, SimulationSettings, evaluate};
 
-/// Evaluates a policy as it is deployed, from starts that its training has not seen. A published return
-/// needs 1,000 of them or more; the evaluations during training overestimate the best policy.
+/// Evaluates a policy in the form in which it is deployed, from `starts` starts that its training
+/// has not seen. A published return needs 1,000 starts or more, because the evaluations during
+/// training overestimate the best policy.
+///
+/// # Panics
+/// Panics if the network's number of inputs differs from the length of the simulation's
+/// observation.
 #[must_use]
 pub fn evaluate_afresh(
     network: &Network,

@@ -20,7 +20,8 @@ pub(super) fn exported(network: &Network) -> Result<policy::Network, TrainError>
     Ok(policy::Network::new(&sizes, &[first, second, last], VOLTS_PER_OUTPUT)?)
 }
 
-/// Converts a deployed network to one that a training goes on from, with this logarithm of the standard deviation.
+/// Converts a deployed network to a network that a training can start from; `log_std` becomes the
+/// logarithm of its standard deviation.
 pub(super) fn imported(
     network: &policy::Network,
     observation_size: usize,

@@ -3,12 +3,12 @@ use rand::{Rng, RngExt};
 use super::network::{LOG_STD, Network, Row, WIDTH};
 use crate::elementary::normal_pair;
 
-/// Gain of the hidden layers that is usual for PPO.
+/// Gain of the hidden layers, the usual one for PPO.
 const HIDDEN_GAIN: f64 = std::f64::consts::SQRT_2;
 
 impl Network {
-    /// A network with orthogonal weights and zero biases. A small `output_gain` lets a policy start near 0
-    /// V.
+    /// A network with orthogonal weights and zero biases. A small `output_gain` lets a policy start
+    /// near 0 V.
     pub fn orthogonal(
         observation_size: usize,
         generator: &mut impl Rng,
@@ -30,7 +30,7 @@ fn orthonormal_rows(generator: &mut impl Rng, gain: f64, rows: &mut [Row]) {
     for row in rows {
         let mut vector: Vec<f64> =
             (0..WIDTH / 2).flat_map(|_| normal_pair(generator.random())).collect();
-        // Two passes, because one loses orthogonality where the remainder is short.
+        // Two passes, because a single pass loses orthogonality where the remainder is short.
         for _ in 0..2 {
             for direction in &basis {
                 let along: f64 = vector.iter().zip(direction).map(|(a, b)| a * b).sum();

@@ -1,8 +1,10 @@
-//! PPO: collects trajectories, estimates advantages, and improves policy and value network.
+//! Training by proximal policy optimisation (PPO): collects trajectories in simulation, estimates
+//! advantages, and improves policy and value network.
 //!
-//! [`train()`] is the whole algorithm; docs/learning.md explains its settings and why some differ from the
-//! thesis. The room may import `simulation`, `policy`, `estimation`, `qube`, `elementary` and
-//! `storage`. It imports neither `device` nor `control`, so that training cannot move the motor.
+//! [`train()`] is the whole algorithm; docs/learning.md explains its settings and why some differ
+//! from the thesis. The room may import `simulation`, `policy`, `estimation`, `qube`, `elementary`
+//! and `storage`. It imports neither `device` nor `control`, so that training cannot move the
+//! motor.
 //!
 //! ```
 //! use std::sync::atomic::AtomicBool;

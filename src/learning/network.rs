@@ -6,19 +6,20 @@ pub(super) const WIDTH: usize = 64;
 /// Length of the longest observation.
 pub(super) const MAX_OBSERVATION_SIZE: usize = OBSERVATION_SIZE + MAX_HISTORY;
 
-/// Largest number of physics inputs, which follow the observation of a policy that is told which Qube it drives.
+/// Largest number of physics inputs, which follow the observation of a policy that is told which
+/// Qube it drives.
 pub(super) const MAX_PHYSICS_INPUTS: usize = 16;
 
-/// Number of rows in a group; inputs of the first layer are padded to whole groups, so that tiles divide
-/// them.
+/// Number of rows in a group; inputs of the first layer are padded to whole groups, because the
+/// product kernel computes tiles of four rows.
 const ROW_GROUP: usize = 4;
 
-/// Largest number of input rows of the first layer: the observation, physics inputs, a constant 1 that carries the
-/// bias, and zeros that pad the last group.
+/// Largest number of input rows of the first layer: the observation, physics inputs, a constant 1
+/// that carries the bias, and zeros that pad the last group.
 pub(super) const MAX_INPUTS: usize =
     (1 + MAX_OBSERVATION_SIZE + MAX_PHYSICS_INPUTS).next_multiple_of(ROW_GROUP);
 
-/// Samples of a narrow block, for pendulums that do not fill a whole block.
+/// Samples of a narrow block, for pendulums that do not fill a block of 64.
 pub(super) const NARROW: usize = 16;
 
 /// A row across neurons or across the samples of a minibatch.
@@ -27,8 +28,8 @@ pub(super) type Row = [f32; WIDTH];
 /// Inputs of the first layer: `[input][sample]`.
 pub(super) type Inputs<const SAMPLES: usize = WIDTH> = [[f32; SAMPLES]; MAX_INPUTS];
 
-/// A multilayer perceptron with tanh and the layers observation-64-64-1. Its gradient and Adam's moments
-/// have the same type.
+/// A multilayer perceptron with tanh and the layers observation-64-64-1. Its gradient and Adam's
+/// moments have the same type.
 ///
 /// ```text
 /// hidden_1 = tanh(first^T [observation, 1])
@@ -38,8 +39,8 @@ pub(super) type Inputs<const SAMPLES: usize = WIDTH> = [[f32; SAMPLES]; MAX_INPU
 #[derive(Clone, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Network {
-    /// Weights of the first layer, `[input][neuron]`; row [`Self::constant`] is the bias, later rows stay
-    /// zero.
+    /// Weights of the first layer, `[input][neuron]`; row [`Self::constant`] is the bias, later
+    /// rows stay zero.
     pub first: [Row; MAX_INPUTS],
     /// Weights of the second layer, `[neuron][neuron of the first layer]`.
     pub second: [Row; WIDTH],
@@ -57,8 +58,8 @@ pub(super) struct Network {
 /// Index in `tail` of the output's bias.
 pub(super) const OUTPUT_BIAS: usize = 0;
 
-/// Index in the policy's `tail` of the logarithm of its standard deviation; the entry is zero in a value
-/// network.
+/// Index in the policy's `tail` of the logarithm of its standard deviation; the entry is zero in a
+/// value network.
 pub(super) const LOG_STD: usize = 1;
 
 impl Network {

@@ -13,8 +13,8 @@ use crate::elementary::{Level, dispatch_at, prefetch};
 
 /// Improves both networks on the batch of one update, in minibatches, until `stop` is set.
 ///
-/// Policy and value network learn from the same minibatches but share nothing else, so that each can run on
-/// its own processor.
+/// Policy and value network learn from the same minibatches but share nothing else, so that each
+/// can run on its own processor.
 pub(super) fn optimise(
     policy: &mut Learner,
     value: &mut Learner,
@@ -47,18 +47,18 @@ pub(super) fn optimise(
 /// Statistics of the policy's optimisation on one batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct PolicyProgress {
-    /// Mean over the minibatches.
+    /// Approximate KL divergence, mean over the minibatches.
     pub approximate_kl: f64,
-    /// Largest value over the minibatches.
+    /// Largest approximate KL divergence of a minibatch.
     pub largest_kl: f64,
-    /// Mean over the minibatches.
+    /// Share of samples outside the clip range, mean over the minibatches.
     pub clip_fraction: f64,
     /// Number of gradient steps.
     pub steps: u32,
 }
 
-/// The order of transitions in the minibatches of one update: one permutation of their indices for each
-/// epoch.
+/// The order of transitions in the minibatches of one update: one permutation of their indices for
+/// each epoch.
 fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) -> Vec<u32> {
     let mut generator = Stream::Shuffle { update }.generator(seed);
     let mut permutation: Vec<u32> = (0..transitions as u32).collect();
@@ -72,7 +72,8 @@ fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) -> Vec<u32>
     order
 }
 
-/// Calls `learn` with each minibatch of an update until `stop` is set.
+/// Calls `learn` with each minibatch of an update until `stop` is set. The last entries of `order`
+/// are left out if they do not fill a minibatch.
 fn for_each_minibatch(
     batch: &Batch,
     order: &[u32],
@@ -86,8 +87,8 @@ fn for_each_minibatch(
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        // The transitions of a minibatch are scattered over the batch, which is larger than the
-        // second-level cache.
+        // Fetches the next minibatch ahead: its transitions are scattered over the batch, which is
+        // larger than the second-level cache.
         for &index in minibatches.get(number + 1).into_iter().flatten() {
             prefetch(&batch.transitions[index as usize]);
         }

@@ -1,11 +1,12 @@
 use crate::qube::QubeModel;
 
-/// The numbers that tell a policy which Qube it drives: inputs of its network beside the observation.
+/// The numbers that tell a policy which Qube it drives: inputs of its network beside the
+/// observation.
 #[derive(Clone, Copy)]
 pub struct PhysicsInputs<'a> {
     /// Number of inputs, 1 to 16.
     pub count: usize,
-    /// Computes the inputs of a Qube, each of the size of 1.
+    /// Computes the inputs of a Qube, `[count]`, each scaled to a magnitude of about 1.
     pub of: &'a (dyn Fn(&QubeModel) -> Vec<f32> + Sync),
 }
 

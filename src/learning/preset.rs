@@ -12,12 +12,12 @@ pub enum Preset {
     Quick,
     /// [`TrainSettings::thesis`].
     Thesis,
-    /// Settings of somebody's own.
+    /// Settings that equal no preset.
     Custom,
 }
 
 impl Preset {
-    /// The presets that stand for settings.
+    /// The presets that have settings: all but [`Self::Custom`].
     pub const NAMED: [Self; 3] = [Self::Robust, Self::Quick, Self::Thesis];
 
     /// The name in files and on the command line.
@@ -45,7 +45,7 @@ impl Preset {
         }
     }
 
-    /// The preset's settings; [`Self::Custom`] stands for `custom`.
+    /// The preset's settings; for [`Self::Custom`] it is `custom`.
     #[must_use]
     pub fn settings_or(self, custom: TrainSettings) -> TrainSettings {
         match self {
@@ -56,8 +56,9 @@ impl Preset {
         }
     }
 
-    /// The preset with the budget of these settings. The simulation may differ, because a policy's file
-    /// records the sensors beside the preset.
+    /// The preset that equals these settings in everything but the simulation, otherwise
+    /// [`Self::Custom`]. The simulation may differ, because a policy's file records the sensors
+    /// beside the preset.
     #[must_use]
     pub fn of(settings: &TrainSettings) -> Self {
         let has_its_budget = |preset: &Self| {

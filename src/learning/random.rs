@@ -1,15 +1,15 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// The use of a stream of random numbers. Each use has its own stream, so that results do not depend on the
-/// order in which threads draw.
+/// The use of a stream of random numbers. Each use has its own stream, so that results do not
+/// depend on the order in which threads draw.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Stream {
     /// Initial weights of the networks.
     Weights,
     /// Order of the transitions in the minibatches of one update.
     Shuffle { update: u32 },
-    /// One trajectory: its start and Qube, or the noise on its actions.
+    /// One trajectory: its start and Qube, or, with `noise`, the exploration noise on its actions.
     Trajectory { update: u32, lane: usize, number: u16, noise: bool },
 }
 

@@ -2,7 +2,7 @@ use crate::policy::Randomisation;
 use crate::qube::Quantity;
 use crate::simulation::DomainDistribution;
 
-/// A distribution of simulated Qubes in the form of the policy file.
+/// Converts a distribution of simulated Qubes to the form in which a policy file records it.
 pub(super) fn randomisation_of(distribution: &DomainDistribution) -> Randomisation {
     let directions = distribution.directions().iter().map(|direction| {
         let moved = Quantity::all().map(|quantity| (quantity, direction.of(quantity)));
@@ -35,7 +35,8 @@ mod tests {
             DomainDistribution::of_specimens(specimens).unwrap(),
         ] {
             let written = serde_json::to_value(randomisation_of(&distribution)).unwrap();
-            // The policy file has the quantities below a name, a distribution's file at the top.
+            // A policy file has the quantities in the field `distributions`; a distribution's file
+            // has them at the top level.
             let mut fields = written.as_object().unwrap().clone();
             let quantities = fields.remove("distributions").unwrap();
             fields.extend(quantities.as_object().unwrap().clone());

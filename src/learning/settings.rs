@@ -7,23 +7,24 @@ use super::TrainError;
 use crate::qube::MAX_HISTORY;
 use crate::simulation::{SensorModel, SimulationSettings};
 
-/// The settings of a training. The presets [`Self::thesis`], [`Self::quick`] and [`Self::robust`] alone define their
-/// values.
+/// The settings of a training. Their values are defined in the presets [`Self::thesis`],
+/// [`Self::quick`] and [`Self::robust`] alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainSettings {
     /// Number of updates: rounds of collecting and optimising.
     pub updates: u32,
-    /// Number of pendulums simulated in parallel, each for 600 steps in an update. A pendulum that leaves
-    /// the safety box starts a new trajectory with new domain parameters, so there are at least as many
-    /// trajectories. A multiple of 16.
+    /// Number of pendulums simulated in parallel, each for 600 steps in an update. A pendulum that
+    /// leaves the safety box starts a new trajectory with new domain parameters, so there are at
+    /// least as many trajectories. A multiple of 16.
     #[serde(alias = "pendulums")]
     pub num_envs: u16,
     /// Passes over the transitions of an update.
     pub epochs: u32,
     /// Adam's learning rate in the first update.
     pub learning_rate: f32,
-    /// Learning rate that Adam's rate falls to linearly over the updates.
+    /// Learning rate towards which Adam's rate falls linearly; the rate would reach it one update
+    /// after the last.
     pub last_learning_rate: f32,
     /// Discount factor gamma.
     pub discount: f32,
@@ -34,7 +35,7 @@ pub struct TrainSettings {
     pub clip: f32,
     /// Weight of the entropy bonus.
     pub entropy_weight: f32,
-    /// Weight of a penalty on the divergence from the policy that collected the batch.
+    /// Weight of a penalty on the KL divergence from the policy that collected the batch.
     pub kl_weight: f32,
     /// Largest Euclidean norm of a network's gradient; a longer gradient is scaled down to it.
     #[serde(deserialize_with = "null_is_infinite")]
@@ -50,31 +51,35 @@ pub struct TrainSettings {
     pub adam_epsilon_beside_root: bool,
     /// Initial logarithm of the policy's standard deviation, in units of the network's output.
     pub first_log_std: f32,
-    /// Lower bound of that logarithm. Without it the standard deviation shrinks until a single gradient
-    /// step moves the mean by as much, and the policy collapses (docs/learning.md).
+    /// Lower bound of the logarithm of the policy's standard deviation. Without a bound the
+    /// standard deviation shrinks until a single gradient step moves the mean by one standard
+    /// deviation, and the policy collapses (docs/learning.md).
     pub smallest_log_std: f32,
-    /// Weight of a change of voltage in the training reward, 1/V^2: a step whose voltage differs by dV from
-    /// the one before earns exp(-weight dV^2) times its reward. The weight grows over the first half of the
-    /// updates. The weighted reward also decides which policy is chosen; reported returns do not include the weight.
+    /// Weight of a change of voltage in the training reward, 1/V^2: a step whose voltage differs by
+    /// dV from that of the step before earns exp(-weight dV^2) times its reward. The weight grows
+    /// over the first half of the updates. The weighted reward also decides which policy is chosen;
+    /// the reported returns of evaluations do not include the weight.
     pub voltage_change_weight: f32,
     /// Number of fixed starts in the evaluation after each update.
     pub evaluation_starts: u16,
-    /// Mean return of an evaluation at which training ends early.
+    /// Mean return of the best network at which training ends early; `None` takes all updates.
     #[serde(alias = "enough")]
     pub target_return: Option<f64>,
-    /// Part of an update's trajectories that the networks learn from, those with the lowest returns: the part epsilon
-    /// of EPOpt (Rajeswaran et al. 2017). It acts in the second half of the updates; 1 takes all trajectories.
+    /// Part of an update's trajectories that the networks learn from, 0.01 to 1: those with the
+    /// lowest returns (epsilon of EPOpt, Rajeswaran et al. 2017). It acts in the second half of the
+    /// updates; 1 takes all trajectories.
     #[serde(skip_serializing_if = "is_one")]
     pub worst_share: f32,
     /// Sensors, reward and safety box of the simulation.
     pub simulation: SimulationSettings,
-    /// Number of threads to use, 1 or 2. The result does not depend on it.
+    /// Number of threads, 1 to 1,024. Collecting uses all of them, optimising at most two. The
+    /// result does not depend on this number.
     pub threads: usize,
 }
 
 impl TrainSettings {
-    /// The published budget (Eilers 2019, section 5): 100 updates of 48,000 transitions and 7,500 gradient
-    /// steps of each network.
+    /// The published budget (Eilers 2019, section 5): 100 updates of 48,000 transitions and 7,500
+    /// gradient steps of each network.
     #[must_use]
     pub fn thesis() -> Self {
         Self {
@@ -154,18 +159,20 @@ impl TrainSettings {
         bounded("threads", self.threads, 1..=1024, "at least 1")
     }
 
-    /// The preset for a policy in seconds, for trials and for searches that train many policies: 60 updates of 9,600
-    /// transitions. A wider clip range lets each update move the policy farther. The wider exploration at the start
-    /// makes up for the few pendulums: without it one policy in ten settles for a slower swing-up.
+    /// The preset for a policy in seconds, for trials and for searches that train many policies: 60
+    /// updates of 9,600 transitions. A wider clip range lets each update move the policy farther.
+    /// The wider exploration at the start makes up for the few pendulums: without wider exploration
+    /// one policy in ten settles for a slower swing-up.
     #[must_use]
     pub fn quick() -> Self {
         Self { updates: 60, num_envs: 16, clip: 0.2, first_log_std: 0.4, ..Self::thesis() }
     }
 
-    /// The preset for a policy that runs on a real Qube, in half a minute. The simulation has the Qube's sensors, and
-    /// the observation contains the last two commands, for Qubes with a delay and uncertain parameters. There is more
-    /// to learn than with [`Self::quick`], so there are four times the pendulums and twice the updates. A change of
-    /// voltage costs reward: without that penalty the motor buzzes while the policy balances a real Qube.
+    /// The preset for a policy that runs on a real Qube, in half a minute. The simulation has the
+    /// Qube's sensors, and the observation contains the last two commands, for Qubes with a delay
+    /// and uncertain parameters. There is more to learn than with [`Self::quick`], so there are
+    /// four times the pendulums and twice the updates. A change of voltage costs reward: without
+    /// that penalty the motor buzzes while the policy balances a real Qube.
     #[must_use]
     pub fn robust() -> Self {
         Self {
@@ -185,8 +192,9 @@ impl TrainSettings {
         self.voltage_change_weight * grown.min(1.0)
     }
 
-    /// The part of an update's trajectories that the networks learn from. In the first half of the updates it is all
-    /// of them: a policy that cannot swing up yet has none that are not the worst.
+    /// The part of an update's trajectories that the networks learn from. In the first half of the
+    /// updates the part is 1, because all trajectories of a policy that cannot swing up yet are
+    /// bad.
     #[must_use]
     pub fn worst_share_at(&self, update: u32) -> f32 {
         if 2 * update < self.updates { 1.0 } else { self.worst_share }
@@ -204,7 +212,7 @@ fn is_one(share: &f32) -> bool {
     *share == 1.0
 }
 
-/// Reads a number; `null`, which JSON writes for an infinite one, is infinite.
+/// Reads a number. `null` means infinity, because `serde_json` writes infinite numbers as `null`.
 fn null_is_infinite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
     Ok(Option::deserialize(deserializer)?.unwrap_or(f32::INFINITY))
 }

@@ -22,7 +22,8 @@ pub(super) struct TrainingState<'a> {
     pub value: Box<Learner>,
     pub best: Network,
     pub best_return: f64,
-    /// Score of the best network: its mean return, or its mean return with the weight on voltage changes.
+    /// Score of the best network: its mean return, with the weight on voltage changes if that is
+    /// above 0.
     pub best_score: f64,
     pub curve: Vec<TrainUpdate>,
 }

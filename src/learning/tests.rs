@@ -146,8 +146,8 @@ fn the_weight_on_voltage_changes_grows_and_reported_returns_exclude_it() {
     let weighted = train_small(&settings, 5, None, u32::MAX).unwrap();
     let plain = train_small(&small_with_history(), 5, None, u32::MAX).unwrap();
     assert_ne!(weighted.network, plain.network);
-    // The weight is 0 in the first update, so that both trainings learn the same in it and report the same
-    // return.
+    // The weight is 0 in the first update, so that both trainings learn the same in that update and
+    // report the same return.
     assert_eq!(weighted.curve[0].mean_return, plain.curve[0].mean_return);
     let told = |trained: &Trained| {
         trained.curve.iter().any(|update| update.mean_return == trained.best_return)
@@ -173,7 +173,8 @@ fn a_training_from_a_policy_begins_with_it_and_never_ends_below_it() {
     let distribution = DomainDistribution::nominal();
     let settings = TrainSettings { updates: 25, ..TrainSettings::quick() };
     let first = train(&distribution, &settings, 3, None, &never, |_| {}).unwrap();
-    // An update that learns nothing leaves the weights, so that the first evaluation is the policy's own.
+    // An update with a learning rate of 0 leaves the weights as they are, so its evaluation is that
+    // of the given policy.
     let still = TrainSettings {
         updates: 1,
         learning_rate: 0.0,

@@ -23,13 +23,13 @@ const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
 
 /// Trains one policy by PPO in simulations drawn from `distribution` (Eilers 2019, Algorithm 1).
 ///
-/// The same arguments give the same policy, bit for bit, on processors with AVX2 or more, on any number of
-/// threads, and also when the training is interrupted and resumes from its checkpoint. `tell` is called
-/// after each update. `stop` is read before each gradient step.
+/// The same arguments give the same policy, bit for bit, on processors with AVX2 or more, on any
+/// number of threads, and also when the training is interrupted and resumes from its checkpoint.
+/// `tell` is called after each update. `stop` is read before each gradient step.
 ///
 /// # Errors
-/// A setting is out of range; `stop` was set; a checkpoint cannot be read or written, is damaged or belongs
-/// to another training; or weights are no longer finite.
+/// A setting is out of range; `stop` was set; a checkpoint cannot be read or written, is damaged or
+/// belongs to another training; or the weights are no longer finite.
 pub fn train(
     distribution: &DomainDistribution,
     settings: &TrainSettings,
@@ -46,11 +46,13 @@ pub fn train(
     finished(training, checkpointing, stop, tell)
 }
 
-/// Trains like [`train`], from the weights of a policy instead of random ones. Its exploration begins at the smallest
-/// standard deviation. The result is `start` itself where no update improves on it.
+/// Trains like [`train`], but starts from the weights of a policy instead of random weights and
+/// without checkpoints. Exploration begins at the smallest standard deviation. The best network of
+/// the result is `start` itself if no update improves on it.
 ///
 /// # Errors
-/// `start` has other layers, functions or another scale than a trained network; or [`train`] would fail.
+/// `start` has other layers, functions, scale or bounds than a trained network; a setting is out of
+/// range; `stop` was set; or the weights are no longer finite.
 pub fn train_from(
     start: &policy::Network,
     distribution: &DomainDistribution,
@@ -72,7 +74,7 @@ pub fn train_from(
     finished(training, None, stop, tell)
 }
 
-/// Performs the updates that are left.
+/// Performs the remaining updates, converts the result and removes the checkpoint.
 fn finished(
     mut training: TrainingState<'_>,
     checkpointing: Option<&Checkpointing>,
@@ -87,7 +89,8 @@ fn finished(
     Ok(trained)
 }
 
-/// Performs the updates that are left of a training.
+/// Performs the remaining updates of a training. After each update it calls `tell` and writes a
+/// checkpoint if one is due.
 pub(super) fn perform(
     training: &mut TrainingState<'_>,
     checkpointing: Option<&Checkpointing>,
@@ -166,8 +169,8 @@ impl TrainingState<'_> {
         }
     }
 
-    /// Runs the policy without exploration from the fixed starts. Returns the evaluation and the mean
-    /// return with the weight on voltage changes.
+    /// Runs the policy without exploration from the fixed starts. Returns the evaluation and the
+    /// mean return with the weight on voltage changes.
     pub fn evaluate(&self) -> (Evaluation, f64) {
         let starts = usize::from(self.settings.evaluation_starts);
         let weight = self.settings.voltage_change_weight;
@@ -187,7 +190,8 @@ impl TrainingState<'_> {
         (evaluation, calm_return / starts as f64)
     }
 
-    /// The policy without exploration, told the physics of the Qubes of this many fixed starts.
+    /// The policy without exploration; its physics inputs are those of the Qubes of the first
+    /// `starts` fixed starts.
     fn actor(&self, starts: usize) -> NetworkActor<'_> {
         let lanes = starts.next_multiple_of(LANES_MULTIPLE);
         let mut told = vec![0.0; self.physics.map_or(0, |physics| physics.count) * lanes];
@@ -203,7 +207,7 @@ impl TrainingState<'_> {
     /// The result of the training.
     ///
     /// # Errors
-    /// The weights are not finite numbers.
+    /// The weights of the best or of the last network are not finite numbers.
     pub fn into_trained(self) -> Result<Trained, TrainError> {
         Ok(Trained {
             network: exported(&self.best)?,

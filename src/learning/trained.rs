@@ -13,16 +13,18 @@ use crate::simulation::{DomainDistribution, Psi, SensorModel};
 pub struct Trained {
     /// Network with the highest score in the evaluations.
     pub network: Network,
-    /// Mean return of that network during training. The best of many evaluations is an overestimate; a
-    /// published return needs a fresh evaluation from more starts.
+    /// Mean return of `network` in its evaluation during training. The best of many evaluations is
+    /// an overestimate; a published return needs a fresh evaluation from more starts
+    /// ([`super::evaluate_afresh`]).
     pub best_return: f64,
     /// Network after the last update.
     pub final_network: Network,
-    /// Mean return of the final network.
+    /// Mean return of the final network in the last evaluation; minus infinity without an update.
     pub final_return: f64,
     /// Learning curve, one entry for each update.
     pub curve: Vec<TrainUpdate>,
-    /// Distribution of the simulated Qubes; of a training in stages that of the last one.
+    /// Distribution of the simulated Qubes; for a training in stages, the distribution of the last
+    /// stage.
     pub distribution: DomainDistribution,
     /// Sensors of the simulation.
     pub sensors: SensorModel,
@@ -34,7 +36,8 @@ pub struct Trained {
     pub seed: u64,
 }
 
-/// The origin of a policy, recorded in its file, that the training itself does not know.
+/// The part of a policy's origin that the training itself does not know; the policy's file records
+/// it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Origin {
     /// Name of the model: `nominal`, `handcrafted`, `opt-nominal` ...
@@ -55,7 +58,8 @@ impl Trained {
             SensorModel::Encoders { estimator: EstimatorSettings { corner_rad_s, observer } } => {
                 SimulatedSensors::Encoders {
                     corner_rad_s,
-                    // Where the two encoders differ, the record's plant names both.
+                    // This is the arm's encoder. If the pendulum's differs, the record's plant
+                    // names both.
                     counts_per_revolution: self.plant.encoders.theta.counts_per_revolution(),
                     observer: observer.map(|observer| SimulatedObserver {
                         model: observer.model,

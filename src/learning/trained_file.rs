@@ -1,4 +1,4 @@
-//! The bytes of a training's result, by which one computer hands it to another.
+//! The result of a training as bytes, in which one computer hands it to another.
 
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
@@ -15,7 +15,8 @@ use crate::simulation::DomainDistribution;
 pub struct TrainedBytesError(String);
 
 impl Trained {
-    /// The result as safetensors, without its distribution and what the training's settings contain.
+    /// The result as safetensors, without the distribution, the seed and the settings, which the
+    /// reader knows.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let returns = [self.best_return, self.final_return].into_iter();
@@ -35,10 +36,11 @@ impl Trained {
         safetensors::serialize(views, None).unwrap_or_default()
     }
 
-    /// Restores the result of a training in this distribution with these settings and this seed.
+    /// Restores the result from [`Self::to_bytes`] of a training in this distribution with these
+    /// settings and this seed.
     ///
     /// # Errors
-    /// The bytes are no such result.
+    /// The bytes are not the result of a training.
     pub fn from_bytes(
         bytes: &[u8],
         distribution: &DomainDistribution,
@@ -70,7 +72,7 @@ impl Trained {
     }
 }
 
-/// The action scale, then each layer's weights and biases.
+/// The action scale, then each layer's weights and biases, as little-endian `f32`.
 fn weights(network: &Network) -> Vec<u8> {
     let layers = network.layers();
     let values = layers.iter().flat_map(|layer| layer.weight.iter().chain(&layer.bias));

@@ -1,15 +1,15 @@
 use super::kernels::Minibatch;
 use super::network::{Inputs, MAX_INPUTS, MAX_OBSERVATION_SIZE, MAX_PHYSICS_INPUTS, WIDTH};
 
-/// The first entries of what a network is given; entries beyond its size are zero.
+/// The first inputs of a network; entries beyond the network's number of inputs are zero.
 pub(super) type Observation = [f32; MAX_OBSERVATION_SIZE];
 
-/// The entries that follow those of an [`Observation`]. Only networks with physics inputs have them, so that they stand
-/// beside the transitions and leave these in one cache line.
+/// The inputs that follow those of an [`Observation`]. Only networks with many physics inputs have
+/// them. They are stored beside the transitions, so that a transition fits into one cache line.
 pub(super) type Further = [f32; MAX_PHYSICS_INPUTS];
 
-/// One step of one simulated pendulum. It fills one cache line, because minibatches pick transitions at
-/// random.
+/// One step of one simulated pendulum. It fills one cache line, because minibatches pick
+/// transitions at random.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Transition {
@@ -19,7 +19,7 @@ pub(super) struct Transition {
     /// Log probability density of the action.
     pub log_probability: f32,
     pub reward: f32,
-    /// Estimate of the value network at this observation.
+    /// The value network's estimate of the return from this observation on.
     pub value: f32,
     pub advantage: f32,
     pub return_: f32,
@@ -32,14 +32,14 @@ const _: () = assert!(size_of::<Transition>() == 64);
 pub(super) struct End {
     /// Index of the trajectory's last transition.
     pub index: usize,
-    /// Value of the state after the end: 0 where the trajectory left the safety box; the value network's
-    /// estimate where the time limit or the end of the batch cut it short.
+    /// Value of the state after the end: 0 where the trajectory left the safety box; the value
+    /// network's estimate where the time limit or the end of the batch cut it short.
     pub value_after: f32,
 }
 
-/// Fills `advantage` and `return_` by generalised advantage estimation (Schulman 2016, equation 16). Each
-/// trajectory's transitions are in order of time, `ends` are in order of their indices, and the last
-/// transition is an end.
+/// Fills `advantage` and `return_` by generalised advantage estimation (Schulman 2016, equation
+/// 16). Each trajectory's transitions are in order of time, `ends` are in order of their indices,
+/// and the last transition is an end.
 pub(super) fn estimate_advantages(
     transitions: &mut [Transition],
     ends: &[End],
@@ -61,14 +61,16 @@ pub(super) fn estimate_advantages(
     }
 }
 
-/// Inputs of the first layer before any observation: zeros, and the constant 1 that carries the bias.
+/// Inputs of the first layer before any observation: zeros, and the constant 1 that carries the
+/// bias.
 pub(super) fn constant_inputs<const SAMPLES: usize>(observation_size: usize) -> Inputs<SAMPLES> {
     let mut inputs = [[0.0; SAMPLES]; MAX_INPUTS];
     inputs[observation_size] = [1.0; SAMPLES];
     inputs
 }
 
-/// Arranges the observations of up to 64 samples as inputs of the first layer; other samples stay zero.
+/// Arranges the observations and further inputs of up to 64 samples as inputs of the first layer;
+/// other samples are zero but for the constant 1.
 pub(super) fn inputs<'a>(
     observation_size: usize,
     observations: impl Iterator<Item = &'a Observation>,

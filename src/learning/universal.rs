@@ -9,11 +9,11 @@ use super::train::perform;
 use super::{TrainError, TrainSettings, Trained};
 use crate::simulation::DomainDistribution;
 
-/// A policy whose network is given the physics of the Qube beside the observation (a universal policy: Yu, Liu and Turk
-/// 2019, "Policy Transfer with Strategy Optimization").
+/// A universal policy: its network has the physics of the Qube as inputs beside the observation
+/// (Yu, Liu and Turk 2019, "Policy Transfer with Strategy Optimization").
 ///
-/// With the physics inputs fixed it is an ordinary policy ([`Self::at`]), because a constant input only moves the biases
-/// of the first layer.
+/// With fixed physics inputs it becomes an ordinary policy ([`Self::at`]), because a constant input
+/// only shifts the biases of the first layer.
 #[derive(Clone, Debug)]
 pub struct UniversalPolicy {
     best: Box<Network>,
@@ -23,11 +23,12 @@ pub struct UniversalPolicy {
     at_zero: Trained,
 }
 
-/// Trains a universal policy by PPO like [`super::train()`], in simulations drawn from `distribution`: policy and value
-/// network are given the physics inputs of the simulated Qube.
+/// Trains a universal policy by PPO like [`super::train()`], in simulations drawn from
+/// `distribution`: policy and value network are given the physics inputs of the simulated Qube.
 ///
 /// # Errors
-/// A setting or the number of inputs is out of range; `stop` was set; or weights are no longer finite.
+/// A setting or the number of inputs is out of range; `stop` was set; or the weights are no longer
+/// finite.
 pub fn train_universal(
     distribution: &DomainDistribution,
     settings: &TrainSettings,
@@ -52,7 +53,8 @@ pub fn train_universal(
 }
 
 impl UniversalPolicy {
-    /// Mean return of the best network during training, told which Qube it drives.
+    /// Mean return of the best network in its evaluation during training, with the physics inputs
+    /// of each simulated Qube.
     #[must_use]
     pub fn best_return(&self) -> f64 {
         self.at_zero.best_return
@@ -61,7 +63,7 @@ impl UniversalPolicy {
     /// The ordinary policy at these physics inputs; inputs that are not given are 0.
     ///
     /// # Errors
-    /// The inputs make a bias infinite.
+    /// The inputs make a bias infinite or NaN.
     pub fn at(&self, physics: &[f32]) -> Result<Trained, TrainError> {
         let at = |network: &Network| exported(&at_fixed(network, self.observation_size, physics));
         Ok(Trained {
@@ -72,7 +74,8 @@ impl UniversalPolicy {
     }
 }
 
-/// The network that gives what `network` gives with these physics inputs, which follow the observation.
+/// Returns a network without physics inputs that computes what `network` computes with these
+/// physics inputs; missing inputs count as 0.
 fn at_fixed(network: &Network, observation_size: usize, physics: &[f32]) -> Network {
     let mut fixed = network.clone();
     fixed.observation_size = observation_size;

@@ -62,7 +62,7 @@ impl<'a> Workbench<'a> {
         PolicyImprovement::new(policy, settings, 0).step(&minibatch);
     }
 
-    /// Evaluates the policy and returns the mean return.
+    /// Evaluates the policy from the fixed starts and returns the mean return.
     #[must_use]
     pub fn evaluate(&self) -> f64 {
         self.training.evaluate().0.mean_return()
@@ -71,7 +71,7 @@ impl<'a> Workbench<'a> {
     /// Performs one complete update.
     ///
     /// # Errors
-    /// Training fails for one of its own reasons.
+    /// The update fails; [`TrainError`] lists the reasons.
     pub fn update(&mut self) -> Result<(), TrainError> {
         self.training.update(&AtomicBool::new(false)).map(|_| ())
     }

@@ -2,11 +2,12 @@ use super::collect::{Batch, TrajectoryEnd};
 use super::transition::{Further, Transition};
 use crate::qube::MAX_STEPS;
 
-/// The transitions of the trajectories with the lowest returns: `share` of the trajectories of a batch, at least one
-/// (EPOpt's percentile, Rajeswaran et al. 2017, algorithm 1).
+/// Selects the transitions of the trajectories with the lowest returns: `share` of a batch's
+/// trajectories, at least one (EPOpt's percentile, Rajeswaran et al. 2017, algorithm 1).
 ///
-/// A trajectory that was cut short counts as if it had gone on to earn as much a step; one that left the box earns no
-/// more.
+/// Trajectories are compared by their reward a step: over the steps taken if the trajectory was cut
+/// short, as if it had continued alike; over the 600 steps of a full one if it left the box,
+/// because it then earns no more.
 pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
     let mut first = 0;
     let mut trajectories: Vec<(f64, usize, TrajectoryEnd)> = Vec::with_capacity(batch.ends.len());
@@ -37,7 +38,8 @@ mod tests {
     use super::*;
     use crate::learning::network::MAX_PHYSICS_INPUTS;
 
-    /// A batch of trajectories, each with its reward a step, its length, and whether it left the box.
+    /// A batch of trajectories, each with its reward a step, its length, and whether it left the
+    /// box.
     fn batch(trajectories: &[(f32, usize, bool)]) -> Batch {
         let (mut transitions, mut ends) = (Vec::new(), Vec::new());
         for &(reward, steps, left_box) in trajectories {

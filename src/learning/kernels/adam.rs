@@ -23,12 +23,13 @@ impl Moments {
     }
 }
 
-/// Takes one step of Adam along a gradient that is first scaled down to a largest norm. Returns the norm
-/// before scaling.
+/// Takes one step of Adam along a gradient that is first scaled down to a largest norm. Returns the
+/// norm before scaling.
 ///
-/// Epsilon is under the square root, m / sqrt(v + epsilon^2), where the paper adds it to the root, m /
-/// (sqrt(v) + epsilon). Both agree where one term dominates; between, the step is at most 1.41 times as
-/// long. The form needs one inverse square root instead of a root and a division, which are slow.
+/// Unless `epsilon_beside_root` is set, epsilon is under the square root, m / sqrt(v + epsilon^2),
+/// whereas the paper adds it to the root, m / (sqrt(v) + epsilon). The two forms agree where one of
+/// the terms dominates; in between, the step of the first is at most 1.41 times as long. The first
+/// form needs one inverse square root instead of a root and a division, which are slow.
 pub(in crate::learning) struct AdamStep<'a> {
     pub network: &'a mut Network,
     pub gradient: &'a Network,
@@ -38,7 +39,8 @@ pub(in crate::learning) struct AdamStep<'a> {
     pub beta_1: f32,
     /// Decay of the second moment.
     pub beta_2: f32,
-    /// Epsilon; its square is added to the second moment under the root.
+    /// Epsilon; its square is added to the second moment under the root, unless the next field is
+    /// set.
     pub epsilon: f32,
     /// Whether epsilon is added to the root instead, as in the paper.
     pub epsilon_beside_root: bool,
@@ -86,7 +88,8 @@ impl AdamStep<'_> {
                 let step = step_size * *first;
                 let mut inverse = inverse_square_root(variance);
                 if BESIDE_ROOT {
-                    // 1 / (sqrt(v) + epsilon) from 1 / sqrt(v), which is finite at 0.
+                    // This is 1 / (sqrt(v) + epsilon), computed from 1 / sqrt(v), which the
+                    // approximation keeps finite at v = 0.
                     inverse /= multiply_add::<I>(epsilon, inverse, 1.0);
                 }
                 *parameter = multiply_add::<I>(-step, inverse, *parameter);
@@ -96,9 +99,10 @@ impl AdamStep<'_> {
     }
 }
 
-/// 1 - beta^steps, the factor by which a moment that started at zero is too small.
+/// Computes 1 - beta^steps, the factor by which a moment that started at zero is too small.
 fn bias_correction(beta: f32, steps: u64) -> f64 {
-    // beta^steps < e^-(steps (1 - beta)), which is below the last bit of 1 from here on.
+    // beta^steps < e^-(steps (1 - beta)), which is below the last bit of 1 once the exponent
+    // exceeds this value.
     const NEGLIGIBLE: f64 = 40.0;
     let (beta, steps) = (f64::from(beta), steps as f64);
     if steps * (1.0 - beta) > NEGLIGIBLE { 1.0 } else { 1.0 - libm::pow(beta, steps) }

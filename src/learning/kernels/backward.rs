@@ -7,7 +7,7 @@ use super::transpose::transpose;
 use crate::elementary::{InstructionSet, VectorKernel};
 use crate::learning::network::{LOG_STD, Network, OUTPUT_BIAS, Row, WIDTH};
 
-/// Computes the gradient of a head's mean loss over one minibatch by every parameter.
+/// Computes the gradient, by every parameter, of a head's mean loss over one minibatch.
 pub(in crate::learning) struct Gradient<'a, H> {
     pub network: &'a Network,
     pub minibatch: &'a Minibatch,
@@ -17,7 +17,8 @@ pub(in crate::learning) struct Gradient<'a, H> {
     pub gradient: &'a mut Network,
 }
 
-/// Activations and their derivatives, kept between calls so that they stay in cache.
+/// Memory for activations and loss derivatives, kept between calls so that it stays in cache. A
+/// neuron's sum is the argument of its tanh.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub(in crate::learning) struct Workspace {
@@ -25,7 +26,8 @@ pub(in crate::learning) struct Workspace {
     hidden_1: [Row; WIDTH],
     /// First hidden layer, `[sample][neuron]`; the weight gradient reads it.
     hidden_1_by_sample: [Row; WIDTH],
-    /// Second hidden layer, `[neuron][sample]`, later overwritten by the loss derivative by its sums.
+    /// Second hidden layer, `[neuron][sample]`, later overwritten by the loss derivative by this
+    /// layer's sums.
     hidden_2: [Row; WIDTH],
     /// Loss derivative by the first layer's sums, `[sample][neuron]`.
     by_sum_1: [Row; WIDTH],
@@ -79,11 +81,12 @@ impl<H: Head> VectorKernel for Gradient<'_, H> {
     }
 }
 
-/// Turns the second hidden layer into the loss derivative by its sums, row by row, and computes the two
-/// gradients that are sums over samples on the way.
+/// Replaces the second hidden layer, row by row, by the loss derivative by the layer's sums. On the
+/// way it computes the two gradients that are sums over samples: those by the output's weights and
+/// by the second layer's biases.
 ///
-/// Four samples, 16 apart, are summed into one lane of a table, and the tables are summed later: reducing
-/// each row at once would make every row wait for the reduction.
+/// Four samples, 16 apart, are summed into one lane of a table, and the tables are summed later:
+/// reducing each row at once would make every row wait for the reduction.
 #[inline(always)]
 fn through_output<I: InstructionSet>(
     network: &Network,
@@ -109,7 +112,8 @@ fn through_output<I: InstructionSet>(
     }
 }
 
-/// Multiplies derivatives by tanh's values with 1 - tanh^2, which gives derivatives by its arguments.
+/// Multiplies each loss derivative by a value of tanh with 1 - tanh^2, which gives the derivative
+/// by the argument of tanh.
 #[inline(always)]
 fn through_tanh<I: InstructionSet>(values: &[f32], derivatives: &mut [f32]) {
     for (derivative, &value) in derivatives.iter_mut().zip(values) {

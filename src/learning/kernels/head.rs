@@ -11,7 +11,7 @@ pub(in crate::learning) struct Minibatch {
     pub observation_size: usize,
     /// Sampled actions, in units of the network's output (before scale and clipping).
     pub action: Row,
-    /// Log probability of each action under the policy that sampled it.
+    /// Log probability density of each action under the policy that sampled it.
     pub log_probability: Row,
     /// Advantage of each action.
     pub advantage: Row,
@@ -35,26 +35,26 @@ pub(in crate::learning) trait Head {
     ) -> Self::Statistics;
 }
 
-/// PPO's clipped objective (Schulman 2017, equation 7) for a Gaussian policy whose mean is the output; the
-/// minibatch's advantages are normalised.
+/// PPO's clipped objective (Schulman 2017, equation 7) for a Gaussian policy whose mean is the
+/// output; the minibatch's advantages are normalised.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::learning) struct PolicyHead {
-    /// Clip range: the ratio stays within 1 +- this value.
+    /// Clip range: the ratio r of new to old probability is clipped to 1 +- this value.
     pub clip: f32,
     /// Weight of the entropy bonus.
     pub entropy_weight: f32,
-    /// Weight of a penalty on the divergence from the policy that collected the batch; its gradient is the
-    /// mean of (r - 1) times the gradient of ln r.
+    /// Weight of a penalty on the divergence from the policy that collected the batch; its gradient
+    /// is the mean of (r - 1) times the gradient of ln r.
     pub kl_weight: f32,
 }
 
 /// The divergence of the policy from the one that collected the batch, over one minibatch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::learning) struct PolicyStatistics {
-    /// Mean of (r - 1) - ln r, r the ratio of probabilities: an unbiased, nonnegative estimate of the
-    /// divergence.
+    /// Mean of (r - 1) - ln r, where r is the ratio of new to old probability: an unbiased,
+    /// nonnegative estimate of the KL divergence.
     pub approximate_kl: f32,
-    /// Share of samples outside the clip range.
+    /// Share of samples whose ratio r is outside the clip range, 0 to 1.
     pub clip_fraction: f32,
 }
 

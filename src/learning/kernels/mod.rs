@@ -1,12 +1,14 @@
-//! The arithmetic of learning, which runs 750,000 times for one policy.
+//! The arithmetic of gradient steps, of which a training with the thesis's budget takes 750,000 for
+//! each network.
 //!
-//! Activations are stored feature by feature, `[feature][64 samples]`, hidden weights as `[neuron][neuron
-//! before]`. With this layout one kernel ([`product`]) computes every product without packing, and only the
-//! first hidden layer is needed a second time sample by sample ([`transpose`]).
+//! Activations are stored feature by feature, `[feature][64 samples]`, hidden weights as
+//! `[neuron][neuron of the layer before]`. With this layout one kernel ([`product`]) computes every
+//! product without packing, and only the first hidden layer is needed a second time sample by
+//! sample ([`transpose`]).
 //!
 //! Each file is plain loops over arrays of fixed size; `crate::elementary` compiles them for each
-//! instruction set. Sums run in one fixed order, so AVX-512 and AVX2 give the same bits. Processors without
-//! a fused multiply-add round once more and give other bits.
+//! instruction set. Sums run in one fixed order, so AVX-512 and AVX2 give the same bits. Processors
+//! without a fused multiply-add round each product as well, and give other bits.
 
 mod adam;
 mod backward;
@@ -25,8 +27,8 @@ pub(super) use head::{Head, Minibatch, PolicyHead, ValueHead, gaussian_log_proba
 
 use crate::elementary::{InstructionSet, Level};
 
-/// Computes `a b + c`, fused wherever the processor has such an instruction. Elsewhere `mul_add` would be a
-/// slow library call, so the result is rounded twice.
+/// Computes `a b + c`, fused wherever the processor has such an instruction. Elsewhere `mul_add`
+/// would be a slow library call, so the result is rounded twice.
 #[inline(always)]
 fn multiply_add<I: InstructionSet>(a: f32, b: f32, c: f32) -> f32 {
     if matches!(I::LEVEL, Level::Plain) && !cfg!(target_arch = "aarch64") {

@@ -14,18 +14,18 @@ pub(super) enum Left<'a> {
 
 /// Computes `result[row][..] = sum over terms of left(row, term) right[term][..]`.
 ///
-/// This is the one kernel behind every product of the networks: rows of the right factor are vectors,
-/// entries of the left one are broadcast, so neither is packed or transposed. Each entry is summed in the
-/// order of the terms whatever the tile, so the tile does not change a bit. The number of rows is a
-/// multiple of four.
+/// Every product of the networks uses this kernel: rows of the right factor are vectors, entries of
+/// the left factor are broadcast, so neither factor is packed or transposed. Each entry of the
+/// result is summed in the order of the terms, so the shape of the tiles does not change a bit of
+/// it. The number of rows is a multiple of four.
 #[inline(always)]
 pub(super) fn product<I: InstructionSet, const COLUMNS: usize>(
     left: Left<'_>,
     right: &[[f32; COLUMNS]],
     result: &mut [[f32; COLUMNS]],
 ) {
-    // The sums of a tile fill half of the registers, which hides the latency of four cycles. The compiler
-    // unrolls these shapes into registers, but not 8 x 32 and 8 x 16.
+    // The sums of a tile fill half of the registers, which hides the multiply-add's latency of four
+    // cycles. The compiler unrolls these shapes into registers, but not 8 x 32 and 8 x 16.
     match (I::LEVEL, COLUMNS) {
         (Level::Avx512, WIDTH) => tiled::<I, 64, COLUMNS>(left, right, result),
         (Level::Avx512 | Level::Avx2, _) => tiled::<I, 16, COLUMNS>(left, right, result),

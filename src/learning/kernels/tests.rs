@@ -11,8 +11,9 @@ use crate::qube::OBSERVATION_SIZE;
 
 const POLICY: PolicyHead = PolicyHead { clip: 0.1, entropy_weight: 0.01, kl_weight: 0.3 };
 
-/// Observation sizes without a history, with one that fills a group of rows and one that does not, and with
-/// the longest, alone and with the most physics inputs.
+/// Numbers of inputs: without last commands, with one command (with the constant 1, the rows fill
+/// whole groups), with two (they do not), with the longest history, and with the most physics
+/// inputs in addition.
 const OBSERVATION_SIZES: [usize; 5] = [
     OBSERVATION_SIZE,
     OBSERVATION_SIZE + 1,
@@ -130,7 +131,8 @@ mod textbook {
     }
 }
 
-/// Compares the gradients of every path with central differences in `f64`, for each parameter in use.
+/// Compares the gradients of every path with central differences in `f64`, for each parameter in
+/// use.
 fn check_by_finite_differences(
     size: usize,
     gradients: &[(Level, Network)],
@@ -256,7 +258,7 @@ fn the_plain_path_differs_by_rounding_only() {
 
 #[test]
 fn adam_follows_its_formulas_after_shortening_the_gradient() {
-    // Both places of epsilon; a large one tells them apart.
+    // Tests both places of epsilon, which only a large epsilon tells apart.
     for (epsilon, beside_root) in [(1e-5, false), (0.1, false), (1e-5, true), (0.1, true)] {
         adam_follows_its_formulas(epsilon, beside_root);
     }
