@@ -45,7 +45,7 @@ impl Checkpointing {
     }
 
     /// Writes everything that the next update depends on. The file is replaced atomically: after a
-    /// crash it is either the old one or the new one.
+    /// crash the path holds either the old file or the new one.
     pub(super) fn write(&self, training: &TrainingState<'_>) -> Result<(), TrainError> {
         let bytes = to_bytes(training).map_err(|error| self.damaged(error.to_string()))?;
         write_whole(&MachineDisk, &self.path, &bytes).map_err(|error| self.file_error(error.source))

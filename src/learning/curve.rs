@@ -150,7 +150,7 @@ pub enum CurveError {
 /// Reads a learning curve from the text that [`curve_csv`] made.
 ///
 /// # Errors
-/// A column is missing, or a line has no numbers in it.
+/// A column is missing, or a line has no number in one of the columns.
 pub fn parse_curve_csv(text: &str) -> Result<Vec<CurvePoint>, CurveError> {
     let mut lines = text.lines();
     let heads: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();

@@ -1,4 +1,4 @@
-//! The result of a training as bytes, in which one computer hands it to another.
+//! The result of a training as bytes, which one computer sends to another.
 
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};

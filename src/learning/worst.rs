@@ -6,8 +6,8 @@ use crate::qube::MAX_STEPS;
 /// trajectories, at least one (EPOpt's percentile, Rajeswaran et al. 2017, algorithm 1).
 ///
 /// Trajectories are compared by their reward a step: over the steps taken if the trajectory was cut
-/// short, as if it had continued alike; over the 600 steps of a full one if it left the box,
-/// because it then earns no more.
+/// short, because it would have gone on earning; over the 600 steps of a whole rollout if it left
+/// the box, because it then earns nothing more.
 pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
     let mut first = 0;
     let mut trajectories: Vec<(f64, usize, TrajectoryEnd)> = Vec::with_capacity(batch.ends.len());

@@ -129,8 +129,8 @@ pub trait Controller: Send {
     fn start(&mut self) {}
 
     /// Receives the voltage that acted at the motor during one control period, V: the last
-    /// requested voltage after guard and limits. The tick calls it again for each period in which
-    /// it took no decision.
+    /// requested voltage after guard and limits. The tick calls this method once more for each
+    /// period without a decision.
     fn applied(&mut self, _voltage_v: f64) {}
 
     /// Returns the voltage for a state, V. Implementations do not allocate. The voltage gate of

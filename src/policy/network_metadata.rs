@@ -1,4 +1,4 @@
-//! A network's part of the metadata of a policy file, and the conventions that it names.
+//! A network's part of the metadata of a policy file, and the conventions that the metadata name.
 
 use serde::{Deserialize, Serialize};
 
