@@ -6,8 +6,8 @@ use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 /// Cosine of the pendulum's angle below which a window counts as upright: 60 degrees from the top.
 const UPRIGHT_COS: f64 = -0.5;
 
-/// Length of a window with an upright pendulum, s: about twice the time constant of its fall, beyond which
-/// no model predicts it.
+/// Length of a window with an upright pendulum, s: about twice the time constant of the pendulum's
+/// fall. No model predicts a fall for longer.
 const UPRIGHT_S: f64 = 0.25;
 
 /// Length of a window of a swing-up whose pendulum is not upright, s.
@@ -16,7 +16,8 @@ const SWINGING_S: f64 = 0.5;
 /// Time on both sides of a sample over which velocities are differences of angles, s.
 const SLOPE_S: f64 = 0.012;
 
-/// The motion of the pendulum in a stretch; each kind has residuals of its own size.
+/// The kind of motion of the pendulum in a stretch; the size of the residuals differs between the
+/// kinds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Regime {
     /// Any window of a recording whose pendulum never comes upright: chirps and steps.
@@ -32,14 +33,15 @@ impl Regime {
     pub const ALL: [Self; 3] = [Self::Hanging, Self::Swinging, Self::Upright];
 }
 
-/// A stretch of a recording with its own start state.
+/// A part of a recording that is simulated from a start state of its own.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stretch<'a> {
-    /// Whole recording; commands from before the stretch may still be in transit.
+    /// Whole recording: because of the command delay, commands from before the stretch may still
+    /// take effect in it.
     pub recording: &'a [MotionSample],
-    /// Index of the first sample.
+    /// Index in the recording of the stretch's first sample.
     pub first: usize,
-    /// Index after the last sample.
+    /// Index after the stretch's last sample.
     pub end: usize,
     /// The motion of the pendulum.
     pub regime: Regime,
@@ -52,8 +54,9 @@ impl<'a> Stretch<'a> {
         Self { recording, first, end, regime: regime_in(&recording[first..end]) }
     }
 
-    /// Cuts a recording into windows: of `hanging_s` when the pendulum never comes upright, otherwise of 0.5 s,
-    /// and of 0.25 s where the pendulum is upright. Neighbours share a sample.
+    /// Cuts a recording into windows. They last about `hanging_s` if the pendulum never comes
+    /// upright, otherwise 0.5 s, or 0.25 s where the pendulum is upright. Neighbouring windows
+    /// share a sample.
     pub fn windows(recording: &'a [MotionSample], hanging_s: f64) -> Vec<Self> {
         if !is_upright(recording) {
             return Self::cut(recording, hanging_s, |_| Regime::Hanging);
@@ -66,7 +69,7 @@ impl<'a> Stretch<'a> {
                 end = end_after(recording, first, UPRIGHT_S);
                 regime = regime_in(&recording[first..end]);
             }
-            // A rest too short for a window of its own says nothing beside its start state.
+            // A remainder this short determines little more than its own start state.
             if duration_of(&recording[first..end]) >= 0.5 * UPRIGHT_S {
                 windows.push(Self { recording, first, end, regime });
             }
@@ -95,23 +98,23 @@ impl<'a> Stretch<'a> {
         &self.recording[self.first..self.end]
     }
 
-    /// Whether both are the same samples of the same recording.
+    /// Whether both stretches are the same samples of the same recording.
     pub fn is(&self, other: &Self) -> bool {
         self.is_beside(other) && self.range() == other.range()
     }
 
-    /// Whether both are of the same recording.
+    /// Whether both stretches are parts of the same recording.
     pub fn is_beside(&self, other: &Self) -> bool {
         std::ptr::eq(self.recording, other.recording)
     }
 
-    /// The indices of its samples in the recording.
+    /// The indices of the stretch's samples in the recording.
     pub fn range(&self) -> Range<usize> {
         self.first..self.end
     }
 
     /// The measured angles at the first sample, with velocities from the angles around it: recorded
-    /// velocities lag behind by their filter.
+    /// velocities lag behind because they are filtered.
     pub fn measured_start(&self) -> State {
         let here = &self.recording[self.first];
         let before = self.recording[..self.first]
@@ -155,8 +158,8 @@ fn regime_in(samples: &[MotionSample]) -> Regime {
     if is_upright(samples) { Regime::Upright } else { Regime::Swinging }
 }
 
-/// Whether the pendulum comes within 60 degrees of the top in a recording, so that no model predicts the whole of
-/// it.
+/// Whether the pendulum comes within 60 degrees of the top in a recording, so that no model
+/// predicts the whole of it.
 #[must_use]
 pub fn comes_upright(log: &MotionLog) -> bool {
     is_upright(&log.samples)
@@ -167,7 +170,7 @@ pub(super) fn is_upright(samples: &[MotionSample]) -> bool {
     samples.iter().any(|sample| sample.state.alpha.cos() < UPRIGHT_COS)
 }
 
-/// Index after the last sample within a duration from a sample on.
+/// Index after the last sample that is at most `duration_s` later than the sample `first`.
 fn end_after(recording: &[MotionSample], first: usize, duration_s: f64) -> usize {
     let last_s = recording[first].time_s + duration_s + 1e-9;
     first + recording[first..].partition_point(|sample| sample.time_s <= last_s)

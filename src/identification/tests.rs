@@ -10,7 +10,7 @@ fn chirp(truth: &QubeModel, sign: f64, seconds: f64) -> MotionLog {
     chirp_of(truth, sign, seconds, &|_| true)
 }
 
-/// A chirp of which only these samples were taken; voltages are held in between.
+/// A chirp recorded only at the indices where `is_taken` is true; voltages are held in between.
 fn chirp_of(
     truth: &QubeModel,
     sign: f64,
@@ -213,7 +213,7 @@ fn recordings_that_say_nothing_or_something_wrong_are_named() {
         }
     });
     assert!(matches!(unplugged, Unfit::FrozenPendulum { .. }), "{unplugged}");
-    // A sample that the wire lost is not a gap.
+    // A single sample that was lost on the wire is no gap.
     let mut lost = good.clone();
     lost.samples.retain(|sample| (sample.time_s * 250.0).round() as u32 % 7 != 3);
     assert_eq!(check_recording(&lost), Ok(()));

@@ -5,13 +5,14 @@ use super::fit::Fit;
 use super::offsets::Offset;
 use crate::qube::{Nonideality, PlantModel};
 
-/// Share of its prior variance that the data must remove from an unknown before it counts as determined.
+/// Share of its prior variance that the data must remove from an unknown before it counts as
+/// determined.
 const TOLD: f64 = 0.5;
 
-/// Smallest entry of a direction that is reported.
+/// Smallest entry, in magnitude, that is reported of a direction of length 1.
 const WORTH_NAMING: f64 = 0.25;
 
-/// Fewest windows or recordings whose scatter is measured.
+/// Smallest number of windows, or of recordings, from which a scatter is computed.
 const FEWEST_GROUPS: usize = 4;
 
 /// The estimate of one unknown.
@@ -21,10 +22,11 @@ pub struct Estimate {
     pub unknown: Unknown,
     /// Value in its SI unit.
     pub value: f64,
-    /// Standard error in the same unit; it accounts for the residuals' correlation in time, and that of the cable's
-    /// rest angle for its scatter between recordings.
+    /// Standard error in the same unit; it accounts for the residuals' correlation in time. The
+    /// standard error of the cable's rest angle includes the angle's scatter between recordings.
     pub standard_error: f64,
-    /// Share of the prior variance that the data removed; near 0, the value is the prior's.
+    /// Share of the prior variance that the data removed, 0 to 1; near 0, the value is that of the
+    /// prior.
     pub told_by_data: f64,
 }
 
@@ -36,29 +38,31 @@ impl Estimate {
     }
 }
 
-/// A combination of unknowns that the recordings do not determine: moving each by this many of its prior
-/// standard deviations at once leaves the simulated motion unchanged.
+/// A combination of unknowns that the recordings do not determine: moving each unknown by this many
+/// of its prior standard deviations at once hardly changes the simulated motion.
 pub type Blind = Vec<(Unknown, f64)>;
 
-/// Information and gradient of a window or a recording.
+/// Information matrix and gradient of a window or a recording.
 type Reduced = (DMatrix<f64>, DVector<f64>);
 
 /// The uncertainty of a fit, in the order of its unknowns.
 pub(super) struct Uncertainty {
     /// Estimates with standard errors.
     pub estimates: Vec<Estimate>,
-    /// Combinations that are not determined, the least determined first.
+    /// Combinations of unknowns that the recordings do not determine, the least determined first.
     pub blind: Vec<Blind>,
     /// Correlations of the errors, -1 to 1.
     pub correlations: Vec<Vec<f64>>,
-    /// Factor of the standard errors, from 1 on, by which windows and recordings contradict each other.
+    /// Factor on the standard errors, at least 1, for the extent to which windows or recordings
+    /// contradict each other.
     pub inflation: f64,
 }
 
 /// Computes estimates, undetermined combinations, correlations and inflation of a fit.
 ///
-/// A model's errors persist in time; the information matrix counts as one the samples within the integrated
-/// autocorrelation time of the residuals. [`inflation`] measures the error that a wrong model adds.
+/// Because a model's errors persist in time, the information matrix counts all samples within the
+/// integrated autocorrelation time of the residuals as one sample. [`inflation`] measures the error
+/// that a wrong model adds.
 pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
     let reduced = fit.reduced();
     let inflation = inflation(fit, &reduced);
@@ -79,7 +83,8 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
         parts.iter().zip(eigenvalues).map(|(part, value)| part / (1.0 + value.max(0.0))).sum()
     };
     let variance = |index: usize| covariance(index, index);
-    // Of the next recording, the rest angle is the typical one plus an offset, in prior standard deviations.
+    // The rest angle of a next recording is the typical rest angle plus an offset. This is the
+    // offset's scatter in prior standard deviations.
     let rest = Unknown::from(Nonideality::CableRest);
     let scattered = fit.own_scatter().cable_rest_rad / rest.prior(fit.plant).std;
     let total = |index: usize| {
@@ -120,12 +125,14 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
     }
 }
 
-/// The factor by which the estimates of single windows, and of single recordings, scatter more than their
-/// information says; at least 1.
+/// Computes the factor by which the estimates of single windows, or of single recordings, scatter
+/// more than their information predicts; at least 1.
 ///
-/// A model that holds predicts a window that is left out as well as those that it was fitted to, and the gradients of
-/// the windows then scatter as their information says. Those of a wrong model scatter more: each window asks
-/// for another Qube. The factor is the root mean square over the directions that the data determine.
+/// A correct model predicts a window that was left out of the fit as well as the fitted windows,
+/// and the gradients of the windows then scatter as their information predicts. The gradients of a
+/// wrong model scatter more, because another Qube fits each window best. Each factor is the root
+/// mean square over the directions that the data determine; the larger of the factors for windows
+/// and for recordings counts.
 fn inflation(fit: &Fit<'_>, reduced: &[Reduced]) -> f64 {
     let count = fit.unknowns.len();
     let shared = |(information, gradient): &Reduced| {
@@ -140,8 +147,8 @@ fn inflation(fit: &Fit<'_>, reduced: &[Reduced]) -> f64 {
     of(&windows).max(of(&recordings)).max(1.0)
 }
 
-/// Information and gradient of each recording about the unknowns alone, with standard errors inflated by a factor; the
-/// offsets of the recording are eliminated.
+/// Each recording's information about the unknowns alone, and its gradient by them, with standard
+/// errors inflated by a factor. The recording's own offsets are eliminated.
 fn by_recording(fit: &Fit<'_>, reduced: &[Reduced], inflation: f64) -> Vec<Reduced> {
     let (count, locals) = (fit.unknowns.len(), fit.locals().len());
     let size = count + locals;
@@ -171,7 +178,8 @@ fn by_recording(fit: &Fit<'_>, reduced: &[Reduced], inflation: f64) -> Vec<Reduc
     sums.into_iter().zip(&fit.offsets).map(eliminated).collect()
 }
 
-/// Root mean square of the groups' gradients in their standard deviations; 1 where there are too few groups.
+/// Root mean square of the groups' gradients in units of the standard deviations that their
+/// information predicts; 1 if there are too few groups.
 fn scatter(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> f64 {
     if groups.len() < FEWEST_GROUPS || unknowns.is_empty() {
         return 1.0;
@@ -193,7 +201,7 @@ fn scatter(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> f64 
         squares += groups.iter().map(squared).sum::<f64>() / value;
         directions += 1.0;
     }
-    // The estimate takes one group's worth of scatter away.
+    // The fit itself removes the scatter of one group, for which count / (count - 1) corrects.
     let count = groups.len() as f64;
     if directions == 0.0 { 1.0 } else { (squares / directions * count / (count - 1.0)).sqrt() }
 }

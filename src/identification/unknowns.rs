@@ -2,17 +2,17 @@ use crate::qube::{
     DomainParameter, DomainParameters, Nonideality, PlantModel, Quantity, QubeModel,
 };
 
-/// A quantity that a fit may move: a parameter by its logarithm, a nonideality linearly. Gravity is known
-/// and never moves.
+/// A quantity that a fit may move: a parameter by its logarithm, a nonideality linearly. Gravity is
+/// known and never moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unknown(pub Quantity);
 
 /// The prior of an unknown, in the fit's unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
-    /// Mean; that of the logarithm for parameters.
+    /// Mean; for parameters, the mean of the logarithm.
     pub mean: f64,
-    /// Standard deviation.
+    /// Standard deviation; for parameters, that of the logarithm.
     pub std: f64,
 }
 
@@ -29,10 +29,11 @@ impl Unknown {
         self.0.name()
     }
 
-    /// The prior of a plant's specimens without any recording: ruler and balance measure lengths to 3 % and masses
-    /// to 10 %; published values of resistance and motor constant differ by a third, those of friction by a factor
-    /// of 50 (Coulomb friction by as much as the motor's torque at 0.3 V). Friction and cable of another plant than
-    /// the Qube are expected in the proportion of the two motors.
+    /// The prior of a plant's specimens without any recording: ruler and balance measure lengths to
+    /// 3 % and masses to 10 %; published values of resistance and motor constant differ by a third,
+    /// those of friction by a factor of 50 (Coulomb friction by as much as the motor's torque at
+    /// 0.3 V). Friction and cable of another plant than the Qube are expected in the proportion of
+    /// the two motors.
     #[must_use]
     pub fn prior(self, plant: &PlantModel) -> Prior {
         use DomainParameter as P;
@@ -63,21 +64,23 @@ impl Unknown {
         Prior { mean, std }
     }
 
-    /// The value of a model in the fit's unit.
+    /// The unknown's value in a model, in the fit's unit: the logarithm of a parameter, a
+    /// nonideality in its SI unit.
     #[must_use]
     pub fn of(self, model: &QubeModel) -> f64 {
         let value = model.get(self.0);
         if self.is_parameter() { value.ln() } else { value }
     }
 
-    /// Sets the value of a model in the fit's unit, clamped to its meaningful range.
+    /// Sets the unknown's value in a model from the fit's unit; a strength ([`Self::is_strength`])
+    /// below 0 becomes 0.
     pub fn set(self, model: &mut QubeModel, moved: f64) {
         let moved = if self.is_strength() { moved.max(0.0) } else { moved };
         model.set(self.0, self.quantity(moved));
     }
 
-    /// Whether it cannot be negative: of the nonidealities only an angle can. Parameters move by their
-    /// logarithms.
+    /// Whether the unknown is a nonideality that cannot be negative: all but the cable's rest
+    /// angle. It is false for parameters, whose logarithms may be negative.
     #[must_use]
     pub fn is_strength(self) -> bool {
         matches!(self.0, Quantity::Nonideality(term) if term != Nonideality::CableRest)
@@ -98,21 +101,23 @@ impl Unknown {
         if self.is_parameter() { moved.exp() } else { moved }
     }
 
-    /// Converts a small deviation from the fit's unit to the SI unit of the quantity.
+    /// Converts a small deviation about the value `moved` from the fit's unit to the SI unit of the
+    /// quantity.
     #[must_use]
     pub fn deviation(self, moved: f64, deviation: f64) -> f64 {
         if self.is_parameter() { moved.exp() * deviation } else { deviation }
     }
 
-    /// Whether it is a domain parameter, which moves by its logarithm.
+    /// Whether the unknown is a domain parameter, which moves by its logarithm.
     #[must_use]
     pub fn is_parameter(self) -> bool {
         matches!(self.0, Quantity::Parameter(_))
     }
 }
 
-/// Most likely value of a plant's parameter before any recording: the plant's own. Of a damping that is left at 0 it is
-/// a Qube's in the proportion of the two motors, because a parameter moves by its logarithm.
+/// Most likely value of a plant's parameter before any recording: the value in the plant's
+/// description. For a damping that the description leaves at 0, which has no logarithm, it is the
+/// Qube's value in the proportion of the two motors.
 fn likely(parameter: DomainParameter, plant: &PlantModel) -> f64 {
     let own = plant.parameters.get(parameter);
     if own > 0.0 {

@@ -5,34 +5,36 @@ use crate::learning::{TrainError, TrainUpdate, Trained};
 
 /// An event of a running job.
 pub enum JobEvent {
-    /// A training has begun on this computer; of trainings elsewhere the begin is not told.
+    /// A training has begun on this computer. Trainings on other computers do not report their
+    /// begin.
     Begun {
-        /// Index of the job.
+        /// Index of the job in the list of jobs.
         job: usize,
     },
     /// A training has completed one more update.
     Update {
-        /// Index of the job.
+        /// Index of the job in the list of jobs.
         job: usize,
         /// Statistics of the update.
         update: TrainUpdate,
     },
     /// A training has ended, with or without success.
     Finished {
-        /// Index of the job.
+        /// Index of the job in the list of jobs.
         job: usize,
         /// Policy and learning curve, or the reason of the failure.
         result: Result<Box<Trained>, JobError>,
     },
 }
 
-/// Carries out trainings.
+/// A way to carry out trainings: on this computer, or by workers on others.
 pub trait Executor: Send + Sync {
-    /// Number of trainings that go on at a time when there are enough jobs.
+    /// Number of trainings that run at the same time if there are enough jobs.
     fn concurrency(&self) -> usize;
 
-    /// Carries out all jobs and returns when each has told [`JobEvent::Finished`] once; setting `stop` ends
-    /// them soon. `tell` is called on the calling thread, in no particular order of the jobs.
+    /// Carries out all jobs and returns when `tell` has received one [`JobEvent::Finished`] for
+    /// each; setting `stop` ends them soon. `tell` is called on the calling thread, in no
+    /// particular order of the jobs.
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent));
 
     /// Carries out one job; `tell` is called after each update.

@@ -14,25 +14,27 @@ use super::workforce::{NoWorkforce, Workforce};
 use super::{Executor, JobError, JobEvent, JobFolderError, TrainingJob};
 use crate::learning::{TrainError, Trained};
 
-/// Shortest time between two looks at the results.
+/// Shortest time between two searches for results in the folder.
 const SHORTEST_WAIT: Duration = Duration::from_millis(10);
 
-/// Longest time between two looks at the results.
+/// Longest time between two searches for results in the folder.
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
-/// Time between two looks at a stop flag.
+/// Time between two checks of a stop flag.
 const GLANCE: Duration = Duration::from_millis(250);
 
-/// Time between two signs that a caller waits and does not hang.
+/// Time between two calls of the function that reports that a caller waits and does not hang.
 const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
 
-/// Time for which a folder may refuse before the work ends: servers of files are restarted.
+/// Time for which operations on the folder may fail before all jobs fail, because file servers are
+/// restarted now and then.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Carries out trainings by workers that share a folder with this process, on any number of computers.
+/// Carries out trainings by workers that share a folder with this process, on any number of
+/// computers.
 ///
-/// The bytes of a policy do not depend on the worker. A job is named by its fingerprint, so a coordinator that was
-/// killed finds the running trainings and the results of its predecessor.
+/// The bytes of a policy do not depend on the worker. A job is named by its fingerprint, so the
+/// successor of a coordinator that was killed finds the running trainings and the results.
 #[derive(Debug)]
 pub struct FolderExecutor {
     shared: Arc<Shared>,
@@ -53,11 +55,11 @@ struct Shared {
     leave: bool,
 }
 
-/// Jobs that callers wait for.
+/// The jobs that callers wait for or whose results they read, by the jobs' fingerprints.
 #[derive(Debug, Default)]
 struct State {
     waiting: HashMap<String, Vec<(usize, Sender<Notice>)>>,
-    /// Number of callers that have yet to read a result.
+    /// Number of callers that have yet to read the result of a job.
     reading: HashMap<String, usize>,
     failure: Option<Failure>,
 }
@@ -92,16 +94,18 @@ impl From<NoWorkforce> for Failure {
 enum Notice {
     /// The job with this index has a result.
     Result(usize),
-    /// The job with this index has none, and will have none.
+    /// The job with this index will have no result.
     Failed(usize, JobError),
 }
 
 impl FolderExecutor {
-    /// Takes the folder over, with so many workers of `starter`; without one, somebody starts workers by hand. With
-    /// `leave`, workers and open jobs outlive an executor that is stopped.
+    /// Becomes the folder's coordinator and keeps `workers` workers that `starter` starts; without
+    /// a starter, somebody starts workers by hand. With `leave`, workers and open jobs outlive an
+    /// executor that is stopped.
     ///
     /// # Errors
-    /// Another coordinator has it; `stop` was set before that was known; a file operation fails.
+    /// The folder has another coordinator; `stop` was set before that was known; or a file
+    /// operation fails.
     pub fn new(
         folder: JobFolder,
         starter: Option<Box<dyn Starter>>,
@@ -131,7 +135,8 @@ impl FolderExecutor {
         Ok(Self { shared, watch: Some(watch), workers, waits: || () })
     }
 
-    /// Calls `waits` every few seconds while a caller waits for results: a queue may be long.
+    /// Sets a function that is called every 10 s while a caller waits for results, because a
+    /// scheduler's queue may be long.
     #[must_use]
     pub fn telling(mut self, waits: fn()) -> Self {
         self.waits = waits;
@@ -186,7 +191,7 @@ impl Executor for FolderExecutor {
                 Notice::Failed(index, error) => (index, Err(error)),
                 Notice::Result(index) => match shared.collect(&open[&index], &jobs[index]) {
                     Ok(Some(trained)) => (index, Ok(trained)),
-                    // It was damaged: the job is done again.
+                    // The result was damaged: the job is done again.
                     Ok(None) => match shared.ask(index, &jobs[index], &sender) {
                         Ok(_) => continue,
                         Err(error) => (index, Err(error)),
@@ -216,7 +221,8 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Opens a job unless it is open, and asks for its result.
+    /// Writes a job to the folder unless it is there, and registers the caller for its result.
+    /// Returns the job's fingerprint.
     fn ask(
         &self,
         index: usize,
@@ -236,7 +242,8 @@ impl Shared {
         Ok(name)
     }
 
-    /// Reads a result; `None` if it was damaged, and is to be made again.
+    /// Reads a result. `None` if it was damaged; it is then removed, so that the training is
+    /// repeated.
     fn collect(&self, name: &str, job: &TrainingJob) -> Result<Option<Box<Trained>>, JobError> {
         match self.folder.read_result(name, job) {
             Ok(JobResult { outcome, by, .. }) => {
@@ -252,7 +259,8 @@ impl Shared {
         }
     }
 
-    /// One caller less reads this result; returns whether it was the last.
+    /// Removes one reader of this result from the count; returns whether no caller reads it or
+    /// waits for it any more.
     fn release_reading(&self, name: &str) -> bool {
         let mut state = self.lock();
         let left = state.reading.get_mut(name).map(|count| {
@@ -290,7 +298,8 @@ impl Shared {
         }
     }
 
-    /// Looks at the folder until the executor ends.
+    /// Runs until the executor ends: keeps the heartbeat, announces results, gives up jobs and
+    /// tends the workers.
     fn watch(&self, mut heartbeat: Heartbeat, mut workforce: Option<Workforce>) {
         let terms = self.folder.terms().clone();
         let begun = Instant::now();
@@ -352,7 +361,7 @@ impl Shared {
         let _ = heartbeat.end(&ClaimEnding::Done);
     }
 
-    /// Tells callers of new results; returns whether there were any.
+    /// Tells callers which results have come; returns whether there were any.
     fn announce_results(&self) -> Result<bool, JobFolderError> {
         if self.lock().waiting.is_empty() {
             return Ok(false);

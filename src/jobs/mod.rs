@@ -1,9 +1,9 @@
 //! Trainings as data, and the executors that carry them out.
 //!
-//! A [`TrainingJob`] holds everything that its policy depends on, so the same job gives the same policy and
-//! learning curve wherever it runs. The command `train`, sessions and experiments hand jobs to an
-//! [`Executor`]; [`LocalExecutor`] trains on this computer's cores, [`FolderExecutor`] by workers on any computers that
-//! share a folder with this one ([`folder`]).
+//! A [`TrainingJob`] holds everything that its policy depends on, so the same job gives the same
+//! policy and learning curve wherever it runs. The command `train`, sessions and experiments hand
+//! jobs to an [`Executor`]; [`LocalExecutor`] trains on this computer's cores, [`FolderExecutor`]
+//! by workers on any computers that share a folder with this one ([`folder`]).
 //!
 //! The room may import `learning`, `simulation`, `storage` and `elementary`.
 //!

@@ -1,21 +1,22 @@
 use crate::simulation::Evaluation;
 
-/// Number of rounds of competing trainings: if all trainings of a round fail in simulation, the next one trains with
-/// other seeds; the best of the last round is kept.
+/// Largest number of rounds of competing trainings: if all trainings of a round fail in simulation,
+/// the next round trains with other seeds; the best training of the last round is kept.
 pub const ROUNDS: u32 = 3;
 
-/// Number of fresh simulations by which the best of several trainings is chosen.
+/// Number of fresh simulations in which each of several trainings is evaluated to choose the best.
 pub const CHOSEN_OF_STARTS: usize = 256;
 
-/// Smallest [`worst_return`] of a training that has not failed: a swing-up that balances earns more than 400, and a
-/// pendulum that hangs or turns less than 100.
+/// Smallest [`worst_return`] of a training that has not failed: of at most 600, a swing-up that
+/// balances earns more than 400, and a pendulum that hangs or keeps turning less than 100.
 pub const SUCCEEDED: f64 = 300.0;
 
-/// Part of the worst simulated rollouts that decides which policy is chosen: a mean would hide that a policy falls on
-/// some of the Qubes that this one may be.
+/// Share of the rollouts, the worst ones, that [`worst_return`] passes over. A mean would hide that
+/// a policy fails on some of the Qubes that the real one may be.
 const WORST: f64 = 0.1;
 
-/// The return that all but the worst tenth of the rollouts reach, by which competing trainings are compared.
+/// The return that all but the worst tenth of the rollouts reach, by which competing trainings are
+/// compared; 0 without rollouts.
 #[must_use]
 pub fn worst_return(evaluation: &Evaluation) -> f64 {
     let mut returns = evaluation.returns.clone();

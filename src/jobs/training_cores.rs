@@ -5,22 +5,26 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// The logical processors on which trainings run while a control thread runs on this computer.
 ///
-/// One core stays free of them, with all its hardware threads. The control thread itself is not bound to that core: another
-/// user's program may be busy there, and the kernel finds the idle one.
+/// One core, with all its hardware threads, stays free of trainings. The control thread itself is
+/// not bound to that core: another user's program may be busy there, and the kernel finds the idle
+/// one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TrainingCores(CpuSet);
 
-/// The lowest priority of ordinary threads: a control thread without real-time rights still comes first.
+/// The lowest priority of ordinary threads: a control thread without real-time rights still comes
+/// first.
 const LOWEST_PRIORITY: i32 = 19;
 
 impl TrainingCores {
-    /// All processors of this process but the last core; all of them if that is the only one.
+    /// All processors on which the calling thread may run but those of the last core. If there is
+    /// no other core, only the last processor is left out, unless it is the only one.
     pub(super) fn beside_control_thread() -> Self {
         let all = Self::of_this_thread().unwrap_or(Self(CpuSet::new()));
         all.without_last_core(siblings)
     }
 
-    /// The processors on which the calling thread may run; `None` where the operating system does not tell.
+    /// The processors on which the calling thread may run; `None` where the operating system does
+    /// not tell.
     pub(super) fn of_this_thread() -> Option<Self> {
         sched_getaffinity(None).ok().map(Self)
     }
@@ -30,8 +34,8 @@ impl TrainingCores {
         (self.0.count() as usize).max(1)
     }
 
-    /// Keeps the calling thread to these processors, at the lowest priority. Where the operating system refuses either,
-    /// the training goes on without.
+    /// Keeps the calling thread to these processors, at the lowest priority. If the operating
+    /// system refuses either, a warning is logged and the training goes on.
     pub(super) fn confine_this_thread(&self) {
         if self.0.count() > 0
             && let Err(error) = sched_setaffinity(None, &self.0)
@@ -43,7 +47,8 @@ impl TrainingCores {
         }
     }
 
-    /// Leaves out the last processor and the others of its core, or it alone if no other core is there.
+    /// Leaves out the last processor and the others of its core, or the last processor alone if no
+    /// other core is there.
     fn without_last_core(self, siblings: impl Fn(usize) -> Vec<usize>) -> Self {
         let Some(last) = (0..CpuSet::MAX_CPU).rev().find(|&it| self.0.is_set(it)) else {
             return self;
@@ -59,7 +64,7 @@ impl TrainingCores {
     }
 }
 
-/// The logical processors of the same core, as far as Linux tells.
+/// The logical processors of the core of `processor`; empty if Linux does not tell them.
 fn siblings(processor: usize) -> Vec<usize> {
     let path = format!("/sys/devices/system/cpu/cpu{processor}/topology/thread_siblings_list");
     let text = std::fs::read_to_string(Path::new(&path)).unwrap_or_default();
@@ -95,7 +100,7 @@ mod tests {
         let pairs = |processor: usize| vec![processor % 4, processor % 4 + 4];
         let eight: Vec<usize> = (0..8).collect();
         assert_eq!(set(&eight).without_last_core(pairs), set(&[0, 1, 2, 4, 5, 6]));
-        // The process may run on one core only: its other thread still trains.
+        // If the process may run on one core only, the core's other hardware thread still trains.
         assert_eq!(set(&[3, 7]).without_last_core(pairs), set(&[3]));
         assert_eq!(set(&[0]).count(), 1);
         assert_eq!(set(&[]).count(), 1);

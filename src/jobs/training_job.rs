@@ -45,7 +45,7 @@ mod tests {
         let written = serde_json::to_string(&job()).unwrap();
         let read: TrainingJob = serde_json::from_str(&written).unwrap();
         assert_eq!(read, job());
-        // Without a limit on the gradient's norm.
+        // An infinite limit on the gradient's norm reads back as well.
         let mut unlimited = job();
         unlimited.settings.largest_gradient_norm = f32::INFINITY;
         let read = serde_json::from_str(&serde_json::to_string(&unlimited).unwrap());

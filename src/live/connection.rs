@@ -9,13 +9,14 @@ use super::origin::{Admission, Refusal};
 use super::page::{self, Answer};
 use super::request::{BadRequest, Request};
 
-/// Largest number of connections at a time from this computer, and as many from others.
+/// Largest number of simultaneous connections from this computer, and likewise from all other
+/// computers together.
 pub(super) const MAX_CONNECTIONS: usize = 16;
 
-/// Time after which a client that takes no bytes is gone.
+/// Time after which a client that takes no bytes counts as gone.
 pub(super) const STUCK_WITHIN: Duration = Duration::from_secs(5);
 
-/// Everything that a connection needs.
+/// The state of the view that all connections share.
 pub(super) struct Shared {
     pub(super) feed: Arc<Feed>,
     pub(super) admission: Admission,
@@ -27,11 +28,12 @@ pub(super) struct Shared {
     pub(super) open: [AtomicUsize; 2],
 }
 
-/// One of a limited number of connections; dropping it gives the place back.
+/// A place for one of a limited number of connections; dropping it frees the place.
 pub(super) struct Slot(Arc<Shared>, usize);
 
 impl Slot {
-    /// A place for a client; `None` where all are taken. Clients of other computers cannot take those of this one.
+    /// A place for a client; `None` where all are taken. Clients on other computers cannot take the
+    /// places for this computer.
     pub(super) fn take(shared: &Arc<Shared>, peer: SocketAddr) -> Option<Self> {
         let side = usize::from(!is_of_this_computer(peer));
         let open = shared.open[side].fetch_add(1, Ordering::Relaxed);
@@ -90,8 +92,9 @@ pub(super) fn serve(slot: &Slot, mut stream: TcpStream, peer: SocketAddr) {
     page::send(&mut stream, &answer);
 }
 
-/// Requests a stop, if the client may: from this computer, or with the token. A header that no form and no link can
-/// send keeps other web pages out, beside their origin.
+/// Requests a stop if the client may do so: it is on this computer or has the token. The request
+/// must come from the view's own page or a program, and have a header that no form and no link can
+/// send, which keeps other web pages out.
 fn stop(shared: &Shared, request: &Request, peer: SocketAddr) -> Answer {
     if !Admission::is_own_page(request) || request.header("x-qube-hil") != Some("stop") {
         return Answer::refusal("403 Forbidden");
@@ -105,7 +108,7 @@ fn stop(shared: &Shared, request: &Request, peer: SocketAddr) -> Answer {
     Answer::text("200 OK", "stopping: the arm is braked and the state is kept\n")
 }
 
-/// Compares secrets in a time that does not depend on where they differ.
+/// Compares two secrets; for a given length the time does not depend on where they differ.
 fn is_equal(one: &str, other: &str) -> bool {
     one.len() == other.len()
         && one.bytes().zip(other.bytes()).fold(0, |all, (a, b)| all | (a ^ b)) == 0

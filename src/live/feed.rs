@@ -10,27 +10,27 @@ use super::Status;
 use crate::recording::{Channel, Viewer, encode_scene, encode_tick};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
 
-/// Records that wait for the view's thread: ten seconds.
+/// Largest number of records that wait for the view's thread: ten seconds of ticks.
 pub(super) const WAITING_RECORDS: usize = 1024;
 
-/// Ticks that a connection may be behind before it loses some: ten seconds.
+/// Number of ticks that a connection may be behind before it loses some: ten seconds.
 const KEPT_TICKS: usize = 1024;
 
-/// Ticks that a connection takes at once.
+/// Largest number of ticks that a connection takes at once.
 const TICKS_AT_ONCE: usize = 128;
 
-/// Time for which the start or the end of a rollout may wait for room in the queue. The tick does not wait with it: the
-/// recorder's ring has room for the longest rollout.
+/// Time for which the start or the end of a rollout may wait for room in the queue. The tick does
+/// not wait with it: the recorder's ring has room for the longest rollout.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// A message of the recorder's thread.
+/// A message from the recorder's thread to the view's thread.
 enum Event {
     Begins(Box<RolloutHeader>, u64),
     Tick(TickRecord),
     Ended(Option<Box<RolloutOutcome>>),
 }
 
-/// The end of the queue at the recorder's thread.
+/// The sending end of the queue, which the recorder's thread uses.
 #[derive(Debug)]
 pub(super) struct Entrance {
     events: Sender<Event>,
@@ -40,7 +40,8 @@ pub(super) struct Entrance {
 impl Viewer for Entrance {
     fn begins(&self, header: &RolloutHeader, time_ns: u64) {
         let event = Event::Begins(Box::new(header.clone()), time_ns);
-        // Without this event the page goes on with the rollout before; nothing else depends on it.
+        // If this event is lost, the page continues with the rollout before; nothing else depends
+        // on the event.
         let _ = self.events.send_timeout(event, PATIENCE);
     }
 
@@ -70,7 +71,7 @@ pub(super) struct RolloutShown {
     pendulum_m: f64,
     #[serde(skip)]
     pub(super) time_ns: u64,
-    /// Message of the bodies.
+    /// Encoded message of the channel [`Channel::Scene`].
     #[serde(skip)]
     pub(super) scene: Vec<u8>,
 }
@@ -87,7 +88,8 @@ pub(super) struct EndShown {
 #[derive(Debug)]
 pub(super) struct TickShown {
     pub(super) time_ns: u64,
-    /// Time since the first tick (s), theta (rad), alpha (rad), voltage (V), phase, number of the rollout.
+    /// Time since the first tick (s), theta (rad), alpha (rad), voltage (V), phase, number of the
+    /// rollout.
     pub(super) point: [f64; 6],
     /// Messages for Foxglove; empty while nobody listens.
     pub(super) messages: Vec<(Channel, Vec<u8>)>,
@@ -106,7 +108,7 @@ struct Shown {
     first: u64,
 }
 
-/// The place of a connection in the feed.
+/// The place of a connection in the feed: the numbers up to which it has been sent changes.
 #[derive(Debug, Default)]
 pub(super) struct Place {
     status: u64,
@@ -122,11 +124,11 @@ pub(super) struct News {
     pub(super) rollout: Option<Arc<RolloutShown>>,
     pub(super) ticks: Vec<Arc<TickShown>>,
     pub(super) end: Option<Arc<EndShown>>,
-    /// Ticks that the connection was too slow for.
+    /// Number of ticks that the connection has lost because it was too slow.
     pub(super) lost: u64,
 }
 
-/// The feed of all connections.
+/// The feed: the state of the view that the connections of all clients read.
 #[derive(Debug, Default)]
 pub(super) struct Feed {
     shown: Mutex<Shown>,
@@ -134,7 +136,7 @@ pub(super) struct Feed {
     pub(super) listeners: AtomicUsize,
     /// Whether the view is closing.
     pub(super) closed: AtomicBool,
-    /// Ticks for which the queue had no room.
+    /// Number of ticks for which the queue had no room.
     pub(super) lost: Arc<AtomicU64>,
 }
 
@@ -206,7 +208,8 @@ impl Feed {
         let time_ns = rollout.time_ns.saturating_add(since_ns);
         let mut messages = Vec::new();
         if self.listeners.load(Ordering::Relaxed) > 0 {
-            // Encoding into memory cannot fail; a tick without messages is a tick that viewers miss.
+            // Encoding into memory cannot fail; a tick without messages is a tick that viewers
+            // miss.
             let _ = encode_tick(header, tick, time_ns, &mut |channel, message| {
                 messages.push((channel, message.to_vec()));
                 Ok(())
@@ -232,17 +235,18 @@ impl Feed {
         shown.ticks.push_back(Arc::new(tick));
     }
 
-    /// A place from which a connection sees the present, and no tick of the past.
+    /// The place of a new connection, which is sent the present state and no tick of the past.
     pub(super) fn place(&self) -> Place {
         let shown = self.shown();
         Place { tick: shown.first + shown.ticks.len() as u64, ..Place::default() }
     }
 
-    /// The changes since a connection was at its place, up to a bounded amount.
+    /// Returns the changes since `place`, with at most 128 ticks, and moves `place` past them.
     pub(super) fn since(&self, place: &mut Place) -> News {
         let shown = self.shown();
         let mut news = News::default();
-        // Numbers count changes, and a place of 0 has seen none.
+        // A place holds the number of the next status that it is to be sent: a new place, at 0,
+        // gets the present one.
         if place.status <= shown.status_number {
             place.status = shown.status_number + 1;
             news.status = Some(shown.status.clone());
@@ -266,7 +270,7 @@ impl Feed {
     }
 }
 
-/// The end of the queue at the view's thread.
+/// The receiving end of the queue, which the view's thread uses.
 pub(super) struct Exit(Receiver<Event>);
 
 fn rollout_shown(header: &RolloutHeader, number: u64, time_ns: u64) -> RolloutShown {

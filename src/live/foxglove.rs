@@ -20,34 +20,37 @@ use super::page::{self, Answer};
 use super::request::Request;
 use crate::recording::Channel;
 
-// Foxglove's WebSocket protocol (github.com/foxglove/ws-protocol, docs/spec.md) as far as a source of data needs it: the
-// server says what it is, advertises channels with their schemas, and sends messages of those that a client subscribes
-// to. It offers no other capability, and answers no other message.
+// Foxglove's WebSocket protocol (github.com/foxglove/ws-protocol, docs/spec.md) as far as a source
+// of data needs it: the server sends its name, advertises channels with their schemas, and sends
+// messages of those that a client subscribes to. The server offers no other capability, and answers
+// no other message.
 
-/// Names of the protocol: that of Foxglove's SDK, and the older one of Lichtblick and others. For what is used here
-/// both are the same.
+/// Names of the protocol: that of Foxglove's SDK, and the older one of Lichtblick and others. The
+/// part of the protocol that is used here is the same under both names.
 const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 
-/// Largest message of a client, bytes: a subscription to every channel has some hundred.
+/// Largest message of a client, bytes. A subscription to every channel has some hundred bytes.
 pub(super) const MAX_CLIENT_MESSAGE_BYTES: usize = 1 << 16;
 
-/// Bytes that wait for a slow client, after which messages are dropped.
+/// Half the number of bytes that may wait for a slow client; further messages are dropped.
 const MAX_WAITING_BYTES: usize = 1 << 20;
 
-/// Time for which the connection waits for a message of the client before it looks for news: 30 batches a second, as
-/// screens show them.
+/// Time for which the connection waits for a message of the client before it sends the feed's
+/// changes: about 30 times a second, enough for a screen.
 const INTERVAL: Duration = Duration::from_millis(33);
 
-/// Number of messages of a client in a second, after which it is cut off.
+/// Largest number of messages of a client in a second; a client that sends more is cut off.
 pub(super) const MAX_MESSAGES_A_SECOND: u32 = 100;
 
-/// Number of the channel with the state of the command, after those of a recording.
+/// Id of the channel with the [`Status`] of the command; the ids below are those of a recording's
+/// channels.
 const SESSION_CHANNEL: u64 = Channel::ALL.len() as u64 + 1;
 
-/// Opcode of a message with data.
+/// Opcode of the protocol's binary message with data.
 const MESSAGE_DATA: u8 = 1;
 
-/// A request of a client. Others are ignored: the server has announced that it can do nothing else.
+/// A request of a client that the server carries out. The server ignores all others, for which it
+/// has announced no capability.
 #[derive(Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase")]
 enum ClientRequest {
@@ -67,7 +70,7 @@ struct Subscription {
     channel_id: u64,
 }
 
-/// Counts a connection among those that want encoded messages.
+/// Counts a connection, while this value lives, among those that want encoded messages.
 struct Listening<'a>(&'a AtomicUsize);
 
 impl<'a> Listening<'a> {
@@ -119,7 +122,7 @@ pub(super) fn serve(feed: &Feed, mut stream: TcpStream, request: &Request, rest:
         second: Instant::now(),
         messages: 0,
     };
-    // However a client goes, nothing else ends.
+    // An error of this client must not end anything but its connection.
     if let Err(error) = client.follow(feed) {
         tracing::debug!("a live viewer is gone: {error}");
     }
@@ -127,11 +130,12 @@ pub(super) fn serve(feed: &Feed, mut stream: TcpStream, request: &Request, rest:
 
 struct Client {
     socket: WebSocket<TcpStream>,
-    /// Number of the subscription by that of the channel.
+    /// Id of the subscription by the id of its channel.
     subscriptions: HashMap<u64, u32>,
-    /// Channels with a lasting message that the client has not seen.
+    /// Ids of channels that the client has just subscribed to, whose lasting message it has yet to
+    /// be sent.
     wants: Vec<u64>,
-    /// When the client last took no bytes.
+    /// Time since which the client has taken no bytes; `None` while it takes them.
     stuck_since: Option<Instant>,
     second: Instant,
     messages: u32,
@@ -169,7 +173,7 @@ impl Client {
         }
     }
 
-    /// Sends the messages of what is new. A client that is stuck misses them.
+    /// Sends the messages about the feed's changes. A client that takes no bytes misses the ticks.
     fn tell(&mut self, news: &News) -> Result<(), Error> {
         if news.status.is_some() {
             self.tell_lasting(SESSION_CHANNEL, news)?;
@@ -188,7 +192,8 @@ impl Client {
         Ok(())
     }
 
-    /// Sends the last message of a channel that says something once for long.
+    /// Sends the lasting message of a channel, if it has one and `news` contains it: the status or
+    /// the scene. These change rarely, so a new subscriber gets the last one at once.
     fn tell_lasting(&mut self, channel: u64, news: &News) -> Result<(), Error> {
         if let (SESSION_CHANNEL, Some(status)) = (channel, &news.status) {
             let message = serde_json::to_vec(status).unwrap_or_default();
@@ -214,7 +219,7 @@ impl Client {
 
     fn put(&mut self, message: Message) -> Result<(), Error> {
         match self.socket.write(message) {
-            // No room: this message is lost.
+            // There is no room for this message, so it is lost.
             Err(Error::WriteBufferFull(_)) => Ok(()),
             other => self.passed(other),
         }
@@ -228,7 +233,8 @@ impl Client {
         self.passed(flushed)
     }
 
-    /// A client that takes no bytes for long is gone; for a moment that is no error.
+    /// Ignores the error of a client that takes no bytes, until it has taken none for
+    /// [`STUCK_WITHIN`].
     fn passed(&mut self, result: Result<(), Error>) -> Result<(), Error> {
         match result {
             Err(Error::Io(error)) if is_waiting(&error) => {
@@ -239,7 +245,7 @@ impl Client {
         }
     }
 
-    /// The next message of the client, if one comes soon.
+    /// Returns the next message of the client; `None` if none comes within the read timeout.
     fn receive(&mut self) -> Result<Option<Message>, Error> {
         match self.socket.read() {
             Ok(message) => {
@@ -280,7 +286,7 @@ fn is_waiting(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted)
 }
 
-/// Number of a channel for clients.
+/// Id of a recording's channel in the protocol, from 1 on.
 fn number(channel: Channel) -> u64 {
     channel as u64 + 1
 }
@@ -295,7 +301,8 @@ fn server_info() -> Value {
     })
 }
 
-/// The channels with their schemas; those that are no text are in Base64, as the protocol wants.
+/// The message that advertises the channels with their schemas. JSON Schemas are sent as text, all
+/// others in Base64, as the protocol requires.
 fn advertisement() -> Value {
     let mut channels: Vec<Value> = Channel::ALL
         .into_iter()

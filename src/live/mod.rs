@@ -1,13 +1,14 @@
-//! The live view: what is recorded, shown while it happens.
+//! The live view, which shows rollouts while they are recorded.
 //!
-//! [`LiveView::serve`] listens on one address. Foxglove and Lichtblick get the channels of a recording there by
-//! Foxglove's WebSocket protocol; a browser gets a page of the program's own, whose only command is to stop. Nothing
-//! else can be changed from there.
+//! [`LiveView::serve`] listens on one address. There, the viewers Foxglove and Lichtblick get the
+//! channels of a recording by Foxglove's WebSocket protocol, and a browser gets the program's own
+//! page. The page's only command is to stop; a client can change nothing else.
 //!
-//! The view hangs on the recorder's thread, which hands each record to a bounded queue and drops it where the queue is
-//! full. A thread of its own encodes them into a ring, and each connection's thread takes from the ring what its client
-//! can bear. A client that reads slowly, or not at all, loses messages and delays nobody. Requests under a foreign name
-//! of this computer, from foreign web pages, beyond small sizes, or later than a few seconds are refused.
+//! The recorder's thread hands each record to a bounded queue, or drops the record if the queue is
+//! full. The view's thread encodes the records of the queue into a ring, and the thread of each
+//! connection sends from the ring as much as its client takes. A client that reads slowly, or not
+//! at all, loses messages and delays nobody. The view refuses requests that name this computer by a
+//! foreign name, come from foreign web pages, exceed small sizes or take more than a few seconds.
 //!
 //! The room may import `recording` and `telemetry`.
 

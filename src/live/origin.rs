@@ -2,11 +2,12 @@ use std::net::IpAddr;
 
 use super::request::Request;
 
-/// The names under which the view answers, and the web pages that may read it.
+/// The rules for the names under which the view answers and for the web pages that may read it.
 ///
-/// A page of any web site can connect to a server on this computer, and can give that server a name of its own
-/// (DNS rebinding). Browsers say in `Host` under which name they connect and in `Origin` which page does, so both are
-/// checked. Programs that are no browser send no `Origin`.
+/// A page of any web site can connect to a server on this computer, and can give that server a name
+/// of its own (DNS rebinding). A browser sends the name under which it connects in the header
+/// `Host`, and the site of the page that connects in `Origin`, so both are checked. Programs that
+/// are no browser send no `Origin`.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Admission {
     /// Name of this computer.
@@ -18,14 +19,14 @@ pub(super) struct Admission {
 /// The reason why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Refusal {
-    /// The name is not one of this computer.
+    /// The name under which the client connects is not one of this computer's.
     Host,
-    /// The page is of another site.
+    /// The page that connects is of another site.
     Origin,
 }
 
 impl Admission {
-    /// Checks the name under which a client connects and the page from which it does.
+    /// Checks the name under which a client connects and the web page, if any, that connects.
     pub(super) fn check(&self, request: &Request) -> Result<(), Refusal> {
         let host = request.header("host").ok_or(Refusal::Host)?;
         if !self.is_own(name_of(host)) {
@@ -37,8 +38,9 @@ impl Admission {
         let origin = request.header("origin").ok_or(Refusal::Origin)?;
         let is_allowed = is_same(origin, host)
             || self.origins.iter().any(|allowed| allowed == origin)
-            // Viewers on the desk: pages of this computer's own servers, and programs with a scheme of their own.
-            // A web site has neither; a page in a sandbox says `null`.
+            // Viewers on the operator's computer: pages of servers there, and programs whose origin
+            // has a scheme of its own. The origin of a web site is neither; that of a page in a
+            // sandbox is `null`.
             || match origin.split_once("://") {
                 Some(("http" | "https", host)) => is_loopback(name_of(host)),
                 Some(_) => request.is_upgrade(),
@@ -71,7 +73,7 @@ fn is_same(origin: &str, host: &str) -> bool {
     origin.strip_prefix("http://").is_some_and(|of_page| of_page.eq_ignore_ascii_case(host))
 }
 
-/// The name in `name:port`.
+/// The name in `name:port` or `[address]:port`.
 fn name_of(host: &str) -> &str {
     if let Some(rest) = host.strip_prefix('[') {
         return rest.split(']').next().unwrap_or_default();

@@ -9,20 +9,21 @@ use serde::Serialize;
 
 use super::feed::{Feed, News};
 
-/// Interval at which the page gets what is new.
+/// Interval at which the page is sent the feed's changes.
 const INTERVAL: Duration = Duration::from_millis(40);
 
-/// Interval after which a silent stream says that it is alive.
+/// Time without events after which a comment shows the client that the stream is alive.
 const ALIVE: Duration = Duration::from_secs(5);
 
-/// Time for which a client may take its answer before the connection is closed.
+/// Time that a client has to take its answer before the connection is closed.
 const LINGER: Duration = Duration::from_millis(500);
 
-/// The content security policy of the page: it may run and show what comes from this address, and nothing else.
+/// The content security policy of the page, which lets the page load scripts, styles and data from
+/// this address alone.
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
      img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// An answer with a body.
+/// An HTTP response with a fixed body.
 pub(super) struct Answer {
     status: &'static str,
     kind: &'static str,
@@ -67,8 +68,8 @@ pub(super) fn send(stream: &mut TcpStream, answer: &Answer) {
     // A client that is gone needs no answer.
 }
 
-/// Reads away what a client still sends, for a moment: a connection that is closed over unread bytes is reset, and the
-/// client would lose its answer.
+/// Reads and discards what a client still sends, for a moment. If a connection is closed with
+/// unread bytes, the system resets it, and the client may lose its answer.
 fn pass_over(stream: &mut TcpStream) {
     let until = Instant::now() + LINGER;
     let mut part = [0; 4096];
@@ -88,7 +89,8 @@ fn head(status: &str, kind: &str, more: &str) -> String {
     )
 }
 
-/// Sends what happens as server-sent events until the client goes or takes nothing any more.
+/// Sends the feed's changes as server-sent events until the client goes or takes no more bytes, or
+/// the view closes.
 pub(super) fn events(feed: &Feed, mut stream: TcpStream) {
     let started = head("200 OK", "text/event-stream", "");
     if stream.write_all(started.as_bytes()).is_err() || stream.set_nonblocking(false).is_err() {
@@ -145,7 +147,8 @@ fn tell(text: &mut String, news: &News) {
     }
 }
 
-/// Adds an event; JSON has no line break outside of its strings, and escapes those within.
+/// Adds a server-sent event. The data stay on one line, because compact JSON has no line breaks and
+/// escapes those in strings.
 fn event<T: Serialize>(text: &mut String, name: &str, data: &T) {
     if let Ok(data) = serde_json::to_string(data) {
         // Writing to a String cannot fail.

@@ -11,20 +11,20 @@ use thiserror::Error;
 
 use super::connection::{Shared, Slot, serve};
 
-/// Pause after each connection, which bounds the work that a flood of them makes.
+/// Pause after each connection, which bounds the work that a flood of connections causes.
 const PAUSE: Duration = Duration::from_millis(5);
 
-/// Time between two looks at whether the view closes.
+/// Time between two checks whether the view closes.
 const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
-/// Stack of a client's thread. A program that locks its memory for the control thread fills each new stack at once, on
-/// a processor that the tick may want.
+/// Size of the stack of a client's thread, bytes. A program that locks its memory for the control
+/// thread fills each new stack at once, on a processor that the tick may want.
 const STACK_BYTES: usize = 256 * 1024;
 
-/// Niceness of the view's threads: whoever drives or trains comes first.
+/// Niceness of the view's threads: the threads that drive the Qube or train come first.
 const NICENESS: i32 = 10;
 
-/// The reason why nothing is served.
+/// The reason why the live view cannot be served.
 #[derive(Debug, Error)]
 pub enum LiveError {
     /// The address cannot be listened on.
@@ -42,11 +42,12 @@ pub enum LiveError {
 
 /// Lowers the priority of the calling thread and of those that it starts.
 pub(super) fn step_back() {
-    // On Linux this is the calling thread alone. Without the right to it the view works all the same.
+    // On Linux the call changes the calling thread alone. If the system refuses it, the view works
+    // all the same.
     let _ = setpriority_process(None, NICENESS);
 }
 
-/// Takes connections until the view closes; each has a thread.
+/// Accepts connections until the view closes; each connection has a thread of its own.
 pub(super) fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
     step_back();
     while !shared.feed.closed.load(Ordering::Relaxed) {
@@ -57,7 +58,7 @@ pub(super) fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
         if let Ok((stream, peer)) = listener.accept()
             && let Some(slot) = Slot::take(shared, peer)
         {
-            // Without a thread the connection is closed.
+            // If no thread can be started, the connection is closed.
             let _ = Builder::new()
                 .name("live client".to_owned())
                 .stack_size(STACK_BYTES)

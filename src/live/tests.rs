@@ -18,7 +18,7 @@ use super::{LiveError, LiveSettings, LiveView};
 use crate::recording::samples::{header, outcome, tick};
 use crate::recording::{Channel, VIRTUAL_EPOCH_UNIX_NS, Viewer};
 
-/// A view on a free port, and whether somebody has asked it to stop.
+/// A view on a free port, and a flag that is set once somebody asks for a stop.
 fn view() -> (LiveView, Arc<AtomicBool>) {
     let stopped = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stopped);
@@ -29,7 +29,7 @@ fn view() -> (LiveView, Arc<AtomicBool>) {
 
 fn connect(address: SocketAddr) -> TcpStream {
     let stream = TcpStream::connect(address).unwrap();
-    // A test that waits for what never comes fails.
+    // With this limit, a read of bytes that never come fails the test instead of blocking it.
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     stream
 }
@@ -108,7 +108,8 @@ impl Listener {
     }
 }
 
-/// Waits until the view has seen the subscription: its lasting message comes first.
+/// Connects a client, subscribes to the scene and these channels, and waits for the scene, which
+/// shows that the view knows the subscription.
 fn listening(address: SocketAddr, topics: &[&str]) -> Listener {
     let mut listener = Listener::new(address, "foxglove.sdk.v1");
     listener.subscribe(&[&["/scene"], topics].concat());
@@ -127,7 +128,7 @@ fn begun(view: &LiveView) -> Arc<dyn Viewer> {
     viewer
 }
 
-/// Reads until a text has come; returns everything.
+/// Reads until `text` has come; returns everything that was read.
 fn until(stream: &mut TcpStream, text: &str) -> String {
     let mut all = Vec::new();
     let mut part = [0; 4096];
@@ -186,7 +187,7 @@ fn foxglove_gets_the_messages_of_a_recording() {
 fn a_viewer_that_stops_reading_loses_messages_and_delays_nobody() {
     let (view, _) = view();
     let viewer = begun(&view);
-    // The first never reads again.
+    // The first client never reads again.
     let every = ["/measurement", "/state", "/command", "/safety", "/tf", "/timing"];
     let mut stuck = listening(view.address(), &every);
     let mut reading = listening(view.address(), &["/timing"]);
@@ -215,7 +216,8 @@ fn a_viewer_that_stops_reading_loses_messages_and_delays_nobody() {
     assert!(reader.join().unwrap() > 0);
     viewer.ended(Some(&outcome()));
     drop(view);
-    // What the system held for the slow one is there, and it is not everything.
+    // The client that did not read gets the messages that the system has kept for it, which are not
+    // all.
     let mut count = 0_u32;
     let end = loop {
         match stuck.socket.read() {
@@ -321,7 +323,7 @@ fn bad_clients_hurt_nobody_but_themselves() {
     let endless =
         format!("GET / HTTP/1.1\r\nHost: {address}\r\nX: {}", "x".repeat(2 * MAX_HEAD_BYTES));
     let mut stream = connect(address);
-    // The view may hang up before it has read everything.
+    // The view may close the connection before it has read everything.
     let _ = stream.write_all(endless.as_bytes());
     let mut answer = String::new();
     let _ = stream.read_to_string(&mut answer);
@@ -331,7 +333,7 @@ fn bad_clients_hurt_nobody_but_themselves() {
     assert_eq!(status_of(&ask(address, "\0\0\0\0\r\n\r\n")), "400 Bad Request");
     assert_eq!(status_of(&ask(address, "GET / HTTP/1.1\r\n\r\n")), "421 Misdirected Request");
 
-    // A frame that claims a terabyte, and one that is only too large.
+    // One frame claims a terabyte, the other is one byte too large.
     for length in [1_u64 << 40, MAX_CLIENT_MESSAGE_BYTES as u64 + 1] {
         let mut huge = Listener::new(address, "foxglove.sdk.v1");
         let mut frame = vec![0x82, 0xff];
@@ -363,7 +365,7 @@ fn bad_clients_hurt_nobody_but_themselves() {
     assert_eq!(garbage.data().0, 2, "what cannot be obeyed is ignored");
 }
 
-/// Whether the view ends the connection; what it still sends is passed over.
+/// Whether the view ends the connection; messages that it still sends are ignored.
 fn closes(listener: &mut Listener) -> bool {
     loop {
         match listener.socket.read() {
@@ -381,7 +383,8 @@ fn half_open_connections_take_a_bounded_number_of_places_and_give_them_back() {
     let (view, _) = view();
     let address = view.address();
     let silent: Vec<TcpStream> = (0..2 * MAX_CONNECTIONS).map(|_| connect(address)).collect();
-    // Those beyond the number are closed at once; the others may wait for a while.
+    // The connections beyond the largest number are closed at once; the others may wait for a
+    // while.
     let mut part = [0];
     let mut last = &silent[2 * MAX_CONNECTIONS - 1];
     assert!(matches!(last.read(&mut part), Ok(0) | Err(_)));
@@ -412,7 +415,8 @@ fn an_address_in_use_is_named() {
     assert_eq!(address, view.address());
 }
 
-/// Tests that each panel of the layout for Foxglove and Lichtblick is placed once and shows what there is.
+/// Tests that each panel of the layout for Foxglove and Lichtblick is placed once and shows fields
+/// that exist.
 #[test]
 fn the_layout_shows_fields_that_the_channels_have() {
     let layout: Value =

@@ -13,15 +13,16 @@ use super::server::{LiveError, accept, step_back};
 use super::status::Status;
 use crate::recording::Viewer;
 
-/// Time for which connections may end when the view closes.
+/// Time that connections have to end when the view closes.
 const FAREWELL: Duration = Duration::from_millis(500);
 
 /// The settings of a live view.
 #[derive(Clone, Debug)]
 pub struct LiveSettings {
-    /// Address to listen on; port 0 takes any that is free.
+    /// Address to listen on; port 0 takes any free port.
     pub address: SocketAddr,
-    /// Origins of web pages that may read the feed, beside the view's own, such as `https://app.foxglove.dev`.
+    /// Origins of web pages that may read the feed, beside the view's own, such as
+    /// `https://app.foxglove.dev`.
     pub origins: Vec<String>,
 }
 
@@ -34,7 +35,8 @@ pub struct LiveView {
 }
 
 impl LiveView {
-    /// Listens, and serves from threads of its own. `stop` is called with the address of a client that asks to stop.
+    /// Listens on the address and serves the view from threads of its own. `stop` is called with
+    /// the address of a client that asks to stop.
     ///
     /// # Errors
     /// The address cannot be listened on, or the system refuses threads or randomness.
@@ -45,7 +47,8 @@ impl LiveView {
         let at = |source| LiveError::Address { address: settings.address, source };
         let listener = TcpListener::bind(settings.address).map_err(at)?;
         let address = listener.local_addr().map_err(at)?;
-        // A client that goes between poll and accept must not block the thread.
+        // If a client goes between `poll` and `accept`, the call of `accept` must not block the
+        // thread.
         listener.set_nonblocking(true).map_err(at)?;
         let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
         let feed = Arc::new(Feed::default());
@@ -70,19 +73,20 @@ impl LiveView {
         let mut view =
             Self { address, shared, viewer: Arc::new(entrance), threads: Vec::with_capacity(2) };
         for thread in threads {
-            // On an error the view is dropped, which ends the other thread.
+            // On an error the view is dropped, which ends a thread that has started.
             view.threads.push(thread.map_err(LiveError::System)?);
         }
         Ok(view)
     }
 
-    /// Address that is listened on.
+    /// The address that the view listens on.
     #[must_use]
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Address of the page. From other computers it carries the token that its Stop button needs.
+    /// URL of the page. Unless the view listens on a loopback address, the URL contains the token
+    /// that the page's Stop button needs on other computers.
     #[must_use]
     pub fn url(&self) -> String {
         let ip = self.address.ip();
@@ -100,13 +104,13 @@ impl LiveView {
         }
     }
 
-    /// The end that a rig's recorder feeds.
+    /// The viewer to which a rig's recorder hands its records.
     #[must_use]
     pub fn viewer(&self) -> Arc<dyn Viewer> {
         Arc::<Entrance>::clone(&self.viewer)
     }
 
-    /// Changes the state of the command that the view shows.
+    /// Changes the status of the command, which the view shows.
     pub fn tell(&self, change: impl FnOnce(&mut Status)) {
         self.shared.feed.tell(change);
     }
@@ -123,7 +127,7 @@ impl Drop for LiveView {
         self.tell(|status| status.ended = true);
         self.shared.feed.closed.store(true, Ordering::Relaxed);
         for thread in self.threads.drain(..) {
-            // A thread of the view that failed has ended nothing else.
+            // If a thread of the view has panicked, nothing else ends with it.
             let _ = thread.join();
         }
         let until = Instant::now() + FAREWELL;
@@ -134,7 +138,7 @@ impl Drop for LiveView {
     }
 }
 
-/// A token that nobody guesses.
+/// A random token of 128 bits, as 32 hexadecimal digits.
 fn token() -> io::Result<String> {
     let mut bytes = [0; 16];
     File::open("/dev/urandom")?.read_exact(&mut bytes)?;

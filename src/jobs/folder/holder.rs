@@ -8,12 +8,13 @@ use serde::{Deserialize, Serialize};
 pub struct Holder {
     /// Name of the computer.
     pub host: String,
-    /// Name of the scheduler's node and task, if it started the process.
+    /// Name of the node and the task, if a scheduler started the process.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task: Option<String>,
     /// Process id.
     pub process: u32,
-    /// Start of the process in clock ticks since boot; process ids are reused.
+    /// Start of the process in clock ticks since boot, which distinguishes the process from a later
+    /// one with the same id.
     pub started: u64,
     /// Boot id of the computer and PID namespace of the process.
     pub boot: String,
@@ -22,7 +23,7 @@ pub struct Holder {
 }
 
 impl Holder {
-    /// The identity of this process.
+    /// The identity of this process, with the present time.
     #[must_use]
     pub fn this_process() -> Self {
         let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
@@ -45,7 +46,8 @@ impl Holder {
         }
     }
 
-    /// Whether the process ran on this computer, since its last start, and has ended.
+    /// Whether the process ran on this computer since the computer's last start, and has ended.
+    /// `here` is the identity of a process on this computer.
     #[must_use]
     pub fn has_ended_here(&self, here: &Self) -> bool {
         self.host == here.host
@@ -73,7 +75,8 @@ fn seconds_since_1970() -> u64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |since| since.as_secs())
 }
 
-/// The start of a living process in clock ticks; `None` if there is none, or only its exit status is left.
+/// The start of a living process in clock ticks since boot; `None` if there is no such process, or
+/// if only its exit status is left.
 fn start_of(process: u32) -> Option<u64> {
     let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
     // The second field is the program's name in brackets, which may contain anything.
@@ -100,7 +103,7 @@ mod tests {
         child.kill().unwrap();
         child.wait().unwrap();
         assert!(other.has_ended_here(&here));
-        // Its number may belong to a later process.
+        // The id of an ended process may belong to a later process.
         assert!(Holder { started: here.started + 1, ..here.clone() }.has_ended_here(&here));
         let elsewhere = Holder { host: "elsewhere".into(), ..other.clone() };
         assert!(!elsewhere.has_ended_here(&here));

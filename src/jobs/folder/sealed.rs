@@ -1,4 +1,4 @@
-//! Files with a checksum in their first line, so that a half-written or damaged one is recognised.
+//! Files with a checksum in their first line, so that a half-written or damaged file is recognised.
 
 use crate::jobs::checksum::checksum;
 
