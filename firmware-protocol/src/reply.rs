@@ -15,14 +15,14 @@ const REFUSAL: u8 = 0x8F;
 pub enum Reply {
     /// Answer to a hello.
     Hello(HelloReply),
-    /// Answer to an arm that was accepted.
+    /// Answer to an `Arm` request that was accepted.
     Arm {
         /// Time at which the watchdog began to count, by the device's clock, microseconds.
         device_time_us: u32,
     },
     /// Answer to a sample request.
     Sample(SampleReply),
-    /// Answer to a disarm.
+    /// Answer to a `Disarm` request.
     Disarm(DisarmReply),
     /// Answer to a request that was not carried out.
     Refusal {
@@ -48,7 +48,7 @@ pub struct HelloReply {
     pub module_id: u16,
     /// Serial number of the board.
     pub serial: [u8; 8],
-    /// Nonce for the next arm; 0 if there is none.
+    /// Nonce for the next `Arm` request; 0 if there is none.
     pub nonce: u32,
     /// Number of the device's start: constant while the device runs, another number after its next
     /// start.
@@ -75,20 +75,20 @@ pub struct SampleReply {
     /// Voltage at the motor when the encoders were read, mV, in the motor's steps of 24 mV; 0 while
     /// the amplifier is off.
     pub applied_mv: i16,
-    /// Sequence number of the last accepted act, or of the arm if no act was accepted since; 0 from
-    /// a hello to the next arm.
+    /// Sequence number of the last accepted act, or of the `Arm` request if no act was accepted
+    /// since; 0 from a hello to the next `Arm` request.
     pub last_act_sequence: u16,
     /// Time from the previous sample to the first act accepted after it, microseconds, at most 65
     /// 534; [`NO_ACT_US`](crate::NO_ACT_US) if no act was accepted.
     pub sample_to_act_us: u16,
 }
 
-/// The answer to a disarm.
+/// The answer to a `Disarm` request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DisarmReply {
-    /// State of the device after the disarm.
+    /// State of the device after the request.
     pub state: DeviceState,
-    /// Nonce for the next arm; 0 if a hello must come first.
+    /// Nonce for the next `Arm` request; 0 if a hello must come first.
     pub nonce: u32,
     /// Frames dropped since the device started, modulo 2^16.
     pub dropped_frames: u16,
@@ -101,7 +101,7 @@ pub struct StatusBits(pub u8);
 impl StatusBits {
     /// Bit 0: the amplifier follows acts.
     pub const ARMED: u8 = 1 << 0;
-    /// Bit 1: the watchdog tripped since the last arm.
+    /// Bit 1: the watchdog tripped since the last `Arm` request.
     pub const WATCHDOG_TRIPPED: u8 = 1 << 1;
     /// Bit 2: the Qube reports a fault of its amplifier.
     pub const AMPLIFIER_FAULT: u8 = 1 << 2;
@@ -183,7 +183,7 @@ wire_enum! {
         WatchdogTripped = 3,
         /// A fault is latched or lasts: the host must send hello and arm once the cause is gone.
         Faulted = 4,
-        /// The nonce is not the last one given, or an arm has used it.
+        /// The nonce is not the last one given, or an `Arm` request has used it.
         WrongNonce = 5,
         /// The device is armed already.
         AlreadyArmed = 6,

@@ -7,8 +7,9 @@ use crate::search::benchmark::VariantResult;
 /// Width left of each panel for the names of the variants, pixels.
 const NAMES: u32 = 330;
 
-/// Draws one panel for each problem, a name with the results of the search variants. A panel shows,
-/// for each variant, the expected return of the recommended point and its 95 % interval.
+/// Draws one panel for each problem, which is a pair of its name and the results of the search
+/// variants. A panel shows, for each variant, the expected return of the recommended point and its
+/// 95 % interval.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -1,4 +1,4 @@
-//! Real-time scheduling by the operating system. The only file of this room with `unsafe`.
+//! Real-time scheduling by the operating system. No other file of this room contains `unsafe`.
 
 use std::num::NonZeroU64;
 use std::path::Path;

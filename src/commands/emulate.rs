@@ -21,7 +21,7 @@ use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Usb
     qube-hil emulate --profile lab --gap 1.5 # half again as far from the nominal Qube as a real one\n  \
     qube-hil emulate --fault silent@10       # stops answering after 10 s")]
 pub struct Arguments {
-    /// Symbolic link to create to the pty, so that its name is known beforehand
+    /// Path of a symbolic link to the pty, for a name that is known in advance
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
 

@@ -21,7 +21,7 @@ const PORT: u16 = 8765;
 #[command(next_help_heading = "Watching")]
 pub struct LiveArguments {
     /// Show what happens while it happens: a page for browsers with a Stop button, and all channels for Foxglove and
-    /// Lichtblick. ADDR is a port or IP:PORT; other computers reach it only where ADDR is not of this one
+    /// Lichtblick. ADDR is a port or IP:PORT; other computers reach it only if ADDR is no loopback address
     /// [default: 127.0.0.1:8765]
     #[arg(
         long,

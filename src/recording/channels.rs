@@ -107,8 +107,8 @@ fn json_schema<T: JsonSchema>() -> ChannelSchema {
     }
 }
 
-/// Encodes the messages of one tick and hands each to `take`, the last one that of [`Channel::Timing`]. `time_ns` is the
-/// time of the tick since 1970.
+/// Encodes the messages of one tick and hands each to `take`. The message of [`Channel::Timing`]
+/// comes last. `time_ns` is the time of the tick since 1970.
 ///
 /// # Errors
 /// `take` fails.

@@ -77,7 +77,7 @@ pub enum Step {
         purpose: Purpose,
     },
     /// Identify the Qube: first from the recordings of its excitations, and again at the end from
-    /// all recordings but that of the baseline.
+    /// all recordings except the baseline's.
     Identify,
     /// Decide how the search around the identified Qube continues: with another candidate, with the
     /// verification of the best one, or not at all.
@@ -199,7 +199,7 @@ fn next_step_ahead(state: &SessionState, extent: &Extent) -> Step {
 }
 
 /// The training of all candidates without a policy, or else the next rollout of the first
-/// unfinished candidate; `None` if all candidates are finished.
+/// unfinished candidate, or its end after too many faults; `None` if all candidates are finished.
 fn unfinished(
     state: &SessionState,
     extent: &Extent,
@@ -214,7 +214,8 @@ fn unfinished(
     candidates.iter().find_map(|it| lacking(it, extent, identifies))
 }
 
-/// The next training or rollout of a candidate; `None` if the candidate is finished.
+/// The next training or rollout of a candidate, or its end after too many faults; `None` if the
+/// candidate is finished.
 fn lacking(
     it: &Candidate,
     extent: &Extent,

@@ -2,9 +2,9 @@ use super::{FolderError, SessionError, SessionPaths, file_checksum};
 use crate::qube::Profile;
 use crate::storage::{Disk, SETTINGS_BYTES};
 
-/// Reads, from a session's folder, a profile that the session identified. The last argument is what
-/// the ledger holds of the profile: the number of recordings that it was fitted to, and the
-/// checksum of its file.
+/// Reads, from a session's folder, a profile that the session identified. The last argument is the
+/// ledger's record of the profile: the number of recordings that it was fitted to, and the checksum
+/// of its file.
 ///
 /// # Errors
 /// The file is missing, does not have this checksum, or is not a valid profile.

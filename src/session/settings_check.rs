@@ -7,13 +7,12 @@ use crate::qube::{HARD_STOP_RAD, MAX_STEPS};
 use crate::safety::SafetyBox;
 use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
 
-/// Largest offset of the arm's zero from the middle between the stops, rad; with a larger one the
-/// box would reach beyond a stop.
+/// Largest offset of the arm's zero from the middle between the stops, rad. At any offset the
+/// rig narrows the box to the stops that it measured.
 pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 
 /// Advice when a session cannot be resumed, because its settings are of an earlier version.
-pub(super) const BEGIN_ANEW: &str =
-    "it continues with the settings that it began with, so begin a new one";
+pub(super) const BEGIN_ANEW: &str = "a session cannot change its settings: begin a new session";
 
 impl SessionSettings {
     /// Checks the settings. The error describes the first invalid one.
@@ -63,7 +62,7 @@ impl SessionSettings {
         self.search().map(drop).map_err(|error| error.to_string())
     }
 
-    /// Checks that no limit is invalid or wider than that of the task. No file may widen a limit,
+    /// Checks that no limit is invalid or wider than the task's limit. No file may widen a limit,
     /// not even for an emulated Qube.
     ///
     /// # Errors
@@ -79,7 +78,7 @@ impl SessionSettings {
         if !(-LARGEST_OFFSET_RAD..=LARGEST_OFFSET_RAD).contains(&offset_rad) {
             return Err(format!(
                 "homing.theta_offset_rad = {offset_rad}: give -{LARGEST_OFFSET_RAD} to \
-                 {LARGEST_OFFSET_RAD}, or the box would reach beyond a stop"
+                 {LARGEST_OFFSET_RAD}"
             ));
         }
         // The range that `qube.toml` allows for a Qube, in proportion to the plant's own stops.

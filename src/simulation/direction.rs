@@ -8,7 +8,7 @@ use crate::qube::{PlantModel, Profile, Quantity};
 
 /// Smallest width of a direction that [`Direction::of_errors`] keeps, in the units of width that
 /// are described there; narrower directions are negligible.
-const SMALLEST_SHARE: f64 = 1e-6;
+const SMALLEST_WIDTH: f64 = 1e-6;
 
 /// A joint deviation of several quantities: a standard normal number `z` moves each quantity by `z`
 /// times its entry here, which is in the quantity's unit.
@@ -69,7 +69,7 @@ impl Direction {
         let widths =
             order.into_iter().map(|index| (index, eigen.eigenvalues[index].max(0.0).sqrt()));
         widths
-            .filter(|&(_, width)| width > SMALLEST_SHARE)
+            .filter(|&(_, width)| width > SMALLEST_WIDTH)
             .map(|(index, width)| {
                 let vector = eigen.eigenvectors.column(index);
                 // The sign of an eigenvector is arbitrary: its largest entry is made positive.

@@ -62,7 +62,7 @@ pub fn draw<'a, 'b>(
     Ok(chart)
 }
 
-/// One line that explains the marks of [`draw`], followed by further marks.
+/// Draws a key in one line: the marks of [`draw`], then the `further` marks.
 pub fn draw_key(area: &Area, further: &[(&str, RGBColor)]) -> anyhow::Result<()> {
     let mut x = 20;
     let text = |x: i32, words: &str| Text::new(words.to_string(), (x, 4), (FONT, 15));

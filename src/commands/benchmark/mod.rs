@@ -63,7 +63,7 @@ pub struct Arguments {
 enum Suite {
     /// Strategies, by simple regret
     Regret,
-    /// Surrogates, by the expected return under bimodal noise
+    /// Search variants, by the expected return under bimodal noise
     Noise,
 }
 

@@ -24,7 +24,7 @@ use crate::rig::{Rig, RigSettings};
 use crate::session::{LibraryWatchdog, QUBE_FILE, QubeFile};
 use crate::telemetry::CheckVerdict;
 
-/// The program that a written file of a Qube names as its writer.
+/// The command that `qube.toml` records as its writer.
 const WRITER: &str = "qube-hil check --write";
 
 /// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing
@@ -177,8 +177,8 @@ fn wants_power_test(path: &Path) -> bool {
     read.is_ok() && matches!(line.trim(), "y" | "Y" | "yes")
 }
 
-/// The entries that a rewritten file starts from: its own, or those of the file that describes the
-/// chosen Qube, or none.
+/// The initial entries for `--write`: those of the existing file, or else of the chosen Qube's file,
+/// or else none.
 fn base_file(path: &Path, device: &ChosenDevice) -> Result<QubeFile, Failure> {
     if !device.choice.is_hardware() {
         return Err(Failure::usage(

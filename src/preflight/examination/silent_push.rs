@@ -1,5 +1,5 @@
-//! Tests whether the watchdog of the vendor's library really switches the motor off, of which
-//! otherwise only the library's own report is known.
+//! Tests whether the watchdog of the vendor's library really switches the motor off. Without this
+//! test the only evidence is the library's own report.
 //!
 //! The test pushes the arm for 50 ms to and fro under the program's control. Then it pushes once
 //! more each way with a single act, after which it sends nothing. A watchdog that works ends such a
@@ -18,9 +18,10 @@ use crate::telemetry::CheckResult;
 
 const NAME: &str = "watchdog-motor";
 
-/// Increment of the push, V, and number of increments: the same as of the pushes that find the
-/// signs.
+/// Increment of the push, V, as in the pushes that find the signs.
 const STEP_V: f64 = 0.25;
+
+/// Number of increments, as in the pushes that find the signs.
 const STEPS: u32 = 11;
 
 /// Length of a push in control periods: the watchdog's 50 ms.
@@ -35,15 +36,18 @@ const OBSERVED_PERIODS: u32 = 30;
 /// from one that does not.
 const LEAST_COUNTS: u32 = 20;
 
-/// Longest travel of an arm whose motor went off: this multiple of the travel of a controlled push,
-/// and this many counts more. A disabled motor may coast more freely than a motor at 0 V.
-const LONGEST_SHARE: u32 = 2;
+/// Longest travel of an arm whose motor went off, as a multiple of the travel of a controlled push.
+/// A disabled motor may coast more freely than a motor at 0 V.
+const LONGEST_FACTOR: u32 = 2;
+
+/// Allowance added to that multiple, counts.
 const LONGEST_MORE_COUNTS: u32 = 10;
 
-/// Number of samples or acts that may be lost within a push, and largest number of attempts for a
-/// push in which more are lost.
+/// Number of samples or acts that may be lost within a push.
 const MAX_LOST: u32 = 2;
-const DONE_AGAIN: u32 = 5;
+
+/// Largest number of attempts for a push in which more are lost.
+const MAX_ATTEMPTS: u32 = 5;
 
 /// Time after which a sample counts as lost, ns.
 const PATIENCE_NS: Nanoseconds = 8_000_000;
@@ -93,7 +97,7 @@ fn verdict(push_v: f64, pushed: [u32; 2], silent: [u32; 2]) -> CheckResult {
         "{push_v:.2} V for 0.05 s turn the arm by {pushed_forth} and {pushed_back} counts; without a word after \
          it, by {forth} and {back} in 0.3 s"
     );
-    let longest = |counts: u32| LONGEST_SHARE * counts + LONGEST_MORE_COUNTS;
+    let longest = |counts: u32| LONGEST_FACTOR * counts + LONGEST_MORE_COUNTS;
     if silent.iter().zip(pushed).all(|(counts, pushed)| *counts <= longest(pushed)) {
         CheckResult::pass(NAME, format!("the motor goes off: {value}"))
     } else {
@@ -110,7 +114,7 @@ fn repeated(
     port: &str,
     push: impl Fn(&mut dyn Device) -> Result<Option<i32>, LinkFault>,
 ) -> Result<u32, Interruption> {
-    for _ in 0..DONE_AGAIN {
+    for _ in 0..MAX_ATTEMPTS {
         ensure_going(stop)?;
         device.hello()?;
         device.arm()?;
