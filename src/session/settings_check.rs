@@ -12,7 +12,7 @@ use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
 pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 
 /// Advice when a session cannot be resumed, because its settings are of an earlier version.
-pub(super) const BEGIN_ANEW: &str = "a session cannot change its settings: begin a new session";
+pub(super) const BEGIN_ANEW: &str = "a session cannot change its settings, so begin a new one";
 
 impl SessionSettings {
     /// Checks the settings. The error describes the first invalid one.
