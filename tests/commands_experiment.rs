@@ -83,8 +83,14 @@ fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
 fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let whole = tempfile::tempdir().unwrap();
     prepare(whole.path());
-    let output = experiment(whole.path(), &BEGIN).output().unwrap();
+    let tables = ["--csv", "one/first.csv", "--figures", "one/figures"];
+    let output = experiment(whole.path(), &[&BEGIN[..], &tables].concat()).output().unwrap();
     let text = succeeds(&output);
+    for made in tables.map(|it| whole.path().join(it)).iter().skip(1).step_by(2) {
+        assert!(made.exists(), "{}", made.display());
+        if made.is_dir() { std::fs::remove_dir_all(made) } else { std::fs::remove_file(made) }
+            .unwrap();
+    }
     assert!(text.contains("on lab") && text.contains("on worse"), "{text}");
     assert!(text.contains("/3 ") && text.contains("tiny-opt-nominal"), "{text}");
     let expected = table(whole.path());
@@ -103,6 +109,10 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(told.contains("--csv foreign.csv exists already"), "{told}");
     assert_eq!(std::fs::read_to_string(&foreign).unwrap(), "mine");
+    assert!(!whole.path().join("two").exists());
+    let refused = ["--out", "two", "--models", "nominal", "--csv", "foreign.csv"];
+    assert_eq!(experiment(whole.path(), &refused).output().unwrap().status.code(), Some(2));
+    assert!(!whole.path().join("two").exists(), "an experiment was begun");
     let arguments = [&arguments[..], &["--force"]].concat();
     succeeds(&experiment(whole.path(), &arguments).output().unwrap());
     assert!(expected.ends_with(&std::fs::read_to_string(&foreign).unwrap()));

@@ -215,18 +215,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ));
     }
     let consent = arguments.consent.beside(arguments.guard)?;
-    let figures = arguments.figures.as_deref().map(place_of_figures).transpose()?;
-    let csv = arguments
-        .csv
-        .as_deref()
-        .map(|path| {
-            // The table of an earlier run may be replaced, because a repeated command brings it up
-            // to date.
-            let replace = arguments.force || ExperimentReport::is_csv(path);
-            OutputFile::of_option("--csv", path, replace)
-        })
-        .transpose()?;
-    let (folder, mut settings) = match &arguments.resume {
+    let (folder, mut settings, csv) = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => begun(&arguments, consent, &device)?,
     };
@@ -324,17 +313,29 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(file) = csv {
         file.write(report.csv().as_bytes())?;
     }
-    if let Some(folder) = figures {
-        report.figures(&experiment).map_err(failed)?.write(folder.path())?;
+    if let Some(folder) = &arguments.figures {
+        report.figures(&experiment).map_err(failed)?.write(folder)?;
     }
     output.print(&text, &result);
     Ok(())
 }
 
-fn place_of_figures(path: &Path) -> Result<OutputFolder, Failure> {
-    let folder = OutputFolder::make(Some(path), "experiment")?;
-    check_folder(folder.path())?;
-    Ok(folder)
+/// An experiment in its folder, and the file for its CSV table.
+type Opened = (ExperimentFolder, ExperimentSettings, Option<OutputFile>);
+
+/// Checks before any work that figures and CSV table can be written; returns the file for the table. The folder of the
+/// experiment may hold both, so it must exist by then.
+fn check_places(arguments: &Arguments) -> Result<Option<OutputFile>, Failure> {
+    if let Some(folder) = &arguments.figures {
+        let existing = folder.ancestors().find(|it| it.exists());
+        check_folder(existing.unwrap_or(Path::new(".")))?;
+    }
+    let file = |path: &PathBuf| {
+        // The same command brings the file up to date.
+        let replace = arguments.force || ExperimentReport::is_csv(path);
+        OutputFile::of_option("--csv", path, replace)
+    };
+    arguments.csv.as_ref().map(file).transpose()
 }
 
 /// Narrows the recipes' boxes to the Qube's own limits, and returns limits of the rig that hold for
@@ -357,7 +358,7 @@ fn begun(
     arguments: &Arguments,
     consent: Option<GuardConsent>,
     device: &ChosenDevice,
-) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
+) -> Result<Opened, Failure> {
     let is_emulated = !device.choice.is_hardware();
     let base = base(arguments, device)?;
     let mut recipes = Vec::new();
@@ -397,12 +398,13 @@ fn begun(
     narrowed(&mut settings, consent, device)?;
     let place = OutputFolder::make(arguments.out.as_deref(), "experiment")?;
     device.check_port()?;
+    let csv = check_places(arguments)?;
     if let Some(name) = place.path().file_name() {
         settings.name = name.to_string_lossy().into_owned();
     }
     let toml = settings.to_toml().map_err(Failure::failed)?;
     let folder = ExperimentFolder::create(place.path(), &toml).map_err(folder_failure)?;
-    Ok((folder, settings))
+    Ok((folder, settings, csv))
 }
 
 fn folder_failure(error: ExperimentError) -> Failure {
@@ -460,7 +462,7 @@ fn resumed(
     directory: &Path,
     arguments: &Arguments,
     device: &ChosenDevice,
-) -> Result<(ExperimentFolder, ExperimentSettings), Failure> {
+) -> Result<Opened, Failure> {
     if arguments.plants.describe_qube(&device.plant)? {
         return Err(Failure::usage(
             "an experiment goes on with the emulated Qubes that it began with: leave --profile, --gap, --delay-ms, \
@@ -496,5 +498,5 @@ fn resumed(
         )));
     }
     check_device(settings.strategies.as_ref(), device)?;
-    Ok((folder, settings))
+    Ok((folder, settings, check_places(arguments)?))
 }

@@ -42,7 +42,7 @@ impl ExperimentSettings {
     /// # Errors
     /// The file cannot be read or is not an experiment.
     pub fn load(path: &Path) -> Result<Self, ExperimentError> {
-        Self::loaded(path).map(|(settings, _)| settings)
+        Self::parsed(path, &text_of(path)?).map(|(settings, _)| settings)
     }
 
     /// Reads an `experiment.toml` to resume the experiment.
@@ -51,8 +51,9 @@ impl ExperimentSettings {
     /// The file cannot be read, is not an experiment, was changed since the experiment began, or
     /// has a setting that no longer exists.
     pub fn load_to_resume(path: &Path) -> Result<Self, ExperimentError> {
-        let (settings, retired) = Self::loaded(path)?;
-        let changed = (!is_unchanged(&text_of(path)?)).then(|| {
+        let text = text_of(path)?;
+        let (settings, retired) = Self::parsed(path, &text)?;
+        let changed = (!is_unchanged(&text)).then(|| {
             "it was changed since this experiment began: restore it, or begin a new experiment with these settings"
                 .to_owned()
         });
@@ -70,12 +71,11 @@ impl ExperimentSettings {
     }
 
     /// Reads the settings; also returns the entries of the file that are no longer settings.
-    fn loaded(path: &Path) -> Result<(Self, Vec<Retired>), ExperimentError> {
+    fn parsed(path: &Path, text: &str) -> Result<(Self, Vec<Retired>), ExperimentError> {
         let unreadable =
             |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
         let invalid = |error: toml::de::Error| unreadable(error.to_string().trim_end().to_owned());
-        let mut text = text_of(path)?;
-        let mut table: Table = toml::from_str(&text).map_err(invalid)?;
+        let mut table: Table = toml::from_str(text).map_err(invalid)?;
         let recipes = table.get_mut("recipes").and_then(Value::as_array_mut);
         let retired: Vec<Retired> = recipes
             .into_iter()
@@ -83,10 +83,11 @@ impl ExperimentSettings {
             .filter_map(|recipe| recipe.get_mut("settings").and_then(Value::as_table_mut))
             .flat_map(take_retired)
             .collect();
-        if !retired.is_empty() {
-            text = toml::to_string(&table)?;
-        }
-        let settings: Self = toml::from_str(&text).map_err(invalid)?;
+        let settings: Self = if retired.is_empty() {
+            toml::from_str(text).map_err(invalid)?
+        } else {
+            toml::from_str(&toml::to_string(&table)?).map_err(invalid)?
+        };
         settings.check().map_err(unreadable)?;
         Ok((settings, retired))
     }
