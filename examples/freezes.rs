@@ -4,14 +4,10 @@
 //! In each rollout the encoder freezes while the policy runs: for good, with its tachometer at 0 or
 //! at its last value, or for 500 ms in which counts are lost.
 
-#[path = "../tests/harmless/freezes.rs"]
-#[allow(dead_code)] // The test and the example read different parts of it.
-mod freezes;
-#[path = "../tests/harmless/wire.rs"]
-#[allow(dead_code)] // As above.
-mod wire;
+#[path = "../tests/harmless/mod.rs"]
+mod harmless;
 
-use freezes::{Freeze, KINDS, freezes, policies, qubes};
+use harmless::freezes::{Freeze, KINDS, freezes, policies, qubes};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::telemetry::Ending;
 

@@ -1,5 +1,5 @@
 //! The bodies of the fuzz targets, which process bytes of any origin. The fuzzer runs them on
-//! generated input and `tests/fuzz_corpus.rs` on the corpus.
+//! generated input and `tests/virtual_time/fuzz_corpus.rs` on the corpus.
 //!
 //! Depending on its first byte, a body takes the bytes as they are or corrects their checksums
 //! first: behind a wrong checksum a fuzzer reaches nothing.

@@ -1,8 +1,8 @@
 //! Tests that the control thread allocates nothing from the first deadline of a motion to its last
 //! act, over a real pty as well as in virtual time.
 
-#[path = "real_time/mod.rs"]
-mod real_time;
+#[path = "real_time/busy_computer.rs"]
+mod busy_computer;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -10,6 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use busy_computer::in_real_time;
 use qube_hil::clock::{Clock, MonotonicClock, VirtualClock, enter_realtime};
 use qube_hil::control::{Homing, HomingMethod, HomingSettings, Motion, RING_CAPACITY, Tick, drive};
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
@@ -21,7 +22,6 @@ use qube_hil::policy::{
 use qube_hil::qube::{MAX_HISTORY, Measurement, State};
 use qube_hil::safety::{ForesightSettings, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
-use real_time::in_real_time;
 
 thread_local! {
     static IN_THE_LOOP: Cell<bool> = const { Cell::new(false) };

@@ -4,13 +4,13 @@
 //! Everything except the processes runs in virtual time. The numbers here are small;
 //! `scripts/durability` sets the environment to the large ones.
 
+#[path = "../real_time/busy_computer.rs"]
+mod busy_computer;
 mod bystanders;
 mod cuts;
 mod fault_port;
 mod jobs;
 mod processes;
-#[path = "../real_time/mod.rs"]
-mod real_time;
 mod schedules;
 mod simulated_disk;
 mod sweep;

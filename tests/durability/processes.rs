@@ -14,8 +14,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::busy_computer::in_real_time;
 use crate::count_from;
-use crate::real_time::in_real_time;
 
 /// Limit for a hang, which no busy computer reaches.
 const PATIENCE: Duration = Duration::from_secs(600);

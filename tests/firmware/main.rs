@@ -1,0 +1,19 @@
+//! Tests the firmware binary, run by simavr on a real pty, with a Qube on its SPI.
+//!
+//! `make` builds it into `target/firmware`. It needs the Debian packages gcc-avr, avr-libc,
+//! libsimavr-dev and libelf-dev. Without them each test reports that it is skipped, or fails if
+//! they are required (`CI` or `QUBE_HIL_REQUIRE_FIRMWARE` is set).
+
+mod acting;
+mod board_clock;
+mod check;
+mod conformance;
+mod faults;
+mod host;
+mod latency;
+mod power;
+mod qube;
+mod simulated_board;
+mod stop_switch;
+mod swing_up;
+mod toolchain;

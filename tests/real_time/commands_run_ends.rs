@@ -1,0 +1,165 @@
+//! Tests the ends of a `run` on a port: whole processes, a real pty, an emulated Qube with a fault.
+//! Measured returns are always printed, and nothing that is in doubt moves again by itself.
+//!
+//! A complete rollout would demand a computer that keeps up with real time; the endings of rollouts
+//! and their reports are tested in virtual time beside the command.
+
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use qube_hil::rig::{Doubt, DoubtMemory};
+use qube_hil::telemetry::{Fault, Preflight};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::busy_computer::in_real_time;
+
+/// Time that suffices on any computer that is merely busy.
+const PATIENCE: Duration = Duration::from_secs(600);
+
+/// The number from which an emulated Qube's serial number follows.
+const SEED: u64 = 5;
+
+fn program(directory: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory).args(arguments).stdin(Stdio::null());
+    // The cache of known boards stays within the test.
+    command.env("XDG_STATE_HOME", directory).env_remove("STATE_DIRECTORY");
+    command
+}
+
+/// An emulated Qube in a process that ends with the test.
+struct Qube(Child);
+
+impl Qube {
+    fn with(directory: &Path, fault: Option<&str>) -> Self {
+        let seed = SEED.to_string();
+        let mut arguments = vec!["emulate", "--link", "qube", "--seed", &seed];
+        arguments.extend(fault.map(|fault| ["--fault", fault]).into_iter().flatten());
+        let child = program(directory, &arguments).stdout(Stdio::null()).spawn().unwrap();
+        let qube = Self(child);
+        let begun = Instant::now();
+        while !directory.join("qube").exists() {
+            assert!(begun.elapsed() < PATIENCE, "no emulated Qube");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        qube
+    }
+}
+
+impl Drop for Qube {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// `run` on that Qube, homed by hand, which takes some seconds only.
+fn run(directory: &Path, out: &str, more: &[&str]) -> (Output, Value, String) {
+    let device = directory.join("qube");
+    let mut arguments = vec!["run", "--policy", "classical", "--home", "hand", "--json"];
+    arguments.extend(["--device", device.to_str().unwrap(), "--out", out]);
+    arguments.extend(more);
+    let output = program(directory, &arguments).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
+    let result = serde_json::from_str(stdout.lines().last().unwrap_or("")).unwrap_or(Value::Null);
+    (output, result, told)
+}
+
+/// Times after which the cable comes out, s. The first lies in homing on a computer that keeps up.
+const UNPLUGGED_S: [f64; 4] = [0.7, 2.0, 6.0, 20.0];
+
+/// `run` on an emulated Qube whose cable comes out while the program homes it; `back` says when it is plugged in
+/// again. A busy computer may not have begun to home by then: the cable of the next run comes out later.
+fn run_unplugged(back: &str, more: &[&str]) -> (TempDir, Qube, (Output, Value, String)) {
+    let mut last = String::new();
+    for after_s in UNPLUGGED_S {
+        let directory = tempfile::tempdir().unwrap();
+        let qube = Qube::with(directory.path(), Some(&format!("unplug@{after_s}{back}")));
+        let (output, result, told) = run(directory.path(), "out", more);
+        let cause = result["ended_by"]["cause"].as_str().unwrap_or_default();
+        let is_too_early = cause.ends_with("(unplugged?)") || code(&output) == Some(2);
+        if !is_too_early {
+            return (directory, qube, (output, result, told));
+        }
+        last = told;
+    }
+    panic!("the Qube was never homed; keep this computer busy with less: {last}");
+}
+
+fn code(output: &Output) -> Option<i32> {
+    output.status.code()
+}
+
+#[test]
+fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let directory = directory.path();
+        // State after an earlier run.
+        let memory = DoubtMemory::new(directory.join("qube-hil"));
+        let board = format!("{SEED:016x}");
+        memory.keep(&Doubt { fault: Some(Fault::StallError), board: board.clone(), unix_s: None });
+        let _qube = Qube::with(directory, None);
+
+        // Restarted without a word: refused before anything has moved.
+        for flags in [&[][..], &["--skip-check"]] {
+            let (output, result, told) = run(directory, "two", flags);
+            assert_eq!(code(&output), Some(4), "{told}");
+            assert!(told.contains("doubt") && told.contains("reports a stall"), "{told}");
+            assert!(told.contains("--acknowledge"), "{told}");
+            assert_eq!(result["ended_by"]["fault"], "stall_error", "{result}");
+            assert_eq!(result["ended_by"]["consequence"], "examine", "{result}");
+            assert_eq!(result["ended_by"]["exit_code"], 4, "{result}");
+            assert!(!directory.join("two").exists());
+            assert!(memory.recall(&board).is_some());
+        }
+        // With it, the Qube is examined; a busy computer may end that.
+        let (_, result, told) = run(directory, "three", &["--skip-check", "--acknowledge"]);
+        assert!(!told.contains("doubt"), "{told}");
+        let rollout = directory.join("three/rollout-0.mcap");
+        if rollout.exists() {
+            let recording = qube_hil::recording::read(&rollout).unwrap();
+            let preflight = recording.header.preflight;
+            assert!(matches!(preflight, Preflight::Done(_)), "{preflight:?}");
+            assert!(memory.recall(&board).is_none());
+        } else {
+            assert!(!result["ended_by"].is_null(), "{result} {told}");
+        }
+    });
+}
+
+#[test]
+fn a_cable_that_is_plugged_in_again_is_found_by_its_name_and_the_run_goes_on() {
+    in_real_time(|| {
+        let (_directory, _qube, (output, result, told)) = run_unplugged("+2", &["--skip-check"]);
+        // A busy computer may end the next homing, or the rollout.
+        let is_late = result["ended_by"]["consequence"] == "try_again";
+        assert!(code(&output) == Some(0) || is_late, "{result} {told}");
+    });
+}
+
+#[test]
+fn a_cable_that_stays_out_is_a_fault_and_no_bad_usage() {
+    in_real_time(|| {
+        let begun = Instant::now();
+        let flags = ["--skip-check", "--rollouts", "9", "--link-patience", "2"];
+        let (directory, _qube, (output, result, told)) = run_unplugged("", &flags);
+        let directory = directory.path();
+        assert_eq!(code(&output), Some(4), "{told}");
+        assert!(begun.elapsed() < PATIENCE, "{:?}", begun.elapsed());
+        assert!(told.contains("did not come back within 2 s"), "{told}");
+        assert!(told.contains("Switch the Qube off"), "{told}");
+        assert_eq!(result["ended_by"]["fault"], "link_gone", "{result}");
+        let step = result["ended_by"]["operator_step"].as_str().unwrap_or_default();
+        assert!(step.starts_with("Switch the Qube off"), "{result}");
+        let returns = result["returns"].as_array().unwrap();
+        let recordings = std::fs::read_dir(directory.join("out")).map_or(0, Iterator::count);
+        assert_eq!(recordings, returns.len(), "{result}");
+        // Without a port the command line is wrong.
+        let (output, _, told) = run(directory, "again", &["--skip-check"]);
+        assert_eq!(code(&output), Some(2), "{told}");
+    });
+}

@@ -1,0 +1,229 @@
+//! Tests the space bar at a terminal: it brakes like Ctrl-C, and the terminal is restored on every
+//! way out. The terminal is a real pty and the program's controlling terminal.
+
+use std::io::Read;
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
+use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, unlockpt};
+use rustix::termios::{LocalModes, tcgetattr};
+
+use crate::busy_computer::in_real_time;
+
+/// Time that suffices on any computer that is merely busy.
+const PATIENCE: Duration = Duration::from_secs(600);
+
+/// A terminal with the program in its foreground.
+struct Terminal {
+    keyboard: OwnedFd,
+    /// The program's end of the pty, kept open to inspect its modes.
+    screen: OwnedFd,
+    child: Child,
+    shown: String,
+}
+
+impl Terminal {
+    fn start(directory: &Path, arguments: &[&str]) -> Self {
+        let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
+        let keyboard = openpt(flags).unwrap();
+        grantpt(&keyboard).unwrap();
+        unlockpt(&keyboard).unwrap();
+        let screen = ioctl_tiocgptpeer(&keyboard, flags).unwrap();
+        let stdio = || Stdio::from(screen.try_clone().unwrap());
+        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory).args(arguments).env("XDG_STATE_HOME", directory);
+        command.stdin(stdio()).stdout(stdio()).stderr(stdio());
+        // SAFETY: both calls are system calls without memory of their own.
+        unsafe {
+            command.pre_exec(|| {
+                rustix::process::setsid()?;
+                rustix::process::ioctl_tiocsctty(std::io::stdin())?;
+                Ok(())
+            });
+        }
+        let child = command.spawn().unwrap();
+        rustix::io::ioctl_fionbio(&keyboard, true).unwrap();
+        Self { keyboard, screen, child, shown: String::new() }
+    }
+
+    fn press(&self, key: &[u8]) {
+        rustix::io::write(&self.keyboard, key).unwrap();
+    }
+
+    fn look(&mut self) {
+        let mut file = std::fs::File::from(self.keyboard.as_fd().try_clone_to_owned().unwrap());
+        let mut buffer = [0; 4096];
+        while let Ok(length @ 1..) = file.read(&mut buffer) {
+            self.shown += &String::from_utf8_lossy(&buffer[..length]);
+        }
+    }
+
+    fn wait_until(&mut self, what: &str, mut is_so: impl FnMut(&mut Self) -> bool) {
+        let begun = Instant::now();
+        loop {
+            self.look();
+            if is_so(self) {
+                return;
+            }
+            assert!(begun.elapsed() < PATIENCE, "{what}: {}", self.shown);
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    fn wait_for_text(&mut self, text: &str) {
+        self.wait_until(text, |it| it.shown.contains(text));
+    }
+
+    fn is_cooked(&self) -> bool {
+        let wanted = LocalModes::ICANON | LocalModes::ECHO;
+        tcgetattr(&self.screen).unwrap().local_modes.contains(wanted)
+    }
+
+    fn exit_code(&mut self) -> Option<i32> {
+        let mut status = None;
+        self.wait_until("it ends", |it| {
+            status = it.child.try_wait().unwrap();
+            status.is_some()
+        });
+        status.and_then(|status| status.code())
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+const RUN: [&str; 11] = [
+    "run",
+    "--policy",
+    "classical",
+    "--clock",
+    "wall",
+    "--home",
+    "hand",
+    "--rollouts",
+    "50",
+    "--out",
+    "out",
+];
+
+fn under_way(directory: &Path) -> bool {
+    qube_hil::recording::read(&directory.join("out/rollout-0.mcap"))
+        .is_ok_and(|recording| recording.ticks.len() > 20)
+}
+
+#[test]
+fn the_space_bar_brakes_a_run_as_ctrl_c_does_and_gives_the_terminal_back() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let mut terminal = Terminal::start(directory.path(), &RUN);
+        terminal.wait_for_text("space bar or Ctrl-C");
+        let first = terminal.shown.lines().next().unwrap_or_default().to_owned();
+        assert!(first.contains("space bar"), "not the first line: {first}");
+        terminal.wait_until("a rollout or its end", |it| {
+            under_way(directory.path()) || it.child.try_wait().unwrap().is_some()
+        });
+        assert!(under_way(directory.path()), "no rollout: {}", terminal.shown);
+        assert!(!terminal.is_cooked());
+        terminal.press(b"x");
+        terminal.press(b" ");
+        assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
+        assert!(terminal.shown.contains("stopping"), "{}", terminal.shown);
+        assert!(terminal.is_cooked());
+        let recording =
+            qube_hil::recording::read(&directory.path().join("out/rollout-0.mcap")).unwrap();
+        let ending = recording.outcome.unwrap().ending;
+        assert_eq!(ending, qube_hil::telemetry::Ending::Stopped);
+    });
+}
+
+#[test]
+fn the_first_ctrl_c_after_another_stop_lets_the_brake_end() {
+    in_real_time(|| {
+        for stop in ["space", "SIGTERM"] {
+            let directory = tempfile::tempdir().unwrap();
+            let mut terminal = Terminal::start(directory.path(), &RUN);
+            terminal.wait_for_text("space bar or Ctrl-C");
+            terminal.wait_until("a rollout or its end", |it| {
+                under_way(directory.path()) || it.child.try_wait().unwrap().is_some()
+            });
+            let process = Pid::from_child(&terminal.child);
+            let exit_code = if stop == "space" {
+                terminal.press(b" ");
+                terminal.wait_for_text("stopping");
+                130
+            } else {
+                kill_process(process, Signal::TERM).unwrap();
+                143
+            };
+            kill_process(process, Signal::INT).unwrap();
+            assert_eq!(terminal.exit_code(), Some(exit_code), "{stop}: {}", terminal.shown);
+            // A program that ends at once writes neither the end of its recording nor its results.
+            let told = "the recordings are whole";
+            assert!(terminal.shown.contains(told), "{stop}: {}", terminal.shown);
+            let path = directory.path().join("out/rollout-0.mcap");
+            let outcome = qube_hil::recording::read(&path).unwrap().outcome.unwrap();
+            assert_eq!(outcome.ending, qube_hil::telemetry::Ending::Stopped, "{stop}");
+        }
+    });
+}
+
+#[test]
+fn a_terminal_is_given_back_by_ctrl_c_twice_sigterm_and_while_stopped() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let mut terminal = Terminal::start(directory.path(), &RUN);
+        terminal.wait_for_text("space bar or Ctrl-C");
+        terminal.wait_until("single keys", |it| !it.is_cooked());
+        // Ctrl-Z: the shell owns the terminal while the program is stopped.
+        let process = Pid::from_child(&terminal.child);
+        kill_process(process, Signal::TSTP).unwrap();
+        terminal.wait_until("it stops", |_| {
+            let options = WaitOptions::UNTRACED | WaitOptions::NOHANG;
+            waitpid(Some(process), options).unwrap().is_some_and(|(_, status)| status.stopped())
+        });
+        assert!(terminal.is_cooked());
+        kill_process(process, Signal::CONT).unwrap();
+        terminal.wait_until("single keys again", |it| !it.is_cooked());
+        kill_process(process, Signal::TERM).unwrap();
+        assert_eq!(terminal.exit_code(), Some(143), "{}", terminal.shown);
+        assert!(terminal.is_cooked());
+
+        let other = tempfile::tempdir().unwrap();
+        let mut terminal = Terminal::start(other.path(), &RUN);
+        terminal.wait_until("single keys", |it| !it.is_cooked());
+        let process = Pid::from_child(&terminal.child);
+        kill_process(process, Signal::INT).unwrap();
+        terminal.wait_for_text("stopping");
+        let _ = kill_process(process, Signal::INT);
+        assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
+        assert!(terminal.is_cooked());
+    });
+}
+
+#[test]
+fn a_session_hears_the_space_bar_and_prints_what_is_there() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let arguments = ["session", "--clock", "virtual", "--json", "--out", "out"];
+        let mut terminal = Terminal::start(directory.path(), &arguments);
+        terminal.wait_for_text("space bar or Ctrl-C");
+        terminal.wait_for_text("candidate 0");
+        terminal.press(b" ");
+        assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
+        assert!(terminal.is_cooked());
+        let json = &terminal.shown[terminal.shown.find("{\"").unwrap_or(0)..];
+        let json = json.lines().next().unwrap_or_default();
+        let result: serde_json::Value = serde_json::from_str(json.trim())
+            .unwrap_or_else(|error| panic!("{error}: {}", terminal.shown));
+        assert_eq!(result["ended_by"]["exit_code"], 130, "{result}");
+        assert!(result["candidates"].is_array(), "{result}");
+    });
+}

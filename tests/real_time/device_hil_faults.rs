@@ -1,0 +1,204 @@
+//! Tests every function of the vendor's library with every kind of fault: however a run ends, the amplifier is off
+//! and the program has ended by itself. Whole processes in real time, several at once: a late computer only changes
+//! how a run ends.
+
+use std::process::Stdio;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use crate::panel::{Ended, Panel, library};
+
+/// Time after which a process counts as hung.
+const PATIENCE: Duration = Duration::from_secs(180);
+
+/// Processes at once.
+const AT_ONCE: usize = 12;
+
+/// Calls of a run at which a fault begins: at the start, within homing, within the rollout.
+const RARE: &[u64] = &[1, 2, 4];
+const FREQUENT: &[u64] = &[1, 260, 420];
+const ACTS: &[u64] = &[1, 3, 150];
+
+/// The functions, and the calls at which each fails.
+const FUNCTIONS: [(&str, &[u64]); 14] = [
+    ("hil_open", &[1]),
+    ("hil_is_valid", RARE),
+    ("hil_read", FREQUENT),
+    ("hil_write_analog", ACTS),
+    ("hil_write_digital", RARE),
+    ("hil_watchdog_set_analog_expiration_state", &[1]),
+    ("hil_watchdog_start", RARE),
+    ("hil_watchdog_reload", ACTS),
+    ("hil_watchdog_clear", RARE),
+    ("hil_watchdog_stop", RARE),
+    ("hil_get_string_property", RARE),
+    ("hil_watchdog_set_digital_expiration_state", &[1]),
+    ("hil_set_card_specific_options", &[1]),
+    ("hil_close", &[1]),
+];
+
+/// Faults after which the program asks whether the watchdog has expired: a read that fails within the rollout, and one
+/// that takes so long within homing that it has.
+const ASKED_AFTER: [&str; 2] = ["hil_read:error=13:420:1", "hil_read:hang=120:300:1"];
+
+/// The faults of the sweep, as the test library reads them: all, or the lasting ones at each function's last place.
+fn faults(all: bool) -> Vec<String> {
+    let mut faults = Vec::new();
+    for (function, calls) in FUNCTIONS {
+        let fewest = if all { 0 } else { calls.len() - 1 };
+        for call in &calls[fewest..] {
+            for kind in ["error=13", "hang=60"].iter().filter(|_| all) {
+                faults.push(format!("{function}:{kind}:{call}:1"));
+            }
+            for kind in ["error=13", "hang=3600000"] {
+                faults.push(format!("{function}:{kind}:{call}"));
+            }
+        }
+    }
+    for first in ASKED_AFTER {
+        for kind in ["error=13", "hang=60", "hang=3600000"] {
+            faults.push(format!("{first}+hil_watchdog_is_expired:{kind}:1"));
+        }
+    }
+    let counts =
+        ["jump=65536", "jump=-16777216", "jump-alpha=65536", "jump-alpha=16777216", "stale"];
+    faults.extend(counts.map(|kind| format!("hil_read:{kind}:420")));
+    faults.extend([260, 420].map(|call| format!("hil_read:unplug=2000:{call}")));
+    faults
+}
+
+/// A short run under one fault; the panic of a breach names the fault.
+fn run(fault: &str) -> Ended {
+    // Only this card has options.
+    let card =
+        if fault.starts_with("hil_set_card") { "qube_servo3_usb" } else { "qube_servo2_usb" };
+    let panel = Panel::new(&[("QUBE_TEST_HIL_FAULT", fault), ("QUBE_TEST_HIL_CARD", card)]);
+    let arguments = ["run", "--policy", "classical", "--home", "hand", "--skip-check"];
+    let address = format!("hil:{card}@0");
+    let device = ["--device", &address, "--out", "runs", "--link-patience", "1"];
+    let mut command = panel.command(&[&arguments[..], &device].concat());
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let begun = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if begun.elapsed() > PATIENCE {
+            let _ = child.kill();
+            panic!("{fault}: the program hangs");
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let ended = Ended::of(child.wait_with_output().unwrap());
+    let code = ended.code.unwrap_or(-1);
+    assert!([0, 1, 2, 4].contains(&code), "{fault}: {ended:?}");
+    assert!(!ended.told.contains("panicked"), "{fault}: {ended:?}");
+    assert!(ended.told.matches("qube-hil doctor").count() <= 1, "{fault}: {ended:?}");
+    if let Some(state) = panel.amplifier() {
+        assert!(state.starts_with("enabled false\n"), "{fault}: {state} {ended:?}");
+    }
+    ended
+}
+
+/// Runs all of these, some at once, and returns how each ended.
+fn run_all(faults: Vec<String>) -> Vec<(String, Ended)> {
+    library();
+    let left = Mutex::new(faults.into_iter());
+    let ends = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for _ in 0..AT_ONCE {
+            scope.spawn(|| {
+                loop {
+                    let next = left.lock().unwrap().next();
+                    let Some(fault) = next else { break };
+                    let ended = run(&fault);
+                    ends.lock().unwrap().push((fault, ended));
+                }
+            });
+        }
+    });
+    ends.into_inner().unwrap()
+}
+
+#[test]
+fn a_library_that_fails_for_good_leaves_the_amplifier_off() {
+    must_end_safe(faults(false));
+}
+
+#[test]
+#[ignore = "five minutes"]
+fn a_library_that_fails_anywhere_in_any_way_leaves_the_amplifier_off() {
+    must_end_safe(faults(true));
+}
+
+fn must_end_safe(faults: Vec<String>) {
+    let ends = run_all(faults);
+    for (fault, ended) in &ends {
+        // A card that cannot even be opened is bad input.
+        if fault.starts_with("hil_open:error") {
+            assert_eq!(ended.code, Some(2), "{fault}: {ended:?}");
+        }
+        if fault.contains("hang=3600000") && ended.code == Some(4) {
+            let named = fault.split(':').next().unwrap();
+            let words = ["not returned from", "no valid sample", "watchdog"];
+            let is_told = words.iter().any(|word| ended.told.contains(word))
+                || ended.out.contains("watchdog")
+                || ended.out.contains("no valid sample");
+            assert!(is_told, "{named}: {ended:?}");
+        }
+    }
+    let ended_so = |code| ends.iter().filter(|(_, ended)| ended.code == Some(code)).count();
+    let [well, unfit, refused, faulted] = [0, 1, 2, 4].map(ended_so);
+    println!(
+        "{} faults: {well} runs went on, {unfit} failed, {refused} refused, {faulted} faults",
+        ends.len()
+    );
+    assert!(refused > 0 && faulted > 0);
+}
+
+#[test]
+fn a_count_that_jumps_by_a_counters_width_is_a_jump_like_any_other() {
+    for (fault, words) in
+        [("hil_read:jump=65536:430", "arm"), ("hil_read:jump-alpha=16777216:430", "pendulum")]
+    {
+        let ended = run(fault);
+        let told = format!("{}{}", ended.out, ended.told);
+        assert_ne!(ended.code, Some(0), "{fault}: {ended:?}");
+        assert!(told.contains(words) && told.contains("encoder"), "{fault}: {told}");
+    }
+}
+
+#[test]
+fn a_second_interrupt_ends_the_program_with_the_amplifier_off() {
+    let panel = Panel::new(&[]);
+    let arguments = ["run", "--policy", "classical", "--home", "hand", "--skip-check"];
+    let device = ["--device", "hil", "--out", "runs"];
+    let mut child = panel
+        .command(&[&arguments[..], &device].concat())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let begun = Instant::now();
+    while !panel.amplifier().is_some_and(|state| state.starts_with("enabled true\n")) {
+        assert!(begun.elapsed() < PATIENCE, "it was never armed");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let process = rustix::process::Pid::from_child(&child);
+    let mut interrupts = 0;
+    while child.try_wait().unwrap().is_none() {
+        assert!(begun.elapsed() < PATIENCE, "it goes on");
+        // A second one that comes before the first is handled would count as one.
+        if interrupts < 200 {
+            let _ = rustix::process::kill_process(process, rustix::process::Signal::INT);
+            interrupts += 1;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    panel.must_be_off();
+}
+
+#[test]
+fn a_call_that_hangs_after_an_expired_watchdog_was_cleared_leaves_the_amplifier_off() {
+    // A read that takes 120 ms lets the watchdog expire within homing. The first call that disables the amplifier is
+    // refused then, and the one after the watchdog was cleared hangs.
+    run("hil_read:hang=120:300:1+hil_write_digital:hang=3600000:4");
+}

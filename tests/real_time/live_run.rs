@@ -1,0 +1,136 @@
+//! Tests the live view of running commands: a page and viewers beside a rollout, and a stop that comes from there.
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+use qube_hil::recording::{Completeness, read};
+use qube_hil::telemetry::Ending;
+
+fn qube_hil(directory: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory).args(arguments).stdin(Stdio::null());
+    command
+}
+
+/// A command with a live view, and the host of its address.
+struct Watched {
+    child: Child,
+    told: BufReader<std::process::ChildStderr>,
+    host: String,
+}
+
+impl Watched {
+    fn start(directory: &Path, arguments: &[&str]) -> Self {
+        let mut command = qube_hil(directory, arguments);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut told = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        let host = loop {
+            line.clear();
+            assert!(told.read_line(&mut line).unwrap() > 0, "it says no address");
+            if let Some((_, url)) = line.split_once("live view: http://") {
+                break url.trim().trim_end_matches('/').to_owned();
+            }
+        };
+        Self { child, told, host }
+    }
+
+    fn request(&self, head: &str) -> TcpStream {
+        let mut stream = TcpStream::connect(&self.host).unwrap();
+        stream.write_all(format!("{head}\r\nHost: {}\r\n\r\n", self.host).as_bytes()).unwrap();
+        stream
+    }
+
+    /// Waits until the page has heard of something.
+    fn hears(&self, text: &str) {
+        let mut stream = self.request("GET /events HTTP/1.1");
+        let (mut all, mut part) = (Vec::new(), [0; 4096]);
+        while !String::from_utf8_lossy(&all).contains(text) {
+            let count = stream.read(&mut part).unwrap();
+            assert!(count > 0, "{text} did not come: {}", String::from_utf8_lossy(&all));
+            all.extend(&part[..count]);
+        }
+    }
+
+    fn stop(&self) {
+        let mut answer = String::new();
+        let mut stream = self.request("POST /stop HTTP/1.1\r\nX-Qube-Hil: stop");
+        stream.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("HTTP/1.1 200 OK\r\n"), "{answer}");
+    }
+
+    fn end(mut self) -> (Option<i32>, String) {
+        let mut told = String::new();
+        self.told.read_to_string(&mut told).unwrap();
+        (self.child.wait().unwrap().code(), told)
+    }
+}
+
+#[test]
+fn the_page_stops_a_run_and_its_recording_is_whole() {
+    let directory = tempfile::tempdir().unwrap();
+    let arguments =
+        ["run", "--policy", "classical", "--rollouts", "9", "--out", "run", "--live", "0"];
+    let watched = Watched::start(directory.path(), &arguments);
+    watched.hears("event: ticks");
+    watched.stop();
+    // The operator's Ctrl-C after it does not end the program before the arm is braked.
+    let process = rustix::process::Pid::from_child(&watched.child);
+    rustix::process::kill_process(process, rustix::process::Signal::INT).unwrap();
+    let (code, told) = watched.end();
+    assert_eq!(code, Some(130), "{told}");
+    assert!(told.contains("as the live view at 127.0.0.1 asks"), "{told}");
+    assert!(told.contains("the recordings are whole"), "{told}");
+    let mut recordings: Vec<_> = fs::read_dir(directory.path().join("run")).unwrap().collect();
+    let last = recordings.pop().unwrap().unwrap().path();
+    let recording = read(&last).unwrap();
+    assert_eq!(recording.completeness, Completeness::Whole);
+    assert_eq!(recording.outcome.unwrap().ending, Ending::Stopped);
+}
+
+#[test]
+fn watching_changes_no_byte_of_a_recording() {
+    let directory = tempfile::tempdir().unwrap();
+    let recorded = |name: &str, more: &[&str]| {
+        let arguments = ["run", "--policy", "classical", "--clock", "virtual", "--out", name];
+        let Output { status, stderr, .. } =
+            qube_hil(directory.path(), &[&arguments, more].concat()).output().unwrap();
+        assert!(status.success(), "{}", String::from_utf8_lossy(&stderr));
+        fs::read(directory.path().join(name).join("rollout-0.mcap")).unwrap()
+    };
+    assert!(recorded("watched", &["--live", "0"]) == recorded("alone", &[]));
+}
+
+#[test]
+fn the_page_stops_a_training_session() {
+    let directory = tempfile::tempdir().unwrap();
+    let arguments = ["session", "--clock", "virtual", "--out", "s", "--live", "127.0.0.1:0"];
+    let watched = Watched::start(directory.path(), &arguments);
+    watched.hears("\"doing\":\"training candidate");
+    watched.stop();
+    let (code, told) = watched.end();
+    assert_eq!(code, Some(130), "{told}");
+    assert!(told.contains("--resume"), "{told}");
+}
+
+#[test]
+fn an_address_that_cannot_be_had_is_bad_usage_and_leaves_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    for command in [&["session"][..], &["run", "--policy", "classical"]] {
+        let arguments = [command, &["--out", "new", "--live", &address]].concat();
+        let output = qube_hil(directory.path(), &arguments).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{told}");
+        assert!(told.contains(&address) && told.contains("another address"), "{told}");
+        assert!(!directory.path().join("new").exists(), "{command:?}");
+    }
+    let experiment = ["experiment", "--live"];
+    let output = qube_hil(directory.path(), &experiment).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 0);
+}

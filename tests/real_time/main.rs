@@ -1,0 +1,22 @@
+//! Tests that wait by the wall clock: programs at a real pty or a terminal, an emulated Qube that is served while time
+//! passes, and the vendor's library with a plant behind it.
+//!
+//! They mostly wait, so that two of them beside each other take the time of one. What computes is in
+//! `tests/virtual_time`, because here it would make the others late. An emulated Qube on a pty also locks the memory of
+//! its process, which tests that need much of it are spared.
+
+mod busy_computer;
+mod commands_check;
+mod commands_run_ends;
+mod commands_screen;
+mod commands_space_bar;
+mod device_hil_faults;
+mod device_hil_panel;
+mod device_pty;
+#[cfg(feature = "live")]
+mod live_run;
+mod panel;
+mod preflight_conformance;
+mod preflight_power;
+mod recording_killed;
+mod rig_slow_bridge;

@@ -1,0 +1,197 @@
+//! Tests `check --power-test` with an emulated Qube on a pty and a simulated operator: the plug is
+//! pulled, the result is written to `qube.toml`, and a Qube whose motor goes off no longer causes a
+//! warning.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings, Finger};
+use qube_hil::qube::State;
+use qube_hil::session::{QubeFile, UsbLost, power_warning};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+
+use crate::busy_computer::in_real_time;
+
+/// Time at which the arm is carried to its stop, by the board's clock, s: after a check and a
+/// homing.
+const AT_STOP_S: u64 = 20;
+
+/// Delay of the operator's hand: the motor presses by then.
+const AN_OPERATOR_TAKES: Duration = Duration::from_millis(500);
+
+/// A Qube with or without an operator's finger at its arm, under a stable name.
+fn qube(link: &Path, finger: Option<Finger>) -> EmulatedQube {
+    let start = Some(State::default());
+    let settings = EmulatorSettings { seed: 5, start, finger, ..EmulatorSettings::default() };
+    let mut qube = EmulatedQube::spawn(settings).unwrap();
+    qube.link_as(link).unwrap();
+    qube
+}
+
+fn program(directory: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory).env("XDG_STATE_HOME", directory).args(arguments);
+    command
+}
+
+/// The operator's action at the request to pull the plug.
+enum AtThePlug {
+    /// Pulls the plug and answers this.
+    Pulled(&'static str),
+    /// Leaves the plug in while the program stalls.
+    Stopped,
+}
+
+/// The result of the program.
+struct Told {
+    code: Option<i32>,
+    told: String,
+    text: String,
+    /// The Qube that is connected at the end, if any.
+    connected: Option<EmulatedQube>,
+}
+
+/// The whole test with an operator who follows each instruction.
+fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
+    let link = directory.join("qube");
+    let finger = Finger { from_us: AT_STOP_S * 1_000_000, every_us: 2_500_000, counts: 40 };
+    let mut connected = Some(qube(&link, Some(finger)));
+    let started = Instant::now();
+    let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test", "--json"];
+    let mut child = program(directory, &arguments)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut operator = child.stdin.take().unwrap();
+    let mut told = Vec::new();
+    for line in BufReader::new(child.stderr.take().unwrap()).lines() {
+        let line = line.unwrap();
+        if line.contains("Turn the arm by hand to one of its stops") {
+            let wait = Duration::from_secs(AT_STOP_S + 1).saturating_sub(started.elapsed());
+            std::thread::sleep(wait);
+            writeln!(operator).unwrap();
+        } else if line.contains("Now pull the USB plug") {
+            match at_the_plug {
+                AtThePlug::Pulled(_) => {
+                    std::thread::sleep(AN_OPERATOR_TAKES);
+                    connected = None;
+                }
+                AtThePlug::Stopped => {
+                    std::thread::sleep(AN_OPERATOR_TAKES);
+                    let process = Pid::from_child(&child);
+                    kill_process(process, Signal::STOP).unwrap();
+                    std::thread::sleep(Duration::from_millis(300));
+                    kill_process(process, Signal::CONT).unwrap();
+                }
+            }
+        } else if line.contains("The board is gone") {
+            let AtThePlug::Pulled(answer) = at_the_plug else { panic!("the plug is in: {line}") };
+            writeln!(operator, "{answer}").unwrap();
+        } else if line.contains("Plug the USB cable in again") {
+            connected = Some(qube(&link, None));
+            writeln!(operator).unwrap();
+        }
+        told.push(line);
+    }
+    let output = child.wait_with_output().unwrap();
+    let (told, text) = (told.join("\n"), String::from_utf8_lossy(&output.stdout).into_owned());
+    Told { code: output.status.code(), told, text, connected }
+}
+
+/// The whole test with an operator who pulls the plug; returns the reconnected Qube and the printed object.
+fn pulled(directory: &Path, answer: &'static str) -> (EmulatedQube, Value) {
+    let Told { code, told, text, connected } = tested(directory, &AtThePlug::Pulled(answer));
+    assert_eq!(code, Some(0), "{told}\n{text}");
+    assert!(told.contains("It came back"), "{told}");
+    (connected.expect("it is plugged in again"), serde_json::from_str(&text).expect("one object"))
+}
+
+#[test]
+fn a_board_that_dies_and_a_motor_that_goes_on_are_written_down_and_warned_of() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let (_connected, result) = pulled(directory.path(), "y");
+        assert_eq!(result["power_test"]["power"]["usb_lost"], "motor keeps its word", "{result}");
+        assert_eq!(result["passed"], true, "{result}");
+        assert!(result["checks"].as_array().is_some_and(|checks| checks.len() > 10), "{result}");
+        let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
+        assert_eq!(file.power.as_ref().unwrap().usb_lost, UsbLost::KeepsItsWord);
+        assert!(power_warning(file.power.as_ref()).unwrap().contains("keeps its last voltage"));
+    });
+}
+
+#[test]
+fn the_power_test_is_done_once_a_rig_and_its_result_ends_the_warning() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let (_connected, result) = pulled(directory.path(), "n");
+        assert_eq!(result["power_test"]["power"]["usb_lost"], "motor off", "{result}");
+
+        let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
+        let power = file.power.unwrap();
+        assert_eq!(power.usb_lost, UsbLost::MotorOff);
+        assert_eq!(Some(power.board), file.board);
+        assert_eq!(power.date.len(), "2026-01-31".len());
+
+        // Known with the file and unknown without it, in one line each.
+        let arguments = ["run", "--device", "qube", "--policy", "classical", "--out"];
+        let warns = |out: &str, rename: bool| {
+            if rename {
+                std::fs::rename(directory.path().join("qube.toml"), directory.path().join("kept"))
+                    .unwrap();
+            }
+            // It ends at once: the verdict is announced before anything is driven.
+            let arguments = [&arguments[..], &[out, "--rollouts", "1"]].concat();
+            let mut child = program(directory.path(), &arguments)
+                .stdout(Stdio::null())
+                .stderr(Stdio::piped())
+                .spawn()
+                .unwrap();
+            let mut lines =
+                BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+            let before: Vec<String> =
+                lines.by_ref().take_while(|line| !line.starts_with("homing:")).collect();
+            child.kill().unwrap();
+            child.wait().unwrap();
+            before.iter().filter(|line| line.contains("--power-test")).count()
+        };
+        assert_eq!((warns("known", false), warns("unknown", true)), (0, 1));
+    });
+}
+
+#[test]
+fn a_computer_that_stands_still_is_not_taken_for_a_pulled_plug() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::Stopped);
+        // The text has the cures of checks that a busy computer fails.
+        assert!(told.contains("Now pull the USB plug"), "{told}\n{text}");
+        assert_eq!(code, Some(4), "{told}");
+        assert!(told.contains("keep this computer busy"), "{told}");
+        let result: Value = serde_json::from_str(&text).expect("one object");
+        assert_eq!(result["power_test"]["ended_by"]["consequence"], "try_again", "{result}");
+        assert!(!directory.path().join("qube.toml").exists());
+    });
+}
+
+#[test]
+fn nobody_at_the_terminal_means_no_test_and_no_file() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let refused = program(directory.path(), &["check", "--power-test"]).output().unwrap();
+        assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+        let link = directory.path().join("qube");
+        let _qube = qube(&link, None);
+        let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test"];
+        let output = program(directory.path(), &arguments).stdin(Stdio::null()).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{output:?}");
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(told.contains("needs an operator") || told.contains("failed:"), "{told}");
+        assert!(!directory.path().join("qube.toml").exists());
+    });
+}

@@ -1,0 +1,153 @@
+//! Tests that a process that is killed with SIGKILL while recording has every tick older than 250
+//! ms in its file.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use qube_hil::clock::{Clock, MonotonicClock};
+use qube_hil::estimation::{Calibration, EstimatorSettings};
+use qube_hil::qube::{CONTROL_PERIOD_NS, Measurement, RewardWeights};
+use qube_hil::recording::{Completeness, FORMAT_VERSION, Recorder, read};
+use qube_hil::safety::SafetyBox;
+use qube_hil::storage::MachineDisk;
+use qube_hil::telemetry::{RolloutHeader, TickRecord, TickSettings};
+
+const CHILD: &str = "QUBE_HIL_TEST_RECORD_TO";
+const PROMISE_NS: u64 = 250_000_000;
+const TICKS: u32 = 47;
+
+/// Attempts. No program can keep the promise on a computer that keeps the recorder from running for
+/// 0.1 s; a recorder that does not flush fails all attempts.
+const ATTEMPTS: u64 = 8;
+
+fn header() -> RolloutHeader {
+    RolloutHeader {
+        format: FORMAT_VERSION,
+        session: "killed".to_owned(),
+        candidate: None,
+        rollout: 0,
+        attempt: 0,
+        psi: BTreeMap::new(),
+        seed: 0,
+        started_unix_ns: Some(1_700_000_000_000_000_000),
+        program_version: "0".to_owned(),
+        git_revision: "unknown".to_owned(),
+        device: BTreeMap::new(),
+        preflight: Default::default(),
+        motor_heat: None,
+        hard_stop_accepted: false,
+        policy: "none".to_owned(),
+        settings: TickSettings {
+            calibration: Calibration::IDENTITY,
+            estimator: EstimatorSettings::default(),
+            safety_box: SafetyBox::THESIS,
+            max_steps: 600,
+            start_theta_rad: 0.0,
+            stops: None,
+            foresight: None,
+            rules: qube_hil::telemetry::TickRules::NEWEST,
+            plant: qube_hil::qube::PlantModel::QUBE,
+        },
+        reward: RewardWeights::THESIS,
+    }
+}
+
+/// The process that is killed; run as a test it does nothing.
+#[test]
+fn child() {
+    let Some(path) = std::env::var_os(CHILD) else { return };
+    let (mut producer, consumer) = rtrb::RingBuffer::new(4096);
+    let _recorder =
+        Recorder::start(&MachineDisk, Path::new(&path), header(), b"policy", consumer, Vec::new())
+            .unwrap();
+    let clock = MonotonicClock;
+    let mut deadline_ns = clock.now_ns();
+    // Ticks at 100 Hz, then none: the last ones wait in a block that is not full.
+    for number in 0..TICKS {
+        clock.sleep_until(deadline_ns);
+        let record = TickRecord {
+            tick: number,
+            deadline_ns: clock.now_ns(),
+            measurement: Some(Measurement::default()),
+            ..TickRecord::default()
+        };
+        producer.push(record).unwrap();
+        println!("tick {number} {}", record.deadline_ns);
+        std::io::stdout().flush().unwrap();
+        deadline_ns += CONTROL_PERIOD_NS;
+    }
+    std::thread::sleep(Duration::from_secs(60));
+}
+
+/// Number and time of a tick that the child has handed over.
+fn tick(line: String) -> Option<(u32, u64)> {
+    let (number, time_ns) = line.split_once("tick ")?.1.split_once(' ')?;
+    Some((number.parse().ok()?, time_ns.parse().ok()?))
+}
+
+/// Kills the child after this many ticks and a pause; returns the promised ticks that are missing.
+fn missing_after_kill(ticks: usize, pause: Duration) -> Vec<u32> {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("killed.mcap");
+    let mut child = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "recording_killed::child", "--nocapture"])
+        .env(CHILD, &path)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let mut pushed =
+        lines.by_ref().map_while(Result::ok).filter_map(tick).take(ticks).collect::<Vec<_>>();
+    std::thread::sleep(pause);
+    let killed_ns = MonotonicClock.now_ns();
+    child.kill().unwrap();
+    child.wait().unwrap();
+    pushed.extend(lines.map_while(Result::ok).filter_map(tick));
+
+    let recording = read(&path).unwrap();
+    assert!(matches!(recording.completeness, Completeness::CutOff { .. }));
+    assert_eq!(recording.policy, b"policy");
+    assert!(!recording.has_gaps(), "what is there is there from the start");
+    let found = recording.ticks.len() as u32;
+    let promised = pushed.iter().filter(|(_, time_ns)| time_ns + PROMISE_NS <= killed_ns);
+    promised.map(|(number, _)| *number).filter(|number| *number >= found).collect()
+}
+
+#[track_caller]
+fn nothing_is_missing(ticks: usize, pause: Duration) {
+    let mut missing = Vec::new();
+    for _ in 0..ATTEMPTS {
+        missing = missing_after_kill(ticks, pause);
+        if missing.is_empty() {
+            return;
+        }
+        eprintln!("busy machine? ticks {missing:?} are missing");
+    }
+    panic!("ticks older than 250 ms are missing: {missing:?}");
+}
+
+#[test]
+fn killed_in_the_middle_all_but_the_last_quarter_second_is_readable() {
+    nothing_is_missing(45, Duration::ZERO);
+}
+
+/// Many kills after different numbers of ticks, for `scripts/durability recorder-kills`.
+#[test]
+fn killed_again_and_again_all_but_the_last_quarter_second_is_readable() {
+    let kills = std::env::var("QUBE_HIL_RECORDER_KILLS").unwrap_or_else(|_| "1".to_owned());
+    let kills: usize = kills.parse().unwrap();
+    for kill in 0..kills {
+        let pause = Duration::from_millis(37 * (kill as u64 % 5));
+        nothing_is_missing(1 + kill * 17 % (TICKS as usize - 1), pause);
+    }
+    println!("{kills} kills of a recorder");
+}
+
+#[test]
+fn killed_while_no_ticks_come_the_open_block_is_readable() {
+    nothing_is_missing(TICKS as usize, Duration::from_millis(300));
+}

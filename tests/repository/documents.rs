@@ -1,0 +1,256 @@
+//! Tests the pages: every link has a target, every file that they name exists, every page is in the book, and
+//! every block of commands runs or states why it does not.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::{Component, Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// Folders without pages of their own.
+const SKIPPED: [&str; 5] = ["target", ".git", "corpus", "build", "tests"];
+
+/// Languages of fenced blocks that hold commands.
+const SHELLS: [&str; 4] = ["sh", "console", "bash", "shell"];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Every page of the repository, as a path from its root.
+fn pages() -> Vec<PathBuf> {
+    fn collect(folder: &Path, found: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_str().unwrap_or("").to_owned();
+            if path.is_dir() && !SKIPPED.contains(&name.as_str()) {
+                collect(&path, found);
+            } else if name.ends_with(".md") {
+                found.push(path.strip_prefix(root()).unwrap().to_owned());
+            }
+        }
+    }
+    let mut found = Vec::new();
+    collect(root(), &mut found);
+    // Sessions in logs/ may hold anything; its own page is the only one of the repository.
+    found.retain(|page| !page.starts_with("logs") || page == Path::new("logs/README.md"));
+    found.sort();
+    found
+}
+
+/// A fenced block: its line, the words behind the fence, its text.
+struct Block {
+    line: usize,
+    info: String,
+    text: String,
+}
+
+/// A page's fenced blocks, and its text without them.
+fn parts(page: &Path) -> (Vec<Block>, String) {
+    let text = fs::read_to_string(root().join(page)).unwrap();
+    let (mut blocks, mut prose, mut open) = (Vec::new(), String::new(), None::<Block>);
+    for (number, line) in text.lines().enumerate() {
+        match (&mut open, line.trim_start().strip_prefix("```")) {
+            (None, Some(info)) => {
+                open = Some(Block { line: number + 1, info: info.into(), text: String::new() });
+            }
+            (Some(_), Some(_)) => blocks.extend(open.take()),
+            (Some(block), None) => block.text += &format!("{line}\n"),
+            (None, None) => prose += &format!("{line}\n"),
+        }
+    }
+    assert!(open.is_none(), "{}: a block that is not closed", page.display());
+    (blocks, prose)
+}
+
+/// Where the links and pictures of a page lead, without those to other hosts.
+fn links(page: &Path) -> Vec<String> {
+    let prose = parts(page).1;
+    // A link's text may go over the end of a line, its target may not.
+    let targets = prose.split("](").skip(1).filter_map(|rest| rest.split([')', ' ', '\n']).next());
+    targets.filter(|it| !it.contains("://") && !it.starts_with("mailto:")).map(Into::into).collect()
+}
+
+/// A path without `.` and `..`.
+fn plain(path: &Path) -> PathBuf {
+    let mut plain = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::ParentDir => {
+                assert!(plain.pop(), "{} leaves the repository", path.display())
+            }
+            Component::CurDir => {}
+            _ => plain.push(part),
+        }
+    }
+    plain
+}
+
+/// The target of a link as a path from the root, and its anchor.
+fn target(page: &Path, link: &str) -> (PathBuf, Option<String>) {
+    let (file, anchor) =
+        link.split_once('#').map_or((link, None), |(f, a)| (f, Some(a.to_owned())));
+    let path = match file {
+        "" => page.to_owned(),
+        file => plain(&page.parent().unwrap().join(file)),
+    };
+    (path, anchor)
+}
+
+/// The anchors of a page's headings, as GitHub and mdBook make them.
+fn anchors(page: &Path) -> BTreeSet<String> {
+    let prose = parts(page).1;
+    let headings = prose.lines().filter_map(|line| line.strip_prefix('#'));
+    headings
+        .map(|heading| {
+            let heading = heading.trim_start_matches('#').trim().to_lowercase();
+            let kept = heading.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
+            kept.map(|c| if c == ' ' { '-' } else { c }).collect()
+        })
+        .collect()
+}
+
+#[test]
+fn every_link_leads_to_a_file_and_every_anchor_to_a_heading() {
+    let mut lost = Vec::new();
+    let mut followed = 0;
+    for page in pages() {
+        for link in links(&page) {
+            let (path, anchor) = target(&page, &link);
+            followed += 1;
+            let exists = root().join(&path).exists();
+            let has_anchor = || anchor.as_ref().is_none_or(|it| anchors(&path).contains(it));
+            if !exists || !has_anchor() {
+                lost.push(format!("{}: {link}", page.display()));
+            }
+        }
+    }
+    assert!(followed > 50, "the links were not found");
+    assert!(lost.is_empty(), "links that lead nowhere:\n{}", lost.join("\n"));
+}
+
+#[test]
+fn the_book_has_every_page_of_docs_and_every_page_that_its_pages_link_to() {
+    let summary = Path::new("docs/SUMMARY.md");
+    let book: BTreeSet<PathBuf> =
+        links(summary).iter().map(|link| target(summary, link).0).collect();
+    let is_page = |path: &Path| path.extension().is_some_and(|extension| extension == "md");
+    let mut wanted: BTreeSet<PathBuf> =
+        pages().into_iter().filter(|page| page.starts_with("docs") && page != summary).collect();
+    for page in &book {
+        wanted.extend(links(page).iter().map(|it| target(page, it).0).filter(|it| is_page(it)));
+    }
+    let missing: Vec<_> = wanted.difference(&book).collect();
+    assert!(missing.is_empty(), "docs/SUMMARY.md lacks {missing:?}");
+}
+
+#[test]
+fn every_source_file_that_a_page_names_exists() {
+    const FOLDERS: [&str; 7] =
+        ["src", "tests", "scripts", "examples", "benches", "firmware-protocol", "profiles"];
+    let (mut lost, mut looked_at) = (Vec::new(), 0);
+    // The list of changes names files of its time.
+    for page in pages().iter().filter(|page| !page.ends_with("CHANGELOG.md")) {
+        let prose = parts(page).1;
+        let words = prose.split('`').skip(1).step_by(2).flat_map(str::split_whitespace);
+        for word in words {
+            let is_path = FOLDERS.iter().any(|it| word.starts_with(&format!("{it}/")));
+            // ROOM and NNN stand for any name.
+            let is_one =
+                !word.contains(['*', '<']) && !word.contains("ROOM") && !word.contains("NNN");
+            if is_path && is_one {
+                looked_at += 1;
+                if !root().join(word.trim_end_matches([',', '.', ':', ';'])).exists() {
+                    lost.push(format!("{}: {word}", page.display()));
+                }
+            }
+        }
+    }
+    assert!(looked_at > 50, "the names of files were not found");
+    assert!(lost.is_empty(), "files that do not exist:\n{}", lost.join("\n"));
+}
+
+#[test]
+fn every_test_that_a_page_or_a_script_calls_exists() {
+    let scripts = fs::read_dir(root().join("scripts")).unwrap().map(|entry| entry.unwrap().path());
+    let files = scripts.filter(|path| path.is_file()).chain([root().join(".ci/run")]);
+    let pages = pages().into_iter().filter(|page| !page.ends_with("CHANGELOG.md"));
+    let (mut lost, mut looked_at) = (Vec::new(), 0);
+    for file in files.chain(pages.map(|page| root().join(page))) {
+        let text = fs::read_to_string(&file).unwrap();
+        for call in text.split("--test ").skip(1) {
+            let mut words = call.split([' ', '`', '\n']);
+            let name = words.next().unwrap();
+            let folder = root().join("tests").join(name);
+            let is_module = |word: &str| folder.join(word).with_extension("rs").exists();
+            let exists = folder.with_extension("rs").exists() || folder.join("main.rs").exists();
+            let module = words.next().and_then(|word| Some(word.split_once("::")?.0));
+            looked_at += 1;
+            if !exists || !module.is_none_or(is_module) {
+                lost.push(format!("{}: --test {name} {}", file.display(), module.unwrap_or("")));
+            }
+        }
+    }
+    assert!(looked_at > 10, "the calls of tests were not found");
+    assert!(lost.is_empty(), "tests that do not exist:\n{}", lost.join("\n"));
+}
+
+/// The commands of a block: all of a script, or what follows the prompts of a console.
+fn commands(language: &str, text: &str) -> String {
+    if language != "console" {
+        return text.to_owned();
+    }
+    let (mut commands, mut goes_on) = (String::new(), false);
+    for line in text.lines() {
+        let command = if goes_on { Some(line) } else { line.strip_prefix("$ ") };
+        if let Some(command) = command {
+            commands += &format!("{command}\n");
+            goes_on = command.ends_with('\\');
+        }
+    }
+    commands
+}
+
+#[test]
+fn every_block_of_commands_runs_or_says_why_not() {
+    let program = Path::new(env!("CARGO_BIN_EXE_qube-hil")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let mut run = 0;
+    for page in pages() {
+        let folder = tempfile::tempdir().unwrap();
+        for shipped in ["plants", "policies", "profiles"] {
+            symlink(root().join(shipped), folder.path().join(shipped)).unwrap();
+        }
+        for Block { line, info, text } in parts(&page).0 {
+            let (language, rest) = info.split_once(' ').unwrap_or((&info, ""));
+            if !SHELLS.contains(&language) {
+                continue;
+            }
+            let place = format!("{}:{line}", page.display());
+            if let Some(reason) = rest.strip_prefix("not-run:") {
+                assert!(!reason.trim().is_empty(), "{place} does not say why it is not run");
+                continue;
+            }
+            assert!(rest.is_empty(), "{place}: ```{info} is neither run nor not-run: REASON");
+            let commands = commands(language, &text);
+            assert!(!commands.is_empty(), "{place} has no commands");
+            let output = Command::new("bash")
+                .args(["-euo", "pipefail", "-c", &commands])
+                .current_dir(folder.path())
+                .env("PATH", &path)
+                .env("XDG_STATE_HOME", folder.path().join("state"))
+                .stdin(Stdio::null())
+                .output()
+                .unwrap();
+            assert!(
+                output.status.success(),
+                "{place} ends with {}\n{commands}{}{}",
+                output.status,
+                String::from_utf8_lossy(&output.stdout),
+                String::from_utf8_lossy(&output.stderr)
+            );
+            run += 1;
+        }
+    }
+    assert!(run > 3, "no block was run");
+}

@@ -1,0 +1,377 @@
+//! Tests the messages for bad input: one clear sentence on stderr (what, where, what to do), the
+//! documented exit code, and nothing on stdout.
+
+use std::io::Write;
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+
+fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::cargo_bin("qube-hil").expect("the program is built");
+    command.current_dir(directory).env("XDG_STATE_HOME", directory);
+    command.args(arguments).output().expect("it runs")
+}
+
+/// Runs the program and checks exit code, silence on stdout, and each word on stderr.
+fn refused(directory: &Path, arguments: &[&str], code: i32, words: &[&str]) {
+    let output = qube_hil(directory, arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {stderr}");
+    assert!(output.stdout.is_empty(), "{arguments:?} printed a result");
+    for word in words {
+        assert!(stderr.contains(word), "{arguments:?}: {word:?} is missing in: {stderr}");
+    }
+}
+
+#[test]
+fn ports_that_are_none() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = |port: &str, words: &[&str]| {
+        let arguments = ["run", "--policy", "classical", "--device", port];
+        refused(directory.path(), &arguments, 2, words);
+    };
+    run("/dev/ttyNOWHERE", &["no such port", "/dev/ttyNOWHERE", "plugged in"]);
+    run("/dev/null", &["/dev/null"]);
+}
+
+#[test]
+fn policies_that_are_none() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("bad.safetensors");
+    let run = |words: &[&str]| {
+        let arguments = ["run", "--policy", "bad.safetensors", "--clock", "virtual"];
+        refused(directory.path(), &arguments, 2, words);
+    };
+    run(&["bad.safetensors"]);
+    std::fs::write(&path, b"not a policy at all").unwrap();
+    run(&["bad.safetensors"]);
+
+    // A shipped policy with its first weight turned into NaN, and one with another width.
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors");
+    let whole = std::fs::read(shipped).unwrap();
+    let header = 8 + u64::from_le_bytes(whole[..8].try_into().unwrap()) as usize;
+    let mut with_nan = whole.clone();
+    with_nan[header..header + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    std::fs::write(&path, &with_nan).unwrap();
+    run(&["bad.safetensors", "NaN"]);
+    let text = String::from_utf8_lossy(&whole[..header]).replace("[64,64]", "[63,64]");
+    let mut other_shape = text.into_bytes();
+    other_shape.extend_from_slice(&whole[header..]);
+    std::fs::write(&path, &other_shape).unwrap();
+    run(&["bad.safetensors"]);
+}
+
+#[test]
+fn configurations_that_are_none() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("my.toml");
+    let session = |text: &str, words: &[&str]| {
+        std::fs::write(&path, text).unwrap();
+        let arguments =
+            ["session", "--clock", "virtual", "--config", "my.toml", "--out", "session"];
+        refused(directory.path(), &arguments, 2, words);
+        assert!(!directory.path().join("session").exists(), "a session was begun all the same");
+    };
+    session("seed = 1\nsede = 2\n", &["my.toml", "line 2", "sede"]);
+    session("[extent]\nrollouts = 0\n", &["my.toml", "extent.rollouts"]);
+    session("[training]\nupdates = \"many\"\n", &["my.toml", "line 2"]);
+    session("[training]\nupdates = 0\n", &["my.toml, line 2: training.updates = 0"]);
+    session("[extent]\niterations = 4000000000\n", &["my.toml, line 2: extent.iterations"]);
+    session("[safety_box]\ntheta = 1e300\n", &["my.toml, line 2: safety_box.theta_rad = 1e300: "]);
+    let recipe = "name = \"mine\"\nmodel = \"nominal\"\n[settings.training]\ndiscount = 7.0\n";
+    std::fs::write(&path, recipe).unwrap();
+    let arguments = ["experiment", "--recipe", "my.toml", "--out", "session"];
+    refused(directory.path(), &arguments, 2, &["my.toml, line 4: training.discount = 7"]);
+}
+
+#[test]
+fn estimators_that_are_none() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = |flags: &[&str], words: &[&str]| {
+        let arguments = [&["run", "--policy", "classical", "--clock", "virtual"], flags].concat();
+        refused(directory.path(), &arguments, 2, words);
+    };
+    run(&["--estimator", "observer", "--filter", "50"], &["--filter", "--estimator filter"]);
+    run(&["--estimator-delay-ms", "5"], &["--estimator-delay-ms", "--estimator observer"]);
+    run(&["--estimator", "observer", "--estimator-profile", "none.toml"], &["none.toml"]);
+    let path = directory.path().join("my.toml");
+    std::fs::write(&path, "[estimator.observer]\nastray_rad = -1.0\n").unwrap();
+    let arguments = ["session", "--clock", "virtual", "--config", "my.toml", "--out", "session"];
+    refused(directory.path(), &arguments, 2, &["my.toml", "estimator.observer.astray_rad = -1"]);
+}
+
+#[test]
+fn a_psi_that_cannot_be() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut file = std::fs::File::create(directory.path().join("psi.toml")).unwrap();
+    let text = "mean_M_p = -0.5\nstd_M_p = 0.001\nmean_M_r = 0.1\nstd_M_r = 0.001\n\
+                mean_L_p = 0.13\nstd_L_p = 0.001\nmean_L_r = 0.08\nstd_L_r = 0.001\n";
+    file.write_all(text.as_bytes()).unwrap();
+    let arguments = ["train", "--model", "psi", "--psi", "psi.toml"];
+    refused(directory.path(), &arguments, 2, &["psi.toml", "mean_M_p", "-0.5", "above 0"]);
+    refused(directory.path(), &["train", "--model", "psi"], 2, &["--psi"]);
+}
+
+#[test]
+fn simulations_that_cannot_be() {
+    let directory = tempfile::tempdir().unwrap();
+    let cases: [(&[&str], &[&str]); 8] = [
+        (&["--profile", "nowhere.toml"], &["nowhere.toml"]),
+        (&["--profile", "lab", "--model", "robust"], &["--profile", "--model"]),
+        (&["--profile", "lab", "--spread", "1.5"], &["--spread", "from 0 to 1"]),
+        (&["--spread", "0.1"], &["--profile"]),
+        (&["--delay-ms", "16..3"], &["--delay-ms", "0..16"]),
+        (&["--delay-ms", "50"], &["--delay-ms", "from 0 to 40"]),
+        (&["--history", "5"], &["--history", "5"]),
+        (&["--preset", "thesis", "--filter", "50"], &["--sensors encoders"]),
+    ];
+    for (arguments, words) in cases {
+        let arguments = [&["train"], arguments].concat();
+        refused(directory.path(), &arguments, 2, words);
+    }
+}
+
+#[test]
+fn emulated_qubes_that_cannot_be() {
+    let directory = tempfile::tempdir().unwrap();
+    let cases: [(&[&str], &[&str]); 3] = [
+        (&["--cable-drift", "0.02"], &["--cable-drift", "no cable", "lab"]),
+        (&["--profile", "lab", "--cable-drift", "-2"], &["--cable-drift", "from -1 to 1"]),
+        (&["--profile", "lab", "--gap", "0", "--cable-drift", "0.02"], &["no cable"]),
+    ];
+    for (arguments, words) in cases {
+        let run: &[&str] = &["run", "--policy", "classical", "--clock", "virtual"];
+        refused(directory.path(), &[run, arguments].concat(), 2, words);
+    }
+}
+
+#[test]
+fn values_with_a_dash_are_told_by_their_option() {
+    let directory = tempfile::tempdir().unwrap();
+    let run: &[&str] = &["run", "--policy", "classical", "--clock", "virtual"];
+    let cases: [(&[&str], &[&str]); 4] = [
+        (&["--seed", "-1"], &["'-1'", "--seed"]),
+        (&["--gap", "-1"], &["'-1'", "--gap", "from 0 to 5"]),
+        (&["--out", "-foo"], &["--out: ", "--out=-foo"]),
+        (&["--nonsense"], &["--nonsense"]),
+    ];
+    for (arguments, words) in cases {
+        refused(directory.path(), &[run, arguments].concat(), 2, words);
+    }
+}
+
+/// The last line of stdout is an object that names the cause of every failure.
+#[test]
+fn scripts_are_told_too() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("no.policy"), "nonsense").unwrap();
+    let cases: [(&[&str], &str); 8] = [
+        (&["run"], "--policy"),
+        (&["run", "--nonsense"], "--nonsense"),
+        (&["run", "--policy", "classical", "--seed", "-1"], "--seed"),
+        (&["run", "--policy", "no.policy", "--clock", "virtual"], "no.policy"),
+        (&["train", "--out", "missing/p"], "missing"),
+        (&["session", "--device", "/dev/ttyNOWHERE"], "no such port"),
+        (&["replay", "missing.mcap"], "missing.mcap"),
+        (&["check", "--device", "/dev/null", "--write", "missing/qube.toml"], "missing"),
+    ];
+    for (arguments, cause) in cases {
+        let output = qube_hil(directory.path(), &[arguments, &["--json"]].concat());
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        let stdout = String::from_utf8(output.stdout).unwrap();
+        let told: serde_json::Value = serde_json::from_str(stdout.lines().last().unwrap()).unwrap();
+        if told.get("recordings").is_none() {
+            assert_eq!(told["ended_by"]["exit_code"], 2, "{arguments:?}: {told}");
+        }
+        assert!(told.to_string().contains(cause), "{arguments:?}: {told}");
+        assert!(String::from_utf8_lossy(&output.stderr).contains(cause), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_result_that_cannot_be_printed_is_a_failure() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory.path()).args(arguments).stdout(full);
+        command.output().unwrap()
+    };
+    for arguments in [&["toy"][..], &["toy", "--json"]] {
+        let output = run(arguments);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{stderr}");
+        assert!(stderr.contains("could not be printed"), "{stderr}");
+    }
+}
+
+#[test]
+fn names_that_are_no_text_are_names() {
+    use std::os::unix::ffi::OsStrExt;
+    let directory = tempfile::tempdir().unwrap();
+    let out = std::ffi::OsStr::from_bytes(b"r\xff");
+    let run = |arguments: &[&str], file: &std::ffi::OsStr, more: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory.path()).args(arguments).arg(file).args(more).arg("--json");
+        let output = command.output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{arguments:?}: {stderr}");
+        let stdout = String::from_utf8(output.stdout).unwrap();
+        serde_json::from_str::<serde_json::Value>(stdout.lines().last().unwrap()).unwrap()
+    };
+    let made = run(&["run", "--policy", "classical", "--clock", "virtual", "--out"], out, &[]);
+    assert_eq!(made["recordings"][0], "r\u{fffd}/rollout-0.mcap");
+    let recording = Path::new(out).join("rollout-0.mcap");
+    let replayed = run(&["replay"], recording.as_os_str(), &[]);
+    assert_eq!(replayed["recordings"][0]["path"], made["recordings"][0]);
+    let recovered = run(&["recover"], recording.as_os_str(), &[]);
+    assert_eq!(recovered["path"], made["recordings"][0]);
+}
+
+#[test]
+fn a_simulator_is_laid_beside_a_recording_by_the_name_of_its_profile() {
+    let directory = tempfile::tempdir().unwrap();
+    for (name, missing) in [("lab", "missing.mcap"), ("lap", "a file that identify wrote")] {
+        let replay = ["replay", "--simulate", "missing.mcap", "--profile", name];
+        let output = qube_hil(directory.path(), &replay);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains(missing), "{stderr}");
+    }
+}
+
+#[test]
+fn nobody_is_told_to_delete_a_file_that_is_no_checkpoint() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("thesis.txt"), "a year of work").unwrap();
+    let train = ["train", "--checkpoint", "thesis.txt"];
+    let output = qube_hil(directory.path(), &train);
+    let stderr = String::from_utf8_lossy(&output.stderr).to_lowercase();
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("thesis.txt is not a complete checkpoint"), "{stderr}");
+    assert!(!stderr.contains("delete"), "{stderr}");
+}
+
+#[test]
+fn recordings_that_are_torn_or_changed() {
+    let directory = tempfile::tempdir().unwrap();
+    let made = qube_hil(
+        directory.path(),
+        &["run", "--policy", "classical", "--clock", "virtual", "--out", "run"],
+    );
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let whole = std::fs::read(directory.path().join("run/rollout-0.mcap")).unwrap();
+    let path = directory.path().join("changed.mcap");
+
+    std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+    let torn = qube_hil(directory.path(), &["replay", "changed.mcap"]);
+    assert_eq!(torn.status.code(), Some(3), "{}", String::from_utf8_lossy(&torn.stderr));
+
+    let mut changed = whole.clone();
+    changed[whole.len() / 2] ^= 0x20;
+    std::fs::write(&path, &changed).unwrap();
+    let changed = qube_hil(directory.path(), &["replay", "changed.mcap"]);
+    assert_ne!(changed.status.code(), Some(0));
+    let stderr = String::from_utf8_lossy(&changed.stderr);
+    assert!(stderr.contains("changed.mcap"), "{stderr}");
+}
+
+#[test]
+fn folders_that_cannot_be() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::create_dir(directory.path().join("taken")).unwrap();
+    std::fs::write(directory.path().join("taken/notes.txt"), "").unwrap();
+    let out = ["session", "--clock", "virtual", "--out", "taken"];
+    refused(directory.path(), &out, 2, &["taken", "exists", "--resume"]);
+    let resume = ["session", "--clock", "virtual", "--resume", "taken"];
+    refused(directory.path(), &resume, 2, &["taken", "no session"]);
+    // A kill leaves this of a session that has not begun.
+    std::fs::create_dir_all(directory.path().join("left/candidates")).unwrap();
+    let resume = ["session", "--clock", "virtual", "--resume", "left"];
+    refused(directory.path(), &resume, 2, &["nothing to resume", "--out left"]);
+    let port = ["session", "--clock", "virtual", "--device", "/dev/ttyUSB0", "--out", "new"];
+    refused(directory.path(), &port, 2, &["--clock virtual", "/dev/ttyUSB0"]);
+}
+
+#[test]
+fn messages_that_cannot_be_printed_change_no_exit_code() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory.path()).env("XDG_STATE_HOME", directory.path());
+        command.args(arguments).stderr(full).output().unwrap()
+    };
+    let rollout = ["run", "--policy", "classical", "--clock", "virtual"];
+    let output = run(&[&rollout[..], &["--out", "unheard"]].concat());
+    assert_eq!(output.status.code(), Some(0));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("return"));
+    assert!(directory.path().join("unheard/rollout-0.mcap").exists());
+    let output = run(&["run", "--policy", "none.safetensors", "--clock", "virtual"]);
+    assert_eq!(output.status.code(), Some(2));
+}
+
+#[test]
+fn a_moving_picture_replaces_no_file_unasked() {
+    let directory = tempfile::tempdir().unwrap();
+    let run =
+        ["run", "--policy", "classical", "--clock", "virtual", "--rollouts", "2", "--out", "r"];
+    assert!(qube_hil(directory.path(), &run).status.success());
+    let other = directory.path().join("r/rollout-1.mcap");
+    let before = std::fs::read(&other).unwrap();
+    let animate = ["replay", "--animate", "r/rollout-1.mcap", "r/rollout-0.mcap"];
+    refused(directory.path(), &animate, 2, &["--animate r/rollout-1.mcap", "--force"]);
+    assert_eq!(std::fs::read(&other).unwrap(), before);
+    refused(directory.path(), &["replay", "--animate", "r", "r/rollout-0.mcap"], 2, &["no file"]);
+    let animate = ["replay", "--animate", "moving.svg", "r/rollout-0.mcap"];
+    assert!(qube_hil(directory.path(), &animate).status.success());
+    refused(directory.path(), &animate, 2, &["exists already"]);
+    assert!(qube_hil(directory.path(), &[&animate[..], &["--force"]].concat()).status.success());
+}
+
+#[test]
+fn a_recording_counts_once() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "chirps"];
+    assert!(qube_hil(directory.path(), &run).status.success());
+    for again in ["chirps/rollout-0.mcap", "./chirps/../chirps/rollout-0.mcap"] {
+        let identify = ["identify", "chirps/rollout-0.mcap", again, "--out", "mine.toml"];
+        refused(directory.path(), &identify, 2, &["is named twice", "once"]);
+        let identify = ["identify", "chirps/rollout-0.mcap", "--holdout", again, "--out", "m.toml"];
+        refused(directory.path(), &identify, 2, &["is named twice"]);
+    }
+}
+
+#[test]
+fn a_seed_that_no_file_can_hold_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    for command in ["session", "experiment"] {
+        let arguments = [command, "--seed", "9223372036854775808"];
+        refused(directory.path(), &arguments, 2, &["--seed", "9223372036854775807"]);
+    }
+}
+
+#[test]
+fn a_folder_in_which_another_program_records_is_in_use() {
+    use qube_hil::storage::Disk;
+    let directory = tempfile::tempdir().unwrap();
+    let runs = directory.path().join("runs");
+    std::fs::create_dir(&runs).unwrap();
+    let hold = qube_hil::storage::MachineDisk.hold(&runs).unwrap();
+    let run = ["run", "--policy", "classical", "--clock", "virtual", "--out", "runs"];
+    refused(directory.path(), &run, 2, &["runs", "in use"]);
+    drop(hold);
+    assert!(qube_hil(directory.path(), &run).status.success());
+}
+
+#[test]
+fn the_travel_of_a_rig_is_a_travel() {
+    let directory = tempfile::tempdir().unwrap();
+    for travel in ["nan", "-1", "1e300", "0"] {
+        let settings = format!("[homing]\ntravel_rad = {travel}\n");
+        std::fs::write(directory.path().join("c.toml"), settings).unwrap();
+        let session = ["session", "--config", "c.toml", "--clock", "virtual"];
+        refused(directory.path(), &session, 2, &["homing.travel_rad", "3.60 to 6.00"]);
+    }
+}

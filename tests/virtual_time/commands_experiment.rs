@@ -1,0 +1,409 @@
+//! Tests the command `experiment`: interrupted, killed and resumed, on any number of threads, it
+//! gives the same table, byte for byte, and repeats nothing that was finished.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
+
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::folders::files_of;
+
+/// Policies with two small updates of training.
+const TINY: &str = "[settings.training]\nupdates = 2\npendulums = 16\nepochs = 1\n";
+
+/// A search of four candidates.
+const SEARCH: &str = "[settings.extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 1\n\
+                      verification_rollouts = 1\n";
+
+const PLANTS: &str = "[[plants]]\nname = \"lab\"\nprofile = \"lab\"\n\n\
+                      [[plants]]\nname = \"worse\"\nprofile = \"lab\"\ngap = 1.5\nvary = 0.1\n";
+
+fn prepare(directory: &Path) {
+    let recipe = |model: &str, more: &str| {
+        let text = format!("name = \"tiny-{model}\"\nmodel = \"{model}\"\n{TINY}{more}");
+        std::fs::write(directory.join(format!("{model}.toml")), text).unwrap();
+    };
+    recipe("nominal", "");
+    recipe("opt-nominal", SEARCH);
+    std::fs::write(directory.join("plants.toml"), PLANTS).unwrap();
+}
+
+fn experiment(directory: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory).arg("experiment").args(arguments).stdin(Stdio::null());
+    command
+}
+
+const BEGIN: [&str; 14] = [
+    "--recipe",
+    "nominal.toml",
+    "--recipe",
+    "opt-nominal.toml",
+    "--plants",
+    "plants.toml",
+    "--policies",
+    "3",
+    "--rollouts",
+    "2",
+    "--seed",
+    "4",
+    "--out",
+    "one",
+];
+
+fn succeeds(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+fn begin(directory: &Path, arguments: &[&str], threads: &str) -> Child {
+    experiment(directory, &[arguments, &["--threads", threads]].concat())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the program starts")
+}
+
+fn table(directory: &Path) -> String {
+    let output = experiment(directory, &["--resume", "one", "--csv", "one.csv"]).output().unwrap();
+    succeeds(&output) + &std::fs::read_to_string(directory.join("one.csv")).unwrap()
+}
+
+/// Every policy and recording by its name, without the files that were put aside.
+fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let whole = files_of(folder).into_iter();
+    whole.filter(|(name, _)| !name.contains("unfinished")).collect()
+}
+
+#[test]
+fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
+    let whole = tempfile::tempdir().unwrap();
+    prepare(whole.path());
+    let tables = ["--csv", "one/first.csv", "--figures", "one/figures"];
+    let output = experiment(whole.path(), &[&BEGIN[..], &tables].concat()).output().unwrap();
+    let text = succeeds(&output);
+    for made in tables.map(|it| whole.path().join(it)).iter().skip(1).step_by(2) {
+        assert!(made.exists(), "{}", made.display());
+        if made.is_dir() { std::fs::remove_dir_all(made) } else { std::fs::remove_file(made) }
+            .unwrap();
+    }
+    assert!(text.contains("on lab") && text.contains("on worse"), "{text}");
+    assert!(text.contains("/3 ") && text.contains("tiny-opt-nominal"), "{text}");
+    let expected = table(whole.path());
+    assert!(expected.starts_with(&text), "resuming what is finished prints the same table");
+    let expected_files = files(&whole.path().join("one"));
+    // 2 recipes of 3 policies with 2 rollouts on 2 plants, and a search with 4 rollouts.
+    let recordings = expected_files.keys().filter(|name| name.ends_with(".mcap")).count();
+    assert_eq!(recordings, 2 * 3 * 2 * 2 + 4);
+
+    // A file that is none of its own is replaced on demand only.
+    let foreign = whole.path().join("foreign.csv");
+    std::fs::write(&foreign, "mine").unwrap();
+    let arguments = ["--resume", "one", "--table", "--csv", "foreign.csv"];
+    let output = experiment(whole.path(), &arguments).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(told.contains("--csv foreign.csv exists already"), "{told}");
+    assert_eq!(std::fs::read_to_string(&foreign).unwrap(), "mine");
+    assert!(!whole.path().join("two").exists());
+    let refused = ["--out", "two", "--models", "nominal", "--csv", "foreign.csv"];
+    assert_eq!(experiment(whole.path(), &refused).output().unwrap().status.code(), Some(2));
+    assert!(!whole.path().join("two").exists(), "an experiment was begun");
+    let arguments = [&arguments[..], &["--force"]].concat();
+    succeeds(&experiment(whole.path(), &arguments).output().unwrap());
+    assert!(expected.ends_with(&std::fs::read_to_string(&foreign).unwrap()));
+
+    // --table shows finished work without running anything; a resumed experiment makes missing files again.
+    let lost = "one/policies/tiny-nominal/002/lab/rollout-1-attempt-0.mcap";
+    std::fs::remove_file(whole.path().join(lost)).unwrap();
+    let output = experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap();
+    let text = succeeds(&output);
+    assert!(text.contains("/2 ") && text.contains("/3 "), "{text}");
+    assert!(!whole.path().join(lost).exists());
+    assert_eq!(table(whole.path()), expected);
+    assert!(files(&whole.path().join("one")) == expected_files);
+
+    // Settings that were changed show what is finished, and nothing more is made with them.
+    let settings = whole.path().join("one/experiment.toml");
+    let begun_with = std::fs::read_to_string(&settings).unwrap();
+    std::fs::write(&settings, begun_with.replacen("seed = 4", "seed = 5", 1)).unwrap();
+    let output = experiment(whole.path(), &["--resume", "one"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(told.contains("experiment.toml: it was changed since"), "{told}");
+    succeeds(&experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap());
+
+    let torn = tempfile::tempdir().unwrap();
+    prepare(torn.path());
+    run_with_interruptions(torn.path(), &BEGIN);
+    assert_eq!(table(torn.path()), expected);
+    same_files(torn.path(), &expected_files);
+}
+
+/// Runs an experiment, killing and stopping it in turn, until it is complete.
+fn run_with_interruptions(directory: &Path, arguments: &[&str]) {
+    let mut child = begin(directory, arguments, "1");
+    let mut interruptions = 0;
+    loop {
+        // The times cover all its phases; the first interruption comes at once, on any computer.
+        std::thread::sleep(Duration::from_millis(53 * (interruptions % 7)));
+        if let Some(status) = child.try_wait().unwrap() {
+            assert!(status.success(), "after {interruptions} interruptions: {status}");
+            break;
+        }
+        // Each attempt leaves more behind, so this ends; the limit only shortens a failure.
+        if interruptions < 30 {
+            let signal = if interruptions % 2 == 0 { Signal::KILL } else { Signal::INT };
+            let _ = kill_process(Pid::from_child(&child), signal);
+            interruptions += 1;
+            let code = child.wait().unwrap().code();
+            assert!(matches!(code, None | Some(0 | 130)), "{code:?}");
+            child = if directory.join("one/experiment.toml").exists() {
+                let arguments = ["--resume", "one", "--threads", "2"];
+                let mut command = experiment(directory, &arguments);
+                command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+            } else {
+                let _ = std::fs::remove_dir_all(directory.join("one"));
+                begin(directory, arguments, "1")
+            };
+        }
+    }
+    assert!(interruptions > 0, "it was over before it could be interrupted");
+}
+
+fn same_files(directory: &Path, expected: &BTreeMap<String, Vec<u8>>) {
+    let found = files(&directory.join("one"));
+    assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
+    for (name, bytes) in expected {
+        assert!(*bytes == found[name], "{name} differs");
+    }
+}
+
+/// A box that the excitation leaves at once.
+const NARROW: &str = "[settings.safety_box]\nalpha_dot = 0.5\n";
+
+#[test]
+fn strategies_that_are_killed_and_gone_on_with_come_to_the_same_table() {
+    let arguments = [
+        "--strategies",
+        "bayrn,random,identify",
+        "--recipe",
+        "search.toml",
+        "--profile",
+        "lab",
+        "--repetitions",
+        "2",
+        "--recordings",
+        "2",
+        "--policies",
+        "3",
+        "--rollouts",
+        "2",
+        "--seed",
+        "4",
+        "--out",
+        "one",
+    ];
+    let prepare = |directory: &Path| {
+        let text = format!("name = \"tiny\"\nmodel = \"opt-nominal\"\n{TINY}{SEARCH}{NARROW}");
+        std::fs::write(directory.join("search.toml"), text).unwrap();
+    };
+    let whole = tempfile::tempdir().unwrap();
+    prepare(whole.path());
+    let output = experiment(whole.path(), &arguments).output().unwrap();
+    let text = succeeds(&output);
+    assert!(text.contains("tiny on lab"), "{text}");
+    // Untrained policies never succeed, and a recording that is cut short cannot identify a Qube.
+    for line in ["bayrn           0/2", "random          0/2", "identify        0/2", "identify: "]
+    {
+        assert!(text.lines().any(|it| it.starts_with(line)), "{line} in {text}");
+    }
+    assert!(text.contains("> 3") && text.contains("> 2"), "{text}");
+    let expected = table(whole.path());
+    assert!(expected.starts_with(&text), "resuming what is finished prints the same table");
+    assert!(expected.contains("bayrn,1,3,1,0,2,false,"), "{expected}");
+    let expected_files = files(&whole.path().join("one"));
+    let count = |end: &str| expected_files.keys().filter(|name| name.ends_with(end)).count();
+    assert_eq!(count("refused-2.txt"), 2);
+    // Of three policies with two rollouts each the first decides: an answer that is tried fails.
+    let judged = expected.lines().filter(|line| line.contains(",false,")).count() - 4;
+    let search_policies = 2 * 2 * 3;
+    assert_eq!(count("policy.safetensors"), search_policies + judged);
+
+    let drawn = experiment(whole.path(), &["--resume", "one", "--table", "--figures", "figures"]);
+    succeeds(&{ drawn }.output().unwrap());
+    let svg = std::fs::read_to_string(whole.path().join("figures/strategies.svg")).unwrap();
+    assert!(svg.contains("bayrn") && svg.contains("identify"));
+
+    let torn = tempfile::tempdir().unwrap();
+    prepare(torn.path());
+    run_with_interruptions(torn.path(), &arguments);
+    assert_eq!(table(torn.path()), expected);
+    same_files(torn.path(), &expected_files);
+}
+
+#[test]
+fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
+    let arguments = [
+        "--strategies",
+        "robust,identify-mean,posterior,sequential,random",
+        "--budgets",
+        "0,1,2",
+        "--recipe",
+        "search.toml",
+        "--plants",
+        "beyond.toml",
+        "--repetitions",
+        "1",
+        "--rollouts",
+        "1",
+        "--trainings",
+        "2",
+        "--seed",
+        "4",
+        "--out",
+        "one",
+    ];
+    let prepare = |directory: &Path| {
+        let text = format!("name = \"tiny\"\nmodel = \"opt-nominal\"\n{TINY}{SEARCH}");
+        std::fs::write(directory.join("search.toml"), text).unwrap();
+        let plants = "[[plants]]\nname = \"lab\"\nprofile = \"lab\"\n\n\
+                      [[plants]]\nname = \"cable\"\nprofile = \"lab\"\nplay_deg = 0.5\n\
+                      effects = { hysteresis_n_m = 0.0002, slack = 1.0 }\n";
+        std::fs::write(directory.join("beyond.toml"), plants).unwrap();
+    };
+    let whole = tempfile::tempdir().unwrap();
+    prepare(whole.path());
+    let output = experiment(whole.path(), &arguments).args(["--json"]).output().unwrap();
+    let result: serde_json::Value = serde_json::from_str(&succeeds(&output)).unwrap();
+    let rows: Vec<(String, String)> = result["models"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|row| (row["plant"].as_str().unwrap().into(), row["model"].as_str().unwrap().into()))
+        .collect();
+    for plant in ["lab", "cable", "all plants"] {
+        let of_plant: Vec<&str> =
+            rows.iter().filter(|(on, _)| on == plant).map(|(_, row)| row.as_str()).collect();
+        // Only what takes no rollout has a recommendation without any.
+        let expected = [
+            "robust 0",
+            "robust 1",
+            "robust 2",
+            "identify-mean 1",
+            "identify-mean 2",
+            "posterior 1",
+            "posterior 2",
+            "sequential 1",
+            "sequential 2",
+            "random 1",
+            "random 2",
+        ];
+        assert_eq!(of_plant, expected, "{plant}");
+    }
+    // Policies are trained twice at most: robust and the first of random serve several budgets.
+    let names = files(&whole.path().join("one"));
+    let count = |start: &str, end: &str| {
+        names.keys().filter(|name| name.starts_with(start) && name.ends_with(end)).count()
+    };
+    assert_eq!(count("budgets/lab/robust", "policy.safetensors"), 1);
+    assert_eq!(count("budgets/cable/posterior", "identified-2.toml"), 1);
+    assert_eq!(count("budgets/cable/sequential/000/recordings", ".mcap"), 2);
+    let drawn = experiment(whole.path(), &["--resume", "one", "--table", "--figures", "figures"]);
+    succeeds(&{ drawn }.output().unwrap());
+    let svg = std::fs::read_to_string(whole.path().join("figures/budgets.svg")).unwrap();
+    for words in ["after 0 real", "after 2 real", "all plants", "posterior", "cable"] {
+        assert!(svg.contains(words), "{words}");
+    }
+
+    let torn = tempfile::tempdir().unwrap();
+    prepare(torn.path());
+    run_with_interruptions(torn.path(), &arguments);
+    same_files(torn.path(), &names);
+}
+
+#[test]
+fn impossible_settings_are_refused_before_anything_is_made() {
+    let directory = tempfile::tempdir().unwrap();
+    prepare(directory.path());
+    std::fs::write(directory.path().join("bad.toml"), "name = \"x\"\nmodel = \"nominl\"\n")
+        .unwrap();
+    std::fs::write(directory.path().join("far.toml"), "[[plants]]\nname = \"x\"\ngap = 9.0\n")
+        .unwrap();
+    for (arguments, words) in [
+        (vec!["--recipe", "bad.toml"], "nominl"),
+        (vec!["--recipe", "nominal.toml", "--recipe", "nominal.toml"], "two are called"),
+        (vec!["--recipe", "nominal.toml", "--policies", "0"], "policies"),
+        (vec!["--recipe", "nominal.toml", "--plants", "far.toml"], "gap"),
+        (vec!["--resume", "nowhere"], "no experiment"),
+        (
+            vec!["--strategies", "baysian"],
+            "bayrn, cem, cmaes, random, sobol, robust, identify-mean",
+        ),
+        (vec!["--strategies", "robust"], "give budgets"),
+        (vec!["--strategies", "cem", "--budgets", "5,2"], "larger than the one before"),
+        (vec!["--recipe", "nominal.toml", "--effect", "slack=2"], "from 0 to 1"),
+        (vec!["--recipe", "nominal.toml", "--effect", "hunger=2"], "no effect hunger"),
+        (vec!["--strategies", "cem,cem"], "cem is there twice"),
+        (vec!["--strategies", "cem", "--models", "nominal"], "give one of opt-handcrafted"),
+        (vec!["--strategies", "cem", "--models", "opt-nominal,opt-robust"], "one model"),
+        (vec!["--strategies", "cem", "--plants", "plants.toml"], "one plant"),
+        (vec!["--strategies", "cem", "--device", "/dev/ttyACM0"], "emulated Qube only"),
+        (vec!["--repetitions", "3"], "--strategies"),
+        (vec!["--models", "nominl"], "nominal-handcrafted"),
+        (vec!["--recipe", "nominal.toml", "--device", "/dev/ttyNOWHERE"], "no such port"),
+        (vec!["--recipe", "nominal.toml", "--device", "nominal.toml"], "not a serial port"),
+    ] {
+        let output = experiment(directory.path(), &arguments).args(["--json"]).output().unwrap();
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains(words), "{message}");
+    }
+    assert!(!directory.path().join("logs").exists());
+}
+
+#[test]
+fn scripts_get_the_models_with_their_intervals() {
+    let directory = tempfile::tempdir().unwrap();
+    prepare(directory.path());
+    let arguments = ["--recipe", "nominal.toml", "--policies", "2", "--rollouts", "1", "--json"];
+    let output = experiment(directory.path(), &arguments).output().unwrap();
+    let text = succeeds(&output);
+    let value: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+    let model = &value["models"][0];
+    assert_eq!(model["model"], "tiny-nominal");
+    assert_eq!(model["plant"], "ideal");
+    assert_eq!(model["policies"], 2);
+    for number in ["sim_mean", "sim_std", "mean_return", "std_return", "success_rate"] {
+        assert!(model[number].is_f64(), "{number} in {model}");
+    }
+    assert!(model["success_interval"]["upper"].as_f64().unwrap() < 1.0);
+    let shares = model["rollouts"].as_object().unwrap().values();
+    let sum: f64 = shares.map(|share| share.as_f64().unwrap()).sum();
+    assert!((sum - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn an_experiment_goes_on_with_the_settings_that_it_began_with_and_no_others() {
+    let directory = tempfile::tempdir().unwrap();
+    for (arguments, words) in [
+        (&["--profile", "lab"][..], "leave --profile"),
+        (&["--delay-ms", "16"], "leave --profile"),
+        (&["--gap", "2"], "leave --profile"),
+        (&["--filter", "20"], "leave --estimator"),
+        (&["--vary", "0.1"], "--vary"),
+        (&["--plants", "none.toml"], "--plants"),
+        (&["--repetitions", "3"], "--repetitions"),
+        (&["--budgets", "2"], "--budgets"),
+        (&["--trainings", "2"], "--trainings"),
+        (&["--recordings", "2"], "--recordings"),
+    ] {
+        let resume = [&["--resume", "one"], arguments].concat();
+        let output = experiment(directory.path(), &resume).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {told}");
+        assert!(told.contains(words), "{arguments:?}: {told}");
+    }
+}

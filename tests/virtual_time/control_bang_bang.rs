@@ -1,0 +1,207 @@
+//! Tests that no fault of sensors or motor is reported for a healthy Qube under a policy that uses
+//! only full voltage. The guard is off, so that the policy runs as long as possible.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use qube_hil::clock::{Clock, VirtualClock};
+use qube_hil::control::{
+    ControlState, Homing, HomingSettings, Motion, Tick, TickInput, TickOutput, drive,
+};
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::device::{Device, SerialLink};
+use qube_hil::policy::Controller;
+use qube_hil::qube::{
+    CONTROL_PERIOD_NS, DomainParameter, HARD_STOP_RAD, MAX_VOLTAGE_V, Profile, QubeModel, State,
+};
+use qube_hil::safety::SafetyBox;
+use qube_hil::session::RolloutPlan;
+use qube_hil::telemetry::{Ending, Fault, TickSettings};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+/// Rollouts on one Qube.
+const ROLLOUTS: u64 = 20;
+
+/// A policy of full voltage whose sign is random or depends on the side of a plane in state space.
+#[derive(Debug)]
+struct BangBang {
+    rng: ChaCha8Rng,
+    /// Normal of the plane: weights of theta, theta_dot, sin(alpha) and alpha_dot; `None` switches
+    /// at random.
+    plane: Option<[f64; 4]>,
+    /// Longest time for which a random sign holds, ticks.
+    longest: u32,
+    left: u32,
+    sign: f64,
+}
+
+impl BangBang {
+    fn new(seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut normal = || 2.0 * rng.random::<f64>() - 1.0;
+        let plane = [3.0 * normal(), 0.3 * normal(), 3.0 * normal(), 0.3 * normal()];
+        let plane = (seed % 2 == 1).then_some(plane);
+        let longest = [1, 2, 5, 20, 60][rng.random_range(0..5)];
+        Self { rng, plane, longest, left: 0, sign: 1.0 }
+    }
+}
+
+impl Controller for BangBang {
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        if let Some([theta, theta_dot, pendulum, alpha_dot]) = self.plane {
+            let side = theta * state.theta
+                + theta_dot * state.theta_dot
+                + pendulum * state.alpha.sin()
+                + alpha_dot * state.alpha_dot;
+            return MAX_VOLTAGE_V * side.signum();
+        }
+        if self.left == 0 {
+            self.left = self.rng.random_range(1..=self.longest);
+            self.sign = -self.sign;
+        }
+        self.left -= 1;
+        MAX_VOLTAGE_V * self.sign
+    }
+}
+
+/// A Qube whose parameters lie within 10 % of the name plate's, with up to 1.5 times the friction, dead zones,
+/// cable and delay of `lab`.
+fn qube(seed: u64) -> EmulatorSettings {
+    let lab =
+        Profile::parse(include_str!("../../profiles/lab.toml")).expect("the profile lab").model();
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut model = QubeModel {
+        nonidealities: lab.scaled(1.5 * rng.random::<f64>()).nonidealities,
+        ..QubeModel::NOMINAL
+    };
+    for parameter in DomainParameter::ALL.into_iter().filter(|p| *p != DomainParameter::Gravity) {
+        let nominal = model.parameters.get(parameter);
+        model.parameters.set(parameter, nominal * (0.9 + 0.2 * rng.random::<f64>()));
+    }
+    EmulatorSettings { model, seed, ..EmulatorSettings::default() }
+}
+
+/// A controller that records the largest angle of the arm.
+struct Noted<C: Controller> {
+    tick: Tick<C>,
+    farthest_rad: f64,
+}
+
+impl<C: Controller> Motion for Noted<C> {
+    fn decide(&mut self, input: &TickInput) -> TickOutput {
+        let output = self.tick.decide(input);
+        self.farthest_rad = self.farthest_rad.max(output.state.theta.abs());
+        output
+    }
+
+    fn control_state(&self) -> ControlState {
+        self.tick.control_state()
+    }
+
+    fn device_mv(&self, voltage_mv: i16) -> i16 {
+        self.tick.device_mv(voltage_mv)
+    }
+}
+
+/// Endings of rollouts by fault, and the Qubes on which they occurred.
+#[derive(Debug, Default)]
+struct Counted {
+    ticks: u64,
+    not_homed: Vec<u64>,
+    /// Faults while the arm had kept off its stops.
+    faults: BTreeMap<String, Vec<u64>>,
+    /// Faults after the arm had hit a stop, which is possible without a guard.
+    after_a_hit: BTreeMap<String, Vec<u64>>,
+    /// Brakes in the box alone that took longer than a second.
+    brakes_timed_out: Vec<u64>,
+}
+
+impl Counted {
+    fn and(mut self, other: Self) -> Self {
+        self.ticks += other.ticks;
+        self.not_homed.extend(other.not_homed);
+        self.brakes_timed_out.extend(other.brakes_timed_out);
+        for (all, more) in
+            [(&mut self.faults, other.faults), (&mut self.after_a_hit, other.after_a_hit)]
+        {
+            for (fault, seeds) in more {
+                all.entry(fault).or_default().extend(seeds);
+            }
+        }
+        self
+    }
+}
+
+fn drive_qube(seed: u64) -> Counted {
+    let clock = VirtualClock::default();
+    let mut device = SerialLink::in_process(qube(seed), clock.clone());
+    device.hello().expect("an emulated Qube answers");
+    let stop = AtomicBool::new(false);
+    let mut homing = Homing::new(&HomingSettings::default());
+    let homed = drive(&mut device, &clock, &mut homing, None, &stop).expect("it arms");
+    if homed.outcome.ending != Ending::Completed {
+        return Counted { not_homed: vec![seed], ..Counted::default() };
+    }
+    let settings = TickSettings {
+        calibration: homing.calibration().expect("it homes"),
+        safety_box: SafetyBox::THESIS,
+        start_theta_rad: 0.0,
+        ..RolloutPlan::single("bang-bang", "full voltage").header().settings
+    };
+    let mut counted = Counted::default();
+    for rollout in 0..ROLLOUTS {
+        let begin_ns = clock.now_ns();
+        let tick = Tick::new(&settings, BangBang::new(ROLLOUTS * seed + rollout));
+        let mut noted = Noted { tick, farthest_rad: 0.0 };
+        let report = drive(&mut device, &clock, &mut noted, None, &stop).expect("it arms");
+        counted.ticks += (clock.now_ns() - begin_ns) / CONTROL_PERIOD_NS;
+        let Ending::Fault(fault) = report.outcome.ending else { continue };
+        match fault {
+            // A motor that full voltage has heated needs its rest.
+            Fault::MotorOverheated => {}
+            Fault::BrakingTimedOut => counted.brakes_timed_out.push(seed),
+            _ => {
+                let hit = noted.farthest_rad > HARD_STOP_RAD - 0.02;
+                let faults = if hit { &mut counted.after_a_hit } else { &mut counted.faults };
+                faults.entry(format!("{fault:?}")).or_default().push(seed);
+            }
+        }
+        // The next rollout would need a new homing.
+        break;
+    }
+    counted
+}
+
+/// Drives Qubes one after the other, from this seed on, for this many ticks in all.
+fn no_fault(first_seed: u64, wanted_ticks: u64) {
+    let (ticks, seed) = (AtomicU64::new(0), AtomicU64::new(first_seed));
+    let work = || {
+        let mut all = Counted::default();
+        while ticks.load(Ordering::Relaxed) < wanted_ticks {
+            let counted = drive_qube(seed.fetch_add(1, Ordering::Relaxed));
+            ticks.fetch_add(counted.ticks, Ordering::Relaxed);
+            all = all.and(counted);
+        }
+        all
+    };
+    let counted = std::thread::scope(|scope| {
+        let threads = [scope.spawn(work), scope.spawn(work)];
+        let [one, other] = threads.map(|thread| thread.join().expect("a thread panicked"));
+        one.and(other)
+    });
+    let qubes = seed.into_inner() - first_seed;
+    println!("on {qubes} Qubes, by seed: {counted:?}");
+    assert!(counted.ticks >= wanted_ticks && counted.faults.is_empty(), "{counted:?}");
+}
+
+#[test]
+fn full_voltage_to_and_fro_raises_no_doubt() {
+    no_fault(0, 30_000);
+}
+
+#[test]
+#[ignore = "minutes: scripts/adversary runs it"]
+fn nor_does_it_in_ten_million_ticks() {
+    no_fault(1000, 10_000_000);
+}

@@ -1,0 +1,91 @@
+//! Tests that an arm encoder that freezes during a motion is found, and that an arm held by
+//! friction is not taken for one.
+
+use qube_hil::control::{Alarm, ArmInput, SensorWatch};
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::estimation::Calibration;
+use qube_hil::qube::{
+    Measurement, NonidealDynamics, Nonidealities, PlantModel, QubeModel, RAD_PER_COUNT, State,
+    control_step, counts,
+};
+use qube_hil::telemetry::{Ending, Fault};
+
+use crate::harmless::freezes::{freezes, policies, qubes};
+
+/// Ticks from the freeze to the alarm, while the arm is driven to and fro beside a swinging
+/// pendulum. Without a freeze (`None`) any alarm counts.
+fn found_after(
+    nonidealities: Nonidealities,
+    alpha: f64,
+    amplitude_v: f64,
+    frozen_at: Option<u32>,
+) -> Option<u32> {
+    let dynamics = NonidealDynamics::new(&QubeModel { nonidealities, ..QubeModel::NOMINAL });
+    let mut state = State { alpha, ..State::default() };
+    let mut watch = SensorWatch::witnessed(&PlantModel::QUBE, Calibration::IDENTITY);
+    let (mut theta_counts, mut voltage_v) = (0, 0.0);
+    for tick in 0..400_u32 {
+        let is_frozen = frozen_at.is_some_and(|at| tick > at);
+        theta_counts = if is_frozen { theta_counts } else { counts(state.theta) };
+        let theta_dot = if is_frozen { 0.0 } else { state.theta_dot };
+        let sample = Measurement {
+            device_time_us: u64::from(tick) * 10_000,
+            theta_counts,
+            alpha_counts: counts(state.alpha),
+            tachometer_counts_s: (theta_dot / RAD_PER_COUNT) as i32,
+            ..Measurement::default()
+        };
+        let voltage_mv = (1e3 * voltage_v) as i16;
+        let swing_rad_s = state.alpha.cos() * state.alpha_dot;
+        let alarm = watch.check(&sample, Some(ArmInput { voltage_mv, swing_rad_s }));
+        if alarm == Some(Alarm::Zero(Fault::EncoderFrozen)) {
+            return Some(tick - frozen_at.unwrap_or(tick));
+        }
+        voltage_v = if tick % 60 < 30 { amplitude_v } else { -amplitude_v };
+        state = control_step(&dynamics, state, voltage_v);
+    }
+    None
+}
+
+#[test]
+fn a_freeze_in_a_swing_is_found_within_300_ms() {
+    for at in (60..300).step_by(7) {
+        for (alpha, amplitude_v) in [(1.5, 2.0), (2.0, 4.0), (2.5, 3.0)] {
+            let found = found_after(Nonidealities::default(), alpha, amplitude_v, Some(at));
+            assert!(found.is_some_and(|ticks| ticks <= 30), "{at}, {alpha}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn an_arm_that_friction_holds_against_a_swinging_pendulum_is_not_frozen() {
+    let sticky = Nonidealities { coulomb_torque_n_m: 4.0 * 4.7e-4, ..Nonidealities::default() };
+    for nonidealities in [Nonidealities::default(), sticky] {
+        for alpha in [0.0, 0.2, 0.5, 1.0, 2.0, 3.0, 3.1] {
+            for amplitude_v in [0.0, 0.3, 0.6] {
+                let found = found_after(nonidealities, alpha, amplitude_v, None);
+                assert_eq!(found, None, "{alpha} rad, {amplitude_v} V");
+            }
+        }
+    }
+}
+
+/// Whole rollouts that mostly balance quietly, where only the asking push finds the freeze.
+#[test]
+fn a_freeze_anywhere_in_a_rollout_is_found_within_300_ms_and_a_healthy_qube_is_left_alone() {
+    for (qube, settings) in qubes() {
+        for (name, policy) in policies() {
+            for seed in 0..2 {
+                let settings = EmulatorSettings { seed, ..settings };
+                let (healthy, frozen) = freezes(settings, &policy).expect("it is homed");
+                let of = format!("{qube}, {name}, seed {seed}");
+                assert!(!matches!(healthy.ending, Ending::Fault(_)), "{of}: {:?}", healthy.ending);
+                for freeze in frozen {
+                    let found_ms = freeze.found_ms();
+                    assert!(found_ms.is_some_and(|ms| ms <= 300.0), "{of}: {found_ms:?}");
+                    assert!(!freeze.is_named_otherwise(), "{of}: {:?}", freeze.outcome.ending);
+                }
+            }
+        }
+    }
+}

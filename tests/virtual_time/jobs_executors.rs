@@ -1,0 +1,163 @@
+//! Workers that the coordinator starts itself, by a command: the same policies, and one sentence where they cannot work.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::jobs::folder::{JobFolder, Terms};
+use qube_hil::jobs::starter::{Census, StartError, Starter};
+use qube_hil::jobs::{Executor, FolderExecutor, JobEvent, TrainingJob};
+use qube_hil::learning::TrainSettings;
+use qube_hil::simulation::DomainDistribution;
+use qube_hil::storage::MachineDisk;
+
+use crate::folders::files_of;
+
+const TINY: &str = "name = \"tiny\"\nmodel = \"nominal\"\n[settings.training]\nupdates = 2\nnum_envs = 16\n\
+                    epochs = 1\nevaluation_starts = 16\n";
+
+/// Workers on this computer, as a scheduler would start them.
+const BY_XARGS: &str = "seq {workers} | xargs -P {workers} -I '{}' {work} --slot '{}/{workers}'";
+
+/// Runs an experiment of three trainings in this folder.
+fn experiment(directory: &Path, out: &str, options: &[&str]) -> Output {
+    std::fs::write(directory.join("tiny.toml"), TINY).unwrap();
+    Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+        .current_dir(directory)
+        .args(["experiment", "--recipe", "tiny.toml", "--policies", "3", "--rollouts", "1"])
+        .args(["--out", out])
+        .args(options)
+        .stdin(Stdio::null())
+        .output()
+        .unwrap()
+}
+
+/// The bytes of the policies, learning curves and recordings of an experiment, by their names.
+fn bytes(root: &Path) -> BTreeMap<String, Vec<u8>> {
+    files_of(&root.join("policies"))
+}
+
+#[test]
+fn an_experiment_by_a_command_has_the_bytes_of_this_computer_alone() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    for (out, options) in
+        [("a/same", &[][..]), ("b/same", &["--executor", BY_XARGS, "--workers", "2"])]
+    {
+        std::fs::create_dir_all(directory.join(out).parent().unwrap()).unwrap();
+        let output = experiment(directory, out, options);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    let alone = bytes(&directory.join("a/same"));
+    // A policy, its learning curve and its rollout, three times.
+    assert_eq!(alone.len(), 9, "{:?}", alone.keys());
+    assert!(alone == bytes(&directory.join("b/same")));
+}
+
+#[test]
+fn a_computer_whose_clock_differs_is_named_and_changes_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let far = "{\"host\":\"far\",\"process\":1,\"started\":1,\"boot\":\"b\",\"at_s\":1}\n";
+    std::fs::write(directory.join("far"), far).unwrap();
+    let command = "cp far {folder}/workers/far-1-1; sleep 2; {work}";
+    let output =
+        experiment(directory, "out", &["--executor", command, "--workers", "1", "--stale", "1"]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{stderr}");
+    assert!(stderr.contains("the clock of far differs by"), "{stderr}");
+}
+
+#[track_caller]
+fn refused(output: &Output, words: &[&str]) {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(words.iter().all(|word| stderr.contains(word)), "{stderr}");
+}
+
+#[test]
+fn what_cannot_start_workers_is_refused_in_a_sentence() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let run = |out: &str, executor: &str| {
+        experiment(directory, out, &["--executor", executor, "--stale", "1", "--workers", "1"])
+    };
+    refused(&run("none", "make -j8"), &["{work}", "slurm"]);
+    refused(
+        &run("fails", "echo no such host >&2; false {work}"),
+        &["none has appeared", "no such host"],
+    );
+    if cfg!(target_arch = "x86_64") {
+        refused(&run("plain", "{work} --instruction-set plain"), &["refuse", "FMA"]);
+    }
+    if !Path::new("/usr/bin/sbatch").exists() {
+        refused(&run("no-slurm", "slurm"), &["there is no s"]);
+    }
+}
+
+#[test]
+fn workers_that_are_always_ended_early_are_not_started_for_ever() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let long = directory.join("long.toml");
+    std::fs::write(&long, TINY.replace("updates = 2", "updates = 100000")).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+        .current_dir(directory)
+        .args(["experiment", "--recipe", "long.toml", "--policies", "1", "--rollouts", "1"])
+        .args(["--executor", "timeout 0.3 {work}", "--workers", "1", "--stale", "1"])
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    refused(&output, &["ended early", "more time"]);
+}
+
+/// A scheduler whose workers wait for ever.
+#[derive(Debug)]
+struct FullQueue(Arc<AtomicBool>);
+
+impl Starter for FullQueue {
+    fn start(&mut self, _folder: &JobFolder, _workers: u32) -> Result<(), StartError> {
+        Ok(())
+    }
+
+    fn census(&mut self, _appeared: u32, _alive: u32) -> Result<Census, StartError> {
+        Ok(Census { expected: Some(1), ..Census::default() })
+    }
+
+    fn cancel(&mut self) {
+        self.0.store(true, std::sync::atomic::Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn a_stop_ends_workers_and_trainings_or_leaves_them() {
+    for leave in [false, true] {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path();
+        let folder = JobFolder::create(Arc::new(MachineDisk), root, Terms::default()).unwrap();
+        let cancelled = Arc::new(AtomicBool::new(false));
+        let queue = Box::new(FullQueue(Arc::clone(&cancelled)));
+        let executor =
+            FolderExecutor::new(folder.clone(), Some(queue), 1, leave, &AtomicBool::new(false))
+                .unwrap();
+        let job = TrainingJob {
+            distribution: DomainDistribution::nominal(),
+            settings: TrainSettings::quick(),
+            seed: 1,
+        };
+        let mut stopped = 0;
+        executor.train(&[job], &AtomicBool::new(true), &mut |event| {
+            if let JobEvent::Finished { result, .. } = event {
+                assert!(result.unwrap_err().is_stop());
+                stopped += 1;
+            }
+        });
+        assert_eq!(stopped, 1);
+        drop(executor);
+        assert_eq!(folder.open_jobs().unwrap().len(), usize::from(leave));
+        assert_eq!(folder.is_closed(), !leave);
+        assert_eq!(cancelled.load(std::sync::atomic::Ordering::Relaxed), !leave);
+    }
+}

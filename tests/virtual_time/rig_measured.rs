@@ -1,0 +1,318 @@
+//! Tests the rig as homing measured it: counts that move while nothing is driven require a new
+//! homing, and the box follows the measured stops. In virtual time, with access to the true state.
+
+use std::path::Path;
+use std::sync::atomic::AtomicU32;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex};
+
+use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
+use qube_hil::control::{ControlError, HomingMethod, HomingSettings, Moved};
+use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
+use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::qube::{Measurement, Profile, QubeModel};
+use qube_hil::recording::{Recording, read};
+use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
+use qube_hil::safety::SafetyBox;
+use qube_hil::session::RolloutPlan;
+use qube_hil::storage::MachineDisk;
+use qube_hil::telemetry::{Ending, Fault};
+
+use crate::harmless::wire::SharedWire;
+
+const MS: Nanoseconds = 1_000_000;
+
+/// An emulated Qube whose plant the test can inspect.
+#[derive(Clone, Debug, Default)]
+struct Bench {
+    clock: VirtualClock,
+    wire: Arc<Mutex<Option<SharedWire>>>,
+    last: Arc<Mutex<Option<Measurement>>>,
+    repeats: bool,
+    armed: Arc<AtomicU32>,
+}
+
+/// A Qube whose last sample the test can inspect, or which repeats its first one.
+struct Watched {
+    device: Box<dyn Device>,
+    last: Arc<Mutex<Option<Measurement>>>,
+    repeats: bool,
+    armed: Arc<AtomicU32>,
+}
+
+impl Device for Watched {
+    fn hello(&mut self) -> Result<Identity, DeviceError> {
+        self.device.hello()
+    }
+
+    fn arm(&mut self) -> Result<(), DeviceError> {
+        self.armed.fetch_add(1, Relaxed);
+        self.device.arm()
+    }
+
+    fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+        let sample = self.device.sample(deadline_ns)?;
+        let mut last = self.last.lock().unwrap();
+        if !self.repeats {
+            *last = Some(sample);
+        }
+        Ok(Measurement { status: sample.status, ..*last.get_or_insert(sample) })
+    }
+
+    fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+        self.device.act(voltage_mv, sampled_at_us)
+    }
+
+    fn disarm(&mut self) -> Result<(), DeviceError> {
+        self.device.disarm()
+    }
+
+    fn is_hardware(&self) -> bool {
+        false
+    }
+}
+
+impl Connect for Bench {
+    fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError> {
+        let wire = SharedWire::new(*emulator, self.clock.clone());
+        *self.wire.lock().unwrap() = Some(wire.clone());
+        let link = SerialLink::new(wire, Arc::new(self.clock.clone()));
+        let device = Watched {
+            device: Box::new(link),
+            last: Arc::clone(&self.last),
+            repeats: self.repeats,
+            armed: Arc::clone(&self.armed),
+        };
+        Ok((Box::new(device), Arc::new(self.clock.clone())))
+    }
+
+    fn is_hardware(&self) -> bool {
+        false
+    }
+}
+
+impl Bench {
+    fn wire(&self) -> SharedWire {
+        self.wire.lock().unwrap().clone().unwrap()
+    }
+
+    /// Homes a Qube.
+    fn open(&self, emulator: EmulatorSettings, homing: HomingSettings) -> Result<Rig, RigError> {
+        let device = DeviceChoice::Other(Arc::new(self.clone()));
+        let settings = RigSettings { emulator, homing, ..RigSettings::in_virtual_time(device) };
+        Rig::open(&settings, &Arc::default())
+    }
+}
+
+fn rollout(rig: &Rig, number: u32, path: &Path, policy: &Policy) -> Result<Recording, RigError> {
+    let plan = RolloutPlan { rollout: number, seed: 1, ..RolloutPlan::single("test", "test") };
+    rig.rollout(&MachineDisk, path, plan.header(), &policy.to_bytes())?;
+    let recording = read(path).unwrap();
+    std::fs::remove_file(path).unwrap();
+    Ok(recording)
+}
+
+fn classical() -> Policy {
+    Policy::Classical(ClassicalController::new(ClassicalGains::default()))
+}
+
+fn shipped(name: &str) -> Policy {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies").join(name);
+    Policy::load(&path).unwrap()
+}
+
+fn lab() -> QubeModel {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
+    Profile::parse(&std::fs::read_to_string(path).unwrap()).unwrap().model()
+}
+
+/// Error of the arm's angle at rest, by the rollout's zero, rad.
+fn theta_error_rad(bench: &Bench, recording: &Recording) -> f64 {
+    let last = bench.last.lock().unwrap().unwrap();
+    let (theta_rad, _) = recording.header.settings.calibration.angles_rad(&last);
+    (theta_rad - bench.wire().state().theta).abs()
+}
+
+/// A rollout, a fault of an encoder, and the next rollout as `run` does it: returns why the second
+/// did not begin at first, and its recording. The fault occurs this long after the end of the
+/// first.
+fn next_rollout(kind: &str, counts: i32, after_ms: i64) -> (Option<Moved>, Recording, f64) {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("a.mcap");
+    let healthy = EmulatorSettings { seed: 3, ..EmulatorSettings::default() };
+    let bench = Bench::default();
+    let rig = bench.open(healthy, HomingSettings::default()).unwrap();
+    rollout(&rig, 0, &path, &classical()).unwrap();
+    let end_ns = bench.clock.now_ns();
+
+    // The same again, with the fault.
+    let after_s = (end_ns as i64 + after_ms * MS as i64) as f64 * 1e-9;
+    let fault: EmulatorFault = format!("{kind}@{after_s}:{counts}").parse().unwrap();
+    let bench = Bench::default();
+    let broken = EmulatorSettings { fault: Some(fault), ..healthy };
+    let mut rig = bench.open(broken, HomingSettings::default()).unwrap();
+    rollout(&rig, 0, &path, &classical()).unwrap();
+    bench.clock.sleep_until(end_ns + 2_000 * MS);
+    let path = directory.path().join("b.mcap");
+    let (moved, recording) = match rollout(&rig, 1, &path, &classical()) {
+        Ok(recording) => (None, recording),
+        Err(RigError::NotBegun {
+            fault: Fault::CountsMoved,
+            source: ControlError::Moved(moved),
+        }) => {
+            assert!(!path.exists(), "a rollout that never began leaves no file");
+            rig.start_again().unwrap();
+            (Some(moved), rollout(&rig, 1, &path, &classical()).unwrap())
+        }
+        Err(error) => panic!("{error}"),
+    };
+    let error_rad = theta_error_rad(&bench, &recording);
+    (moved, recording, error_rad)
+}
+
+#[test]
+fn an_arm_whose_count_jumps_between_two_rollouts_is_homed_again() {
+    for (counts, after_ms) in
+        [(300, 1000), (-300, 1), (40, 1000), (300, -10), (300, -150), (40, -50)]
+    {
+        let (moved, recording, error_rad) = next_rollout("jump-theta", counts, after_ms);
+        assert!(
+            matches!(moved, Some(Moved::Arm(_) | Moved::Unseen)),
+            "{counts} counts after {after_ms} ms: {moved:?}, true error {error_rad:.3} rad"
+        );
+        assert!(error_rad < 0.02, "{counts} counts after {after_ms} ms: {error_rad} rad");
+        assert_eq!(recording.outcome.unwrap().ending, Ending::Completed);
+    }
+}
+
+#[test]
+fn a_pendulum_whose_count_jumps_between_two_rollouts_is_homed_again() {
+    for counts in [300, -120, 1024] {
+        let (moved, recording, error_rad) = next_rollout("jump-alpha", counts, 1000);
+        assert!(matches!(moved, Some(Moved::Pendulum(_))), "{counts} counts: {moved:?}");
+        assert!(error_rad < 0.02, "{error_rad}");
+        assert_eq!(recording.outcome.unwrap().ending, Ending::Completed);
+    }
+}
+
+#[test]
+fn a_healthy_qube_is_not_homed_again_for_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    let policies = [shipped("robust.safetensors"), classical()];
+    for (name, model) in
+        [("nominal", QubeModel::NOMINAL), ("lab", lab()), ("gap 1.5", lab().scaled(1.5))]
+    {
+        let bench = Bench::default();
+        let emulator = EmulatorSettings { model, seed: 5, ..EmulatorSettings::default() };
+        let rig = bench.open(emulator, HomingSettings::default()).unwrap();
+        let mut largest_error_rad: f64 = 0.0;
+        let mut largest_creep_rad: f64 = 0.0;
+        let (mut between_s, mut driven_s) = (0.0, 0.0);
+        for number in 0..50 {
+            let begin_ns = bench.clock.now_ns();
+            let recording = rollout(&rig, number, &path, &policies[number as usize % 2])
+                .unwrap_or_else(|error| panic!("{name}, rollout {number}: {error}"));
+            let ending = recording.outcome.as_ref().unwrap().ending;
+            assert!(!matches!(ending, Ending::Fault(_)), "{name}, rollout {number}: {ending:?}");
+            largest_error_rad = largest_error_rad.max(theta_error_rad(&bench, &recording));
+            let ticks_s = recording.ticks.len() as f64 * 0.01;
+            driven_s += ticks_s;
+            between_s += (bench.clock.now_ns() - begin_ns) as f64 * 1e-9 - ticks_s;
+            // Another client uses the Qube meanwhile.
+            if number % 10 == 5 {
+                let before_rad = bench.wire().state().theta;
+                bench.clock.advance(500 * MS);
+                largest_creep_rad =
+                    largest_creep_rad.max((bench.wire().state().theta - before_rad).abs());
+            }
+        }
+        eprintln!(
+            "{name}: 50 rollouts, homed once; {driven_s:.1} s driven, {between_s:.1} s watched in \
+             between; the largest error of the arm's angle is {largest_error_rad:.3} rad; it creeps by up \
+             to {largest_creep_rad:.3} rad in 0.5 s"
+        );
+        assert!(largest_error_rad < 0.02, "{name}: {largest_error_rad} rad");
+        // Judged by rollouts, not by driven time, because the guard may end many of them early.
+        assert!(between_s < 5.0 * 50.0, "{name}: {between_s} s");
+    }
+}
+
+#[test]
+fn a_device_whose_clock_is_really_broken_ends_after_three_tries_with_its_name() {
+    let bench = Bench { repeats: true, ..Bench::default() };
+    let homing = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
+    let error = bench.open(EmulatorSettings::default(), homing).err().unwrap();
+    assert!(matches!(error, RigError::Homing { fault: Fault::DeviceClock, .. }), "{error}");
+    assert_eq!(bench.armed.load(Relaxed), 3);
+}
+
+/// A policy that pushes the arm outward, harder the farther it is out.
+fn outward() -> Policy {
+    Policy::Classical(ClassicalController::new(ClassicalGains {
+        pump_limit_v: 0.0,
+        centring_v_per_rad: -2.0,
+        damping_v_s_per_rad: 0.8,
+        catch_rad: 0.001,
+        lose_rad: 0.002,
+        ..ClassicalGains::default()
+    }))
+}
+
+#[test]
+fn stops_that_are_not_a_qubes_ask_the_operator_and_accepted_ones_are_the_rigs() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    for stops_rad in [[-2.16, 2.16], [-2.39, 1.93]] {
+        let travel_rad = stops_rad[1] - stops_rad[0];
+        let emulator = EmulatorSettings { stops_rad, seed: 7, ..EmulatorSettings::default() };
+        let refused = Bench::default().open(emulator, HomingSettings::default()).err().unwrap();
+        let RigError::Travel { travel_rad: measured_rad, .. } = refused else {
+            panic!("{refused}")
+        };
+        assert!((measured_rad - travel_rad).abs() < 0.02, "{measured_rad} for {travel_rad}");
+        let text = refused.to_string();
+        assert!(text.contains("travel_rad = 4.3") && text.contains("[homing]"), "{text}");
+
+        for theta_offset_rad in [0.0, 0.3, -0.3] {
+            let homing = HomingSettings {
+                travel_rad: Some(measured_rad),
+                theta_offset_rad,
+                ..HomingSettings::default()
+            };
+            let bench = Bench::default();
+            let rig = bench.open(emulator, homing).unwrap();
+            let policies = [outward(), outward(), outward(), classical(), outward()];
+            for (number, policy) in policies.iter().enumerate() {
+                // Homing touches the stops, slowly.
+                assert!(bench.wire().fastest_contact_rad_s() < 2.0);
+                let before = bench.wire().fastest_contact_rad_s();
+                let recording = rollout(&rig, number as u32, &path, policy).unwrap();
+                let ending = recording.outcome.as_ref().unwrap().ending;
+                assert!(!matches!(ending, Ending::Fault(_)), "{stops_rad:?}: {ending:?}");
+
+                // The zero is off the middle by the offset, and both stops are outside the box.
+                let middle_rad = 0.5 * (stops_rad[0] + stops_rad[1]);
+                let zero_rad = middle_rad + theta_offset_rad;
+                let settings = &recording.header.settings;
+                let found = settings.stops.unwrap();
+                for (found_rad, true_rad) in [
+                    (found.lowest_theta_rad, stops_rad[0]),
+                    (found.highest_theta_rad, stops_rad[1]),
+                ] {
+                    assert!((found_rad - (true_rad - zero_rad)).abs() < 0.02, "{found:?}");
+                    assert!(settings.safety_box.theta < (true_rad - zero_rad).abs(), "{found:?}");
+                }
+                let nearer_rad = 0.5 * travel_rad - theta_offset_rad.abs();
+                let expected_rad = (nearer_rad - 0.09).min(SafetyBox::GUARDED.theta);
+                assert!((settings.safety_box.theta - expected_rad).abs() < 0.02, "{settings:?}");
+                let reached = recording.ticks.iter().map(|tick| tick.state.theta.abs());
+                let reached_rad = reached.fold(0.0, f64::max);
+                assert!(reached_rad > 0.3, "nobody pushed: {reached_rad} rad");
+                let after = bench.wire().fastest_contact_rad_s();
+                assert!(after <= before, "{stops_rad:?} {theta_offset_rad}: {after} rad/s");
+            }
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! Tests foresight against an adversary that knows only its promise, in a search small enough for
+//! every run of the tests.
+//!
+//! `cargo run --release --example strangers_adversary` searches at full size. This search has no
+//! mishaps on the link; one episode with lost samples, in which the arm once reached its stop, is repeated.
+
+use qube_hil::safety::Guard;
+use qube_hil::telemetry::TickRules;
+use serde::Deserialize;
+
+use crate::stranger::{Effort, Hunt, Known, Method, Scenario, SearchRecord, summary};
+
+/// Far fewer episodes than in the example.
+const EFFORT: Effort = Effort { generations: 3, population: 16 };
+
+/// A seed whose attack is linear feedback in three stages on a link without mishaps; the Qube is
+/// searched too.
+const SEED: u64 = 7;
+
+/// The search of that seed on an identified Qube.
+fn hunt(method: Method, guard: Guard) -> Hunt {
+    Hunt { seed: SEED, known: Known::Identified, method, guard }
+}
+
+#[test]
+fn no_arm_of_an_identified_qube_reaches_its_stop() {
+    for method in [Method::Ce, Method::Cma] {
+        let record = hunt(method, Guard::Foresight).run(EFFORT);
+        let told = serde_json::to_string(&record.kept_hits).unwrap();
+        assert_eq!(record.hits, 0, "{method:?} reached {} rad: {told}", record.farthest_rad);
+        assert!(record.farthest_rad > 0.5, "{method:?} only went to {} rad", record.farthest_rad);
+    }
+}
+
+#[test]
+fn without_foresight_the_same_searches_reach_the_stop() {
+    for method in [Method::Ce, Method::Cma] {
+        let record = hunt(method, Guard::Box).run(EFFORT);
+        assert!(record.hits > 0, "{method:?} only went to {} rad", record.farthest_rad);
+    }
+}
+
+#[test]
+fn an_episode_repeats_bit_for_bit() {
+    let hunt = hunt(Method::Cma, Guard::Foresight);
+    let record = hunt.run(EFFORT);
+    let text = serde_json::to_string(&record).unwrap();
+    assert_eq!(serde_json::to_string(&hunt.run(EFFORT)).unwrap(), text);
+    let read: SearchRecord = serde_json::from_str(&text).unwrap();
+    let farthest = read.farthest.unwrap();
+    let trace = hunt.show(&read.scenario, &farthest.genes);
+    assert_eq!(trace.outcome, farthest.outcome);
+    assert!(trace.lines.len() > 30 && trace.told.contains("zero off by"));
+    assert!(summary(&[record]).contains("48 episodes"));
+}
+
+/// An episode that a search has found.
+#[derive(Deserialize)]
+struct Episode {
+    scenario: Scenario,
+    genes: Vec<f64>,
+}
+
+/// Three samples are lost twice within 0.1 s while the brake rings on the strongest motor with the lightest arm.
+#[test]
+fn samples_that_are_lost_twice_while_the_brake_rings_do_not_throw_the_arm_into_its_stop() {
+    let text = include_str!("../fixtures/samples_lost_twice_while_the_brake_rings.json");
+    let Episode { scenario, genes } = serde_json::from_str(text).unwrap();
+    let hunt =
+        Hunt { seed: 3076, known: Known::Unknown, method: Method::Ce, guard: Guard::Foresight };
+    let untried = hunt.play_by(TickRules::Yielding, &scenario, &genes);
+    assert!(untried.is_hit(), "a brake whose voltages are not tried: {untried:?}");
+    let tried = hunt.play_by(TickRules::NEWEST, &scenario, &genes);
+    assert!(!tried.is_hit() && tried.farthest_rad < 2.2, "{tried:?}");
+}

@@ -1,0 +1,142 @@
+//! Tests a fault during a session, in virtual time: the motor is off, the rollout is void and kept,
+//! and the session can be resumed once the fault is mended.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
+use qube_hil::recording::read;
+use qube_hil::rig::{Recovery, RigSettings};
+use qube_hil::scoring::{Verdict, score};
+use qube_hil::session::{
+    Entry, Extent, Ledger, Session, SessionError, SessionFolder, SessionSettings,
+};
+use qube_hil::storage::MachineDisk;
+use qube_hil::telemetry::{Fault, Preflight};
+
+use crate::logged::Log;
+
+fn settings() -> SessionSettings {
+    let mut settings = SessionSettings::quick();
+    settings.extent = Extent {
+        initial_candidates: 2,
+        iterations: 0,
+        rollouts: 1,
+        verification_rollouts: 1,
+        repetitions: 3,
+        ..Extent::QUICK
+    };
+    settings.training.updates = 1;
+    settings.training.num_envs = 16;
+    settings.training.epochs = 1;
+    settings
+}
+
+fn run(folder: SessionFolder, fault: Option<EmulatorFault>) -> Result<(), SessionError> {
+    run_with(folder, fault, Recovery::default())
+}
+
+fn run_with(
+    folder: SessionFolder,
+    fault: Option<EmulatorFault>,
+    recovery: Recovery,
+) -> Result<(), SessionError> {
+    let homing = settings().homing;
+    let emulator = EmulatorSettings { fault, ..EmulatorSettings::default() };
+    let rig = RigSettings { homing, recovery, ..RigSettings::emulated(emulator) };
+    let stop = Arc::new(AtomicBool::new(false));
+    Session::open(folder, settings(), rig, stop)?.run(&mut |_| ())
+}
+
+fn begin(root: &Path) -> SessionFolder {
+    SessionFolder::create(root, &settings().to_toml().unwrap()).unwrap()
+}
+
+#[test]
+fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
+    // Each rollout has a new Qube, which is homed within 16 s; an untrained policy is braked soon
+    // after that, and braking takes some seconds.
+    for (fault, warned) in [
+        ("silent@16.5", None),
+        ("unplug@16.5", Some("Switch the Qube off: its motor may still have its last voltage")),
+    ] {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("session");
+        let fault: EmulatorFault = fault.parse().unwrap();
+        let log = Log::default();
+        let run_logged = || run(begin(&root), Some(fault));
+        let error = tracing::subscriber::with_default(log.subscriber(), run_logged).unwrap_err();
+        assert!(matches!(error, SessionError::NotStartedAgain { .. }), "{fault}: {error}");
+        // Before the wait for the board, not after it.
+        let logged = log.text();
+        let is_warned = logged.contains("Switch the Qube off");
+        assert_eq!(is_warned, warned.is_some(), "{fault}: {logged}");
+        assert!(warned.is_none_or(|words| logged.contains(words)), "{fault}: {logged}");
+
+        let folder = SessionFolder::open(&root).unwrap();
+        let entries =
+            Ledger::open(&MachineDisk, &folder.paths().ledger()).unwrap().entries().to_vec();
+        let voids: Vec<u32> = entries
+            .iter()
+            .filter_map(|entry| match *entry {
+                Entry::RolloutVoid { candidate, rollout: 0, attempt: 0, .. } => Some(candidate),
+                _ => None,
+            })
+            .collect();
+        let [candidate] = voids[..] else { panic!("{fault}: {entries:?}") };
+        let kept = score(&MachineDisk, &folder.paths().candidate(candidate).rollout(0, 0)).unwrap();
+        assert!(matches!(kept, Verdict::Void { .. }), "{fault}: {kept:?}");
+
+        run(folder, None).unwrap();
+        let folder = SessionFolder::open(&root).unwrap();
+        let entries =
+            Ledger::open(&MachineDisk, &folder.paths().ledger()).unwrap().entries().to_vec();
+        let again = Entry::RolloutFinished { candidate, rollout: 0, attempt: 1, rig: None };
+        assert!(entries.contains(&again), "{fault}: {entries:?}");
+    }
+}
+
+#[test]
+fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
+    for (fault, name) in [("amplifier@16.5", Fault::Amplifier), ("stall@16.5", Fault::StallError)] {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("session");
+        let error = run(begin(&root), Some(fault.parse().unwrap())).unwrap_err();
+        assert!(matches!(error, SessionError::InDoubt { .. }), "{fault}: {error}");
+        assert_eq!(error.fault(), Some(name));
+        let entries = || {
+            let folder = SessionFolder::open(&root).unwrap();
+            Ledger::open(&MachineDisk, &folder.paths().ledger()).unwrap().entries().to_vec()
+        };
+        let before = entries();
+        assert!(matches!(before.last(), Some(Entry::RolloutVoid { attempt: 0, .. })), "{before:?}");
+
+        // Nothing is repeated, however often the session is started.
+        for _ in 0..2 {
+            let error = run(SessionFolder::open(&root).unwrap(), None).unwrap_err();
+            assert!(matches!(error, SessionError::InDoubt { .. }), "{fault}: {error}");
+            assert_eq!(entries(), before);
+        }
+        let acknowledged = Recovery { acknowledged: true, ..Recovery::default() };
+        run_with(SessionFolder::open(&root).unwrap(), None, acknowledged).unwrap();
+        // The Qube was examined first; an emulated one is too.
+        let Some(&Entry::RolloutVoid { candidate, rollout, .. }) = before.last() else { panic!() };
+        let path =
+            SessionFolder::open(&root).unwrap().paths().candidate(candidate).rollout(rollout, 1);
+        let preflight = read(&path).unwrap().header.preflight;
+        assert!(matches!(preflight, Preflight::Done(_)), "{preflight:?}");
+    }
+}
+
+#[test]
+fn a_cable_that_is_pulled_before_the_first_rollout_leaves_a_session_to_resume() {
+    for fault in ["unplug@0", "unplug@2"] {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("session");
+        let error = run(begin(&root), Some(fault.parse().unwrap())).unwrap_err();
+        assert!(matches!(error, SessionError::Rig(_)), "{fault}: {error}");
+        assert!(error.to_string().contains("unplugged"), "{fault}: {error}");
+        run(SessionFolder::open(&root).unwrap(), None).unwrap();
+    }
+}

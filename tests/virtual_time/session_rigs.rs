@@ -1,0 +1,453 @@
+//! Tests sessions that drive several Qubes: a policy for each in a session of its own, or one that they share.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
+use qube_hil::rig::{DeviceChoice, RigSettings};
+use qube_hil::session::{
+    Entry, Extent, Session, SessionError, SessionEvent, SessionFolder, SessionSettings,
+    run_side_by_side,
+};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+
+use crate::folders::files_of;
+
+/// Set for the process whose log is read.
+const LOGGED: &str = "QUBE_HIL_TEST_LOGGED";
+
+const SMALL: &str = "seed = 5\n\
+    [extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 2\nverification_rollouts = 2\n\
+    [training]\nnum_envs = 16\nepochs = 1\n";
+
+/// The command line of a session that drives two emulated Qubes in virtual time.
+fn pair(directory: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    command.current_dir(directory).args(["session", "--clock", "virtual"]).args(arguments);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command
+}
+
+fn ended(directory: &Path, arguments: &[&str]) -> Output {
+    let mut command = pair(directory, arguments);
+    command.stdout(Stdio::piped()).stderr(Stdio::piped()).output().unwrap()
+}
+
+/// A folder with the settings of a small session whose trainings have this number of updates.
+fn with_settings(updates: u32) -> tempfile::TempDir {
+    let directory = tempfile::tempdir().unwrap();
+    let settings = format!("{SMALL}updates = {updates}\n");
+    std::fs::write(directory.path().join("small.toml"), settings).unwrap();
+    directory
+}
+
+const BEGIN: [&str; 8] =
+    ["--config", "small.toml", "--out", "two", "--device", "emulated", "--device", "emulated"];
+
+fn begin(rig_policy: &str) -> Vec<&str> {
+    BEGIN.into_iter().chain(["--rig-policy", rig_policy]).collect()
+}
+
+/// The files of a session but its reports, which name folders of this computer, and what a kill has cut off.
+fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut files = files_of(root);
+    files.retain(|name, _| !name.ends_with("report.html") && !name.contains("unfinished"));
+    files
+}
+
+fn json(output: &Output) -> Value {
+    let told = String::from_utf8_lossy(&output.stdout);
+    serde_json::from_str(told.lines().last().unwrap()).unwrap()
+}
+
+/// Kills a session again and again and compares its files with those of one that nothing disturbs; returns whether
+/// there was time for a kill.
+fn is_killed_and_resumed(rig_policy: &str, first_file: &str, updates: u32) -> bool {
+    let whole = with_settings(updates);
+    assert!(pair(whole.path(), &begin(rig_policy)).status().unwrap().success());
+    let killed = with_settings(updates);
+    let mut child: Child = pair(killed.path(), &begin(rig_policy)).spawn().unwrap();
+    while !killed.path().join("two").join(first_file).exists() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended without {first_file}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let mut kills = 0;
+    loop {
+        std::thread::sleep(Duration::from_millis(60 + 41 * (kills % 7)));
+        if let Some(status) = child.try_wait().unwrap() {
+            assert!(status.success(), "after {kills} kills: {status}");
+            break;
+        }
+        // The limit only shortens a failure.
+        if kills < 20 {
+            let _ = kill_process(Pid::from_child(&child), Signal::KILL);
+            kills += 1;
+            child.wait().unwrap();
+            child = pair(killed.path(), &["--resume", "two"]).spawn().unwrap();
+        }
+    }
+    let files_in = |directory: &tempfile::TempDir| files(&directory.path().join("two"));
+    let (expected, found) = (files_in(&whole), files_in(&killed));
+    assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
+    for (name, bytes) in expected {
+        assert!(found[&name] == bytes, "{name} differs after {kills} kills");
+    }
+    kills > 0
+}
+
+#[test]
+fn each_of_two_qubes_has_a_session_of_its_own() {
+    let directory = with_settings(2);
+    let mut arguments = begin("own");
+    arguments.push("--json");
+    let output = ended(directory.path(), &arguments);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{told}");
+    assert!(told.contains("rig 1: candidate 0") && told.contains("rig 2: candidate 0"), "{told}");
+    let result = json(&output);
+    assert_eq!(result["rig_policy"], "own");
+    let settings = |rig: u32| {
+        let path = directory.path().join(format!("two/rig-{rig}/session.toml"));
+        SessionSettings::load(&path).unwrap()
+    };
+    let (one, other) = (settings(1), settings(2));
+    assert_ne!(one.emulated.model, other.emulated.model);
+    assert_ne!(one.seed, other.seed);
+    for (index, rig) in result["rigs"].as_array().unwrap().iter().enumerate() {
+        assert_eq!(rig["rig"], index + 1);
+        assert_eq!(rig["verified"].as_array().unwrap().len(), 2, "{rig}");
+        assert!(directory.path().join(rig["best"]["policy"].as_str().unwrap()).exists());
+        assert!(directory.path().join(rig["report"].as_str().unwrap()).exists());
+    }
+    let mut report = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    let report = report.current_dir(directory.path()).args(["report", "two"]).output().unwrap();
+    let told = String::from_utf8_lossy(&report.stderr);
+    assert!(report.status.code() == Some(2) && told.contains("as two/rig-1"), "{told}");
+    // One more or less than before is not the same sessions.
+    let alone = ended(directory.path(), &["--resume", "two", "--device", "emulated"]);
+    let told = String::from_utf8_lossy(&alone.stderr);
+    assert_eq!(alone.status.code(), Some(2), "{told}");
+    assert!(told.contains("two drives 2 Qubes"), "{told}");
+    // Nor is an emulated Qube what a port was, or a file that names other Qubes than have sessions.
+    for (rigs, message) in [
+        ("[\"/dev/ttyACM0\", \"emulated\"]", "rig 1 of two began at /dev/ttyACM0"),
+        ("[\"emulated\"]", "devices has 1 entries, but there is two/rig-2"),
+        ("[]", "devices has 0 entries, but there is two/rig-1"),
+    ] {
+        let file = directory.path().join("two/rigs.toml");
+        std::fs::write(file, format!("devices = {rigs}\n")).unwrap();
+        let arguments = ["--resume", "two", "--device", "emulated", "--device", "emulated"];
+        let other = ended(directory.path(), &arguments);
+        let told = String::from_utf8_lossy(&other.stderr);
+        assert_eq!(other.status.code(), Some(2), "{told}");
+        assert!(told.contains(message), "{told}");
+    }
+    let arguments = ["--resume", "none", "--device", "emulated", "--device", "emulated"];
+    let none = ended(directory.path(), &arguments);
+    let told = String::from_utf8_lossy(&none.stderr);
+    assert!(none.status.code() == Some(2) && told.contains("none"), "{told}");
+    assert!(!told.contains("name one"), "{told}");
+}
+
+#[test]
+fn a_policy_that_two_qubes_share_runs_on_both() {
+    let directory = with_settings(2);
+    let arguments: Vec<&str> = BEGIN.into_iter().chain(["--method", "bayrn", "--json"]).collect();
+    let output = ended(directory.path(), &arguments);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{told}");
+    assert!(told.contains("candidate 0, rollout 1 on rig 2: "), "{told}");
+    let result = json(&output);
+    assert_eq!(result["rig_policy"], "shared");
+    assert_eq!(result["rigs"].as_array().unwrap().len(), 2, "{result}");
+    let candidates = ["candidates", "verified"].map(|kind| result[kind].as_array().unwrap().iter());
+    for candidate in candidates.into_iter().flatten() {
+        let returns: Vec<f64> =
+            (0..2).map(|it| candidate["returns"][it].as_f64().unwrap()).collect();
+        for (index, rig) in candidate["by_rig"].as_array().unwrap().iter().enumerate() {
+            assert_eq!(rig["rig"], index + 1);
+            assert_eq!(rig["returns"], serde_json::json!([returns[index]]));
+        }
+        assert_eq!(candidate["mean_return"], (returns[0] + returns[1]) / 2.0);
+    }
+    let rigs = SessionSettings::load(&directory.path().join("two/session.toml")).unwrap().rigs;
+    assert_ne!(rigs[0].emulated.model, rigs[1].emulated.model);
+    let table = ended(directory.path(), &["--resume", "two"]);
+    let table = String::from_utf8_lossy(&table.stdout).into_owned();
+    assert!(table.contains("mean return on each rig\n   #      rig 1      rig 2\n"), "{table}");
+    let page = std::fs::read_to_string(directory.path().join("two/report.html")).unwrap();
+    assert!(page.contains("Mean return on each rig"));
+}
+
+#[test]
+fn sessions_of_two_qubes_that_are_killed_go_on_to_the_same_bytes() {
+    for (rig_policy, first_file) in [("own", "rigs.toml"), ("shared", "session.toml")] {
+        let mut updates = [2, 16, 128].into_iter();
+        let resumed = updates.any(|it| is_killed_and_resumed(rig_policy, first_file, it));
+        assert!(resumed, "{rig_policy}: every session ended before a kill");
+    }
+}
+
+#[test]
+fn what_is_left_of_a_start_that_was_killed_is_in_nobodys_way() {
+    let directory = with_settings(2);
+    assert!(ended(directory.path(), &begin("own")).status.success());
+    // A kill after the first of two sessions has begun, and before the second and rigs.toml.
+    let left = directory.path().join("left");
+    std::fs::create_dir_all(left.join("rig-1/candidates")).unwrap();
+    let settings = directory.path().join("two/rig-1/session.toml");
+    std::fs::copy(settings, left.join("rig-1/session.toml")).unwrap();
+    let arguments = ["--resume", "left", "--device", "emulated", "--device", "emulated"];
+    let resumed = ended(directory.path(), &arguments);
+    let told = String::from_utf8_lossy(&resumed.stderr);
+    assert!(resumed.status.code() == Some(2) && told.contains("nothing to resume"), "{told}");
+    let again: Vec<&str> =
+        begin("own").into_iter().map(|it| if it == "two" { "left" } else { it }).collect();
+    let begun = ended(directory.path(), &again);
+    assert!(begun.status.success(), "{}", String::from_utf8_lossy(&begun.stderr));
+    // What was begun in earnest is nothing left.
+    let refused = ended(directory.path(), &again);
+    let told = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && told.contains("is not empty"), "{told}");
+    std::fs::remove_file(left.join("rigs.toml")).unwrap();
+    assert_eq!(ended(directory.path(), &again).status.code(), Some(2));
+    assert!(left.join("rig-2/ledger.jsonl").exists());
+}
+
+#[test]
+fn qubes_that_are_named_badly_are_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let link = directory.path().join("qube");
+    std::os::unix::fs::symlink("/dev/null", &link).unwrap();
+    std::fs::write(directory.path().join("a.toml"), "").unwrap();
+    for (arguments, message) in [
+        (&["--device", "/dev/null", "--device", "qube"][..], "named twice"),
+        (
+            &["--device", "hil:0", "--device", "emulated", "--qube", "a.toml"],
+            "2 times and --qube 1",
+        ),
+        (&["--rig-policy", "own"], "goes with several Qubes"),
+        (
+            &["--device", "emulated", "--device", "emulated", "--rig-policy", "shared"],
+            "--method bayrn",
+        ),
+        (
+            &[
+                "--device", "emulated", "--device", "emulated", "--device", "emulated", "--method",
+                "bayrn",
+            ],
+            "2 rollouts of each candidate cannot be spread over 3 Qubes",
+        ),
+        (&["--vary", "0.1", "--device", "emulated"], "goes with several Qubes"),
+        (
+            &["--device", "emulated", "--device", "/dev/no-qube", "--rig-policy", "own"],
+            "no such port",
+        ),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory.path()).arg("session").args(arguments);
+        let output = command.stdin(Stdio::null()).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {told}");
+        assert!(told.contains(message), "{arguments:?}: {told}");
+        assert!(!directory.path().join("logs").exists(), "{arguments:?}");
+    }
+}
+
+fn settings() -> SessionSettings {
+    let mut settings = SessionSettings::quick();
+    settings.extent = Extent {
+        initial_candidates: 2,
+        iterations: 0,
+        rollouts: 2,
+        verification_rollouts: 2,
+        repetitions: 1,
+        ..Extent::QUICK
+    };
+    settings.training.updates = 1;
+    settings.training.num_envs = 16;
+    settings.training.epochs = 1;
+    settings
+}
+
+/// An emulated Qube in virtual time, with a fault.
+fn emulated(settings: &SessionSettings, fault: Option<&str>) -> RigSettings {
+    let fault: Option<EmulatorFault> = fault.map(|fault| fault.parse().unwrap());
+    let emulator = EmulatorSettings { fault, ..EmulatorSettings::default() };
+    RigSettings { homing: settings.homing, ..RigSettings::emulated(emulator) }
+}
+
+/// A new session of one emulated Qube, with a fault or none.
+fn alone(root: &Path, fault: Option<&str>) -> Session {
+    let settings = settings();
+    let folder = SessionFolder::create(root, &settings.to_toml().unwrap()).unwrap();
+    let rig = emulated(&settings, fault);
+    Session::open(folder, settings, rig, Arc::new(AtomicBool::new(false))).unwrap()
+}
+
+#[test]
+fn the_fault_of_one_qube_ends_its_own_session_only() {
+    let directory = tempfile::tempdir().unwrap();
+    let open = |name: &str, fault| alone(&directory.path().join(name), fault);
+    // Each rollout has a new Qube, which is homed within 16 s.
+    let mut sessions = [open("faulty", Some("amplifier@16.5")), open("sound", None)];
+    let ended =
+        run_side_by_side(sessions.iter_mut().map(|session| (session, |_: SessionEvent| ())));
+    assert!(matches!(ended[0], Err(SessionError::InDoubt { .. })), "{:?}", ended[0]);
+    assert!(ended[1].is_ok(), "{:?}", ended[1]);
+    open("alone", None).run(&mut |_| ()).unwrap();
+    let files_in = |name: &str| files(&directory.path().join(name));
+    assert!(files_in("sound") == files_in("alone"), "the other session's fault changed something");
+}
+
+/// A session that two emulated Qubes share, each with a fault or none; opens it again if it exists.
+fn shared(root: &Path, faults: [Option<&str>; 2]) -> Session {
+    let settings = settings();
+    let folder = if root.exists() {
+        SessionFolder::open(root).unwrap()
+    } else {
+        SessionFolder::create(root, &settings.to_toml().unwrap()).unwrap()
+    };
+    let [first, second] = faults.map(|fault| emulated(&settings, fault));
+    let stop = Arc::new(AtomicBool::new(false));
+    Session::open(folder, settings, first, stop).unwrap().spread_over([(second, None)])
+}
+
+/// Sessions of two rigs, whose log is that of all threads of a process; run as a test it does nothing.
+#[test]
+fn sessions_that_are_logged() {
+    if std::env::var_os(LOGGED).is_none() {
+        return;
+    }
+    tracing_subscriber::fmt().with_ansi(false).init();
+    let directory = tempfile::tempdir().unwrap();
+    // While the arm is homed; only this test's boards restart.
+    let fault = Some("board-restart@5");
+    shared(&directory.path().join("shared"), [None, fault]).run(&mut |_| ()).unwrap();
+    let open = |name: &str, fault| alone(&directory.path().join(name), fault);
+    let mut own = [open("first", None), open("second", fault)];
+    let ended = run_side_by_side(own.iter_mut().map(|session| (session, |_: SessionEvent| ())));
+    assert!(ended.iter().all(Result::is_ok), "{ended:?}");
+}
+
+#[test]
+fn a_warning_names_the_rig_that_it_is_about() {
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "session_rigs::sessions_that_are_logged", "--nocapture"])
+        .env(LOGGED, "1")
+        .output()
+        .unwrap();
+    let logged = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{logged}");
+    let warnings: Vec<&str> =
+        logged.lines().filter(|line| line.contains("the board has restarted")).collect();
+    assert!(warnings.len() >= 2, "{logged}");
+    assert!(warnings.iter().all(|line| line.contains("rig{number=2}")), "{warnings:?}");
+}
+
+/// The attempts in a ledger, each with its rig and whether it has a result; a rig that was taken out is in between.
+fn attempts(entries: &[Entry]) -> Vec<String> {
+    let told = entries.iter().filter_map(|entry| match entry {
+        Entry::RolloutFinished { candidate, rollout, rig, .. } => {
+            Some(format!("{candidate}/{rollout} on {}", rig.unwrap()))
+        }
+        Entry::RolloutVoid { candidate, rollout, rig, .. } => {
+            Some(format!("{candidate}/{rollout} void on {}", rig.unwrap()))
+        }
+        Entry::RigTakenOut { rig, .. } => Some(format!("{rig} is out")),
+        _ => None,
+    });
+    told.collect()
+}
+
+#[test]
+fn the_rollouts_of_a_rig_that_faults_are_made_by_the_other() {
+    let directory = tempfile::tempdir().unwrap();
+    // A doubt, and a fault after which the link does not come back; each rollout has a new Qube.
+    for (name, fault) in [("doubt", "amplifier@16.5"), ("silent", "silent@16.5")] {
+        let root = directory.path().join(name);
+        let mut session = shared(&root, [None, Some(fault)]);
+        let mut told = Vec::new();
+        session
+            .run(&mut |event| {
+                if let SessionEvent::RigTakenOut { rig, reason } = event {
+                    told.push((rig, reason.to_owned()));
+                }
+            })
+            .unwrap();
+        let made = attempts(session.entries());
+        assert_eq!(made[..4], ["0/0 on 1", "0/1 void on 2", "2 is out", "0/1 on 1"], "{fault}");
+        assert!(made[4..].iter().all(|it| it.ends_with("on 1")), "{fault}: {made:?}");
+        assert_eq!(session.state().taken_out(), told, "{fault}");
+        let candidates = session.state().candidates();
+        assert!(candidates.iter().all(|it| it.finished.len() == 2), "{fault}: {candidates:?}");
+        drop(session);
+        if name == "doubt" {
+            goes_on_from_each_line(&root, fault);
+        }
+    }
+}
+
+/// Cuts the ledger after each line around the fault, as a crash does, and goes on to the same bytes.
+fn goes_on_from_each_line(root: &Path, fault: &str) {
+    let whole = files(root);
+    let text = String::from_utf8(whole["ledger.jsonl"].clone()).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    let void = lines.iter().position(|line| line.contains("rollout_void")).unwrap();
+    for kept in void - 1..void + 3 {
+        let text: String = lines[..kept].iter().map(|line| format!("{line}\n")).collect();
+        std::fs::write(root.join("ledger.jsonl"), text).unwrap();
+        shared(root, [None, Some(fault)]).run(&mut |_| ()).unwrap();
+        assert!(files(root) == whole, "after {kept} lines");
+    }
+}
+
+#[test]
+fn the_fault_of_the_last_rig_ends_a_shared_session_until_it_is_mended() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path().join("session");
+    let faults = [Some("amplifier@16.5"), Some("stall@16.5")];
+    let error = shared(&root, faults).run(&mut |_| ()).unwrap_err();
+    assert!(matches!(error, SessionError::InDoubt { .. }), "{error}");
+    let session = shared(&root, [None, None]);
+    assert_eq!(attempts(session.entries()), ["0/0 void on 1", "1 is out", "0/0 void on 2"]);
+    drop(session);
+    let mut session = shared(&root, [None, None]);
+    session.acknowledge();
+    session.run(&mut |_| ()).unwrap();
+    assert!(attempts(session.entries())[3..].iter().all(|it| it.ends_with("on 2")));
+}
+
+#[test]
+fn the_qubes_of_a_session_keep_their_places() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path().join("session");
+    shared(&root, [None, None]).run(&mut |_| ()).unwrap();
+    let session = shared(&root, [None, None]);
+    let boards = [1, 2].map(|rig| session.board(Some(rig)).unwrap().unwrap());
+    assert_ne!(boards[0], boards[1]);
+    drop(session);
+    let opened = |named: [&str; 2]| {
+        let settings = settings();
+        let rig = |board: &str| RigSettings {
+            device: DeviceChoice::Port("/dev/no-qube".into()),
+            board: Some(board.into()),
+            ..emulated(&settings, None)
+        };
+        let folder = SessionFolder::open(&root).unwrap();
+        let [first, second] = named.map(rig);
+        Session::open(folder, settings, first, Arc::new(AtomicBool::new(false)))
+            .unwrap()
+            .spread_over([(second, None)])
+            .on_the_same_boards()
+    };
+    assert!(opened([&boards[0], &boards[1]]).is_ok());
+    let refused = opened([&boards[1], &boards[0]]).err().unwrap().to_string();
+    let told = format!("board {} is named in the place of board {}", boards[1], boards[0]);
+    assert!(refused.contains(&told), "{refused}");
+}
