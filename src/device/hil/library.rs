@@ -270,7 +270,7 @@ impl Library {
 fn plain(text: &[c_char; TEXT_BYTES]) -> String {
     const LONGEST: usize = 300;
     let bytes: Vec<u8> =
-        text.iter().map(|&letter| letter as u8).take_while(|&it| it != 0).collect();
+        text.iter().flat_map(|letter| letter.to_ne_bytes()).take_while(|&it| it != 0).collect();
     let text = String::from_utf8_lossy(&bytes);
     let printable = |letter: char| if letter.is_control() { ' ' } else { letter };
     let line: String = text.chars().map(printable).collect();
