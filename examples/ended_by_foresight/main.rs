@@ -100,23 +100,6 @@ fn around(kind: &Kind) -> Vec<Kind> {
     kinds
 }
 
-/// The profile of another Qube: that Qube's values, and standard errors that are as large relative
-/// to its parameters as in `profile`.
-fn around_model(profile: &Profile, model: &QubeModel) -> Profile {
-    let mut other = Profile {
-        parameters: model.parameters,
-        nonidealities: model.nonidealities,
-        ..profile.clone()
-    };
-    for parameter in DomainParameter::ALL {
-        let grown = model.parameters.get(parameter) / profile.parameters.get(parameter);
-        if let Some(error) = other.standard_errors.get_mut(parameter.symbol()) {
-            *error *= grown;
-        }
-    }
-    other
-}
-
 /// The Qubes of the table's rows, by name.
 fn kinds(lab: QubeModel) -> Vec<(&'static str, Kind)> {
     let plain = |model| Kind { model, beyond_the_model: Beyond::Nothing };
@@ -183,8 +166,7 @@ fn ended_identified(good: &[Vec<Tick>], profile: &Profile, guard: &Arguments) ->
 
 fn main() {
     let arguments = Arguments::parse();
-    let text = std::fs::read_to_string("profiles/lab.toml").expect("the shipped profile");
-    let profile = Profile::parse(&text).expect("the shipped profile");
+    let profile = Profile::lab();
     let mut files =
         vec!["policies/robust.safetensors".to_owned(), "policies/nominal.safetensors".to_owned()];
     files.extend(arguments.policies.iter().cloned());
@@ -208,7 +190,7 @@ fn main() {
                 .collect();
             let unknown = [0.1, 0.15, 0.2, 0.3].map(|within| ended_unknown(&good, within));
             let identified =
-                ended_identified(&good, &around_model(&profile, &kind.model), &arguments);
+                ended_identified(&good, &profile.around(name, &kind.model), &arguments);
             let stem = file.and_then(|file| Path::new(file).file_stem()?.to_str());
             println!(
                 "| {name} | {} | {} | {unknown:?} | {identified:?} |",

@@ -7,9 +7,6 @@ use crate::storage::{SETTINGS_BYTES, read_text};
 /// Name of the nominal specimen of a plant; of a Qube, that is the thesis's.
 pub const IDEAL: &str = "ideal";
 
-/// The profile `lab`, which comes with the program: a real Qube whose recordings are published.
-const LAB: &str = include_str!("../../profiles/lab.toml");
-
 /// The model of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a profile file.
 pub fn named(name: &str, plant: &PlantModel) -> Result<QubeModel, Failure> {
     Ok(named_profile(name, plant)?.model())
@@ -26,8 +23,7 @@ pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure>
                 plant.name
             )));
         }
-        "lab" => Profile::parse(LAB)
-            .map_err(|error| Failure::failed(format!("the profile lab: {error}")))?,
+        "lab" => Profile::lab(),
         path => load(Path::new(path), plant)?,
     })
 }

@@ -115,6 +115,34 @@ impl Profile {
         }
     }
 
+    /// The profile `lab`, which comes with the program: a real Qube whose recordings are published.
+    ///
+    /// # Panics
+    /// Never: a test reads the text, which is part of the program.
+    #[must_use]
+    pub fn lab() -> Self {
+        Self::parse(include_str!("../../profiles/lab.toml")).expect("the profile of the program")
+    }
+
+    /// The profile of another Qube that is known as well as this one: its standard errors are as
+    /// large relative to its parameters, and as large for its nonidealities, with the same
+    /// correlations.
+    #[must_use]
+    pub fn around(&self, name: &str, model: &QubeModel) -> Self {
+        let mut other = Self::exact(name, model);
+        other.correlations.clone_from(&self.correlations);
+        other.standard_errors.clone_from(&self.standard_errors);
+        for parameter in DomainParameter::ALL {
+            let own = self.parameters.get(parameter);
+            if own != 0.0
+                && let Some(error) = other.standard_errors.get_mut(parameter.symbol())
+            {
+                *error *= model.parameters.get(parameter) / own;
+            }
+        }
+        other
+    }
+
     /// Reads a profile from TOML.
     ///
     /// # Errors
@@ -240,6 +268,19 @@ mod named_parameters {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn another_qube_is_known_as_well_as_the_one_whose_profile_comes_with_the_program() {
+        let lab = Profile::lab();
+        let mut model = lab.model();
+        model.parameters.motor_resistance_ohm *= 2.0;
+        let other = lab.around("other", &model);
+        assert_eq!(other.model(), model);
+        let of = |name: &str| Quantity::from_name(name).unwrap();
+        let grown = |name: &str| other.standard_error(of(name)) / lab.standard_error(of(name));
+        assert_eq!([grown("R_m"), grown("M_p"), grown("command_delay_s")], [2.0, 1.0, 1.0]);
+        assert_eq!(other.correlations, lab.correlations);
+    }
 
     #[test]
     fn a_written_profile_reads_back_and_missing_parameters_are_nominal() {
