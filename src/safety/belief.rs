@@ -14,9 +14,10 @@ fn velocity_error_rad_s(encoder: Encoder) -> f64 {
     encoder.rad_per_count() / CONTROL_PERIOD_S
 }
 
-/// Least relative error of an identified number, even if its standard error is smaller: no model is
-/// exact.
-const MODEL_ERROR: f64 = 0.1;
+/// Relative error of each number of an identified Qube: no model is exact, and a healthy Qube warms
+/// up and wears. A belief with a profile's correlations leaves it out, because the brake's margin
+/// covers it: the adversary of SAFETY.md drives such Qubes.
+pub(super) const MODEL_ERROR: f64 = 0.1;
 
 /// Least relative error of an identified delay, which changes with computer and link.
 const DELAY_ERROR: f64 = 0.3;
@@ -138,40 +139,64 @@ impl Belief {
         Self { low, high, least_share: 1.0, steps: no_steps() }
     }
 
-    /// The belief from a profile. Each number except gravity may be off by 10 %, or by three
-    /// standard errors if that is more, but no parameter by more than an unidentified Qube's. The
-    /// delay may be off by 30 % or 2 ms, whichever is more. If the profile has correlations, the
-    /// three standard errors are steps in the independent directions of the errors instead, in
-    /// addition to the 10 %.
+    /// The belief from a profile. With correlations it is the profile's own errors: three standard
+    /// errors in each independent direction. Without them each number except gravity may be off by
+    /// three standard errors or by 10 %, whichever is more, but no parameter by more than an
+    /// unidentified Qube's. The delay may be off by 30 % or 2 ms, whichever is more, in either case.
     #[must_use]
     pub fn of_profile(profile: &Profile) -> Self {
         let model = profile.model();
-        let (mut low, mut high) = (model, model);
+        let mut belief = Self {
+            low: model,
+            high: model,
+            least_share: IDENTIFIED_SHARE,
+            steps: independent_steps(profile),
+        };
         for quantity in Quantity::all() {
             let value = model.get(quantity);
-            let error = if profile.correlations.is_some() {
-                0.0
-            } else {
-                STANDARD_ERRORS * profile.standard_error(quantity)
+            // The steps hold correlated errors.
+            let error = match profile.correlations {
+                Some(_) => 0.0,
+                None => (STANDARD_ERRORS * profile.standard_error(quantity))
+                    .max(MODEL_ERROR * value.abs()),
             };
-            let (least, most) = match quantity {
-                Quantity::Parameter(DomainParameter::Gravity) => (value, value),
-                Quantity::Parameter(_) => {
-                    let off = error.max(MODEL_ERROR * value).min(UNKNOWN_SHARE * value);
-                    (value - off, value + off)
+            let off = match quantity {
+                Quantity::Parameter(DomainParameter::Gravity) => 0.0,
+                Quantity::Parameter(_) => error.min(UNKNOWN_SHARE * value),
+                Quantity::Nonideality(Nonideality::CommandDelay) => {
+                    error.max(DELAY_ERROR * value).max(LEAST_DELAY_ERROR_S)
                 }
-                Quantity::Nonideality(term) => {
-                    let off = error.max(match term {
-                        Nonideality::CommandDelay => (DELAY_ERROR * value).max(LEAST_DELAY_ERROR_S),
-                        _ => MODEL_ERROR * value.abs(),
-                    });
-                    (possible(term, value - off), possible(term, value + off))
-                }
+                Quantity::Nonideality(_) => error,
             };
-            low.set(quantity, least);
-            high.set(quantity, most);
+            belief.widen(quantity, off);
         }
-        Self { low, high, least_share: IDENTIFIED_SHARE, steps: independent_steps(profile) }
+        belief
+    }
+
+    /// This belief with each parameter except gravity, and each nonideality except the delay, off
+    /// by this fraction of its value in addition.
+    #[must_use]
+    pub fn widened(mut self, fraction: f64) -> Self {
+        for quantity in Quantity::all() {
+            if quantity != Quantity::Parameter(DomainParameter::Gravity)
+                && quantity != Quantity::Nonideality(Nonideality::CommandDelay)
+            {
+                let [low, high] = [self.low, self.high].map(|end| end.get(quantity).abs());
+                self.widen(quantity, 0.5 * fraction * (low + high));
+            }
+        }
+        self
+    }
+
+    /// Moves both ends of a number outward, as far as a Qube's number may be.
+    fn widen(&mut self, quantity: Quantity, off: f64) {
+        let (low, high) = (self.low.get(quantity) - off, self.high.get(quantity) + off);
+        let (low, high) = match quantity {
+            Quantity::Parameter(_) => (low, high),
+            Quantity::Nonideality(term) => (possible(term, low), possible(term, high)),
+        };
+        self.low.set(quantity, low);
+        self.high.set(quantity, high);
     }
 
     /// This belief behind a link whose samples may be up to `age_s` older than they seem, s. A
@@ -359,6 +384,28 @@ fn mirrored(place: &[f64; NUMBERS]) -> [f64; NUMBERS] {
 mod tests {
     use super::*;
     use crate::qube::Correlations;
+
+    #[test]
+    fn a_belief_is_as_wide_as_its_profiles_errors() {
+        let lab = Profile::lab();
+        let resistance = Quantity::Parameter(DomainParameter::MotorResistance);
+        let delay = Quantity::Nonideality(Nonideality::CommandDelay);
+        let width = |belief: Belief, quantity| {
+            (belief.high.get(quantity) - belief.low.get(quantity)) / lab.model().get(quantity)
+        };
+        let alone = Profile { correlations: None, ..lab.clone() };
+        let exact = Belief::of_profile(&Profile::exact("exact", &lab.model()));
+        let (correlated, apart) = (Belief::of_profile(&lab), Belief::of_profile(&alone));
+        assert_eq!(width(correlated, resistance), 0.0, "the steps hold its error");
+        assert_ne!(correlated.steps, no_steps());
+        assert!((width(exact, resistance) - 0.2).abs() < 1e-9);
+        assert!((width(apart, resistance) - 0.6).abs() < 1e-9, "three standard errors are 65 %");
+        assert!((width(correlated.widened(0.1), resistance) - 0.2).abs() < 1e-9);
+        for belief in [correlated, apart, exact, correlated.widened(0.1)] {
+            assert!((width(belief, delay) - 0.6).abs() < 1e-9);
+            assert_eq!(belief.check(), Ok(()));
+        }
+    }
 
     #[test]
     fn a_profile_that_leaves_a_number_undetermined_gives_a_belief_that_reads_back() {

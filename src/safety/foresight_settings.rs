@@ -1,6 +1,8 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::belief::MODEL_ERROR;
+use super::foresight::Prediction;
 use super::{Belief, BeliefError, CentringBrake, Ends, Foresight, Reach, TrustedForesight};
 use crate::estimation::MeasuredStops;
 use crate::qube::{PlantModel, Profile};
@@ -31,10 +33,18 @@ pub struct ForesightSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IdentifiedQube {
-    /// Belief derived from the profile.
+    /// Belief derived from the profile: the brake must hold for all of its Qubes.
     pub belief: Belief,
+    /// Fraction of each number by which the Qube may differ from this belief before its motion
+    /// contradicts the profile; 0 if the belief itself allows for that.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub tolerance: f64,
     /// Control periods for which a voltage is held before the brake begins.
     pub held_periods: u32,
+}
+
+fn is_zero(tolerance: &f64) -> bool {
+    *tolerance == 0.0
 }
 
 impl IdentifiedQube {
@@ -42,7 +52,15 @@ impl IdentifiedQube {
     /// the three samples that a link may lose in a row.
     #[must_use]
     pub fn of(profile: &Profile) -> Self {
-        Self { belief: Belief::of_profile(profile), held_periods: 4 }
+        // Without correlations the belief is that wide itself.
+        let tolerance = if profile.correlations.is_some() { MODEL_ERROR } else { 0.0 };
+        Self { belief: Belief::of_profile(profile), tolerance, held_periods: 4 }
+    }
+
+    /// The belief whose Qubes do not contradict the profile.
+    #[must_use]
+    pub fn tolerated(&self) -> Belief {
+        self.belief.widened(self.tolerance)
     }
 }
 
@@ -92,10 +110,12 @@ impl TryFrom<Unchecked> for ForesightSettings {
             return Err(ForesightError::Version(version));
         }
         let held = identified.map_or(held_periods, |identified| identified.held_periods);
+        let tolerance = identified.map_or(0.0, |identified| identified.tolerance);
         for (name, value, least, most) in [
             ("margin_rad", margin_rad, 0.0, 1.0),
             ("held_periods", f64::from(held_periods), 1.0, 10.0),
             ("identified.held_periods", f64::from(held), 1.0, 10.0),
+            ("identified.tolerance", tolerance, 0.0, 1.0),
             ("horizon_periods", f64::from(horizon_periods), 1.0, 1000.0),
         ] {
             if !(least..=most).contains(&value) {
@@ -147,7 +167,11 @@ impl ForesightSettings {
             let particles = belief.particles(plant.encoders);
             Foresight::new(&particles, CentringBrake::of_plant(plant), ends, reach)
         };
-        let identified = self.identified.map(|known| of(known.belief, known.held_periods));
+        let identified = self.identified.map(|known| {
+            let foresight = of(known.belief, known.held_periods);
+            let tolerated = of(known.tolerated(), known.held_periods);
+            (foresight, Prediction::of(&tolerated))
+        });
         TrustedForesight::new(of(self.belief, self.held_periods), identified)
     }
 }
@@ -186,7 +210,7 @@ mod tests {
 
     #[test]
     fn settings_of_a_file_are_checked_before_anything_is_computed_with_them() {
-        let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap();
+        let lab = Profile::lab();
         let identified = Some(IdentifiedQube::of(&lab));
         let settings = ForesightSettings { identified, ..ForesightSettings::default() };
         let json = serde_json::to_value(settings).unwrap();
@@ -202,6 +226,7 @@ mod tests {
             ("/belief/least_share", 1.5.into(), "least_share = 1.5"),
             ("/identified/belief/least_share", 1.5.into(), "least_share = 1.5"),
             ("/identified/held_periods", 0.into(), "identified.held_periods = 0"),
+            ("/identified/tolerance", (-0.1).into(), "identified.tolerance = -0.1"),
             ("/identified/belief/steps/3/3", 2.into(), "steps"),
             ("/belief/high/gap/command_delay_s", 0.1.into(), "command_delay_s"),
             ("/belief/low/gap/command_delay_s", (-0.1).into(), "command_delay_s"),

@@ -36,15 +36,17 @@ enum Trust {
 }
 
 impl TrustedForesight {
-    /// Foresight for any Qube, and for the identified one if there is a profile.
+    /// Foresight for any Qube, and, if there is a profile, for the identified one with the
+    /// prediction that must follow its motion.
     #[must_use]
     pub fn new(
         any: Foresight<CentringBrake>,
-        identified: Option<Foresight<CentringBrake>>,
+        identified: Option<(Foresight<CentringBrake>, Prediction)>,
     ) -> Self {
-        let identified = identified.map(|foresight| {
-            let prediction = Prediction::of(&foresight);
-            Identified { foresight, prediction, trust: Trust::Untested }
+        let identified = identified.map(|(foresight, prediction)| Identified {
+            foresight,
+            prediction,
+            trust: Trust::Untested,
         });
         Self { any, identified, angle: None }
     }
@@ -52,9 +54,9 @@ impl TrustedForesight {
     /// Selects the instruction set, for comparisons.
     #[must_use]
     pub fn at_level(self, level: Level) -> Self {
-        let identified = self.identified.map(|Identified { foresight, trust, .. }| {
+        let identified = self.identified.map(|Identified { foresight, prediction, trust }| {
             let foresight = foresight.at_level(level);
-            Identified { prediction: Prediction::of(&foresight), foresight, trust }
+            Identified { foresight, prediction: prediction.at_level(level), trust }
         });
         Self { any: self.any.at_level(level), identified, angle: self.angle }
     }
@@ -141,7 +143,7 @@ mod tests {
     /// Simulates a Qube that is pushed to and fro and whose motor gets this fraction of the
     /// voltage; returns whether it contradicted the profile.
     fn follow(plant: &QubeModel, share: f64) -> (TrustedForesight, bool) {
-        let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap();
+        let lab = Profile::lab();
         let identified = Some(IdentifiedQube::of(&Profile::exact("lab", &lab.model())));
         let settings = ForesightSettings { identified, ..ForesightSettings::default() };
         let mut foresight = settings.foresight(None, &PlantModel::QUBE);
@@ -177,7 +179,7 @@ mod tests {
 
     #[test]
     fn a_profile_is_trusted_while_it_predicts_and_no_longer() {
-        let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap().model();
+        let lab = Profile::lab().model();
         let (foresight, contradicted) = follow(&lab, 1.0);
         assert!(!contradicted);
         assert_eq!(foresight.identified.unwrap().trust, Trust::Earned);

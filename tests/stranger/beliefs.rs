@@ -33,10 +33,11 @@ impl Known {
         ForesightSettings { identified, ..ForesightSettings::default() }
     }
 
-    /// The belief from which the Qube is drawn: the identified Qube's, or the one for any Qube.
+    /// The belief from which the Qube is drawn: all that the identified Qube may be before its motion contradicts the
+    /// profile, or the one for any Qube.
     fn belief(self) -> Belief {
         let ForesightSettings { belief, identified, .. } = self.settings();
-        identified.map_or(belief, |identified| identified.belief)
+        identified.map_or(belief, |identified| identified.tolerated())
     }
 
     /// A Qube within the belief, each number chosen by a gene.

@@ -62,6 +62,13 @@ impl Prediction {
         Self { particles, qubes, filter: *filter, lag_s: *lag_s, level: *level, run: None }
     }
 
+    /// Uses this instruction set instead of the best one, for comparisons.
+    #[must_use]
+    pub(crate) fn at_level(mut self, level: Level) -> Self {
+        self.level = level;
+        self
+    }
+
     /// Sets the number of control periods between the last two samples, as
     /// [`Foresight::sampled_after`] does.
     pub fn sampled_after(&mut self, periods: u32) {
