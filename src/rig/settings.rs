@@ -183,9 +183,20 @@ impl RigSettings {
                 Some(IdentifiedQube::of(profile))
             }
             None if !self.is_hardware() && !self.unidentified => {
-                Some(IdentifiedQube::of(&Profile::exact("emulated", &self.emulator.model)))
+                Some(IdentifiedQube::of(&self.emulated_profile()))
             }
             _ => None,
+        }
+    }
+
+    /// The profile by which the guard knows an emulated Qube: its true numbers, with the errors that
+    /// the identification of a real one left. Other plants have no such errors.
+    fn emulated_profile(&self) -> Profile {
+        let model = &self.emulator.model;
+        if self.plant.name.is_qube() {
+            Profile::lab().around("emulated", model)
+        } else {
+            Profile::exact("emulated", model)
         }
     }
 
