@@ -184,7 +184,13 @@ impl EmulatedArguments {
                 }
             }
         }
-        Ok(Some(EmulatedQubeSettings { model, command_jitter_s, play_rad, effects }))
+        Ok(Some(EmulatedQubeSettings {
+            model,
+            command_jitter_s,
+            play_rad,
+            effects,
+            ..EmulatedQubeSettings::default()
+        }))
     }
 }
 

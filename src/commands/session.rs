@@ -289,6 +289,7 @@ pub fn rig_settings(
     let limits = device.limits(&configuration, &settings.safety_box, consent)?;
     let emulator = settings.emulated.emulator(settings.seed);
     Ok(RigSettings {
+        unidentified: settings.emulated.unidentified,
         homing: settings.homing,
         limits,
         ..device.rig_settings(emulator, settings.estimator, check)

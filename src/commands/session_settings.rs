@@ -71,7 +71,9 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
     if let Some(estimator) = arguments.estimator.settings(&device.plant)? {
         settings = settings.seen_through(estimator);
     }
-    settings.emulated = arguments.emulated.settings(&device.plant)?.unwrap_or(settings.emulated);
+    let unidentified = settings.emulated.unidentified || device.is_unidentified();
+    let emulated = arguments.emulated.settings(&device.plant)?.unwrap_or(settings.emulated);
+    settings.emulated = EmulatedQubeSettings { unidentified, ..emulated };
     Ok(settings)
 }
 
@@ -134,6 +136,8 @@ pub fn resumed(
     Ok((folder, on_this_qube(settings, device)))
 }
 
+    let SessionSettings { emulated, homing, .. } = &settings;
+    device.check_resumed("a session", emulated.unidentified, *homing, homing.method)?;
 /// Opens the folder of a session that is resumed, and reads its settings, without those of the
 /// Qube's own file.
 ///

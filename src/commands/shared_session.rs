@@ -45,6 +45,10 @@ pub fn run(
     let (folder, settings) = match &arguments.resume {
         Some(directory) => {
             let (folder, settings) = reopened(directory, arguments, &devices[0])?;
+            for (device, rig) in devices.iter().zip(&settings.rigs) {
+                let (unidentified, began) = (rig.emulated.unidentified, rig.homing_method);
+                device.check_resumed("a session", unidentified, settings.homing, began)?;
+            }
             (folder, inside_all(settings, &devices))
         }
         None => {
@@ -166,6 +170,7 @@ fn spread(
     }
     let rig = |(number, device): (u32, &ChosenDevice)| SharedRig {
         device: name_of(device),
+        homing_method: device.homing(settings.homing).method,
         emulated: emulated_of(arguments, &settings, settings.seed, number),
     };
     settings.rigs = (1..).zip(devices).map(rig).collect();

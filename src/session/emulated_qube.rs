@@ -19,6 +19,9 @@ pub struct EmulatedQubeSettings {
     /// Effects beyond the equations.
     #[serde(default, skip_serializing_if = "has_none")]
     pub effects: Effects,
+    /// Whether the guard treats this Qube as not identified; otherwise the guard knows the model.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub unidentified: bool,
 }
 
 fn has_none(effects: &Effects) -> bool {
@@ -77,3 +80,4 @@ impl Default for EmulatedQubeSettings {
         }
     }
 }
+            unidentified: false,

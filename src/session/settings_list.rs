@@ -178,6 +178,7 @@ impl SessionSettings {
             }
         };
         none_is(&mut all.emulated.play_rad, 0.005);
+        all.emulated.unidentified = true;
         let Effects {
             presliding_rad,
             stribeck,
