@@ -115,6 +115,9 @@ pub fn begun(
     settings: SessionSettings,
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     let settings = SessionSettings { name, ..settings };
+    // Options that are each in their range may together give a Qube that is not, and a session that
+    // could not be resumed.
+    settings.check().map_err(Failure::usage)?;
     let configuration = settings.to_toml().map_err(Failure::failed)?;
     let folder =
         SessionFolder::create(root, &configuration).map_err(|error| failures::folder(&error))?;
@@ -133,11 +136,11 @@ pub fn resumed(
     device: &ChosenDevice,
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     let (folder, settings) = reopened(directory, arguments, device)?;
+    let SessionSettings { emulated, homing, .. } = &settings;
+    device.check_resumed("a session", emulated.unidentified, *homing, homing.method)?;
     Ok((folder, on_this_qube(settings, device)))
 }
 
-    let SessionSettings { emulated, homing, .. } = &settings;
-    device.check_resumed("a session", emulated.unidentified, *homing, homing.method)?;
 /// Opens the folder of a session that is resumed, and reads its settings, without those of the
 /// Qube's own file.
 ///
