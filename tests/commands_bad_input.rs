@@ -390,6 +390,49 @@ fn the_travel_of_a_rig_is_a_travel() {
 }
 
 #[test]
+fn files_that_are_no_text_are_called_so() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("bytes"), [0xff, 0xfe, 0x00]).unwrap();
+    let run = ["run", "--policy", "classical", "--clock", "virtual"];
+    let cases: [&[&str]; 5] = [
+        &["config", "check", "bytes"],
+        &["identify", "bytes"],
+        &["experiment", "--recipe", "bytes"],
+        &["train", "--profile", "bytes"],
+        &[&run[..], &["--plant", "bytes"]].concat(),
+    ];
+    for arguments in cases {
+        refused(directory.path(), arguments, 2, &["bytes", "not a text file"]);
+    }
+}
+
+#[test]
+fn a_file_in_place_of_a_folder_is_refused_before_any_work() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("taken"), "mine").unwrap();
+    let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "chirp"];
+    assert!(qube_hil(directory.path(), &run).status.success());
+    refused(directory.path(), &["manual", "--out", "taken"], 2, &["--out taken is no folder"]);
+    refused(directory.path(), &["toy", "--out", "taken"], 2, &["--out taken is no folder"]);
+    let identify = ["identify", "chirp/rollout-0.mcap", "--plot", "taken"];
+    refused(directory.path(), &identify, 2, &["--plot taken is no folder"]);
+    assert!(
+        !directory.path().join("profile.toml").exists(),
+        "the recordings were fitted all the same"
+    );
+    std::fs::create_dir(directory.path().join("folder")).unwrap();
+    let train = ["train", "--preset", "quick", "--checkpoint", "folder"];
+    refused(directory.path(), &train, 2, &["--checkpoint folder: it is no file"]);
+}
+
+#[test]
+fn a_recording_that_is_named_twice_is_exported_once() {
+    let directory = tempfile::tempdir().unwrap();
+    let export = ["export", "one.mcap", "one.mcap"];
+    refused(directory.path(), &export, 2, &["one.mcap is named twice", "once"]);
+}
+
+#[test]
 fn numbers_without_an_end_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     for hours in ["1e300", "inf", "0"] {

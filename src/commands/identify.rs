@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
-use super::destination::OutputFile;
+use super::destination::{OutputFile, OutputFolder};
 use super::exit::Failure;
 use super::output::Output;
 use super::plant_file::PlantArgument;
@@ -79,6 +79,11 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
+    let plots = arguments
+        .plot
+        .as_deref()
+        .map(|folder| OutputFolder::of_option("--plot", folder))
+        .transpose()?;
     let mut plant = arguments.plant.given()?;
     let mut incomplete = Vec::new();
     let fitted = read(&arguments.files, &mut plant, &mut incomplete)?;
@@ -89,15 +94,15 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             "{shown} is named twice: the same data would count as new evidence. Name each recording once"
         )));
     }
+    if !incomplete.is_empty() {
+        let parts: Vec<String> = incomplete.iter().map(IncompleteRecording::words).collect();
+        tell(&format!("warning: not every recording is complete: {}", parts.join("; ")));
+    }
     let plant = plant.unwrap_or_default();
     let first_guess = match &arguments.from {
         Some(path) => profile::load(path, &plant)?.model(),
         None => plant.nominal(),
     };
-    if !incomplete.is_empty() {
-        let parts: Vec<String> = incomplete.iter().map(IncompleteRecording::words).collect();
-        tell(&format!("warning: not every recording is complete: {}", parts.join("; ")));
-    }
 
     let started = Instant::now();
     let identified = identify(&fitted, &unknowns, &first_guess).map_err(Failure::usage)?;
@@ -128,14 +133,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
     out.write(toml.as_bytes())?;
-    if let Some(folder) = &arguments.plot {
-        std::fs::create_dir_all(folder)
-            .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;
+    if let Some(folder) = &plots {
         let files = arguments.files.iter().chain(&arguments.holdout);
         let logs = fitted.iter().chain(&held_out);
         let models = own_models.iter().chain(&held_out_models);
         for ((path, log), model) in files.zip(logs).zip(models) {
-            plot(folder, path, log, model)?;
+            plot(folder.path(), path, log, model)?;
         }
     }
 
