@@ -105,6 +105,15 @@ impl OutputFolder {
         Ok(folder)
     }
 
+    /// The folder of the option `option`, created if it is missing, after a check that files can
+    /// be written there.
+    pub fn of_option(option: &str, path: &Path) -> Result<Self, Failure> {
+        let mut folder = Self { path: path.to_owned(), made: Vec::new() };
+        let checked = folder.make_missing(path).and_then(|()| check_folder(path));
+        checked.map_err(|failure| failure.preceded_by(option))?;
+        Ok(folder)
+    }
+
     /// A new folder of this name. If the name exists, for instance because another program started
     /// within the same second, a number is appended.
     fn numbered(above: &Path, name: &str) -> Result<Self, Failure> {

@@ -234,6 +234,38 @@ impl ChosenDevice {
         HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
     }
 
+    /// Whether the guard is to treat an emulated Qube as not identified.
+    pub fn is_unidentified(&self) -> bool {
+        self.unidentified
+    }
+
+    /// Checks that work which is resumed goes on with the guard and the homing that it began with,
+    /// because its rollouts are compared. `work` names it as in "a session"; `homing` are the
+    /// settings that it recorded, and `began` its method of homing.
+    pub fn check_resumed(
+        &self,
+        work: &str,
+        is_unidentified: bool,
+        homing: HomingSettings,
+        began: HomingMethod,
+    ) -> Result<(), Failure> {
+        if self.unidentified && !is_unidentified {
+            return Err(Failure::usage(format!(
+                "{work} goes on with the guard that it began with: leave --unidentified out"
+            )));
+        }
+        if self.homing(homing).method != began {
+            let method = match began {
+                HomingMethod::Stops => "stops",
+                HomingMethod::Hand => "hand",
+            };
+            return Err(Failure::usage(format!(
+                "{work} goes on with the homing that it began with: give --home {method}"
+            )));
+        }
+        Ok(())
+    }
+
     /// Checks that this device may be driven as this plant.
     pub fn check_plant(&self, plant: &PlantModel) -> Result<(), Failure> {
         if !self.choice.is_hardware() {

@@ -83,12 +83,19 @@ impl EmulatedArguments {
     /// Describes the first invalid value.
     pub fn of_entry(entry: &PlantEntry) -> Result<Self, String> {
         let number = |name: &str, value: Option<f64>, rule: fn(&str) -> Result<f64, String>| {
-            let check =
-                |value: f64| rule(&value.to_string()).map_err(|why| format!("{name}: {why}"));
+            let check = |value: f64| {
+                rule(&value.to_string()).map_err(|why| format!("{name} = {value}: {why}"))
+            };
             value.map(check).transpose()
         };
-        let effects = entry.effects.iter().map(|(name, value)| effect(&format!("{name}={value}")));
-        let scale = entry.scale.iter().map(|(name, factor)| scaling(&format!("{name}={factor}")));
+        let effects = entry.effects.iter().map(|(name, value)| {
+            effect(&format!("{name}={value}"))
+                .map_err(|why| format!("effects.{name} = {value}: {why}"))
+        });
+        let scale = entry.scale.iter().map(|(name, factor)| {
+            scaling(&format!("{name}={factor}"))
+                .map_err(|why| format!("scale.{name} = {factor}: {why}"))
+        });
         Ok(Self {
             profile: entry.profile.clone(),
             gap: number("gap", entry.gap, factor)?,
@@ -184,7 +191,13 @@ impl EmulatedArguments {
                 }
             }
         }
-        Ok(Some(EmulatedQubeSettings { model, command_jitter_s, play_rad, effects }))
+        Ok(Some(EmulatedQubeSettings {
+            model,
+            command_jitter_s,
+            play_rad,
+            effects,
+            ..EmulatedQubeSettings::default()
+        }))
     }
 }
 
@@ -197,7 +210,7 @@ fn milliseconds(text: &str) -> Result<f64, String> {
 }
 
 fn play(text: &str) -> Result<f64, String> {
-    between(text, 0.0, 5.0)
+    between(text, 0.0, EmulatedQubeSettings::LARGEST_PLAY_DEG)
 }
 
 fn drift(text: &str) -> Result<f64, String> {

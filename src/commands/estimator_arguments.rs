@@ -3,7 +3,7 @@ use clap::ValueEnum;
 use super::exit::Failure;
 use super::number_arguments::{between, positive};
 use super::profile;
-use crate::estimation::{EstimatorSettings, ObserverSettings};
+use crate::estimation::{EstimatorSettings, LARGEST_CORNER_RAD_S, ObserverSettings};
 use crate::qube::PlantModel;
 
 /// The arguments of the estimator whose state the policy sees.
@@ -17,7 +17,7 @@ pub struct EstimatorArguments {
 
     /// Corner of the velocity filter, rad/s (the thesis uses 50) [default: 200; `experiment` without
     /// --preset robust: 50]
-    #[arg(long, value_name = "CORNER", value_parser = positive)]
+    #[arg(long, value_name = "CORNER", value_parser = corner)]
     filter: Option<f64>,
 
     /// The observer's model and delay: `ideal` (the thesis's equations, no delay), `lab`, or a file
@@ -65,6 +65,10 @@ impl EstimatorArguments {
         }
         Ok(Some(EstimatorSettings::observer(observer)))
     }
+}
+
+fn corner(text: &str) -> Result<f64, String> {
+    positive(text, LARGEST_CORNER_RAD_S)
 }
 
 fn milliseconds(text: &str) -> Result<f64, String> {

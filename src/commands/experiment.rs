@@ -232,6 +232,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let first = &settings.recipes[0].settings;
     let rig = RigSettings {
         homing: first.homing,
+        unidentified: settings.plants[0].emulated.unidentified,
         limits,
         ..device.rig_settings(
             settings.plants[0].emulated.emulator(settings.seed),
@@ -373,10 +374,13 @@ fn begun(
     for path in &arguments.recipe {
         recipes.push(Recipe::load(path, &base).map_err(Failure::usage)?);
     }
-    let plants = match is_emulated {
+    let mut plants = match is_emulated {
         true => arguments.plants.plants(&device.plant)?,
         false => vec![Plant { name: "device".into(), emulated: Default::default(), vary: 0.0 }],
     };
+    for plant in &mut plants {
+        plant.emulated.unidentified = device.is_unidentified();
+    }
     // The return of a single policy tells more about the luck of its training than about its
     // recipe, so more policies rather than more rollouts score a recommendation.
     let (policies, rollouts) = match &strategies {
@@ -498,5 +502,10 @@ fn resumed(
         )));
     }
     check_device(settings.strategies.as_ref(), device)?;
+    let unidentified = settings.plants.iter().any(|it| it.emulated.unidentified);
+    if let Some(Recipe { settings: SessionSettings { homing, .. }, .. }) = settings.recipes.first()
+    {
+        device.check_resumed("an experiment", unidentified, *homing, homing.method)?;
+    }
     Ok((folder, settings, check_places(arguments)?))
 }

@@ -91,6 +91,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let written: Vec<PathBuf> =
         files.iter().map(|file| written_of(file, out.as_deref(), extension)).collect();
     for (index, place) in written.iter().enumerate() {
+        if files[..index].contains(&files[index]) {
+            let file = files[index].display();
+            return Err(Failure::usage(format!("{file} is named twice: name each file once")));
+        }
         if written[..index].contains(place) {
             return Err(Failure::usage(format!(
                 "two files would become {}: leave --out out, or name the files of one folder",

@@ -5,18 +5,19 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
-use super::destination::OutputFile;
+use super::destination::{OutputFile, OutputFolder};
 use super::exit::Failure;
 use super::output::Output;
 use super::plant_file::PlantArgument;
+use super::printable::tell;
 use super::profile;
 use crate::charts::motion_svg;
 use crate::identification::{
     Blind, Estimate, HorizonError, Identified, ModelVerdict, Phase, Unknown, check_recording,
-    comes_upright, horizon_error, identify, phase_error, start_state,
+    comes_upright, duration_of, horizon_error, identify, phase_error, start_state,
 };
 use crate::qube::{PlantModel, QubeModel};
-use crate::replay::{MotionLog, simulate_from};
+use crate::replay::{Incomplete, MotionLog, simulate_from};
 use crate::storage::{MachineDisk, write_whole};
 
 /// Horizons of the predictions of chirps and steps in the table, s.
@@ -78,14 +79,24 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
+    let plots = arguments
+        .plot
+        .as_deref()
+        .map(|folder| OutputFolder::of_option("--plot", folder))
+        .transpose()?;
     let mut plant = arguments.plant.given()?;
-    let fitted = read(&arguments.files, &mut plant)?;
-    let held_out = read(&arguments.holdout, &mut plant)?;
+    let mut incomplete = Vec::new();
+    let fitted = read(&arguments.files, &mut plant, &mut incomplete)?;
+    let held_out = read(&arguments.holdout, &mut plant, &mut incomplete)?;
     if let Some(twice) = twice(arguments.files.iter().chain(&arguments.holdout)) {
         let shown = twice.display();
         return Err(Failure::usage(format!(
             "{shown} is named twice: the same data would count as new evidence. Name each recording once"
         )));
+    }
+    if !incomplete.is_empty() {
+        let parts: Vec<String> = incomplete.iter().map(IncompleteRecording::words).collect();
+        tell(&format!("warning: not every recording is complete: {}", parts.join("; ")));
     }
     let plant = plant.unwrap_or_default();
     let first_guess = match &arguments.from {
@@ -122,14 +133,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
     out.write(toml.as_bytes())?;
-    if let Some(folder) = &arguments.plot {
-        std::fs::create_dir_all(folder)
-            .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;
+    if let Some(folder) = &plots {
         let files = arguments.files.iter().chain(&arguments.holdout);
         let logs = fitted.iter().chain(&held_out);
         let models = own_models.iter().chain(&held_out_models);
         for ((path, log), model) in files.zip(logs).zip(models) {
-            plot(folder, path, log, model)?;
+            plot(folder.path(), path, log, model)?;
         }
     }
 
@@ -141,7 +150,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     let _ = write!(text, "\n{}", assessment(&identified));
     let _ = write!(text, "\n{} in {seconds:.1} s", arguments.out.display());
-    output.print(&text, &result(&identified, &errors, seconds, arguments));
+    let mut result = result(&identified, &errors, seconds, arguments);
+    result["incomplete"] = incomplete.iter().map(IncompleteRecording::json).collect();
+    output.print(&text, &result);
     Ok(())
 }
 
@@ -172,11 +183,38 @@ fn series_of(path: &Path) -> PathBuf {
     path.with_file_name(stem.trim_end_matches(|character: char| character.is_ascii_digit()))
 }
 
-/// Reads recordings and refuses those that cannot be fitted. All must be of the plant in `plant`;
-/// if that is `None`, the first recording sets the plant.
-fn read(files: &[PathBuf], plant: &mut Option<PlantModel>) -> Result<Vec<MotionLog>, Failure> {
+/// A recording that holds only a part of its rollout.
+struct IncompleteRecording {
+    path: PathBuf,
+    why: Incomplete,
+    /// Duration of the motion that is used, s.
+    used_s: f64,
+}
+
+impl IncompleteRecording {
+    fn words(&self) -> String {
+        let Self { path, why, used_s } = self;
+        format!("{} ({why}; {used_s:.2} s of it are used)", path.display())
+    }
+
+    fn json(&self) -> Value {
+        let Self { path, why, used_s } = self;
+        json!({ "file": path.to_string_lossy(), "reason": why.to_string(), "used_s": used_s })
+    }
+}
+
+/// Reads recordings and refuses those that cannot be fitted; lists those that are incomplete. All
+/// must be of the plant in `plant`; if that is `None`, the first recording sets the plant.
+fn read(
+    files: &[PathBuf],
+    plant: &mut Option<PlantModel>,
+    incomplete: &mut Vec<IncompleteRecording>,
+) -> Result<Vec<MotionLog>, Failure> {
     let mut read_one = |path: &PathBuf| {
-        let log = MotionLog::read_of(path, &plant.unwrap_or_default()).map_err(Failure::usage)?;
+        let (log, why) =
+            MotionLog::read_of(path, &plant.unwrap_or_default()).map_err(Failure::usage)?;
+        let used_s = duration_of(&log.samples);
+        incomplete.extend(why.map(|why| IncompleteRecording { path: path.clone(), why, used_s }));
         let (own, others) = (&log.plant, plant.get_or_insert(log.plant));
         if own != others {
             let of = match own.name == others.name {

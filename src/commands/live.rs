@@ -144,12 +144,11 @@ impl Live {
         self.change(|status| better(status, return_));
     }
 
-    /// Shows one event of a session. `candidates` is its largest number of candidates, and `left`
-    /// the time until the last of them is done.
-    pub fn tell(&mut self, news: &SessionEvent, candidates: u32, left: Option<Duration>) {
+    /// Shows one event of a session. `left` is the time until its last candidate is done.
+    pub fn tell(&mut self, news: &SessionEvent, left: Option<Duration>) {
         let Some(view) = &self.view else { return };
         match news {
-            SessionEvent::Proposed { candidate, purpose } => {
+            SessionEvent::Proposed { candidate, purpose, outlook } => {
                 if *purpose == Purpose::Excitation {
                     self.excitations.push(*candidate);
                     return view.tell(|status| {
@@ -158,7 +157,7 @@ impl Live {
                 }
                 view.tell(|status| {
                     status.candidate = Some(*candidate);
-                    status.of = Some(candidates);
+                    status.of = outlook.total;
                     status.time_left_s = left.map(|left| left.as_secs_f64());
                     status.doing = match purpose {
                         Purpose::Verification => "verifying the recommendation".to_owned(),

@@ -61,7 +61,7 @@ impl Live {
 
     pub fn experiment(&self, _news: &ExperimentEvent) {}
 
-    pub fn tell(&mut self, _news: &SessionEvent, _candidates: u32, _left: Option<Duration>) {}
+    pub fn tell(&mut self, _news: &SessionEvent, _left: Option<Duration>) {}
 }
 
 #[cfg(test)]

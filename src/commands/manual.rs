@@ -4,10 +4,11 @@ use clap_mangen::Man;
 use serde_json::json;
 
 use super::command_line::command;
+use super::destination::OutputFolder;
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;
-use crate::storage::{Disk, MachineDisk, write_whole};
+use crate::storage::{MachineDisk, write_whole};
 
 /// Write the manual pages: one for the program and one for each command
 ///
@@ -24,14 +25,14 @@ pub struct Arguments {
 /// Writes the pages.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let folder = &arguments.out;
-    MachineDisk.create_folder(folder).map_err(|error| failures::not_written(folder, &error))?;
+    let place = OutputFolder::of_option("--out", folder)?;
     let mut whole = command().disable_help_subcommand(true);
     whole.build();
     let mut found = Vec::new();
     add_pages(&whole, &mut found);
     let mut files = Vec::new();
     for (name, page) in &found {
-        let path = folder.join(name);
+        let path = place.path().join(name);
         write_whole(&MachineDisk, &path, page).map_err(|error| failures::folder(&error.into()))?;
         files.push(path.display().to_string());
     }

@@ -8,11 +8,11 @@ pub fn seed_in_toml() -> impl TypedValueParser<Value = u64> {
     clap::value_parser!(u64).range(..=i64::MAX as u64)
 }
 
-/// Parses a finite number above 0.
-pub fn positive(text: &str) -> Result<f64, String> {
+/// Parses a number above 0, at most `largest`.
+pub fn positive(text: &str, largest: f64) -> Result<f64, String> {
     match text.parse() {
-        Ok(value) if f64::is_finite(value) && value > 0.0 => Ok(value),
-        _ => Err("give a number above 0".into()),
+        Ok(value) if value > 0.0 && value <= largest => Ok(value),
+        _ => Err(format!("give a number above 0, at most {largest}")),
     }
 }
 

@@ -61,11 +61,13 @@ impl PlantArguments {
 
 /// The specimen of a plant that an entry of the file describes.
 fn specimen(entry: PlantEntry, path: &Path, plant: &PlantModel) -> Result<Plant, Failure> {
-    let emulated = EmulatedArguments::of_entry(&entry).map_err(|reason| {
+    let wrong = |reason: String| {
         Failure::usage(format!("{}: plant {}: {reason}", path.display(), entry.name))
-    })?;
-    let emulated = emulated.of_plant(plant)?;
-    Ok(Plant { name: entry.name, emulated, vary: entry.vary })
+    };
+    let emulated = EmulatedArguments::of_entry(&entry).map_err(wrong)?.of_plant(plant)?;
+    let vary = part(&entry.vary.to_string())
+        .map_err(|why| wrong(format!("vary = {}: {why}", entry.vary)))?;
+    Ok(Plant { name: entry.name, emulated, vary })
 }
 
 fn part(text: &str) -> Result<f64, String> {

@@ -58,7 +58,7 @@ fn read(path: &Path) -> Result<Profile, Failure> {
         .map_err(|error| {
             let shown = path.display();
             Failure::usage(format!(
-                "{shown}: {error}: give a file that identify wrote (--profile also takes {IDEAL} and lab)"
+                "{shown}: {error}. A profile is a file that identify wrote (--profile also takes {IDEAL} and lab)"
             ))
         })?;
     Profile::parse(&text).map_err(|error| Failure::usage(format!("{}: {error}", path.display())))

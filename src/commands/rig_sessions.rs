@@ -102,11 +102,10 @@ pub fn run(
     service_manager::ready();
     let ended = run_side_by_side(rigs.iter_mut().map(|rig| {
         let Rig { session, progress, live, .. } = rig;
-        let candidates = progress.candidates();
         (session, move |news: SessionEvent| {
             service_manager::alive();
             progress.tell(&news);
-            live.tell(&news, candidates, progress.time_left());
+            live.tell(&news, progress.time_left());
         })
     }));
     service_manager::stopping();

@@ -234,7 +234,6 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
-    let candidates = progress.candidates();
     let mut session =
         Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
             .map_err(failed)?
@@ -247,7 +246,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         let ended = session.run(&mut |news| {
             service_manager::alive();
             progress.tell(&news);
-            live.tell(&news, candidates, progress.time_left());
+            live.tell(&news, progress.time_left());
         });
         match ended.as_ref().err().and_then(SessionError::doubt) {
             Some(doubt) if keyboard.acknowledges(doubt, &stop) => session.acknowledge(),
@@ -290,6 +289,7 @@ pub fn rig_settings(
     let emulator = settings.emulated.emulator(settings.seed);
     Ok(RigSettings {
         homing: settings.homing,
+        unidentified: settings.emulated.unidentified,
         limits,
         ..device.rig_settings(emulator, settings.estimator, check)
     })

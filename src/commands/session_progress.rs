@@ -9,7 +9,7 @@ use super::stop::Stop;
 use super::training_pace::TrainingPace;
 use super::warn_without_realtime;
 use crate::scoring::Verdict;
-use crate::session::{Purpose, SessionError, SessionEvent, SessionSettings};
+use crate::session::{Outlook, Purpose, SessionError, SessionEvent, SessionSettings};
 use crate::telemetry::Ending;
 
 /// Phase of a session while it opens its rig, as the screen names it.
@@ -24,9 +24,11 @@ pub struct SessionProgress {
     /// Beginning of each line: the name of the rig among several.
     prefix: String,
     stop: Arc<AtomicBool>,
+    /// Number after that of the last candidate to be trained, from which the time left is
+    /// estimated.
     candidates: u32,
-    /// Whether the session may end with fewer candidates.
-    may_end_early: bool,
+    /// Whether the session ends with a policy of the nominal Qube.
+    has_baseline: bool,
     /// Numbers of the candidates that are excitations: their rollouts are recordings and no
     /// attempts to balance.
     excitations: Vec<u32>,
@@ -45,8 +47,8 @@ impl SessionProgress {
         let extent = &settings.extent;
         let searched = extent.initial_candidates + extent.iterations;
         let candidates = match &settings.identification {
-            // The planned excitations, the largest number of searched candidates, and one
-            // verification. Repeated excitations and further verifications are not included.
+            // Repeated excitations and further verifications are not included: each proposal
+            // corrects the number.
             Some(plan) => plan.excitations + plan.candidates + 1,
             None => searched + 1 + u32::from(extent.verifies_incumbent),
         } + u32::from(extent.baseline);
@@ -58,7 +60,7 @@ impl SessionProgress {
             prefix: String::new(),
             stop: Arc::clone(&stop.flag),
             candidates,
-            may_end_early: settings.identification.is_some(),
+            has_baseline: extent.baseline,
             excitations: Vec::new(),
             updates,
             pace: TrainingPace::new(updates.saturating_mul(trainings)),
@@ -72,11 +74,6 @@ impl SessionProgress {
         Self { prefix: format!("{name}: "), ..self }
     }
 
-    /// Number of candidates that is announced as the largest.
-    pub fn candidates(&self) -> u32 {
-        self.candidates
-    }
-
     /// Time left until the last candidate; `None` before the second update of the first training.
     pub fn time_left(&self) -> Option<Duration> {
         self.pace.time_left(self.candidates, Instant::now())
@@ -85,7 +82,7 @@ impl SessionProgress {
     /// Shows one event.
     pub fn tell(&mut self, news: &SessionEvent) {
         match news {
-            SessionEvent::Proposed { candidate, purpose } => {
+            SessionEvent::Proposed { candidate, purpose, outlook } => {
                 let why = match purpose {
                     Purpose::Excitation => "a recording that identifies the Qube",
                     Purpose::Baseline => "a policy trained on the nominal Qube, for comparison",
@@ -97,16 +94,16 @@ impl SessionProgress {
                 if *purpose == Purpose::Excitation {
                     self.excitations.push(*candidate);
                 }
-                self.proposed(*candidate, why, *purpose == Purpose::Excitation);
-                if self.may_end_early {
-                    let most = self.candidates;
-                    self.line(format!("candidate {candidate} (of at most {most}): {why}"));
-                } else {
-                    let left = self.time_left().map_or(String::new(), |left| {
-                        format!("; about {} left in all", in_words(left))
-                    });
-                    self.line(proposed(*candidate, self.candidates, why) + &left);
-                }
+                let to_come = outlook.most_searched.saturating_sub(outlook.searched);
+                let last = candidate + 1 + to_come + u32::from(self.has_baseline);
+                self.candidates = outlook.total.unwrap_or(last);
+                let text = proposed(*candidate, *purpose, why, outlook);
+                self.proposed(*candidate, *purpose, &text, outlook);
+                let left = self.time_left().filter(|_| outlook.total.is_some());
+                let left = left.map_or(String::new(), |left| {
+                    format!("; about {} left in all", in_words(left))
+                });
+                self.line(text + &left);
             }
             SessionEvent::Training { candidate, training, update } => {
                 self.pace.update(*candidate, Instant::now());
@@ -211,21 +208,21 @@ impl SessionProgress {
         !self.connected.is_empty()
     }
 
-    /// Shows a new candidate on the screen, with the reason for it.
-    fn proposed(&mut self, candidate: u32, why: &str, is_excitation: bool) {
-        let candidates = self.candidates;
-        let most = if self.may_end_early { "at most " } else { "" };
-        let work =
-            format!("candidate {candidate} ({} of {most}{candidates}): {why}", candidate + 1);
+    /// Shows a new candidate on the screen.
+    fn proposed(&mut self, candidate: u32, purpose: Purpose, work: &str, outlook: &Outlook) {
+        let done = match outlook.total {
+            Some(total) => (candidate, total),
+            None => (outlook.searched - u32::from(purpose.is_searched()), outlook.most_searched),
+        };
         self.progress.update(|state| {
-            state.work = work;
-            state.phase = match (is_excitation, self.is_connected()) {
+            work.clone_into(&mut state.work);
+            state.phase = match (purpose == Purpose::Excitation, self.is_connected()) {
                 (true, false) => OPENING.into(),
                 (true, true) => ROLLOUTS.into(),
                 (false, _) => "preparing the training".into(),
             };
-            state.may_end_early = self.may_end_early;
-            state.done = Some((candidate.into(), candidates.into()));
+            state.may_end_early = outlook.total.is_none();
+            state.done = Some((done.0.into(), done.1.into()));
             state.expect_end(self.time_left());
         });
     }
@@ -271,10 +268,17 @@ pub fn identified(recordings: u32, doubts: &[String]) -> String {
     format!("identified from {from}: the model describes this Qube{but}")
 }
 
-/// The line for a new candidate. Its number counts from 0, as its folder's name does; its place in
-/// brackets counts from 1.
-fn proposed(candidate: u32, candidates: u32, why: &str) -> String {
-    format!("candidate {candidate} ({} of {candidates}): {why}", candidate + 1)
+/// The line for a new candidate. Its number counts from 0, as its folder's name does; its place
+/// among all candidates, or among those of a search that may end early, counts from 1.
+fn proposed(candidate: u32, purpose: Purpose, why: &str, outlook: &Outlook) -> String {
+    let Outlook { searched, most_searched, total } = outlook;
+    match total {
+        Some(total) => format!("candidate {candidate} ({} of {total}): {why}", candidate + 1),
+        None if purpose.is_searched() => {
+            format!("candidate {candidate}: {why}, {searched} of at most {most_searched}")
+        }
+        None => format!("candidate {candidate}: {why}"),
+    }
 }
 
 /// A verdict in words.
@@ -301,7 +305,17 @@ mod tests {
         let settings = SessionSettings::quick();
         let progress = SessionProgress::new(&settings, &Progress::lines(), &Stop::default());
         assert_eq!(progress.candidates, 12);
-        assert_eq!(proposed(11, 12, "the last"), "candidate 11 (12 of 12): the last");
+        let outlook = Outlook { searched: 10, most_searched: 10, total: Some(12) };
+        let told = proposed(11, Purpose::Incumbent, "the last", &outlook);
+        assert_eq!(told, "candidate 11 (12 of 12): the last");
+    }
+
+    #[test]
+    fn a_search_that_may_end_early_counts_its_own_candidates() {
+        let outlook = Outlook { searched: 10, most_searched: 10, total: None };
+        let told = |purpose| proposed(13, purpose, "why", &outlook);
+        assert_eq!(told(Purpose::Search), "candidate 13: why, 10 of at most 10");
+        assert_eq!(told(Purpose::Incumbent), "candidate 13: why");
     }
 
     #[test]

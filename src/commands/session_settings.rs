@@ -71,7 +71,9 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
     if let Some(estimator) = arguments.estimator.settings(&device.plant)? {
         settings = settings.seen_through(estimator);
     }
-    settings.emulated = arguments.emulated.settings(&device.plant)?.unwrap_or(settings.emulated);
+    let unidentified = settings.emulated.unidentified || device.is_unidentified();
+    let emulated = arguments.emulated.settings(&device.plant)?.unwrap_or(settings.emulated);
+    settings.emulated = EmulatedQubeSettings { unidentified, ..emulated };
     Ok(settings)
 }
 
@@ -113,6 +115,9 @@ pub fn begun(
     settings: SessionSettings,
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     let settings = SessionSettings { name, ..settings };
+    // Options that are each in their range may together give a Qube that is not, and a session that
+    // could not be resumed.
+    settings.check().map_err(Failure::usage)?;
     let configuration = settings.to_toml().map_err(Failure::failed)?;
     let folder =
         SessionFolder::create(root, &configuration).map_err(|error| failures::folder(&error))?;
@@ -131,6 +136,8 @@ pub fn resumed(
     device: &ChosenDevice,
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     let (folder, settings) = reopened(directory, arguments, device)?;
+    let SessionSettings { emulated, homing, .. } = &settings;
+    device.check_resumed("a session", emulated.unidentified, *homing, homing.method)?;
     Ok((folder, on_this_qube(settings, device)))
 }
 

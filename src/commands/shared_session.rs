@@ -45,6 +45,10 @@ pub fn run(
     let (folder, settings) = match &arguments.resume {
         Some(directory) => {
             let (folder, settings) = reopened(directory, arguments, &devices[0])?;
+            for (device, rig) in devices.iter().zip(&settings.rigs) {
+                let (unidentified, began) = (rig.emulated.unidentified, rig.homing_method);
+                device.check_resumed("a session", unidentified, settings.homing, began)?;
+            }
             (folder, inside_all(settings, &devices))
         }
         None => {
@@ -89,7 +93,6 @@ pub fn run(
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
-    let candidates = progress.candidates();
     let (first, profile) = rigs.remove(0);
     let mut session = Session::open(folder, settings, first, Arc::clone(&stop.flag))
         .map_err(failed)?
@@ -107,7 +110,7 @@ pub fn run(
             progress.tell(&news);
             for (number, live) in (1..).zip(&mut lives) {
                 if rig_of(&news).is_none_or(|rig| rig == number) {
-                    live.tell(&news, candidates, progress.time_left());
+                    live.tell(&news, progress.time_left());
                 }
             }
         });
@@ -167,6 +170,7 @@ fn spread(
     let rig = |(number, device): (u32, &ChosenDevice)| SharedRig {
         device: name_of(device),
         emulated: emulated_of(arguments, &settings, settings.seed, number),
+        homing_method: device.homing(settings.homing).method,
     };
     settings.rigs = (1..).zip(devices).map(rig).collect();
     let settings = inside_all(settings, devices);

@@ -42,7 +42,7 @@ const WARM_UP_ROLLOUTS: u64 = 20;
     qube-hil soak --hours 8 --device /dev/ttyACM0")]
 pub struct Arguments {
     /// Hours of ticks
-    #[arg(long, default_value_t = 24.0, value_parser = positive)]
+    #[arg(long, default_value_t = 24.0, value_parser = hours)]
     hours: f64,
 
     /// Seed of the arm's start angles and of the emulated Qube
@@ -58,6 +58,11 @@ pub struct Arguments {
 
     #[command(flatten)]
     check: CheckArguments,
+}
+
+/// Parses hours, up to more than a year.
+fn hours(text: &str) -> Result<f64, String> {
+    positive(text, 10_000.0)
 }
 
 /// Runs until the hours are over and prints the summary.

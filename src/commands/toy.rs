@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
+use super::destination::OutputFolder;
 use super::exit::Failure;
 use super::output::Output;
 use crate::charts::toy::{SAMPLES, figure_3_1_svg, figure_3_2_svg};
@@ -29,12 +30,10 @@ pub struct Arguments {
 
 /// Draws all figures.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-    std::fs::create_dir_all(&arguments.out).map_err(|error| {
-        Failure::usage(format!("cannot make the folder {}: {error}", arguments.out.display()))
-    })?;
+    let place = OutputFolder::of_option("--out", &arguments.out)?;
     let mut files = Vec::new();
     let mut keep = |name: String, drawn: anyhow::Result<String>| {
-        let path = arguments.out.join(name);
+        let path = place.path().join(name);
         let svg = drawn
             .map_err(|error| Failure::failed(format!("cannot draw {}: {error}", path.display())))?;
         write_whole(&MachineDisk, &path, svg.as_bytes()).map_err(Failure::failed)?;

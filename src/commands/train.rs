@@ -203,6 +203,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     {
         check_folder(folder)?;
     }
+    if let Some(path) = &arguments.checkpoint
+        && path.exists()
+        && !path.is_file()
+    {
+        let shown = path.display();
+        return Err(Failure::usage(format!("--checkpoint {shown}: it is no file: name a file")));
+    }
     let checkpointing =
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });
     Level::from(arguments.instruction_set).forbid_better();
@@ -231,8 +238,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     drop(screen);
     let trained = trained.map_err(|error| match error {
         JobError::Training(TrainError::Stopped) => stop.failure(match &arguments.checkpoint {
-            None => "stopped; nothing was written".into(),
-            Some(path) => format!("stopped; the same command goes on from {}", path.display()),
+            Some(path) if path.exists() => {
+                format!("stopped; the same command goes on from {}", path.display())
+            }
+            _ => "stopped; nothing was written".into(),
         }),
         JobError::Training(
             TrainError::CheckpointDamaged { .. }

@@ -23,5 +23,7 @@ pub use kalman_gains::KalmanGains;
 pub use measured_rig::{MeasuredRig, MeasuredStops};
 pub use observer::{ObserverEquations, prediction_steps};
 pub use sent_voltages::{Piece, SentVoltages};
-pub use settings::{EstimatorSettings, GUARD_CORNER_RAD_S, ObserverSettings, SettingsError};
+pub use settings::{
+    EstimatorSettings, GUARD_CORNER_RAD_S, LARGEST_CORNER_RAD_S, ObserverSettings, SettingsError,
+};
 pub use velocity_filter::{FilterGains, VelocityFilter, through_filters};

@@ -1,10 +1,14 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::qube::{Nonidealities, ParameterError, QubeModel};
+use crate::qube::{ModelError, Nonidealities, QubeModel};
 
 /// Smallest corner of the guard's velocity filter, rad/s.
 pub const GUARD_CORNER_RAD_S: f64 = 200.0;
+
+/// Largest corner of a velocity filter that is accepted, rad/s. At 100 Hz one of 1,000 rad/s already
+/// filters nothing.
+pub const LARGEST_CORNER_RAD_S: f64 = 1e6;
 
 /// Settings of the estimator whose state the policy sees.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -52,15 +56,9 @@ pub enum SettingsError {
         /// Largest accepted value.
         largest: f64,
     },
-    /// The delay is negative, not a number, or longer than an observer can predict over.
-    #[error("observer.model.gap.command_delay_s = {0}: give a number from 0 to 0.1")]
-    Delay(f64),
-    /// A domain parameter is not physical.
-    #[error("observer.model.parameters.{0}")]
-    Parameter(#[from] ParameterError),
-    /// A nonideality is not a finite number.
-    #[error("observer.model.gap has an entry that is not a finite number")]
-    Nonidealities,
+    /// A number of the observer's model is out of range.
+    #[error("observer.model.{0}")]
+    Model(#[from] ModelError),
 }
 
 impl EstimatorSettings {
@@ -93,28 +91,14 @@ impl EstimatorSettings {
     /// # Errors
     /// Names the first entry that is out of range.
     pub fn check(&self) -> Result<(), SettingsError> {
-        within("corner_rad_s", self.corner_rad_s, f64::MAX)?;
+        within("corner_rad_s", self.corner_rad_s, LARGEST_CORNER_RAD_S)?;
         let Some(observer) = &self.observer else {
             return Ok(());
         };
         within("observer.theta_noise_rad_s2", observer.theta_noise_rad_s2, 1e6)?;
         within("observer.alpha_noise_rad_s2", observer.alpha_noise_rad_s2, 1e6)?;
         within("observer.astray_rad", observer.astray_rad, 10.0)?;
-        let QubeModel { parameters, nonidealities } = &observer.model;
-        parameters.check()?;
-        if !(0.0..=0.1).contains(&nonidealities.command_delay_s) {
-            return Err(SettingsError::Delay(nonidealities.command_delay_s));
-        }
-        let finite = [
-            nonidealities.coulomb_torque_n_m,
-            nonidealities.positive_dead_zone_v,
-            nonidealities.negative_dead_zone_v,
-            nonidealities.cable_stiffness_n_m_rad,
-            nonidealities.cable_rest_rad,
-        ]
-        .iter()
-        .all(|value| value.is_finite());
-        if finite { Ok(()) } else { Err(SettingsError::Nonidealities) }
+        Ok(observer.model.check()?)
     }
 }
 

@@ -147,10 +147,10 @@ impl ExperimentSettings {
             }
         }
         for plant in &self.plants {
-            let effects = plant.emulated.effects.check();
-            effects.map_err(|error| format!("plant {}: effects.{error}", plant.name))?;
-            if !(0.0..=0.5).contains(&plant.vary) {
-                return Err(format!("vary = {}: give a number from 0 to 0.5", plant.vary));
+            let (name, vary) = (&plant.name, plant.vary);
+            plant.emulated.check().map_err(|error| format!("plant {name}: {error}"))?;
+            if !(0.0..=0.5).contains(&vary) {
+                return Err(format!("plant {name}: vary = {vary}: give a number from 0 to 0.5"));
             }
         }
         match &self.strategies {

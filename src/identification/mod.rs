@@ -33,6 +33,6 @@ pub use identify::{Cause, Identified, IdentifyError, Sign, identify};
 pub use offsets::{Offset, Scatter};
 pub use prediction::{HorizonError, KNOWN_S, Phase, horizon_error, phase_error, start_state};
 pub use residuals::ResidualScale;
-pub use stretch::comes_upright;
+pub use stretch::{comes_upright, duration_of};
 pub use uncertainty::{Blind, Estimate};
 pub use unknowns::{Prior, Unknown};

@@ -177,7 +177,8 @@ fn end_after(recording: &[MotionSample], first: usize, duration_s: f64) -> usize
 }
 
 /// Time from the first sample to the last, s.
-pub(super) fn duration_of(recording: &[MotionSample]) -> f64 {
+#[must_use]
+pub fn duration_of(recording: &[MotionSample]) -> f64 {
     match recording {
         [first, .., last] => last.time_s - first.time_s,
         _ => 0.0,

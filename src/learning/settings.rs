@@ -4,7 +4,7 @@ use std::ops::RangeBounds;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::TrainError;
-use crate::qube::MAX_HISTORY;
+use crate::qube::{MAX_HISTORY, MAX_STEPS};
 use crate::simulation::{SensorModel, SimulationSettings};
 
 /// The settings of a training. Their values are defined in the presets [`Self::thesis`],
@@ -145,12 +145,27 @@ impl TrainSettings {
         bounded("adam_beta_2", self.adam_beta_2, 0.0..1.0, "0 to below 1")?;
         bounded("adam_epsilon", self.adam_epsilon, 0.0..=1.0, "0 to 1")?;
         let norms = f32::MIN_POSITIVE..=f32::INFINITY;
-        bounded("largest_gradient_norm", self.largest_gradient_norm, norms, "above 0")?;
+        let bound = "above 0, inf for no limit";
+        bounded("largest_gradient_norm", self.largest_gradient_norm, norms, bound)?;
         bounded("first_log_std", self.first_log_std, -10.0..=2.0, "-10 to 2")?;
         bounded("smallest_log_std", self.smallest_log_std, -10.0..=2.0, "-10 to 2")?;
         let weights = 0.0..=10.0;
         bounded("voltage_change_weight", self.voltage_change_weight, weights, "0 to 10")?;
         bounded("worst_share", self.worst_share, 0.01..=1.0, "0.01 to 1")?;
+        if let Some(target_return) = self.target_return {
+            // Each step earns at most 1.
+            bounded("target_return", target_return, 0.0..=MAX_STEPS as f64, "0 to 600")?;
+        }
+        let reward = &self.simulation.reward;
+        for (name, weight) in [
+            ("simulation.reward.theta", reward.theta),
+            ("simulation.reward.alpha", reward.alpha),
+            ("simulation.reward.theta_dot", reward.theta_dot),
+            ("simulation.reward.alpha_dot", reward.alpha_dot),
+            ("simulation.reward.voltage", reward.voltage),
+        ] {
+            bounded(name, weight, 0.0..=1e6, "0 to 1 000 000")?;
+        }
         bounded("simulation.history", self.simulation.history, 0..=MAX_HISTORY, "0 to 4")?;
         if let SensorModel::Encoders { estimator } = &self.simulation.sensors {
             estimator.check()?;

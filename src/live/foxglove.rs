@@ -32,8 +32,8 @@ const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 /// Largest message of a client, bytes. A subscription to every channel has some hundred bytes.
 pub(super) const MAX_CLIENT_MESSAGE_BYTES: usize = 1 << 16;
 
-/// Half the number of bytes that may wait for a slow client; further messages are dropped.
-const MAX_WAITING_BYTES: usize = 1 << 20;
+/// Largest number of bytes that wait for a slow client; further messages are dropped.
+const MAX_WAITING_BYTES: usize = 1 << 21;
 
 /// Time for which the connection waits for a message of the client before it sends the feed's
 /// changes: about 30 times a second, enough for a screen.
@@ -107,12 +107,7 @@ pub(super) fn serve(feed: &Feed, mut stream: TcpStream, request: &Request, rest:
     if timed.is_err() || stream.write_all(head.as_bytes()).is_err() {
         return;
     }
-    let config = WebSocketConfig::default()
-        .max_message_size(Some(MAX_CLIENT_MESSAGE_BYTES))
-        .max_frame_size(Some(MAX_CLIENT_MESSAGE_BYTES))
-        .read_buffer_size(4096)
-        .max_write_buffer_size(2 * MAX_WAITING_BYTES);
-    let socket = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
+    let socket = WebSocket::from_partially_read(stream, rest, Role::Server, Some(limits()));
     let _listening = Listening::new(&feed.listeners);
     let mut client = Client {
         socket,
@@ -126,6 +121,15 @@ pub(super) fn serve(feed: &Feed, mut stream: TcpStream, request: &Request, rest:
     if let Err(error) = client.follow(feed) {
         tracing::debug!("a live viewer is gone: {error}");
     }
+}
+
+/// The limits of a connection's memory.
+fn limits() -> WebSocketConfig {
+    WebSocketConfig::default()
+        .max_message_size(Some(MAX_CLIENT_MESSAGE_BYTES))
+        .max_frame_size(Some(MAX_CLIENT_MESSAGE_BYTES))
+        .read_buffer_size(4096)
+        .max_write_buffer_size(MAX_WAITING_BYTES)
 }
 
 struct Client {
@@ -333,4 +337,44 @@ fn advertisement() -> Value {
         "schema": schema.as_value().to_string(),
     }));
     json!({ "op": "advertise", "channels": channels })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A connection that takes no bytes.
+    struct Stuck;
+
+    impl io::Read for Stuck {
+        fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+            Err(ErrorKind::WouldBlock.into())
+        }
+    }
+
+    impl Write for Stuck {
+        fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+            Err(ErrorKind::WouldBlock.into())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn no_more_bytes_wait_for_a_slow_client_than_the_limit_says() {
+        let mut socket = WebSocket::from_raw_socket(Stuck, Role::Server, Some(limits()));
+        let message = vec![0; 1000];
+        let mut waiting = 0;
+        while !matches!(
+            socket.write(Message::binary(message.clone())),
+            Err(Error::WriteBufferFull(_))
+        ) {
+            waiting += message.len();
+            assert!(waiting <= MAX_WAITING_BYTES, "{waiting} bytes wait");
+        }
+        // A message has a head of some bytes.
+        assert!(waiting + 10 * message.len() > MAX_WAITING_BYTES, "only {waiting} bytes wait");
+    }
 }

@@ -50,7 +50,9 @@ pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, 
 pub use measurement::{Measurement, Status};
 pub use motor_driver::applied_voltage_mv;
 pub use motor_rating::MotorRating;
-pub use nonidealities::{MAX_CABLE_DRIFT_RAD_PER_MIN, NonidealDynamics, Nonidealities, QubeModel};
+pub use nonidealities::{
+    MAX_CABLE_DRIFT_RAD_PER_MIN, ModelError, NonidealDynamics, Nonidealities, QubeModel,
+};
 pub use observation::{MAX_HISTORY, OBSERVATION_SIZE, observation};
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
 pub use plant_model::{PlantError, PlantLimits, PlantModel, PlantMotor};

@@ -1,6 +1,11 @@
 use serde::{Deserialize, Serialize};
 
-use super::{Acceleration, DomainParameter, DomainParameters, Dynamics, EquationsOfMotion, State};
+use thiserror::Error;
+
+use super::{
+    Acceleration, DomainParameter, DomainParameters, Dynamics, EquationsOfMotion, Nonideality,
+    ParameterError, State,
+};
 use crate::elementary::Scalar;
 
 /// Velocity of the arm at which Coulomb friction has reached three quarters of its torque, rad/s.
@@ -39,6 +44,26 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
+/// The reason why a model is not that of a Qube.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ModelError {
+    /// A domain parameter is not physical.
+    #[error("parameters.{0}")]
+    Parameter(#[from] ParameterError),
+    /// A nonideality is outside its range.
+    #[error("gap.{name} = {value}: give a number from {smallest} to {largest}")]
+    Nonideality {
+        /// Name of the entry.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// Smallest accepted value.
+        smallest: f64,
+        /// Largest accepted value.
+        largest: f64,
+    },
+}
+
 impl Nonidealities {
     /// The cable's rest angle this many seconds after the Qube was switched on, rad.
     #[must_use]
@@ -72,6 +97,27 @@ impl QubeModel {
             cable_drift_rad_per_min: 0.0,
         },
     };
+
+    /// Checks that every number is in its range.
+    ///
+    /// # Errors
+    /// Names the first number that is not.
+    pub fn check(&self) -> Result<(), ModelError> {
+        self.parameters.check()?;
+        let drift = self.nonidealities.cable_drift_rad_per_min;
+        let drifts = -MAX_CABLE_DRIFT_RAD_PER_MIN..=MAX_CABLE_DRIFT_RAD_PER_MIN;
+        let terms =
+            Nonideality::ALL.map(|term| (term.name(), self.nonidealities.get(term), term.range()));
+        for (name, value, range) in
+            terms.into_iter().chain([("cable_drift_rad_per_min", drift, drifts)])
+        {
+            if !range.contains(&value) {
+                let (smallest, largest) = range.into_inner();
+                return Err(ModelError::Nonideality { name, value, smallest, largest });
+            }
+        }
+        Ok(())
+    }
 
     /// The Qube on the straight line from the nominal Qube through this one: `factor` 0 gives the
     /// nominal Qube, and 1 gives this one. A parameter is interpolated in its logarithm, or

@@ -78,9 +78,9 @@ pub enum ParameterError {
         /// Its value.
         value: f64,
     },
-    /// The value is not a finite number.
-    #[error("{symbol} = {value} is not a finite number")]
-    NotFinite {
+    /// The value is not a number, or larger than that of any pendulum.
+    #[error("{symbol} = {value}: give a number up to {}", DomainParameter::LARGEST)]
+    NotANumber {
         /// The parameter's symbol.
         symbol: &'static str,
         /// Its value.
@@ -89,6 +89,10 @@ pub enum ParameterError {
 }
 
 impl DomainParameter {
+    /// Largest accepted value of a parameter in its SI unit: a thousand times the largest that a
+    /// description of a plant may have.
+    pub const LARGEST: f64 = 1e6;
+
     /// All nine parameters, in the order of the thesis's table 5.1.
     pub const ALL: [Self; 9] = [
         Self::Gravity,
@@ -169,12 +173,12 @@ impl DomainParameters {
     /// Checks that the values are physical.
     ///
     /// # Errors
-    /// Names the first parameter that is not finite, not above zero, or below zero.
+    /// Names the first parameter that is not a number, not above zero, below zero, or too large.
     pub fn check(&self) -> Result<(), ParameterError> {
         for parameter in DomainParameter::ALL {
             let (symbol, value) = (parameter.symbol(), self.get(parameter));
-            if !value.is_finite() {
-                return Err(ParameterError::NotFinite { symbol, value });
+            if value.is_nan() || value > DomainParameter::LARGEST {
+                return Err(ParameterError::NotANumber { symbol, value });
             }
             if value < 0.0 && parameter.may_be_zero() {
                 return Err(ParameterError::Negative { symbol, value });
@@ -223,8 +227,11 @@ mod tests {
             parameters.check(),
             Err(ParameterError::NotPositive { symbol: "M_p", value: 0.0 })
         );
-        parameters.pendulum_mass_kg = f64::NAN;
-        assert!(matches!(parameters.check(), Err(ParameterError::NotFinite { symbol: "M_p", .. })));
+        for wrong in [f64::NAN, f64::INFINITY, 1e300] {
+            parameters.pendulum_mass_kg = wrong;
+            let refused = parameters.check();
+            assert!(matches!(refused, Err(ParameterError::NotANumber { symbol: "M_p", .. })));
+        }
         parameters =
             DomainParameters { pendulum_damping_n_m_s: -1e-9, ..DomainParameters::NOMINAL };
         assert!(matches!(parameters.check(), Err(ParameterError::Negative { symbol: "D_p", .. })));

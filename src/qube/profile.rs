@@ -4,8 +4,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{
-    DomainParameter, DomainParameters, MAX_CABLE_DRIFT_RAD_PER_MIN, Nonidealities, Nonideality,
-    ParameterError, PlantName, Quantity, QubeModel,
+    DomainParameter, DomainParameters, ModelError, Nonidealities, PlantName, Quantity, QubeModel,
 };
 
 /// One Qube, as a file describes it: its model, the uncertainty of its values, and their
@@ -75,29 +74,20 @@ pub enum ProfileError {
         "correlations: give one row for each name; row N has N numbers from -1 to 1, of which the last is 1"
     )]
     Correlations,
-    /// A standard error has an unknown name or is not a number from 0.
-    #[error("standard_errors.{name} = {value}: give a quantity's name and a number from 0")]
+    /// A standard error has an unknown name or is out of its range.
+    #[error(
+        "standard_errors.{name} = {value}: give a quantity's name and a number from 0 to {}",
+        DomainParameter::LARGEST
+    )]
     StandardError {
         /// Name of the entry.
         name: String,
         /// Its value.
         value: f64,
     },
-    /// A domain parameter is not physical.
-    #[error("parameters.{0}")]
-    Parameter(#[from] ParameterError),
-    /// A nonideality is outside its range.
-    #[error("gap.{name} = {value}: give a number from {smallest} to {largest}")]
-    Nonideality {
-        /// Name of the entry.
-        name: &'static str,
-        /// Its value.
-        value: f64,
-        /// Smallest accepted value.
-        smallest: f64,
-        /// Largest accepted value.
-        largest: f64,
-    },
+    /// A number of the model is out of range.
+    #[error(transparent)]
+    Model(#[from] ModelError),
 }
 
 impl Profile {
@@ -149,21 +139,11 @@ impl Profile {
     /// The text is not a profile, or its values are outside their ranges.
     pub fn parse(text: &str) -> Result<Self, ProfileError> {
         let profile: Self = toml::from_str(text).map_err(Box::new)?;
-        profile.parameters.check()?;
-        let drift = profile.nonidealities.cable_drift_rad_per_min;
-        let drifts = -MAX_CABLE_DRIFT_RAD_PER_MIN..=MAX_CABLE_DRIFT_RAD_PER_MIN;
-        let terms = Nonideality::ALL
-            .map(|term| (term.name(), profile.nonidealities.get(term), term.range()));
-        for (name, value, range) in
-            terms.into_iter().chain([("cable_drift_rad_per_min", drift, drifts)])
-        {
-            if !range.contains(&value) {
-                let (smallest, largest) = range.into_inner();
-                return Err(ProfileError::Nonideality { name, value, smallest, largest });
-            }
-        }
+        profile.model().check()?;
         for (name, &value) in &profile.standard_errors {
-            if Quantity::from_name(name).is_none() || !(0.0..f64::INFINITY).contains(&value) {
+            if Quantity::from_name(name).is_none()
+                || !(0.0..=DomainParameter::LARGEST).contains(&value)
+            {
                 return Err(ProfileError::StandardError { name: name.clone(), value });
             }
         }

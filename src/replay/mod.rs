@@ -16,7 +16,7 @@ mod open_loop;
 mod rerun;
 
 pub use csv::CsvError;
-pub use motion_log::{MotionLog, MotionLogError};
+pub use motion_log::{Incomplete, MotionLog, MotionLogError};
 pub use motion_sample::MotionSample;
 pub use open_loop::{
     AngleError, Diverged, OpenLoop, simulate_beside, simulate_from, simulate_numbers,

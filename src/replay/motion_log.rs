@@ -8,8 +8,9 @@ use super::MotionSample;
 use super::csv::{CsvError, parse_csv};
 use crate::qube::{PlantModel, State, applied_voltage_mv};
 use crate::recording::{self, Recording, RecordingError};
+use crate::safety::Limit;
 use crate::storage::{open_regular, read_text};
-use crate::telemetry::Phase;
+use crate::telemetry::{Ending, Fault, Phase};
 
 /// Largest text file that is read, bytes: 256 MiB.
 const MAX_FILE_BYTES: u64 = 1 << 28;
@@ -21,6 +22,42 @@ pub struct MotionLog {
     pub samples: Vec<MotionSample>,
     /// Plant whose motion this is.
     pub plant: PlantModel,
+}
+
+/// The reason why a recording holds only a part of the motion that its rollout was to have.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum Incomplete {
+    /// The recording ends before its rollout.
+    #[error("its end is missing")]
+    Cut,
+    /// The recorder lost ticks, or a block of the file is damaged.
+    #[error("ticks are missing in it")]
+    Gaps,
+    /// The state left the box.
+    #[error("its rollout left the box by {0}")]
+    LeftBox(Limit),
+    /// Somebody stopped the rollout.
+    #[error("its rollout was stopped")]
+    Stopped,
+    /// A fault ended the rollout.
+    #[error("a fault ended its rollout: {0}")]
+    Fault(Fault),
+}
+
+impl Incomplete {
+    /// The reason why this recording is incomplete; `None` if it holds the whole rollout, also where only
+    /// the end of the file is damaged.
+    #[must_use]
+    pub fn of(recording: &Recording) -> Option<Self> {
+        let Some(outcome) = &recording.outcome else { return Some(Self::Cut) };
+        match outcome.ending {
+            _ if outcome.records_lost > 0 || recording.has_gaps() => Some(Self::Gaps),
+            Ending::Completed => None,
+            Ending::LeftBox(limit) => Some(Self::LeftBox(limit)),
+            Ending::Stopped => Some(Self::Stopped),
+            Ending::Fault(fault) => Some(Self::Fault(fault)),
+        }
+    }
 }
 
 /// The reason why a file gives no motion.
@@ -63,24 +100,29 @@ impl MotionLog {
     /// # Errors
     /// The file cannot be read or holds no motion.
     pub fn read(path: &Path) -> Result<Self, MotionLogError> {
-        Self::read_of(path, &PlantModel::QUBE)
+        Self::read_of(path, &PlantModel::QUBE).map(|(log, _)| log)
     }
 
     /// Reads a file like [`Self::read`], but takes a CSV file, which names no plant, as a motion of
-    /// `plant`. A recording names its own plant.
+    /// `plant`. A recording names its own plant, and if it is incomplete, the reason is returned
+    /// too.
     ///
     /// # Errors
     /// The file cannot be read or holds no motion.
-    pub fn read_of(path: &Path, plant: &PlantModel) -> Result<Self, MotionLogError> {
+    pub fn read_of(
+        path: &Path,
+        plant: &PlantModel,
+    ) -> Result<(Self, Option<Incomplete>), MotionLogError> {
         if is_mcap(path).map_err(|source| read_error(path, source))? {
             let recording = recording::read(path)?;
-            return Self::of_recording(&recording)
-                .ok_or_else(|| MotionLogError::NeverRan { path: path.to_owned() });
+            let log = Self::of_recording(&recording)
+                .ok_or_else(|| MotionLogError::NeverRan { path: path.to_owned() })?;
+            return Ok((log, Incomplete::of(&recording)));
         }
         let text = read_text(path, MAX_FILE_BYTES).map_err(|source| read_error(path, source))?;
         let samples =
             parse_csv(&text).map_err(|why| MotionLogError::Csv { path: path.to_owned(), why })?;
-        Ok(Self { samples, plant: *plant })
+        Ok((Self { samples, plant: *plant }, None))
     }
 
     /// The motion while the policy had the motor, with times by the device's clock; `None` with
@@ -131,4 +173,42 @@ fn is_mcap(path: &Path) -> std::io::Result<bool> {
 
 fn read_error(path: &Path, source: std::io::Error) -> MotionLogError {
     MotionLogError::Read { path: path.to_owned(), source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::{Completeness, samples};
+    use crate::telemetry::RolloutOutcome;
+
+    #[test]
+    fn a_recording_that_holds_a_part_of_its_rollout_says_why() {
+        let recording = |ending: Ending, records_lost: u64| Recording {
+            header: samples::header(),
+            policy: samples::POLICY.to_vec(),
+            ticks: (0..4).map(samples::tick).collect(),
+            outcome: Some(RolloutOutcome { ending, records_lost, ..samples::outcome() }),
+            completeness: Completeness::Whole,
+        };
+        let whole = recording(Ending::Completed, 0);
+        assert_eq!(Incomplete::of(&whole), None);
+        // Only the end of this file is damaged.
+        let lost_bytes = 20;
+        let completeness = Completeness::CutOff { lost_bytes, reason: "the end".into() };
+        assert_eq!(Incomplete::of(&Recording { completeness, ..whole.clone() }), None);
+        let cut = Recording { outcome: None, completeness: Completeness::Recovered, ..whole };
+        assert_eq!(Incomplete::of(&cut), Some(Incomplete::Cut));
+        assert_eq!(Incomplete::of(&recording(Ending::Completed, 3)), Some(Incomplete::Gaps));
+        let mut gap = recording(Ending::Completed, 0);
+        gap.ticks.remove(1);
+        assert_eq!(Incomplete::of(&gap), Some(Incomplete::Gaps));
+        for (ending, words) in [
+            (Ending::LeftBox(Limit::Theta), "left the box"),
+            (Ending::Stopped, "was stopped"),
+            (Ending::Fault(Fault::LinkGone), "a fault ended its rollout"),
+        ] {
+            let why = Incomplete::of(&recording(ending, 0)).unwrap().to_string();
+            assert!(why.contains(words), "{why}");
+        }
+    }
 }

@@ -3,6 +3,12 @@ use serde::{Deserialize, Serialize};
 use super::SearchError;
 use crate::surrogate::FitSettings;
 
+/// Largest accepted number of starts of the surrogate's fit.
+const LARGEST_STARTS: usize = 1000;
+
+/// Largest accepted weight of the standard deviation in the upper confidence bound.
+const LARGEST_BETA: f64 = 1000.0;
+
 /// The settings of Bayesian optimisation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -42,17 +48,18 @@ impl BayRnSettings {
     /// Checks the values.
     ///
     /// # Errors
-    /// There is no initial point, no start of the fit, or `beta` is negative or not finite.
+    /// There is no initial point, or `beta` or the number of starts of the fit is out of range.
     pub fn check(&self) -> Result<(), SearchError> {
-        let bad = |reason: &str| Err(SearchError::BadSettings { reason: reason.into() });
+        let bad = |reason: String| Err(SearchError::BadSettings { reason });
         if self.initial_points == 0 {
-            return bad("initial_points is 0: the surrogate needs at least one");
+            return bad("initial_points = 0: give at least one".into());
         }
-        if self.surrogate.starts == 0 {
-            return bad("surrogate.starts is 0: the fit needs at least one");
+        let starts = self.surrogate.starts;
+        if !(1..=LARGEST_STARTS).contains(&starts) {
+            return bad(format!("surrogate.starts = {starts}: give 1 to {LARGEST_STARTS}"));
         }
-        if !(self.beta.is_finite() && self.beta >= 0.0) {
-            return bad("beta must be finite and not negative");
+        if !(0.0..=LARGEST_BETA).contains(&self.beta) {
+            return bad(format!("beta = {}: give a number from 0 to {LARGEST_BETA}", self.beta));
         }
         Ok(())
     }
@@ -137,6 +144,7 @@ mod tests {
         for bad in [
             BayRnSettings { initial_points: 0, ..BayRnSettings::default() },
             BayRnSettings { beta: f64::NAN, ..BayRnSettings::default() },
+            BayRnSettings { beta: 1e300, ..BayRnSettings::default() },
             BayRnSettings {
                 surrogate: FitSettings { starts: 0, ..FitSettings::default() },
                 ..BayRnSettings::default()

@@ -314,7 +314,11 @@ mod tests {
 
     #[test]
     fn a_new_session_has_its_rigs_from_the_command_line_alone() {
-        let rig = SharedRig { device: "emulated".into(), emulated: Default::default() };
+        let rig = SharedRig {
+            device: "emulated".into(),
+            emulated: Default::default(),
+            homing_method: Default::default(),
+        };
         let shared = SessionSettings { rigs: vec![rig], ..SessionSettings::thesis() };
         let text = shared.to_toml().unwrap();
         let message = overridden(&text).unwrap_err().to_string();

@@ -19,6 +19,9 @@ pub struct EmulatedQubeSettings {
     /// Effects beyond the equations.
     #[serde(default, skip_serializing_if = "has_none")]
     pub effects: Effects,
+    /// Whether the guard treats this Qube as not identified; otherwise the guard knows the model.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub unidentified: bool,
 }
 
 fn has_none(effects: &Effects) -> bool {
@@ -29,7 +32,31 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
+/// Largest deviation of a command's delay that is accepted, s.
+const LARGEST_JITTER_S: f64 = 0.1;
+
 impl EmulatedQubeSettings {
+    /// Largest backlash that is accepted, degrees.
+    pub const LARGEST_PLAY_DEG: f64 = 5.0;
+
+    /// Checks that every number is in its range.
+    ///
+    /// # Errors
+    /// Describes the first number that is not.
+    pub fn check(&self) -> Result<(), String> {
+        self.model.check().map_err(|error| format!("model.{error}"))?;
+        let largest_play_rad = Self::LARGEST_PLAY_DEG.to_radians();
+        for (name, value, largest) in [
+            ("command_jitter_s", self.command_jitter_s, LARGEST_JITTER_S),
+            ("play_rad", self.play_rad, largest_play_rad),
+        ] {
+            if !(0.0..=largest).contains(&value) {
+                return Err(format!("{name} = {value}: give a number from 0 to {largest:.4}"));
+            }
+        }
+        self.effects.check().map_err(|error| format!("effects.{error}"))
+    }
+
     /// The settings of an emulator of this Qube without faults; the seed determines its start.
     #[must_use]
     pub fn emulator(&self, seed: u64) -> EmulatorSettings {
@@ -74,6 +101,7 @@ impl Default for EmulatedQubeSettings {
             command_jitter_s: 0.0,
             play_rad: 0.0,
             effects: Effects::NONE,
+            unidentified: false,
         }
     }
 }

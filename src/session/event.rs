@@ -1,4 +1,4 @@
-use super::{Drift, Purpose, SessionError};
+use super::{Drift, Outlook, Purpose, SessionError};
 use crate::identification::Unfit;
 use crate::learning::TrainUpdate;
 use crate::rig::Rig;
@@ -12,6 +12,8 @@ pub enum SessionEvent<'a> {
         candidate: u32,
         /// Reason of the proposal.
         purpose: Purpose,
+        /// Number of candidates with this one, and the largest number.
+        outlook: Outlook,
     },
     /// The Qube was identified from recordings, with these doubts.
     Identified {

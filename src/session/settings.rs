@@ -2,7 +2,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{EmulatedQubeSettings, Extent, IdentificationSettings};
-use crate::control::HomingSettings;
+use crate::control::{HomingMethod, HomingSettings};
 use crate::estimation::EstimatorSettings;
 use crate::learning::{Origin, Preset, TrainSettings};
 use crate::qube::{PlantModel, Profile};
@@ -22,6 +22,13 @@ pub struct SharedRig {
     pub device: String,
     /// Settings of the emulated Qube, used if the device is one.
     pub emulated: EmulatedQubeSettings,
+    /// How the rig was homed when the session began.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub homing_method: HomingMethod,
+}
+
+fn is_default(method: &HomingMethod) -> bool {
+    *method == HomingMethod::default()
 }
 
 /// Number of initial candidates of a search around an identified Qube. One has the simulations as

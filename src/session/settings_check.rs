@@ -1,10 +1,13 @@
 //! The check of a session's settings against their ranges.
 
+use toml::{Table, Value};
+
 use super::SessionSettings;
 use super::qube_file::TRAVELS_RAD;
 use crate::learning::TrainError;
 use crate::qube::{HARD_STOP_RAD, MAX_STEPS};
 use crate::safety::SafetyBox;
+use crate::search::SearchError;
 use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
 
 /// Largest offset of the arm's zero from the middle between the stops, rad. At any offset the
@@ -15,14 +18,18 @@ pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 pub(super) const BEGIN_ANEW: &str = "a session cannot change its settings, so begin a new one";
 
 impl SessionSettings {
-    /// Checks the settings. The error describes the first invalid one.
-    pub(super) fn check(&self) -> Result<(), String> {
+    /// Checks the settings.
+    ///
+    /// # Errors
+    /// Describes the first invalid setting.
+    pub fn check(&self) -> Result<(), String> {
         self.check_limits()?;
         self.estimator.check().map_err(|error| format!("estimator.{error}"))?;
-        if let Some(ProfileSettings { spread, .. }) = self.profile
-            && !(0.0..=1.0).contains(&spread)
-        {
-            return Err(format!("profile.spread = {spread}: give a number from 0 to 1"));
+        if let Some(ProfileSettings { model, spread, .. }) = &self.profile {
+            model.check().map_err(|error| format!("profile.model.{error}"))?;
+            if !(0.0..=1.0).contains(spread) {
+                return Err(format!("profile.spread = {spread}: give a number from 0 to 1"));
+            }
         }
         self.base_distribution().map_err(|error| error.to_string())?;
         let sees_truth = self.training.simulation.sensors == SensorModel::TrueState;
@@ -49,7 +56,10 @@ impl SessionSettings {
         if let Some(identification) = &self.identification {
             identification.check()?;
         }
-        self.emulated.effects.check().map_err(|error| format!("emulated.effects.{error}"))?;
+        self.emulated.check().map_err(|error| format!("emulated.{error}"))?;
+        for rig in &self.rigs {
+            rig.emulated.check().map_err(|error| format!("rigs.emulated.{error}"))?;
+        }
         self.training.check().map_err(|error| match error {
             TrainError::Setting { name, value, bound } => {
                 format!("training.{name} = {value}: it must be {bound}")
@@ -59,7 +69,13 @@ impl SessionSettings {
             }
             other => other.to_string(),
         })?;
-        self.search().map(drop).map_err(|error| error.to_string())
+        self.search().map_err(|error| match error {
+            SearchError::BadSettings { reason } => format!("bayrn.{reason}"),
+            other => other.to_string(),
+        })?;
+        // The ranges above name what each setting may be. This holds for settings without a range
+        // of their own too.
+        Table::try_from(self).map_or(Ok(()), |all| check_numbers("", &Value::Table(all)))
     }
 
     /// Checks that no limit is invalid or wider than the task's limit. No file may widen a limit,
@@ -126,6 +142,28 @@ impl SessionSettings {
         }
         let give = "give guard = \"foresight\" or leave it out";
         self.safety_box.guard.check_driven().map_err(|gone| format!("safety_box.{gone}: {give}"))
+    }
+}
+
+/// Largest absolute value of any number in the settings.
+const LARGEST_NUMBER: f64 = 1e6;
+
+/// The one number of the settings that may be infinite, for no limit.
+const MAY_BE_INFINITE: &str = "training.largest_gradient_norm";
+
+/// Checks that every number of these settings is finite and not huge.
+fn check_numbers(key: &str, value: &Value) -> Result<(), String> {
+    match value {
+        Value::Float(number) if number.abs() <= LARGEST_NUMBER || key == MAY_BE_INFINITE => Ok(()),
+        Value::Float(number) => Err(format!(
+            "{key} = {number}: give a number from -{LARGEST_NUMBER} to {LARGEST_NUMBER}"
+        )),
+        Value::Array(entries) => entries.iter().try_for_each(|entry| check_numbers(key, entry)),
+        Value::Table(table) => table.iter().try_for_each(|(name, value)| {
+            let key = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
+            check_numbers(&key, value)
+        }),
+        _ => Ok(()),
     }
 }
 

@@ -178,6 +178,7 @@ impl SessionSettings {
             }
         };
         none_is(&mut all.emulated.play_rad, 0.005);
+        all.emulated.unidentified = true;
         let Effects {
             presliding_rad,
             stribeck,
@@ -327,9 +328,7 @@ fn bound(refused: &str, key: &str) -> Option<String> {
         .iter()
         .find_map(|words| range.strip_prefix(words))
         .unwrap_or(range);
-    // An upper bound with so many digits is the largest number of its type, which limits nothing.
-    let bounded = range.split_once(" and up to ").filter(|(_, largest)| largest.len() > 24);
-    Some(bounded.map_or(range, |(above, _)| above).to_owned())
+    Some(range.to_owned())
 }
 
 #[cfg(test)]

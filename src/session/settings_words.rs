@@ -23,7 +23,7 @@ pub(super) fn words(key: &str) -> Option<&'static Words> {
     WORDS.iter().filter(is_end).max_by_key(|words| words.key.len())
 }
 
-const WORDS: [Words; 107] = [
+const WORDS: [Words; 108] = [
     of("name", "", "Name of the session; its folder's by default"),
     of("seed", "", "Seed from which every random number follows"),
     of("model", "", "Model whose psi the search varies where no Qube is identified"),
@@ -147,6 +147,7 @@ const WORDS: [Words; 107] = [
         "Largest deviation of a command's delay from the emulated Qube's own",
     ),
     of("emulated.play_rad", "rad", "Backlash between motor and arm of the emulated Qube"),
+    of("emulated.unidentified", "", "Whether the guard treats the emulated Qube as not identified"),
     of(
         "effects.presliding_rad",
         "rad",

@@ -108,7 +108,9 @@ impl TryFrom<BTreeMap<String, f64>> for Direction {
 
     fn try_from(named: BTreeMap<String, f64>) -> Result<Self, String> {
         let entry = |(name, deviation): (String, f64)| match Quantity::from_name(&name) {
-            _ if !deviation.is_finite() => Err(format!("a direction moves {name} by {deviation}")),
+            _ if !deviation.is_finite() => {
+                Err(format!("{name} = {deviation}: give a finite number"))
+            }
             Some(quantity) => Ok((quantity, deviation)),
             None => Err(format!("there is no quantity {name}")),
         };

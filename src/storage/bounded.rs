@@ -43,7 +43,7 @@ pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
 /// [`read_bounded`] fails, or the file is not UTF-8.
 pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
     String::from_utf8(read_bounded(path, limit)?)
-        .map_err(|error| io::Error::new(ErrorKind::InvalidData, error.utf8_error()))
+        .map_err(|_| io::Error::new(ErrorKind::InvalidData, "it is not a text file (UTF-8)"))
 }
 
 fn check_regular(metadata: &fs::Metadata) -> io::Result<()> {
@@ -83,6 +83,8 @@ mod tests {
         let error = read_text(&path, 99).unwrap_err().to_string();
         assert!(error.contains("more than 99 bytes"), "{error}");
         fs::write(&path, [0xff]).unwrap();
-        assert_eq!(read_text(&path, 100).unwrap_err().kind(), ErrorKind::InvalidData);
+        let error = read_text(&path, 100).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidData);
+        assert!(error.to_string().contains("not a text file"), "{error}");
     }
 }

@@ -375,3 +375,113 @@ fn the_travel_of_a_rig_is_a_travel() {
         refused(directory.path(), &session, 2, &["homing.travel_rad", "3.60 to 6.00"]);
     }
 }
+
+#[test]
+fn files_that_are_no_text_are_called_so() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("bytes"), [0xff, 0xfe, 0x00]).unwrap();
+    let run = ["run", "--policy", "classical", "--clock", "virtual"];
+    let cases: [&[&str]; 5] = [
+        &["config", "check", "bytes"],
+        &["identify", "bytes"],
+        &["experiment", "--recipe", "bytes"],
+        &["train", "--profile", "bytes"],
+        &[&run[..], &["--plant", "bytes"]].concat(),
+    ];
+    for arguments in cases {
+        refused(directory.path(), arguments, 2, &["bytes", "not a text file"]);
+    }
+}
+
+#[test]
+fn a_file_in_place_of_a_folder_is_refused_before_any_work() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("taken"), "mine").unwrap();
+    let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "chirp"];
+    assert!(qube_hil(directory.path(), &run).status.success());
+    refused(directory.path(), &["manual", "--out", "taken"], 2, &["--out taken is no folder"]);
+    refused(directory.path(), &["toy", "--out", "taken"], 2, &["--out taken is no folder"]);
+    let identify = ["identify", "chirp/rollout-0.mcap", "--plot", "taken"];
+    refused(directory.path(), &identify, 2, &["--plot taken is no folder"]);
+    assert!(
+        !directory.path().join("profile.toml").exists(),
+        "the recordings were fitted all the same"
+    );
+    std::fs::create_dir(directory.path().join("folder")).unwrap();
+    let train = ["train", "--preset", "quick", "--checkpoint", "folder"];
+    refused(directory.path(), &train, 2, &["--checkpoint folder: it is no file"]);
+}
+
+#[test]
+fn a_recording_that_is_named_twice_is_exported_once() {
+    let directory = tempfile::tempdir().unwrap();
+    let export = ["export", "one.mcap", "one.mcap"];
+    refused(directory.path(), &export, 2, &["one.mcap is named twice", "once"]);
+}
+
+#[test]
+fn numbers_without_an_end_are_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    for hours in ["1e300", "inf", "0"] {
+        let soak = ["soak", "--clock", "virtual", "--hours", hours];
+        refused(directory.path(), &soak, 2, &["--hours", "above 0, at most 10000"]);
+    }
+    let run = ["run", "--policy", "classical", "--clock", "virtual", "--filter", "1e300"];
+    refused(directory.path(), &run, 2, &["--filter", "at most 1000000"]);
+}
+
+#[test]
+fn options_that_together_give_no_qube_begin_no_session() {
+    let directory = tempfile::tempdir().unwrap();
+    let pair = ["session", "--clock", "virtual", "--device", "emulated", "--device", "emulated"];
+    let far = ["--vary", "0.5", "--delay-ms", "100", "--out", "pair"];
+    let far = [&pair[..], &far].concat();
+    refused(directory.path(), &far, 2, &["command_delay_s", "from 0 to 0.1"]);
+    assert!(!directory.path().join("pair").exists(), "a session was begun all the same");
+}
+
+#[test]
+fn a_number_in_any_file_is_refused_by_file_key_value_and_range() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = ["run", "--policy", "classical", "--clock", "virtual"];
+    let experiment = ["experiment", "--policies", "1", "--rollouts", "1"];
+    let with = |command: &[&'static str], option: &'static str| [command, &[option, "f"]].concat();
+    let plants = with(&experiment, "--plants");
+    let profile = with(&run, "--profile");
+    let psi = with(&["train", "--model", "psi"], "--psi");
+    let recipe = with(&experiment, "--recipe");
+    let qube = with(&[&run[..], &["--device", "emulated"]].concat(), "--qube");
+    let head = "name = \"mine\"\n";
+    let plant = format!("[[plants]]\n{head}");
+    let of_nominal = format!("{head}model = \"nominal\"\n");
+    for value in ["nan", "inf", "1e300", "-1e300"] {
+        for (command, text, key, range) in [
+            (&plants, format!("{plant}vary = "), "vary", "from 0 to 0.5"),
+            (&plants, format!("{plant}gap = "), "gap", "from 0 to 5"),
+            (&plants, format!("{plant}[plants.effects]\nstribeck = "), "stribeck", "from 0 to 2"),
+            (&plants, format!("{plant}[plants.scale]\nM_p = "), "scale.M_p", "from 0.1 to 10"),
+            (&profile, format!("{head}[parameters]\nM_p = "), "parameters.M_p", ""),
+            (&profile, format!("{head}[gap]\ncommand_delay_s = "), "command_delay_s", "to 0.1"),
+            (&profile, format!("{head}[standard_errors]\nM_p = "), "errors.M_p", "to 1000000"),
+            (&psi, "mean_M_p = ".to_owned(), "mean_M_p", "at most 1000000"),
+            (
+                &recipe,
+                format!("{of_nominal}[settings.training]\ntarget_return = "),
+                "training.target_return",
+                "0 to 600",
+            ),
+            (
+                &recipe,
+                format!("{of_nominal}[settings.emulated]\nplay_rad = "),
+                "emulated.play_rad",
+                "from 0 to 0.0873",
+            ),
+            (&qube, "[limits]\ntheta_rad = ".to_owned(), "theta_rad", "above 0, at most"),
+            (&qube, "[homing]\ntheta_offset_rad = ".to_owned(), "theta_offset_rad", "0.3"),
+            (&qube, "[motor]\ncontinuous_a = ".to_owned(), "continuous_a", "at most 0.54"),
+        ] {
+            std::fs::write(directory.path().join("f"), format!("{text}{value}\n")).unwrap();
+            refused(directory.path(), command, 2, &["f", key, range]);
+        }
+    }
+}

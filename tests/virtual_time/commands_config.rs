@@ -59,6 +59,51 @@ fn an_error_names_line_and_key() {
 }
 
 #[test]
+fn no_number_of_the_printed_settings_may_be_anything() {
+    let directory = tempfile::tempdir().unwrap();
+    let printed = succeeds(directory.path(), &["config", "print"]);
+    // The settings that are absent by default, too.
+    let lines: Vec<&str> = printed
+        .lines()
+        .map(|line| line.strip_prefix('#').filter(|it| !it.starts_with(' ')).unwrap_or(line))
+        .collect();
+    let mut replaced = 0;
+    for (index, line) in lines.iter().enumerate() {
+        let Some((key, number)) = line.split_once(" = ") else { continue };
+        let is_whole = number.parse::<i64>().is_ok();
+        if number.parse::<f64>().is_err() {
+            continue;
+        }
+        let wrong = if is_whole {
+            &["nan", "inf"][..]
+        } else if key == "largest_gradient_norm" {
+            // Infinite for no limit.
+            &["nan", "-inf", "-1e300"][..]
+        } else {
+            &["nan", "inf", "-inf", "1e300", "-1e300"][..]
+        };
+        for value in wrong {
+            let mut lines = lines.clone();
+            let changed = format!("{key} = {value}");
+            lines[index] = &changed;
+            fs::write(directory.path().join("bad.toml"), lines.join("\n")).unwrap();
+            let output = qube_hil(directory.path(), &["config", "check", "bad.toml"]);
+            let told = String::from_utf8(output.stderr).unwrap();
+            let place = format!("line {}: {changed}", index + 1);
+            assert_eq!(output.status.code(), Some(2), "{place} is accepted");
+            assert!(told.contains("bad.toml") && told.contains(key), "{place}: {told}");
+            assert!(told.contains("line "), "{place}: {told}");
+            if !is_whole {
+                let says_what = ["give ", "it must "].iter().any(|words| told.contains(words));
+                assert!(says_what, "{place}: {told}");
+            }
+            replaced += 1;
+        }
+    }
+    assert!(replaced > 500, "{replaced}");
+}
+
+#[test]
 fn a_shell_reads_its_completions() {
     let directory = tempfile::tempdir().unwrap();
     for shell in ["bash", "zsh", "fish"] {

@@ -2,7 +2,7 @@
 //! set, or interruptions.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::time::Duration;
 
@@ -78,4 +78,26 @@ fn a_training_that_was_stopped_and_gone_on_with_gives_the_same_policy() {
     let message = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert_eq!(refused.status.code(), Some(2), "{message}");
     assert!(message.contains("half.safetensors"), "{message}");
+}
+
+#[test]
+fn a_training_that_is_stopped_names_a_checkpoint_only_if_there_is_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let checkpoint = directory.path().join("far.safetensors");
+    // The first signals may come before the program handles them.
+    let stopped = [100, 400, 1600, 6400].into_iter().find_map(|milliseconds| {
+        let training = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+            .current_dir(directory.path())
+            .args(["train", "--preset", "thesis", "--checkpoint", "far.safetensors"])
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(Duration::from_millis(milliseconds));
+        let _ = kill_process(Pid::from_child(&training), Signal::TERM);
+        let output = training.wait_with_output().unwrap();
+        (output.status.code() == Some(143)).then_some(output)
+    });
+    let told = String::from_utf8(stopped.unwrap().stderr).unwrap();
+    assert_eq!(told.contains("goes on from"), checkpoint.exists(), "{told}");
+    assert_eq!(told.contains("nothing was written"), !checkpoint.exists(), "{told}");
 }

@@ -196,3 +196,44 @@ fn a_session_says_that_its_rig_has_moved() {
     assert!(told.contains("from 3 rollouts") && told.contains("MOVED"), "{told}");
     assert!(told.contains("the rig has moved away from its profile"), "{told}");
 }
+
+#[test]
+fn incomplete_recordings_are_named_with_the_seconds_that_are_used() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name);
+    let run = ["run", "--clock", "virtual", "--profile", "lab"];
+    qube_hil(directory.path(), &[&run[..], &["--excite", "chirp", "--out", "chirp"]].concat());
+    let whole = std::fs::read(path("chirp/rollout-0.mcap")).unwrap();
+    std::fs::write(path("cut.mcap"), &whole[..whole.len() / 2]).unwrap();
+    // Only the index is missing in this one, and every tick is there.
+    std::fs::write(path("index.mcap"), &whole[..whole.len() - 20]).unwrap();
+    let mut recover = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    recover.current_dir(directory.path()).args(["recover", "cut.mcap"]);
+    assert_eq!(recover.output().unwrap().status.code(), Some(3));
+
+    let identify = |files: &[&str], out: &str| {
+        let fixed = ["R_m", "k_m", "D_r", "M_r", "M_p", "L_r", "cable_rest_rad"];
+        let fixed: Vec<&str> = fixed.into_iter().flat_map(|name| ["--fix", name]).collect();
+        let output = ["--out", out, "--json"];
+        qube_hil(directory.path(), &[&["identify"], files, &fixed, &output].concat())
+    };
+    let told = identify(&["index.mcap"], "whole.toml");
+    assert_eq!(json(&told)["incomplete"], serde_json::json!([]));
+    assert!(!String::from_utf8_lossy(&told.stderr).contains("complete"), "{told:?}");
+
+    let files = ["chirp/rollout-0.mcap", "cut.mcap", "--holdout", "cut.recovered.mcap"];
+    let told = identify(&files, "parts.toml");
+    let stderr = String::from_utf8_lossy(&told.stderr);
+    let incomplete = json(&told)["incomplete"].clone();
+    for (index, name) in ["cut.mcap", "cut.recovered.mcap"].into_iter().enumerate() {
+        let entry = &incomplete[index];
+        let used_s = entry["used_s"].as_f64().unwrap();
+        assert!((3.0..7.0).contains(&used_s), "{incomplete}");
+        assert_eq!(
+            (&entry["file"], &entry["reason"]),
+            (&name.into(), &"its end is missing".into())
+        );
+        let words = format!("{name} (its end is missing; {used_s:.2} s of it are used)");
+        assert!(stderr.contains(&words), "{words:?} is missing in: {stderr}");
+    }
+}

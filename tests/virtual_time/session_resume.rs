@@ -233,3 +233,69 @@ fn a_finished_recording_that_was_cut_is_data_lost() {
     std::fs::write(&recording, whole).unwrap();
     assert_eq!(resumed(directory.path(), "mine").0, Some(0));
 }
+
+/// Exit code and messages of a session with these arguments.
+fn ended(directory: &Path, arguments: &[&str]) -> (Option<i32>, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
+        .current_dir(directory)
+        .args(["session", "--clock", "virtual"])
+        .args(arguments)
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    (output.status.code(), String::from_utf8(output.stderr).unwrap())
+}
+
+#[test]
+fn a_session_goes_on_with_the_guard_and_the_homing_that_it_began_with() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("small.toml"), small(UPDATES[0])).unwrap();
+    let begin = |name: &str, more: &[&str]| {
+        let begin = ["--config", "small.toml", "--out", name];
+        let (code, told) = ended(directory.path(), &[&begin[..], more].concat());
+        assert_eq!(code, Some(0), "{told}");
+    };
+    begin("plain", &[]);
+    begin("stranger", &["--unidentified", "--home", "hand"]);
+    let devices = ["--device", "emulated", "--device", "emulated", "--rig-policy", "shared"];
+    begin("shared", &[&devices[..], &["--home", "hand"]].concat());
+    for (name, given, expected, words) in [
+        ("plain", &["--unidentified"][..], 2, "leave --unidentified out"),
+        ("plain", &["--home", "hand"], 2, "give --home stops"),
+        ("plain", &["--home", "stops"], 0, ""),
+        ("stranger", &["--home", "stops"], 2, "give --home hand"),
+        ("stranger", &["--unidentified", "--home", "hand"], 0, ""),
+        ("stranger", &[], 0, ""),
+        ("shared", &["--unidentified"], 2, "leave --unidentified out"),
+        ("shared", &[], 2, "give --home hand"),
+        ("shared", &["--home", "hand"], 0, ""),
+    ] {
+        let (code, told) = ended(directory.path(), &[&["--resume", name], given].concat());
+        assert_eq!(code, Some(expected), "{name} {given:?}: {told}");
+        assert!(told.contains(words), "{name} {given:?}: {told}");
+    }
+}
+
+#[test]
+fn a_resumed_session_guards_an_unidentified_qube_as_one() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("small.toml"), small(UPDATES[0])).unwrap();
+    let begin = ["--config", "small.toml", "--out", "mine", "--unidentified"];
+    assert_eq!(ended(directory.path(), &begin).0, Some(0));
+    let recording = directory.path().join("mine/candidates/006/rollout-0-attempt-0.mcap");
+    let belief = || qube_hil::recording::read(&recording).unwrap().header.settings.foresight;
+    let before = belief();
+    // The session is cut before its last candidate ran.
+    let path = directory.path().join("mine/ledger.jsonl");
+    let entries = std::fs::read_to_string(&path).unwrap();
+    let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 2).collect();
+    std::fs::write(&path, earlier).unwrap();
+    for rollout in std::fs::read_dir(recording.parent().unwrap()).unwrap() {
+        let rollout = rollout.unwrap().path();
+        if rollout.extension().is_some_and(|it| it == "mcap") {
+            std::fs::remove_file(rollout).unwrap();
+        }
+    }
+    assert_eq!(ended(directory.path(), &["--resume", "mine"]).0, Some(0));
+    assert_eq!(belief(), before);
+}

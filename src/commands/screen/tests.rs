@@ -47,7 +47,7 @@ fn is_as(name: &str, buffer: &Buffer) {
 fn in_training() -> ScreenState {
     let began = Instant::now();
     let mut state = ScreenState::new("qube-hil session in logs/monday".into(), began);
-    state.work = "candidate 3 (4 of at most 11): proposed by the search".into();
+    state.work = "candidate 3: proposed by the search, 4 of at most 11".into();
     state.phase = "training in simulation".into();
     state.done = Some((3, 11));
     state.may_end_early = true;

@@ -57,7 +57,10 @@ impl Session {
     ) -> Result<(), SessionError> {
         let candidate = self.ledger.state().candidates().len() as u32;
         self.ledger.append(Entry::Proposed { candidate, purpose, psi, pending })?;
-        tell(SessionEvent::Proposed { candidate, purpose });
+        let settings = &self.settings;
+        let outlook =
+            self.ledger.state().outlook(&settings.extent, settings.identification.as_ref());
+        tell(SessionEvent::Proposed { candidate, purpose, outlook });
         Ok(())
     }
 
