@@ -55,7 +55,7 @@ def train(
     Ctrl-C ends the training with a ``KeyboardInterrupt``.
     """
 
-    def tell(update: str) -> None:
+    def on_update(update: str) -> None:
         if callback is not None:
             callback(json.loads(update))
 
@@ -73,7 +73,7 @@ def train(
         changed,
         int(seed),
         None if initial is None else initial._core,
-        tell,
+        on_update,
     )
     points = json.loads(curve)
     columns = {name: np.array([point[name] for point in points], np.float64) for name in points[0]}

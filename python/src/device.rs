@@ -25,7 +25,7 @@ use crate::errors::{
 use crate::exchange::{Exchange, Remote, Slot};
 
 /// Time between two checks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Longest deadline that is chosen from the measured link, us: half of the tick.
 const LONGEST_OWN_DEADLINE_US: f64 = 5000.0;
@@ -154,7 +154,7 @@ impl Device {
             return Err(match self.ended(py)? {
                 Ok(episode) => DeviceError::new_err(format!(
                     "the episode ended while arm and pendulum came to rest: {}",
-                    told(episode.ending)
+                    ending_text(episode.ending)
                 )),
                 Err(Trouble(sentence)) => DeviceError::new_err(sentence),
             });
@@ -208,7 +208,7 @@ impl Device {
             }
         };
         let observed = self.observed(py, &last_state, &slot);
-        Ok((observed, reward, left, whole, slot.late, Some((told(ending), return_))))
+        Ok((observed, reward, left, whole, slot.late, Some((ending_text(ending), return_))))
     }
 
     /// Brakes the arm and ends the running episode, if there is one.
@@ -254,7 +254,7 @@ impl Device {
     fn next(&mut self, py: Python<'_>, after: u64) -> PyResult<Slot> {
         loop {
             let exchange = Arc::clone(&self.served()?.exchange);
-            if let Some(slot) = py.detach(|| exchange.next_ask(after, LOOK)) {
+            if let Some(slot) = py.detach(|| exchange.next_ask(after, POLL_INTERVAL)) {
                 return Ok(slot);
             }
             if let Err(interrupt) = py.check_signals() {
@@ -282,7 +282,7 @@ impl Device {
         loop {
             let next = py.detach(|| {
                 let ends = served.ends.lock().unwrap_or_else(PoisonError::into_inner);
-                ends.recv_timeout(LOOK)
+                ends.recv_timeout(POLL_INTERVAL)
             });
             match (next, interrupt.take()) {
                 (Ok(_), Some(interrupt)) => return Err(interrupt),
@@ -392,8 +392,8 @@ impl Server {
         for order in inbox {
             let end = self.episode(&mut rig, &order);
             self.exchange.end();
-            let told = end.map(|episode| End::Episode(Box::new(episode)));
-            if outbox.send(told.map_err(|error| Trouble(error.to_string()))).is_err() {
+            let message = end.map(|episode| End::Episode(Box::new(episode)));
+            if outbox.send(message.map_err(|error| Trouble(error.to_string()))).is_err() {
                 return;
             }
         }
@@ -459,7 +459,7 @@ fn own_deadline_us(rig: &Rig) -> f64 {
     left.clamp(SHORTEST_DEADLINE_US, LONGEST_OWN_DEADLINE_US)
 }
 
-fn told(ending: Ending) -> String {
+fn ending_text(ending: Ending) -> String {
     match ending {
         Ending::Completed => "completed".into(),
         Ending::LeftBox(limit) => format!("left the box: {limit}"),

@@ -88,7 +88,7 @@ pub fn drift(drift: &Drift) -> String {
 pub fn before_driving(power: Option<&PowerTest>) -> Option<String> {
     let warning = power_warning(power)?;
     Some(match power.map(|power| power.usb_lost) {
-        Some(UsbLost::MotorOff | UsbLost::KeepsItsWord) => warning.into(),
+        Some(UsbLost::MotorOff | UsbLost::KeepsVoltage) => warning.into(),
         Some(UsbLost::Unknown) | None => format!("{warning} with qube-hil check --power-test"),
     })
 }

@@ -106,7 +106,7 @@ fn check(files: &[PathBuf], preset: Preset, output: &Output) -> Result<(), Failu
             many => format!("{shown}: good; it changes {many} settings"),
         };
         for change in &changes {
-            let [value, default] = [&change.value, &change.default].map(told);
+            let [value, default] = [&change.value, &change.default].map(value_text);
             text += &format!("\n  {} = {value} (default {default})", change.key);
         }
         if leaves_out {
@@ -124,7 +124,7 @@ fn check(files: &[PathBuf], preset: Preset, output: &Output) -> Result<(), Failu
     Ok(())
 }
 
-fn told(value: &Option<Value>) -> String {
+fn value_text(value: &Option<Value>) -> String {
     match value {
         None => "absent".into(),
         Some(Value::Array(entries)) => format!("a list of {}", entries.len()),

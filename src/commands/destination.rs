@@ -9,7 +9,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::exit::Failure;
 use super::failures;
-use super::printable::tell;
+use super::printable::print_message;
 use crate::session::FolderError;
 use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 
@@ -211,7 +211,7 @@ pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     if let Err(error) = fs::remove_file(&trial)
         && error.kind() != ErrorKind::NotFound
     {
-        tell(&format!("warning: {}: {error}", trial.display()));
+        print_message(&format!("warning: {}: {error}", trial.display()));
     }
     written.map_err(|error| failures::not_written(folder, &error))
 }

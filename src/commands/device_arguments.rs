@@ -7,7 +7,7 @@ use super::command_hints::{before_driving, too_wide};
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::plant_file::PlantArgument;
-use super::printable::tell;
+use super::printable::print_message;
 use super::profile;
 use crate::clock::{Clock, MonotonicClock};
 use crate::control::{HomingMethod, HomingSettings};
@@ -15,7 +15,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::device::{Device, HilLink, Tty};
 use crate::estimation::EstimatorSettings;
 use crate::qube::{MotorRating, PlantModel, Profile};
-use crate::rig::{ClockChoice, DeviceChoice, DoubtMemory, LINK_PATIENCE_S, Recovery, RigSettings};
+use crate::rig::{ClockChoice, DeviceChoice, DoubtStore, LINK_PATIENCE_S, Recovery, RigSettings};
 use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
 use crate::session::{QUBE_FILE, QubeFile};
 
@@ -183,7 +183,7 @@ impl QubeArguments {
         };
         let file = path.map(QubeFile::load).transpose().map_err(Failure::usage)?;
         if let Some(path) = path {
-            tell(&format!("this Qube's settings are those in {}", path.display()));
+            print_message(&format!("this Qube's settings are those in {}", path.display()));
         }
         let port_of_file = file.as_ref().and_then(|file| file.port.clone());
         let choice = match (self.device.as_deref(), path) {
@@ -343,9 +343,9 @@ impl CheckArguments {
     fn recovery(self, device: &DeviceChoice) -> Recovery {
         // Only a device that outlives this program can be in doubt after the program has ended.
         let outlives = matches!(device, DeviceChoice::Port(_) | DeviceChoice::Hil(_));
-        let memory = doubts_folder().filter(|_| outlives).map(DoubtMemory::new);
+        let memory = doubts_folder().filter(|_| outlives).map(DoubtStore::new);
         if outlives && memory.is_none() {
-            tell(
+            print_message(
                 "warning: there is no folder for what must be remembered after a fault: set HOME or \
                  XDG_STATE_HOME",
             );

@@ -3,9 +3,9 @@ use serde_json::json;
 use super::check_table::{Row, table};
 use super::exit::Failure;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::stop::Stop;
-use crate::preflight::doctor::{Diagnosis, Fitness, diagnose};
+use crate::preflight::doctor::{Diagnosis, Suitability, diagnose};
 
 /// Check this computer: rights to real time, ports, FTDI timers, the vendor's library, and timing accuracy
 ///
@@ -28,7 +28,7 @@ pub struct Arguments {
 /// Performs the checks and prints the findings.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
-    tell(&format!("watching the timer for {} s", arguments.seconds));
+    print_message(&format!("watching the timer for {} s", arguments.seconds));
     let found = diagnose(&arguments.device, arguments.seconds, &stop.flag)
         .map_err(|error| Failure::failed(format!("the timer cannot be watched: {error}")))?;
     if stop.requested() {
@@ -36,10 +36,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     let unfit: Vec<&str> = found
         .iter()
-        .filter(|diagnosis| diagnosis.verdict == Fitness::Unfit)
+        .filter(|diagnosis| diagnosis.verdict == Suitability::Unfit)
         .map(|diagnosis| diagnosis.name.as_str())
         .collect();
-    let advice = found.iter().filter(|diagnosis| diagnosis.verdict == Fitness::Advice).count();
+    let advice = found.iter().filter(|diagnosis| diagnosis.verdict == Suitability::Advice).count();
     let summary = match (unfit.len(), advice) {
         (0, 0) => "all is well".to_owned(),
         (0, advice) => format!("fit; advice: {advice}"),
@@ -51,7 +51,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         .map(|diagnosis| {
             json!({
                 "name": diagnosis.name,
-                "pass": diagnosis.verdict != Fitness::Unfit,
+                "pass": diagnosis.verdict != Suitability::Unfit,
                 "verdict": diagnosis.verdict,
                 "value": diagnosis.value,
                 "cure": diagnosis.cure,
@@ -67,9 +67,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 fn row(diagnosis: &Diagnosis) -> Row {
     let word = match diagnosis.verdict {
-        Fitness::Well => "well",
-        Fitness::Advice => "advice",
-        Fitness::Unfit => "UNFIT",
+        Suitability::Well => "well",
+        Suitability::Advice => "advice",
+        Suitability::Unfit => "UNFIT",
     };
     Row {
         name: diagnosis.name.clone(),

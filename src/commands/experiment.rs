@@ -22,7 +22,7 @@ use super::named_values::{named, presets};
 use super::number_arguments::seed_in_toml;
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
-use super::printable::tell;
+use super::printable::print_message;
 use super::report;
 use super::screen::{Screen, ScreenArgument};
 use super::stop::Stop;
@@ -227,7 +227,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     let stop = Stop::on_signals()?;
     let resume = format!("qube-hil experiment --resume {}", folder.root().display());
-    tell(&format!("experiment in {}", folder.root().display()));
+    print_message(&format!("experiment in {}", folder.root().display()));
 
     let first = &settings.recipes[0].settings;
     let rig = RigSettings {
@@ -242,7 +242,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(warning) = unidentified(&rig, first.safety_box.guard)
         && !arguments.table
     {
-        tell(&format!("warning: {warning}"));
+        print_message(&format!("warning: {warning}"));
     }
     let live = match arguments.table {
         true => Live::default(),
@@ -280,9 +280,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut ended = Ok(());
     if !arguments.table {
         ended = experiment
-            .run(&|news| {
-                progress.tell(&news);
-                live.experiment(&news);
+            .run(&|event| {
+                progress.update(&event);
+                live.experiment(&event);
             })
             .map_err(failed);
     }
@@ -303,7 +303,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let page = report::write_into_experiment(&report, &experiment);
     match &page {
         Ok(path) => text.push_str(&format!("\na page for a browser: {}", path.display())),
-        Err(reason) => tell(&format!("warning: no report was written: {reason}")),
+        Err(reason) => print_message(&format!("warning: no report was written: {reason}")),
     }
     result["report"] = json!(page.ok().map(|path| path.to_string_lossy().into_owned()));
     if ended.is_err() {

@@ -62,8 +62,8 @@ impl ExperimentProgress {
     }
 
     /// Shows one event.
-    pub fn tell(&self, news: &ExperimentEvent) {
-        match news {
+    pub fn update(&self, event: &ExperimentEvent) {
+        match event {
             ExperimentEvent::Search { name, progress } => self.searching(name, progress),
             ExperimentEvent::Training { recipe, policy, training, update } => {
                 self.training((recipe, "policy", *policy, *training), update);
@@ -85,26 +85,26 @@ impl ExperimentProgress {
                     .collect();
                 let returns: Vec<f64> = results.iter().filter_map(|it| it.return_).collect();
                 let kinds = kinds.join(", ");
-                let told = if returns.is_empty() {
+                let outcome = if returns.is_empty() {
                     "no return".to_owned()
                 } else {
                     let mean = returns.iter().sum::<f64>() / returns.len() as f64;
                     self.better(mean, &format!("{recipe}, policy {policy} on {plant}"));
                     format!("mean return {mean:.0}")
                 };
-                self.line(format!("{recipe} {policy} on {plant}: {told}; {kinds}"));
-                self.one_more();
+                self.line(format!("{recipe} {policy} on {plant}: {outcome}; {kinds}"));
+                self.count_finished();
                 self.progress.wait_while_paused(&self.stop);
             }
             ExperimentEvent::Scored { repetition, recommendation } => {
                 self.scored(repetition, recommendation);
             }
-            ExperimentEvent::Over { .. } | ExperimentEvent::NotScored => self.one_more(),
+            ExperimentEvent::Over { .. } | ExperimentEvent::NotScored => self.count_finished(),
         }
     }
 
     /// Counts one more finished piece of work.
-    fn one_more(&self) {
+    fn count_finished(&self) {
         self.done.fetch_add(1, Ordering::Relaxed);
         self.progress.update(|state| self.expect_end(state));
     }
@@ -150,8 +150,8 @@ impl ExperimentProgress {
         let mut best = self.best.lock().unwrap_or_else(PoisonError::into_inner);
         if mean.is_finite() && best.is_none_or(|best| mean > best) {
             *best = Some(mean);
-            let told = format!("best so far: {of} with a mean return of {mean:.0}");
-            self.progress.update(|state| state.best = told);
+            let outcome = format!("best so far: {of} with a mean return of {mean:.0}");
+            self.progress.update(|state| state.best = outcome);
         }
     }
 
@@ -188,10 +188,10 @@ impl ExperimentProgress {
             | SessionEvent::Drift { .. }
             | SessionEvent::RigTakenOut { .. }
             | SessionEvent::Identified { .. }
-            | SessionEvent::ExcitesAgain(_)
+            | SessionEvent::ExcitationRepeated(_)
             | SessionEvent::NotIdentified(_)
             | SessionEvent::NotUpdated(_)
-            | SessionEvent::GoesOn { .. }
+            | SessionEvent::SearchContinues { .. }
             | SessionEvent::SearchEnded { .. }
             | SessionEvent::EndedEarly(_) => {}
         }

@@ -160,8 +160,8 @@ mod tests {
     #[test]
     fn the_name_of_a_table_is_no_folder() {
         for (name, format) in [("x.parquet", "--format parquet"), ("logs/x.CSV", "--format csv")] {
-            let told = folder(name).unwrap_err();
-            assert!(told.contains(format), "{told}");
+            let message = folder(name).unwrap_err();
+            assert!(message.contains(format), "{message}");
         }
         for name in ["tables", "logs/2.5", "../csv"] {
             assert_eq!(folder(name).unwrap(), Path::new(name));

@@ -173,8 +173,8 @@ fn job(error: JobError, stop: &Stop) -> Failure {
         JobError::Start(ref start) => match start.as_ref() {
             StartError::NoProgram { .. }
             | StartError::Refused { .. }
-            | StartError::Fruitless { .. }
-            | StartError::InVain { .. }
+            | StartError::NoWorkerAppeared { .. }
+            | StartError::NoResult { .. }
             | StartError::WorkersRefuse { .. } => Failure::usage(error),
             StartError::Silent { .. } | StartError::Command(_) => Failure::failed(error),
         },

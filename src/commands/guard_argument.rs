@@ -2,7 +2,7 @@ use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 
 use super::exit::Failure;
-use super::words_gone::names_but;
+use super::retired_names::names_and_retired;
 use crate::safety::{Guard, GuardConsent};
 
 /// The guard in the spelling of the command line.
@@ -17,7 +17,7 @@ pub enum GuardArgument {
 
 /// The parser of `--guard`.
 pub fn guard_parser() -> impl TypedValueParser<Value = GuardArgument> {
-    names_but("envelope", "it serves only to replay old recordings; use foresight")
+    names_and_retired("envelope", "it serves only to replay old recordings; use foresight")
 }
 
 impl From<GuardArgument> for Guard {

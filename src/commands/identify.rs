@@ -81,8 +81,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut plant = arguments.plant.given()?;
     let fitted = read(&arguments.files, &mut plant)?;
     let held_out = read(&arguments.holdout, &mut plant)?;
-    if let Some(twice) = twice(arguments.files.iter().chain(&arguments.holdout)) {
-        let shown = twice.display();
+    if let Some(duplicate) = duplicate(arguments.files.iter().chain(&arguments.holdout)) {
+        let shown = duplicate.display();
         return Err(Failure::usage(format!(
             "{shown} is named twice: the same data would count as new evidence. Name each recording once"
         )));
@@ -196,7 +196,7 @@ fn read(files: &[PathBuf], plant: &mut Option<PlantModel>) -> Result<Vec<MotionL
 }
 
 /// The first file that is named twice, even if by different paths.
-fn twice<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Option<&'a PathBuf> {
+fn duplicate<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Option<&'a PathBuf> {
     let mut seen = BTreeSet::new();
     files.into_iter().find(|path| {
         let whole = path.canonicalize().unwrap_or_else(|_| PathBuf::from(path));
@@ -242,7 +242,7 @@ fn table(identified: &Identified) -> String {
 }
 
 /// Absolute correlation from which two estimates are listed as hard to tell apart.
-const HARD_TO_TELL: f64 = 0.8;
+const STRONG_CORRELATION: f64 = 0.8;
 
 /// The pairs of estimates that the recordings hardly tell apart.
 fn correlated(identified: &Identified) -> String {
@@ -250,7 +250,7 @@ fn correlated(identified: &Identified) -> String {
     let name = |index: usize| identified.estimates[index].unknown.name();
     for (one, row) in identified.correlations.iter().enumerate() {
         for (other, &correlation) in row[..one].iter().enumerate() {
-            if correlation.abs() >= HARD_TO_TELL {
+            if correlation.abs() >= STRONG_CORRELATION {
                 let also = if correlation > 0.0 { "more" } else { "less" };
                 let _ = writeln!(
                     text,

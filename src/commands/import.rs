@@ -8,7 +8,9 @@ use super::number_arguments::between;
 use super::output::Output;
 use crate::estimation::EstimatorSettings;
 use crate::policy::Policy;
-use crate::policy::onnx::{ForeignConventions, ImportError, MAX_FILE_BYTES, Sight, from_onnx};
+use crate::policy::onnx::{
+    ForeignConventions, ImportError, MAX_FILE_BYTES, ObservationLayout, from_onnx,
+};
 use crate::qube::MAX_HISTORY;
 use crate::storage::read_bounded;
 
@@ -37,8 +39,8 @@ pub struct Arguments {
     /// Entries of the observation in the network's order, each with or without a factor (0.1*theta_dot): sin_theta,
     /// cos_theta, sin_alpha, cos_alpha, theta_dot, alpha_dot (rad/s), command_1 to command_4 (the newest first, as
     /// fractions of 5 V). alpha is 0 where the pendulum hangs [default: this program's own observation]
-    #[arg(long, value_name = "NAMES", value_parser = Sight::parse, conflicts_with = "history", requires = "action_scale")]
-    observation: Option<Sight>,
+    #[arg(long, value_name = "NAMES", value_parser = ObservationLayout::parse, conflicts_with = "history", requires = "action_scale")]
+    observation: Option<ObservationLayout>,
 
     /// Number of last commands in this program's own observation, 0 to 4 [default: 0]
     #[arg(
@@ -76,9 +78,9 @@ impl Arguments {
     /// The conventions of a foreign file, from the options; `None` without `--action-scale`, for a
     /// file that names its own.
     fn foreign(&self) -> Option<ForeignConventions> {
-        let own = || Sight::own(self.history.unwrap_or_default().into());
+        let own = || ObservationLayout::own(self.history.unwrap_or_default().into());
         self.action_scale.map(|action_scale_v| ForeignConventions {
-            sight: self.observation.clone().unwrap_or_else(own),
+            layout: self.observation.clone().unwrap_or_else(own),
             action_scale_v: action_scale_v as f32,
             corner_rad_s: self.filter.unwrap_or(EstimatorSettings::default().corner_rad_s),
             clip_observation: self.clip_observation.map(|limit| limit as f32),

@@ -234,14 +234,14 @@ fn quoted(path: &OsStr) -> String {
 }
 
 fn failure(error: ReportError) -> Failure {
-    let told = one_line(&error.to_string()).into_owned();
+    let message = one_line(&error.to_string()).into_owned();
     match error {
         ReportError::NotASession { .. } => {
-            Failure::usage(format!("{told}. Give a session's folder, or recordings"))
+            Failure::usage(format!("{message}. Give a session's folder, or recordings"))
         }
-        ReportError::Configuration(_) => Failure::usage(told),
-        ReportError::Ledger(_) => Failure::data_lost(told),
-        ReportError::Data(_) => Failure::failed(told),
+        ReportError::Configuration(_) => Failure::usage(message),
+        ReportError::Ledger(_) => Failure::data_lost(message),
+        ReportError::Data(_) => Failure::failed(message),
     }
 }
 

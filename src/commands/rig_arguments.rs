@@ -124,7 +124,7 @@ impl RigArguments {
             let one = QubeArguments::of_one(device, file, self.treatment);
             chosen.push(one.choose_timed(&self.timed_plant)?);
         }
-        refuse_twice(&chosen)?;
+        refuse_duplicates(&chosen)?;
         let in_virtual_time = |it: &&ChosenDevice| it.clock == ClockChoice::Virtual;
         let real = chosen.iter().filter(in_virtual_time).find_map(|it| it.choice.name());
         if let Some(name) = real.filter(|_| count > 1) {
@@ -137,7 +137,7 @@ impl RigArguments {
 }
 
 /// Refuses a port or card that is named twice, a port also by different paths.
-fn refuse_twice(chosen: &[ChosenDevice]) -> Result<(), Failure> {
+fn refuse_duplicates(chosen: &[ChosenDevice]) -> Result<(), Failure> {
     let mut known = BTreeSet::new();
     for device in chosen {
         let Some(name) = device.choice.name() else { continue };

@@ -17,7 +17,7 @@ use super::keyboard::Keyboard;
 use super::live::LiveArguments;
 use super::number_arguments::seed_in_toml;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::report;
 use super::rig_arguments::RigArguments;
 use super::screen::ScreenArgument;
@@ -191,7 +191,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     };
     let rig_settings = rig_settings(&mut device, &folder, &settings, consent, arguments.check)?;
     if let Some(difference) = estimators_differ(&settings) {
-        tell(&difference);
+        print_message(&difference);
     }
     let profile = device.profile.as_ref().map(Profile::model);
     let stop = Stop::on_signals()?;
@@ -222,14 +222,14 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let keyboard = Keyboard::watch(&stop, &screen.progress());
     // The screen shows its own line of keys.
     if !screen.progress().has_screen() {
-        tell(keyboard.hint());
+        print_message(keyboard.hint());
     }
-    tell(&format!("session in {}", folder.paths().root().display()));
+    print_message(&format!("session in {}", folder.paths().root().display()));
     for warning in warnings(&device, &rig_settings, &settings) {
-        tell(&format!("warning: {warning}"));
+        print_message(&format!("warning: {warning}"));
     }
     if rig_settings.checks() {
-        tell("first the Qube is checked and homed (--skip-check leaves the check out)");
+        print_message("first the Qube is checked and homed (--skip-check leaves the check out)");
     }
 
     let failed = |error| failures::session(error, &stop, &resume);
@@ -244,10 +244,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     service_manager::ready();
     let ended = loop {
-        let ended = session.run(&mut |news| {
+        let ended = session.run(&mut |event| {
             service_manager::alive();
-            progress.tell(&news);
-            live.tell(&news, candidates, progress.time_left());
+            progress.update(&event);
+            live.update(&event, candidates, progress.time_left());
         });
         match ended.as_ref().err().and_then(SessionError::doubt) {
             Some(doubt) if keyboard.acknowledges(doubt, &stop) => session.acknowledge(),
@@ -325,7 +325,7 @@ pub fn results(
     let report = report::write_into_session(session.folder().paths().root());
     match &report {
         Ok(path) => text.push_str(&format!("a page for a browser: {}\n", path.display())),
-        Err(reason) => tell(&format!("warning: no report was written: {reason}")),
+        Err(reason) => print_message(&format!("warning: no report was written: {reason}")),
     }
     result["report"] = json!(report.ok().map(|path| path.to_string_lossy().into_owned()));
     Ok((text, result, ended))
@@ -369,11 +369,14 @@ mod tests {
         assert_eq!(estimators_differ(&quick), None);
         assert_eq!(estimators_differ(&quick.clone().seen_through(observer)), None);
         let apart = SessionSettings { estimator: observer, ..quick.clone() };
-        let told = estimators_differ(&apart).unwrap();
-        assert!(told.contains("filter of 200 rad/s") && told.contains("observer"), "{told}");
+        let message = estimators_differ(&apart).unwrap();
+        assert!(
+            message.contains("filter of 200 rad/s") && message.contains("observer"),
+            "{message}"
+        );
         let mut blind = quick;
         blind.training.simulation.sensors = SensorModel::TrueState;
-        let told = estimators_differ(&blind).unwrap();
-        assert!(told.contains("true states"), "{told}");
+        let message = estimators_differ(&blind).unwrap();
+        assert!(message.contains("true states"), "{message}");
     }
 }

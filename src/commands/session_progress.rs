@@ -83,8 +83,8 @@ impl SessionProgress {
     }
 
     /// Shows one event.
-    pub fn tell(&mut self, news: &SessionEvent) {
-        match news {
+    pub fn update(&mut self, event: &SessionEvent) {
+        match event {
             SessionEvent::Proposed { candidate, purpose } => {
                 let why = match purpose {
                     Purpose::Excitation => "a recording that identifies the Qube",
@@ -153,7 +153,7 @@ impl SessionProgress {
                 self.progress.update(|state| state.phase = "planning".into());
                 self.line(identified(*recordings, doubts));
             }
-            SessionEvent::ExcitesAgain(reason) => {
+            SessionEvent::ExcitationRepeated(reason) => {
                 self.line(format!("{reason}. Another recording is made"));
             }
             SessionEvent::NotIdentified(reason) => self.line(format!(
@@ -162,7 +162,7 @@ impl SessionProgress {
             SessionEvent::NotUpdated(reason) => {
                 self.line(format!("the verification leaves the profile as it is: {reason}"));
             }
-            SessionEvent::GoesOn { expected_gain, smallest_gain } => self.line(format!(
+            SessionEvent::SearchContinues { expected_gain, smallest_gain } => self.line(format!(
                 "one more candidate is expected to gain {expected_gain:.1}; the search ends below {smallest_gain:.1}"
             )),
             SessionEvent::SearchEnded { expected_gain } => self.line(format!(
@@ -312,7 +312,7 @@ mod tests {
             (1, (vec![400.0], 1)),
             (2, (vec![20.0], 0)),
         ]);
-        let told = "best so far: candidate 1 with a return of 400; 1 of 1 rollouts balance";
-        assert_eq!(best(&candidates), told);
+        let expected = "best so far: candidate 1 with a return of 400; 1 of 1 rollouts balance";
+        assert_eq!(best(&candidates), expected);
     }
 }

@@ -215,16 +215,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut progress = TrainingProgress::new(job.settings.updates, keeps, &screen.progress());
 
     let started = Instant::now();
-    let mut tell = |update: &TrainUpdate| progress.tell(update);
+    let mut on_update = |update: &TrainUpdate| progress.update(update);
     let trained = match &start {
         Some(start) => {
             let TrainingJob { distribution, settings, seed } = &job;
-            train_from(&start.network, distribution, settings, *seed, &stop.flag, tell)
+            train_from(&start.network, distribution, settings, *seed, &stop.flag, on_update)
                 .map_err(JobError::from)
         }
         None => {
             let executor = LocalExecutor::on_cores(1).checkpointed(checkpointing);
-            executor.train_one(&job, &stop.flag, &mut tell)
+            executor.train_one(&job, &stop.flag, &mut on_update)
         }
     };
     drop(keyboard);

@@ -34,7 +34,7 @@ impl TrainingProgress {
     }
 
     /// Shows one more update.
-    pub fn tell(&mut self, update: &TrainUpdate) {
+    pub fn update(&mut self, update: &TrainUpdate) {
         let (done, all) = (update.update + 1, self.updates);
         self.best_return = self.best_return.max(update.mean_return);
         let best_return = self.best_return;

@@ -367,9 +367,9 @@ fn add_examples(page: &mut Page, rollouts: NamedRollouts) {
         "The first rollout of the best and of the worst policy of each recipe on each plant, for up to 20 of these pairs.",
     );
     let motions = rollouts.into_iter().map(|(name, view)| {
-        let told = format!("{name}: {}", view.result());
+        let outcome = format!("{name}: {}", view.result());
         let sentence = view.sentence();
-        view.motion.named(name, told, sentence)
+        view.motion.named(name, outcome, sentence)
     });
     add_player(page, motions.collect(), 0);
 }

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::connection::connect;
-use super::{ClockChoice, Doubt, DoubtMemory, RigError, RigSettings};
+use super::{ClockChoice, Doubt, DoubtStore, RigError, RigSettings};
 use crate::clock::RealtimeReport;
 use crate::control::{
     ControlError, ControlThread, HomingSettings, Patience, PressOutcome, StopPress, drive_warm,
@@ -42,7 +42,7 @@ pub struct Rig {
     pub(super) limits: HardwareLimits,
     stop: Arc<AtomicBool>,
     link_patience_s: f64,
-    memory: Option<DoubtMemory>,
+    memory: Option<DoubtStore>,
     /// Time that foresight's longest prediction takes on this processor, us; 0 for an emulated
     /// Qube.
     pub(super) foresight_time_us: f64,
@@ -72,7 +72,7 @@ impl Rig {
     /// A doubt is not acknowledged, or a step fails; the motor is off after any error.
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let mut rig = Self::connect(settings, stop)?;
-        let remembered = rig.memory.as_ref().and_then(|memory| memory.recall(&rig.identity.serial));
+        let remembered = rig.memory.as_ref().and_then(|memory| memory.load(&rig.identity.serial));
         let doubt = remembered.or_else(|| settings.recovery.doubt.clone());
         if let Some(doubt) = doubt.clone().filter(|_| !settings.recovery.acknowledged) {
             return Err(RigError::InDoubt(Box::new(doubt)));
@@ -99,7 +99,7 @@ impl Rig {
             rig.home()?;
         }
         if let Some(memory) = rig.memory.as_ref().filter(|_| doubt.is_some()) {
-            memory.forget(&rig.identity.serial);
+            memory.remove(&rig.identity.serial);
         }
         Ok(rig)
     }
@@ -310,7 +310,7 @@ impl Rig {
         let Ending::Fault(fault) = ending else { return };
         self.last_fault.set(Some(fault));
         if let Some(memory) = self.memory.as_ref().filter(|_| fault.leaves_doubt()) {
-            memory.keep(&self.doubt(fault));
+            memory.store(&self.doubt(fault));
         }
     }
 

@@ -194,7 +194,7 @@ mod tests {
             serde_json::from_value::<ForesightSettings>(json.clone()).map_err(|it| it.to_string())
         };
         assert_eq!(read(&json), Ok(settings));
-        for (pointer, value, told) in [
+        for (pointer, value, part) in [
             ("/version", 2.into(), "version = 2: this program knows 1"),
             ("/margin_rad", (-0.1).into(), "margin_rad = -0.1"),
             ("/held_periods", 0.into(), "held_periods = 0"),
@@ -210,7 +210,7 @@ mod tests {
             let mut other = json.clone();
             *other.pointer_mut(pointer).unwrap() = value;
             let message = read(&other).unwrap_err();
-            assert!(message.contains(told), "{pointer}: {message}");
+            assert!(message.contains(part), "{pointer}: {message}");
         }
     }
 }

@@ -210,8 +210,8 @@ mod tests {
                 let consent = GuardConsent::given(Some(Guard::Box), true);
                 for consent in [None, consent] {
                     let refused = HardwareLimits::of(safety_box, consent).unwrap_err();
-                    let told = refused.to_string();
-                    assert!(told.contains("at most"), "{told}");
+                    let message = refused.to_string();
+                    assert!(message.contains("at most"), "{message}");
                 }
             }
         }

@@ -35,7 +35,7 @@ impl SessionSettings {
             text = toml::to_string(&table)?;
         }
         let oldest = Self { preset: None, ..Self::default() }.with_guard(Guard::Box);
-        let settings = oldest.laid_under(&text, path)?;
+        let settings = oldest.with_overrides(&text, path)?;
         settings.check_resumable().map_err(out_of_range)?;
         Ok(settings)
     }
@@ -81,13 +81,13 @@ impl SessionSettings {
         if let Some(entry) = take_retired(&mut parsed(text, path)?).first() {
             return Err(out_of_range(format!("{entry}: leave it out")));
         }
-        let mut settings = self.laid_under(text, path)?;
+        let mut settings = self.with_overrides(text, path)?;
         settings.preset = Some(Preset::of(&settings.training));
         settings.check_begun().map_err(out_of_range)?;
         Ok(settings)
     }
 
-    fn laid_under(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
+    fn with_overrides(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
         let invalid = |source| ConfigurationError::Invalid {
             path: path.to_owned(),
             source: Box::new(source),
@@ -101,7 +101,7 @@ impl SessionSettings {
         let mut table: Table = Table::try_from(below)?;
         let mut above: Table = toml::from_str(text).map_err(invalid)?;
         rename_entries(&mut above);
-        lay_over(&mut table, above);
+        merge_into(&mut table, above);
         let settings: Self = table.try_into().map_err(invalid)?;
         settings.checked(path)
     }
@@ -137,10 +137,10 @@ fn parsed(text: &str, path: &Path) -> Result<Table, ConfigurationError> {
     })
 }
 
-fn lay_over(below: &mut Table, above: Table) {
+fn merge_into(below: &mut Table, above: Table) {
     for (key, value) in above {
         match (below.get_mut(&key), value) {
-            (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),
+            (Some(Value::Table(below)), Value::Table(above)) => merge_into(below, above),
             (_, value) => {
                 below.insert(key, value);
             }

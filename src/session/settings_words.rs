@@ -103,7 +103,7 @@ const WORDS: [Words; 107] = [
         "Standard deviation of the model's error in the pendulum's acceleration",
     ),
     of(
-        "observer.astray_rad",
+        "observer.reset_error_rad",
         "rad",
         "Distance between encoder and prediction beyond which the observer begins anew",
     ),

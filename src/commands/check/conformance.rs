@@ -7,11 +7,11 @@ use crate::commands::check_table::{Row, checks_json, failed_names, table};
 use crate::commands::device_arguments::ChosenDevice;
 use crate::commands::exit::Failure;
 use crate::commands::output::Output;
-use crate::commands::printable::tell;
+use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
 use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{DeviceError, InProcessWire, LinkFault, Transport, Tty};
-use crate::preflight::conformance::{CHECKS, Deviation, Speaker};
+use crate::preflight::conformance::{CHECKS, Deviation, TestHost};
 use crate::rig::{ClockChoice, DeviceChoice, RigError};
 use crate::telemetry::CheckResult;
 
@@ -30,15 +30,15 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     let mut wire = open(device)?;
     let port = wire.transport.name().to_owned();
     let clock = Arc::clone(&wire.clock);
-    let mut speaker = Speaker::new(wire.transport.as_mut(), clock.as_ref());
-    tell(&format!("{} checks of the device at {port}", CHECKS.len()));
+    let mut host = TestHost::new(wire.transport.as_mut(), clock.as_ref());
+    print_message(&format!("{} checks of the device at {port}", CHECKS.len()));
 
     let mut results = Vec::new();
     for check in CHECKS {
         if stop.requested() {
             return Err(stop.failure("stopped; the motor is off"));
         }
-        let result = check.run(&mut speaker);
+        let result = check.run(&mut host);
         if results.is_empty() && matches!(result, Err(Deviation::Silent("Hello"))) {
             return Err(Failure::usage(DeviceError::NotAQube {
                 port,

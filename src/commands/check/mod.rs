@@ -14,7 +14,7 @@ use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::stop::Stop;
 use super::warn_without_realtime;
 use crate::device::emulator::EmulatorSettings;
@@ -88,7 +88,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     // The file that --write replaces may belong to another board, so its board is not checked.
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };
-    tell("checking the Qube: the arm is pushed a little, then homed");
+    print_message("checking the Qube: the arm is pushed a little, then homed");
     let failed = |error| failures::rig(error, &stop);
     let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
     warn_without_realtime(rig.realtime());

@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 
 use crate::commands::exit::Failure;
 use crate::commands::failures;
-use crate::commands::printable::tell;
+use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
 use crate::control::PressOutcome;
 use crate::rig::{Rig, RigError, RigSettings};
@@ -61,7 +61,7 @@ pub fn run(
     )?;
     let push_v = rehearse(&mut rig, stop)?;
 
-    tell(
+    print_message(
         "Now pull the USB plug out of the computer, within 60 s. Leave the Qube's own power on and \
          the arm alone.",
     );
@@ -89,7 +89,7 @@ pub fn run(
         stop,
     )?;
     let usb_lost = match answer.trim().chars().next() {
-        Some('y' | 'Y') => UsbLost::KeepsItsWord,
+        Some('y' | 'Y') => UsbLost::KeepsVoltage,
         Some('n' | 'N') => UsbLost::MotorOff,
         _ => UsbLost::Unknown,
     };
@@ -116,7 +116,7 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     let mut push_v = STEP_V;
     let mut disturbed = 0;
     while push_v <= MOST_V {
-        tell(&format!(
+        print_message(&format!(
             "At {push_v:.2} V: with one finger push the arm a finger's breadth (1 cm) off its stop \
              and let go."
         ));
@@ -126,13 +126,15 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
             (Ending::Stopped, _) => return Err(stop.failure("stopped; the motor is off")),
             (Ending::Fault(fault), _) if fault.is_timing_fault() && disturbed < DONE_AGAIN => {
                 disturbed += 1;
-                tell(&format!("The motor is off, and nothing is known yet: {fault}. Once more."));
+                print_message(&format!(
+                    "The motor is off, and nothing is known yet: {fault}. Once more."
+                ));
             }
             (Ending::Fault(fault), _) => {
                 return Err(failures::rig(RigError::Ended { fault }, stop));
             }
             (_, PressOutcome::CameBack) => {
-                tell("It came back: so it feels while the motor has its voltage.");
+                print_message("It came back: so it feels while the motor has its voltage.");
                 return Ok(push_v);
             }
             (_, PressOutcome::NotAtStop) => {
@@ -169,7 +171,7 @@ fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
 
 /// Asks a question and returns the line that was typed.
 fn ask(question: &str, stop: &Stop) -> Result<String, Failure> {
-    tell(&format!("\n{question}"));
+    print_message(&format!("\n{question}"));
     let _ = std::io::stderr().flush();
     let mut line = String::new();
     let read = std::io::stdin().lock().read_line(&mut line);

@@ -50,15 +50,15 @@ pub struct RolloutRow {
     /// Reason why the rollout ended before its last step, or has no result.
     pub ended_early: Option<String>,
     /// Outcome in words.
-    told: String,
+    outcome: String,
 }
 
 impl RolloutRow {
     /// Return and outcome in words.
     pub fn in_words(&self) -> String {
         match self.return_ {
-            Some(return_) => format!("return {return_:.0}, {}", self.told),
-            None => self.told.clone(),
+            Some(return_) => format!("return {return_:.0}, {}", self.outcome),
+            None => self.outcome.clone(),
         }
     }
 }
@@ -95,12 +95,12 @@ impl Results {
             self.largest_motor_load = load;
         }
         (self.fault, self.void) = (None, None);
-        let without = |told: String| RolloutRow {
+        let without = |outcome: String| RolloutRow {
             recording: path.to_owned(),
             return_: None,
             success: false,
-            ended_early: Some(told.clone()),
-            told,
+            ended_early: Some(outcome.clone()),
+            outcome,
         };
         self.rollouts.push(match score_recording(&recording) {
             Verdict::Result { return_, success, outcome } => {
@@ -108,14 +108,14 @@ impl Results {
                     Ending::LeftBox(limit) => Some(format!("left the box: {limit}")),
                     _ => None,
                 };
-                let told = match &ended_early {
+                let outcome = match &ended_early {
                     _ if self.excited => fitness(&recording),
                     Some(reason) => format!("{reason} after {} steps", outcome.steps),
                     None if success => "success".into(),
                     None => "not balancing at the end".into(),
                 };
                 let recording = path.to_owned();
-                RolloutRow { recording, return_: Some(return_), success, ended_early, told }
+                RolloutRow { recording, return_: Some(return_), success, ended_early, outcome }
             }
             Verdict::Void { reason } => {
                 match outcome.map(|outcome| outcome.ending) {
@@ -157,10 +157,12 @@ impl Results {
         let Some(first) = self.rollouts.first() else { return "no rollout was run".into() };
         let directory = first.recording.parent().unwrap_or(Path::new(".")).display();
         let mut text = String::new();
-        for (number, RolloutRow { return_, told, .. }) in self.rollouts.iter().enumerate() {
+        for (number, RolloutRow { return_, outcome, .. }) in self.rollouts.iter().enumerate() {
             let _ = match return_.filter(|_| !self.excited) {
-                Some(return_) => writeln!(text, "rollout {number}: return {return_:6.1}  {told}"),
-                None => writeln!(text, "rollout {number}: {told}"),
+                Some(return_) => {
+                    writeln!(text, "rollout {number}: return {return_:6.1}  {outcome}")
+                }
+                None => writeln!(text, "rollout {number}: {outcome}"),
             };
         }
         text.push_str(&observer_resets_line(self.observer_resets));

@@ -135,15 +135,15 @@ fn draw_work(
         (_, Pause::Now) => Line::styled("paused: the motor is off; p goes on", styles.near()),
         (_, Pause::Asked) => {
             let which = if is_running { "this" } else { "the next" };
-            let told = format!("{}; a pause follows {which} rollout", state.phase);
-            Line::styled(told, styles.near())
+            let line = format!("{}; a pause follows {which} rollout", state.phase);
+            Line::styled(line, styles.near())
         }
         _ => Line::styled(state.phase.as_str(), styles.strong()),
     };
     frame.render_widget(phase_line, phase);
     if let Some((done, all)) = state.done {
         let (words, room) = if area.width < 60 { ("", 40) } else { (" done", 43) };
-        let [bar, told] =
+        let [bar, caption] =
             Layout::horizontal([Constraint::Fill(1), Constraint::Length(room)]).areas(progress);
         let part = (done as f64 / all.max(1) as f64).clamp(0.0, 1.0);
         let style = styles.colour(Color::Cyan);
@@ -156,7 +156,7 @@ fn draw_work(
             Some(ends) => format!("; {most}{} left", in_words(ends.saturating_duration_since(now))),
             None => String::new(),
         };
-        frame.render_widget(Line::from(format!("  {done} of {most}{all}{words}{left}")), told);
+        frame.render_widget(Line::from(format!("  {done} of {most}{all}{words}{left}")), caption);
     }
     frame.render_widget(Line::from(state.best.as_str()), best);
 }

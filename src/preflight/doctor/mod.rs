@@ -19,7 +19,7 @@ pub struct Diagnosis {
     /// Name of the test.
     pub name: String,
     /// Verdict of the test.
-    pub verdict: Fitness,
+    pub verdict: Suitability,
     /// Finding, in a few words.
     pub value: String,
     /// Command or action that helps; `None` if all is well.
@@ -29,7 +29,7 @@ pub struct Diagnosis {
 /// The verdict about one property of the computer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Fitness {
+pub enum Suitability {
     /// The property is as it should be.
     Well,
     /// The property is sufficient, but could be better.
@@ -40,16 +40,16 @@ pub enum Fitness {
 
 impl Diagnosis {
     fn well(name: &str, value: impl Into<String>) -> Self {
-        Self { name: name.into(), verdict: Fitness::Well, value: value.into(), cure: None }
+        Self { name: name.into(), verdict: Suitability::Well, value: value.into(), cure: None }
     }
 
     fn advice(name: &str, value: impl Into<String>, cure: impl Into<String>) -> Self {
         let cure = Some(cure.into());
-        Self { name: name.into(), verdict: Fitness::Advice, value: value.into(), cure }
+        Self { name: name.into(), verdict: Suitability::Advice, value: value.into(), cure }
     }
 
     fn unfit(name: &str, value: impl Into<String>, cure: impl Into<String>) -> Self {
-        Self { verdict: Fitness::Unfit, ..Self::advice(name, value, cure) }
+        Self { verdict: Suitability::Unfit, ..Self::advice(name, value, cure) }
     }
 }
 
@@ -73,9 +73,9 @@ pub fn diagnose(
     let (cards, serial): (Vec<_>, Vec<_>) =
         ports.iter().cloned().partition(|port| HilAddress::is_meant(port));
     if cards.is_empty() || !serial.is_empty() {
-        found.extend(ports::look(&serial));
+        found.extend(ports::diagnose(&serial));
     }
-    found.extend(panel::look(&cards, stop));
+    found.extend(panel::diagnose(&cards, stop));
     Ok(found)
 }
 
@@ -133,11 +133,11 @@ mod tests {
         };
         assert_eq!(rights(&refused).len(), refused.refusals().count());
         for diagnosis in rights(&refused) {
-            assert_eq!(diagnosis.verdict, Fitness::Advice);
+            assert_eq!(diagnosis.verdict, Suitability::Advice);
             assert!(diagnosis.cure.unwrap().contains("sudo"));
         }
         for diagnosis in rights(&RealtimeReport::default()) {
-            assert_eq!((diagnosis.verdict, diagnosis.cure), (Fitness::Well, None));
+            assert_eq!((diagnosis.verdict, diagnosis.cure), (Suitability::Well, None));
         }
     }
 }

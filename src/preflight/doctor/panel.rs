@@ -14,7 +14,7 @@ const INSTALL: &str =
     "install the vendor's package quanser-sdk, or name its libhil.so in QUBE_HIL_LIBHIL";
 
 /// Tests whether the vendor's library is here; if it is, greets and samples each of these cards.
-pub(super) fn look(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
+pub(super) fn diagnose(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
     let library = match find_library() {
         Ok(name) => Diagnosis::well(LIBRARY, format!("{name}, for a Qube with the USB panel")),
         Err(HilError::NoLibrary { .. }) if cards.is_empty() => {
@@ -71,13 +71,13 @@ fn measured(card: &str, stop: &AtomicBool) -> Result<Option<MeasuredLink>, Strin
 
 #[cfg(test)]
 mod tests {
-    use super::super::Fitness;
+    use super::super::Suitability;
     use super::*;
 
     #[test]
     fn a_card_that_is_not_there_is_said_with_its_cure() {
         let failed = of_card("hil", Err("hil is not there: no board. Plug it in. Now".into()));
-        assert_eq!(failed.verdict, Fitness::Unfit);
+        assert_eq!(failed.verdict, Suitability::Unfit);
         assert_eq!(failed.value, "hil is not there: no board");
         assert_eq!(failed.cure.unwrap(), "Plug it in. Now");
     }

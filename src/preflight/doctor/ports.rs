@@ -12,7 +12,7 @@ use crate::preflight::latency_timer::{latency_timer_cure, latency_timer_ms};
 const USB: [&str; 2] = ["ttyUSB", "ttyACM"];
 
 /// Tests these ports, or all USB serial ports if none is given.
-pub(super) fn look(ports: &[String]) -> Vec<Diagnosis> {
+pub(super) fn diagnose(ports: &[String]) -> Vec<Diagnosis> {
     let found: Vec<String> = if ports.is_empty() {
         available_ports()
             .into_iter()
@@ -107,7 +107,7 @@ fn timer(port: &str) -> Option<Diagnosis> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Fitness;
+    use super::super::Suitability;
     use super::*;
 
     const GROUPS: &str = "root:x:0:\ndialout:x:20:ada,grace\nplugdev:x:46:\n";
@@ -126,9 +126,9 @@ mod tests {
     #[test]
     fn a_port_that_is_not_there_is_said_so() {
         for port in ["/dev/no-such-port", "/dev/null", "/etc/passwd"] {
-            let found = look(&[port.to_owned()]);
+            let found = diagnose(&[port.to_owned()]);
             assert_eq!(found.len(), 1);
-            assert_eq!(found[0].verdict, Fitness::Unfit, "{port}");
+            assert_eq!(found[0].verdict, Suitability::Unfit, "{port}");
         }
     }
 }

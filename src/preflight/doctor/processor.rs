@@ -59,29 +59,29 @@ fn diagnosis(governors: &BTreeSet<String>) -> Diagnosis {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Fitness;
+    use super::super::Suitability;
     use super::*;
 
     #[test]
     fn a_processor_that_predicts_slowly_is_named() {
         for (longest_us, verdict) in
-            [(90.0, Fitness::Well), (900.0, Fitness::Advice), (4500.0, Fitness::Unfit)]
+            [(90.0, Suitability::Well), (900.0, Suitability::Advice), (4500.0, Suitability::Unfit)]
         {
             let diagnosis = foresight(longest_us);
             assert_eq!(diagnosis.verdict, verdict);
             assert!(diagnosis.value.contains(&format!("{longest_us:.0} us")));
-            assert_eq!(diagnosis.cure.is_none(), verdict == Fitness::Well);
+            assert_eq!(diagnosis.cure.is_none(), verdict == Suitability::Well);
         }
     }
 
     #[test]
     fn each_processor_counts() {
         let folder = tempfile::tempdir().unwrap();
-        assert_eq!(diagnosis(&governors(folder.path())).verdict, Fitness::Well);
+        assert_eq!(diagnosis(&governors(folder.path())).verdict, Suitability::Well);
         for (processor, governor, verdict) in [
-            ("cpu0", "performance", Fitness::Well),
-            ("cpu1", "performance", Fitness::Well),
-            ("cpu2", "powersave", Fitness::Advice),
+            ("cpu0", "performance", Suitability::Well),
+            ("cpu1", "performance", Suitability::Well),
+            ("cpu2", "powersave", Suitability::Advice),
         ] {
             let place = folder.path().join(processor).join("cpufreq");
             fs::create_dir_all(&place).unwrap();

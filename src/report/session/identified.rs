@@ -123,8 +123,8 @@ fn add_predictions(page: &mut Page, motions: &[ComparedMotion], model: &QubeMode
         ];
         for phase in Phase::ALL {
             let error = phase_error(logs, model, phase);
-            let told = |value: f64| Cell::number((error.predictions > 0).then_some(value), 3);
-            row.extend([told(error.rms.theta_rad), told(error.rms.alpha_rad)]);
+            let figure = |value: f64| Cell::number((error.predictions > 0).then_some(value), 3);
+            row.extend([figure(error.rms.theta_rad), figure(error.rms.alpha_rad)]);
         }
         rows.push(row);
     }

@@ -112,11 +112,11 @@ fn add_rollouts(page: &mut Page, source: &SessionSource) {
         let purpose = source.purpose_words(candidate);
         let group = format!("candidate {number}: {purpose}");
         let rollout = view.header.rollout;
-        let told = match candidate.purpose {
+        let outcome = match candidate.purpose {
             Purpose::Excitation => "excitation".into(),
             _ => view.result(),
         };
-        let name = format!("candidate {number}, rollout {rollout}: {told}");
+        let name = format!("candidate {number}, rollout {rollout}: {outcome}");
         motions.push(view.motion.clone().named(group, name, sentence(candidate.purpose, view)));
         let mut row = vec![Cell::Number(number.to_string()), Cell::Number(rollout.to_string())];
         let mut cells = rollout_cells(view);

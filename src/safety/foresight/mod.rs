@@ -75,7 +75,7 @@ pub struct Outlook {
     pub holds: bool,
     /// Smallest distance of any arm from an end, rad: negative beyond the end, NaN if the
     /// simulation diverged.
-    pub room_rad: f32,
+    pub clearance_rad: f32,
     /// Index of the particle whose arm came closest.
     pub particle: usize,
     /// Number of control periods that were simulated.
@@ -166,7 +166,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     /// Simulates this voltage and the brake after it, from the estimated state and with the last
     /// commands (V, newest first) still on their way.
     #[must_use]
-    pub fn look(
+    pub fn predict(
         &mut self,
         state: &State<f32>,
         sent_v: &[f32; MAX_HISTORY],
@@ -174,7 +174,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     ) -> Outlook {
         // The simulated motor reads NaN as 0 V; a guard must refuse it instead.
         if voltage_v.is_nan() || sent_v.iter().any(|sent_v| sent_v.is_nan()) {
-            return Outlook { holds: false, room_rad: f32::NAN, particle: 0, periods: 0 };
+            return Outlook { holds: false, clearance_rad: f32::NAN, particle: 0, periods: 0 };
         }
         let trial = Trial {
             brake: &self.brake,
@@ -266,15 +266,16 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
         let (groups, _) = qubes.as_chunks_mut::<GROUP>();
         let (seen_groups, _) = seen.as_chunks_mut::<GROUP>();
         let (particle_groups, _) = particles.as_chunks::<GROUP>();
-        let mut outlook = Outlook { holds: true, room_rad: f32::INFINITY, particle: 0, periods: 0 };
+        let mut outlook =
+            Outlook { holds: true, clearance_rad: f32::INFINITY, particle: 0, periods: 0 };
         let all = groups.iter_mut().zip(seen_groups).zip(particle_groups);
         for (group, ((qubes, seen), particles)) in all.enumerate() {
-            let mut rooms = [[f32::INFINITY; BLOCK]; GROUP];
+            let mut clearances = [[f32::INFINITY; BLOCK]; GROUP];
             for block in 0..GROUP {
                 let first_v = particles[block].arriving(&[voltage_v; BLOCK]);
                 seen[block] = State::all(&state);
                 resume(&mut qubes[block], &particles[block], &state, &sent_v, &first_v, lag_s);
-                narrow(&mut rooms[block], &qubes[block], &ends);
+                narrow(&mut clearances[block], &qubes[block], &ends);
             }
             let mut over = [false; GROUP];
             let mut holds = true;
@@ -294,7 +295,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
                     for block in 0..GROUP {
                         if !over[block] {
                             qubes[block].advance(piece);
-                            narrow(&mut rooms[block], &qubes[block], &ends);
+                            narrow(&mut clearances[block], &qubes[block], &ends);
                         }
                     }
                 }
@@ -302,7 +303,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
                     if !over[block] {
                         qubes[block].end_period(&commands_v[block]);
                         observe(&mut seen[block], &qubes[block], &particles[block], filter);
-                        holds &= all_positive(&rooms[block]);
+                        holds &= all_positive(&clearances[block]);
                         over[block] = period >= particles[block].settled
                             && particles[block].calm.holds(&qubes[block], brake);
                     }
@@ -311,11 +312,12 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
                     break;
                 }
             }
-            for (index, &room_rad) in rooms.as_flattened().iter().enumerate() {
+            for (index, &clearance_rad) in clearances.as_flattened().iter().enumerate() {
                 // NaN counts as the smallest distance.
-                if room_rad < outlook.room_rad || room_rad.is_nan() {
+                if clearance_rad < outlook.clearance_rad || clearance_rad.is_nan() {
                     let particle = group * GROUP * BLOCK + index;
-                    (outlook.room_rad, outlook.particle) = (room_rad, particle.min(count - 1));
+                    (outlook.clearance_rad, outlook.particle) =
+                        (clearance_rad, particle.min(count - 1));
                 }
             }
             if !holds {
@@ -400,21 +402,21 @@ fn brakes(brake: &impl BrakeLaw, seen: &State<Lanes>) -> Lanes {
 
 /// Updates the smallest distance of each arm from an end.
 #[inline(always)]
-fn narrow(rooms: &mut Lanes, qubes: &QubeLanes, ends: &Ends) {
+fn narrow(clearances: &mut Lanes, qubes: &QubeLanes, ends: &Ends) {
     for lane in 0..BLOCK {
         let theta = qubes.state.theta[lane];
         let (above, below) = (ends.high_rad - theta, theta - ends.low_rad);
         let room = if above < below { above } else { below };
         // A distance that is NaN stays NaN, because the state that caused it stays NaN.
-        rooms[lane] = if room >= rooms[lane] { rooms[lane] } else { room };
+        clearances[lane] = if room >= clearances[lane] { clearances[lane] } else { room };
     }
 }
 
 #[inline(always)]
-fn all_positive(rooms: &Lanes) -> bool {
+fn all_positive(clearances: &Lanes) -> bool {
     let mut short = 0;
     for lane in 0..BLOCK {
-        short += u32::from(rooms[lane] > 0.0);
+        short += u32::from(clearances[lane] > 0.0);
     }
     short == BLOCK as u32
 }

@@ -80,12 +80,12 @@ impl Draw {
     }
 }
 
-fn look(foresight: &mut Foresight<CentringBrake>, case: &Case) -> Outlook {
-    foresight.look(&case.state, &case.sent_v, case.voltage_v)
+fn predict(foresight: &mut Foresight<CentringBrake>, case: &Case) -> Outlook {
+    foresight.predict(&case.state, &case.sent_v, case.voltage_v)
 }
 
 /// Smallest distance of a particle's arm from an end within these periods, rad.
-fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
+fn clearance_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
     let (brake, error) = (CentringBrake::default(), particle.error);
     let dynamics = NonidealDynamics::<f64>::new(&particle.model);
     let arriving = |command_v: f64| {
@@ -147,16 +147,16 @@ fn it_agrees_with_a_simulation_of_each_particle_alone() {
     for _ in 0..1500 {
         let (particle, case) = (draw.particle(), draw.case());
         let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, REACH);
-        let outlook = look(&mut foresight, &case);
-        let reference = room_rad(&particle, &case, outlook.periods);
+        let outlook = predict(&mut foresight, &case);
+        let reference = clearance_rad(&particle, &case, outlook.periods);
         assert_eq!(outlook.particle, 0);
-        assert_eq!(outlook.holds, outlook.room_rad > 0.0);
+        assert_eq!(outlook.holds, outlook.clearance_rad > 0.0);
         if outlook.holds {
             held += 1;
         } else {
             reached += 1;
         }
-        worst = worst.max((f64::from(outlook.room_rad) - reference).abs());
+        worst = worst.max((f64::from(outlook.clearance_rad) - reference).abs());
     }
     println!("{held} held, {reached} reached, room off by {worst:e} rad at most");
     assert!(held > 300 && reached > 150);
@@ -188,13 +188,13 @@ fn a_velocity_is_brought_up_to_date_after_lost_samples() {
     let after_loss = through_filters(&before_loss, state.theta, state.alpha, &four_periods);
     assert!(after_loss.theta_dot < shown.theta_dot - 1.0, "{after_loss:?}, {shown:?}");
     let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, REACH);
-    let mut room_rad = |shown: &State, periods| {
+    let mut clearance_rad = |shown: &State, periods| {
         foresight.sampled_after(periods);
         let sent_v = [pushed_v as f32; MAX_HISTORY];
-        f64::from(foresight.look(&shown.cast(), &sent_v, 5.0).room_rad)
+        f64::from(foresight.predict(&shown.cast(), &sent_v, 5.0).clearance_rad)
     };
-    let true_rad = room_rad(&shown, 1);
-    let (stale_rad, mended_rad) = (room_rad(&after_loss, 1), room_rad(&after_loss, 4));
+    let true_rad = clearance_rad(&shown, 1);
+    let (stale_rad, mended_rad) = (clearance_rad(&after_loss, 1), clearance_rad(&after_loss, 4));
     assert!((stale_rad - true_rad).abs() > 0.03, "{stale_rad} and {true_rad} rad");
     assert!((mended_rad - true_rad).abs() < 0.01, "{mended_rad} and {true_rad} rad");
 }
@@ -222,10 +222,10 @@ fn search_for_hasty_acceptance(seed: u64, particles: u32) -> u32 {
                 .without_calm();
         for _ in 0..20 {
             let case = draw.case();
-            let outlook = look(&mut foresight, &case);
+            let outlook = predict(&mut foresight, &case);
             if outlook.holds && outlook.periods < HORIZON {
                 early += 1;
-                let later = look(&mut simulation, &case);
+                let later = predict(&mut simulation, &case);
                 assert!(later.holds, "{outlook:?}, {later:?}: {particle:?} {case:?}");
             }
         }
@@ -262,9 +262,9 @@ fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
     for _ in 0..60 {
         let mut case = draw.case();
         case.state.theta *= 0.7;
-        let outlooks = all.each_mut().map(|foresight| look(foresight, &case));
+        let outlooks = all.each_mut().map(|foresight| predict(foresight, &case));
         assert!(outlooks.iter().all(|outlook| *outlook == outlooks[0]), "{outlooks:?}");
-        let alone: Vec<Outlook> = alone.iter_mut().map(|one| look(one, &case)).collect();
+        let alone: Vec<Outlook> = alone.iter_mut().map(|one| predict(one, &case)).collect();
         let holds = alone.iter().all(|outlook| outlook.holds);
         assert_eq!(outlooks[0].holds, holds);
         if holds {
@@ -283,7 +283,7 @@ fn a_state_that_is_not_a_number_does_not_hold() {
     let mut foresight = Foresight::new(&particles, CentringBrake::default(), ENDS, REACH);
     let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
     let case = Case { state: at_rest, sent_v: [0.0; MAX_HISTORY], voltage_v: 1.0 };
-    let outlook = look(&mut foresight, &case);
+    let outlook = predict(&mut foresight, &case);
     assert!(outlook.holds && outlook.periods < 10, "{outlook:?}");
     for bad in [f32::NAN, f32::INFINITY] {
         for state in [
@@ -292,10 +292,10 @@ fn a_state_that_is_not_a_number_does_not_hold() {
             State { theta_dot: bad, ..at_rest },
             State { alpha_dot: bad, ..at_rest },
         ] {
-            let outlook = look(&mut foresight, &Case { state, ..case });
+            let outlook = predict(&mut foresight, &Case { state, ..case });
             assert!(!outlook.holds && outlook.particle < 3, "{state:?}: {outlook:?}");
         }
-        let outlook = look(&mut foresight, &Case { voltage_v: f32::NAN, ..case });
+        let outlook = predict(&mut foresight, &Case { voltage_v: f32::NAN, ..case });
         assert!(!outlook.holds, "{outlook:?}");
     }
 }
