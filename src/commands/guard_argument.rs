@@ -17,7 +17,7 @@ pub enum GuardArgument {
 
 /// The parser of `--guard`.
 pub fn guard_parser() -> impl TypedValueParser<Value = GuardArgument> {
-    names_and_retired("envelope", "it serves only to replay old recordings; use foresight")
+    names_and_retired("envelope", "it is only for replays of old recordings; use foresight")
 }
 
 impl From<GuardArgument> for Guard {

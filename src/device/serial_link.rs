@@ -235,14 +235,14 @@ impl<T: Transport> SerialLink<T> {
         if let Some(answered_ns) = answered_ns {
             let silent_s = (self.clock.now_ns() - answered_ns) as f64 * 1e-9;
             let since =
-                if bytes > 0 { format!("{bytes} bytes that are no answer") } else { nothing };
+                if bytes > 0 { format!("{bytes} bytes that are not an answer") } else { nothing };
             return DeviceError::FellSilent { port: self.name(), silent_s, since };
         }
         self.not_a_qube(if requests > 0 {
             "it echoes what it is sent".into()
         } else if bytes > 0 {
             format!(
-                "it sent {bytes} bytes that are no answer (another device, or another baud rate)"
+                "it sent {bytes} bytes that are not an answer (another device, or another baud rate)"
             )
         } else {
             nothing

@@ -29,7 +29,10 @@ impl fmt::Display for Doubt {
             Some(fault) => write!(formatter, ": {fault}. {}", fault.operator_step())?,
             None => write!(formatter, ", and its record cannot be read. Look at the Qube.")?,
         }
-        write!(formatter, " Nothing moves before somebody has, and then the Qube is examined first")
+        write!(
+            formatter,
+            " Nothing moves until somebody has checked it; then the Qube is examined first"
+        )
     }
 }
 
@@ -73,7 +76,9 @@ impl DoubtStore {
                 |()| write_whole(&MachineDisk, &path, &bytes).map_err(|error| error.to_string()),
             );
         if let Err(error) = kept {
-            tracing::warn!("the doubt about this Qube ends with this program: {error}");
+            tracing::warn!(
+                "the doubt about this Qube cannot be stored and ends with this program: {error}"
+            );
         }
     }
 

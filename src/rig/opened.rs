@@ -287,9 +287,7 @@ impl Rig {
             });
         }
         if identity.boot_id != self.identity.boot_id {
-            tracing::warn!(
-                "the board has restarted: its counters begin anew, and the arm is homed"
-            );
+            tracing::warn!("the board has restarted: its counters restart, and the arm is homed");
         }
         self.identity = identity;
         Ok(())

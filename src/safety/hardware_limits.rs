@@ -73,8 +73,8 @@ pub enum TooWide {
         /// Entry of the plant file.
         entry: &'static str,
     },
-    /// The guard serves only to replay old recordings.
-    #[error("guard = \"envelope\" serves only to replay old recordings")]
+    /// The guard is only for replays of old recordings.
+    #[error("guard = \"envelope\" is only for replays of old recordings")]
     EnvelopeGone,
 }
 

@@ -124,7 +124,7 @@ fn a_device_that_is_not_a_qube_is_named() {
     assert!(
         reason(EmulatorFault::WrongVersion).contains("speaks protocol version 1, this program 2")
     );
-    assert!(reason(EmulatorFault::Garble { every: 1 }).contains("bytes that are no answer"));
+    assert!(reason(EmulatorFault::Garble { every: 1 }).contains("bytes that are not an answer"));
     assert!(reason(EmulatorFault::Unplugged { after_s: 0.0 }).contains("the port is gone"));
 }
 

@@ -56,7 +56,7 @@ impl ObservationLayout {
                 None => {
                     let names = NAMES.map(|(name, _)| name).join(", ");
                     return Err(format!(
-                        "{entry:?} is no entry of an observation: give some of {names}, each with or without a factor, \
+                        "{entry:?} is not an entry of an observation: give some of {names}, each with or without a factor, \
                          as 0.1*theta_dot"
                     ));
                 }

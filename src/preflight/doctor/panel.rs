@@ -18,7 +18,7 @@ pub(super) fn diagnose(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
     let library = match find_library() {
         Ok(name) => Diagnosis::well(LIBRARY, format!("{name}, for a Qube with the USB panel")),
         Err(HilError::NoLibrary { .. }) if cards.is_empty() => {
-            Diagnosis::well(LIBRARY, "not here; only a Qube with the USB panel needs it")
+            Diagnosis::well(LIBRARY, "not installed; only a Qube with the USB panel needs it")
         }
         Err(HilError::NoLibrary { tried }) => {
             Diagnosis::unfit(LIBRARY, format!("not here (tried {tried})"), INSTALL)

@@ -64,7 +64,7 @@ fn refused(name: &str, owner: &Owner) -> Diagnosis {
     let group = &owner.group;
     let value = format!("may not be opened: it belongs to the group {group}");
     if owner.is_listed {
-        return Diagnosis::unfit(name, value, "you are in that group since: log out and in again");
+        return Diagnosis::unfit(name, value, "you have joined that group: log out and in again");
     }
     if group == "root" {
         let cure = "let scripts/install put its udev rules in place, or give the port to the group dialout";
@@ -98,7 +98,7 @@ fn timer(port: &str) -> Option<Diagnosis> {
             &name,
             format!(
                 "{timer_ms} ms by default; this program asks for 1 ms when it opens the port, but \
-                 not every driver obeys"
+                 not every driver supports this"
             ),
             latency_timer_cure(port),
         ),

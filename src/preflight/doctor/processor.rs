@@ -45,7 +45,7 @@ fn governors(processors: &Path) -> BTreeSet<String> {
 fn diagnosis(governors: &BTreeSet<String>) -> Diagnosis {
     let named = governors.iter().cloned().collect::<Vec<_>>().join(", ");
     if governors.is_empty() {
-        return Diagnosis::well(NAME, "its governor cannot be seen here (a virtual machine?)");
+        return Diagnosis::well(NAME, "its governor cannot be read here (a virtual machine?)");
     }
     if named == "performance" {
         return Diagnosis::well(NAME, "governor performance");

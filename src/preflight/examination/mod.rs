@@ -128,14 +128,14 @@ fn look_at_everything(
     let may_move = !watchdog.failed();
     found.results.push(watchdog);
     if !may_move {
-        motion::skip(found, "not before the watchdog works");
+        motion::skip(found, "needs a working watchdog");
         return Ok(());
     }
     let rest = rest::wait(device, clock, stop, &identity.port, settings.plant.encoders.alpha)?;
     let may_move = !rest.failed();
     found.results.push(rest);
     if !may_move {
-        motion::skip(found, "not before the pendulum hangs still");
+        motion::skip(found, "needs a pendulum at rest");
         return Ok(());
     }
     if !device.has_device_clock() {
@@ -143,7 +143,7 @@ fn look_at_everything(
         let may_move = !motor.failed();
         found.results.push(motor);
         if !may_move {
-            motion::skip(found, "not before the watchdog works");
+            motion::skip(found, "needs a working watchdog");
             return Ok(());
         }
         found.library_watchdog_ms = expired_ms;

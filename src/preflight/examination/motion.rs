@@ -172,7 +172,7 @@ fn right_signs(signs: Calibration, seen: &Evidence) -> Option<Calibration> {
 fn verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<CheckResult> {
     let mut results = vec![motor(seen)];
     if results[0].failed() {
-        let why = "not before the motor has its current";
+        let why = "needs a motor that draws current";
         results.extend(ALL[1..].iter().map(|name| CheckResult::skipped(name, why)));
         return results;
     }
@@ -225,13 +225,13 @@ fn arm(seen: &Evidence) -> CheckResult {
     if seen.arm_is_dead() {
         return CheckResult::fail(
             ARM,
-            "the pendulum was swung by the arm, and the arm's count stayed where it was",
+            "the arm swung the pendulum, and the arm's count did not change",
             "plug in the arm encoder's cable (encoder 0)",
         );
     }
     match seen.arm {
         Some(response) => {
-            CheckResult::pass(ARM, format!("its encoder lives: {:+.3} rad", response.theta_rad))
+            CheckResult::pass(ARM, format!("its encoder works: {:+.3} rad", response.theta_rad))
         }
         None => CheckResult::skipped(ARM, "nothing moved far enough"),
     }
@@ -241,19 +241,19 @@ fn pendulum(seen: &Evidence) -> CheckResult {
     match seen.pendulum {
         Pendulum::Alive(lag) => CheckResult::pass(
             PENDULUM,
-            format!("its encoder lives: it swings by {:.2} of the arm's motion", lag.value.abs()),
+            format!("its encoder works: it swings by {:.2} of the arm's motion", lag.value.abs()),
         ),
         Pendulum::Dead => {
             let theta_rad = seen.arm.map_or(0.0, |response| response.theta_rad);
             CheckResult::fail(
                 PENDULUM,
                 format!("the arm went {theta_rad:+.3} rad and its count did not follow"),
-                "see that the pendulum is on its shaft and swings freely; then plug in its \
+                "make sure that the pendulum is on its shaft and swings freely; then plug in its \
                  encoder's cable (encoder 1)",
             )
         }
         Pendulum::Unknown if seen.arm_is_dead() => {
-            CheckResult::pass(PENDULUM, "its encoder lives: the push swung it")
+            CheckResult::pass(PENDULUM, "its encoder works: the push swung it")
         }
         Pendulum::Unknown if seen.turns_unseen() => CheckResult::fail(
             PENDULUM,
@@ -263,7 +263,7 @@ fn pendulum(seen: &Evidence) -> CheckResult {
         Pendulum::Unknown if seen.arm.is_some() => CheckResult::fail(
             PENDULUM,
             "its count moves, but not as a pendulum on this arm",
-            "see that the pendulum swings freely and nobody touches the Qube, then check again",
+            "make sure that the pendulum swings freely and nobody touches the Qube, then check again",
         ),
         Pendulum::Unknown => CheckResult::skipped(PENDULUM, "nothing moved far enough"),
     }

@@ -85,8 +85,8 @@ pub(super) fn check(
     let most_v = STEP_V * f64::from(STEPS);
     Ok(CheckResult::fail(
         NAME,
-        format!("{most_v} V for 0.05 s do not move the arm, so nobody knows whether it works"),
-        "see that the Qube is switched on and the arm turns freely, then check again",
+        format!("{most_v} V for 0.05 s do not move the arm, so the watchdog could not be tested"),
+        "make sure that the Qube is switched on and the arm turns freely, then check again",
     ))
 }
 
@@ -94,8 +94,8 @@ fn verdict(push_v: f64, pushed: [u32; 2], silent: [u32; 2]) -> CheckResult {
     let [forth, back] = silent;
     let [pushed_forth, pushed_back] = pushed;
     let value = format!(
-        "{push_v:.2} V for 0.05 s turn the arm by {pushed_forth} and {pushed_back} counts; without a word after \
-         it, by {forth} and {back} in 0.3 s"
+        "{push_v:.2} V for 0.05 s turn the arm by {pushed_forth} and {pushed_back} counts; without a further command, \
+         by {forth} and {back} in 0.3 s"
     );
     let longest = |counts: u32| LONGEST_FACTOR * counts + LONGEST_MORE_COUNTS;
     if silent.iter().zip(pushed).all(|(counts, pushed)| *counts <= longest(pushed)) {

@@ -34,7 +34,7 @@ const LIBRARY_LATEST_US: u64 = 100_000;
 const LIBRARY_CURE: &str =
     "do not run anything with it: install the vendor's present package, then check again";
 
-const CURE: &str = "do not run anything with it: flash the firmware of this release, then check that the board keeps the protocol";
+const CURE: &str = "do not run anything with it: flash the firmware of this release, then check that the board conforms to the protocol";
 
 /// Largest age of a sample when it is requested, us.
 const SAMPLE_AGE_US: u64 = 5_000;
@@ -54,7 +54,7 @@ pub(super) fn check(
             Ok(()) => {}
             Err(DeviceError::Refused { reason, .. }) => {
                 let cure = if reason == RefusalReason::EmergencyStop.describe() {
-                    "see that nobody is near the arm and close the switch, then check again"
+                    "make sure that nobody is near the arm and close the switch, then check again"
                 } else {
                     "switch the Qube's power off and on, then check again"
                 };
