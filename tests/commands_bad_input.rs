@@ -336,7 +336,12 @@ fn a_moving_picture_replaces_no_file_unasked() {
     let animate = ["replay", "--animate", "r/rollout-1.mcap", "r/rollout-0.mcap"];
     refused(directory.path(), &animate, 2, &["--animate r/rollout-1.mcap", "--force"]);
     assert_eq!(std::fs::read(&other).unwrap(), before);
-    refused(directory.path(), &["replay", "--animate", "r", "r/rollout-0.mcap"], 2, &["no file"]);
+    refused(
+        directory.path(),
+        &["replay", "--animate", "r", "r/rollout-0.mcap"],
+        2,
+        &["not a file"],
+    );
     let animate = ["replay", "--animate", "moving.svg", "r/rollout-0.mcap"];
     assert!(qube_hil(directory.path(), &animate).status.success());
     refused(directory.path(), &animate, 2, &["exists already"]);

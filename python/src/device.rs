@@ -235,7 +235,7 @@ impl Device {
     fn served(&self) -> PyResult<&Served> {
         if self.process != std::process::id() {
             return Err(ClosedError::new_err(
-                "this process was forked, and the Qube belongs to its parent: open it here anew",
+                "this process was forked, and the Qube belongs to its parent: open it again here",
             ));
         }
         let closed = || ClosedError::new_err("the Qube is closed: make another environment");

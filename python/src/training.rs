@@ -62,7 +62,7 @@ pub fn train(
     settings.check().map_err(bad_settings)?;
     let initial = match initial.as_deref() {
         Some(Policy { policy: Kind::Network(policy) }) => Some(&policy.network),
-        Some(_) => return Err(bad_policy("the policy to go on from has no network")),
+        Some(_) => return Err(bad_policy("the policy to start from has no network")),
         None => None,
     };
     let from = if initial.is_some() { " from a policy" } else { "" };

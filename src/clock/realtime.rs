@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_processor_that_may_sleep_is_told_with_its_cure() {
+    fn a_processor_that_may_sleep_is_named_with_its_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("cpu_dma_latency");
         let message = sleepy(&file).unwrap();

@@ -24,7 +24,7 @@ pub(super) const EMULATED: &str = "emulated";
 
 /// The arguments that select a Qube and a clock.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct DeviceArguments {
     #[command(flatten)]
     qube: QubeArguments,
@@ -35,7 +35,7 @@ pub struct DeviceArguments {
 
 /// The arguments that select the clock and the plant that is driven.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct TimedPlantArguments {
     /// Clock: `virtual` runs the emulated Qube as fast as the processor can
     #[arg(long, value_enum, default_value_t = ClockArgument::Wall)]
@@ -47,20 +47,20 @@ pub struct TimedPlantArguments {
 
 /// The arguments that select the plant that is driven.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct DrivenPlantArguments {
     #[command(flatten)]
     plant: PlantArgument,
 
     /// Drive hardware as a --plant that differs from a Qube by more than smaller limits: its guard and homing then
-    /// rely on what the file says
+    /// rely on the file
     #[arg(long)]
     accept_plant: bool,
 }
 
 /// The arguments that select a Qube.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct QubeArguments {
     /// `emulated`, the serial port of a Qube's board, or `hil:CARD@ID` for a Qube with the USB panel through the
     /// vendor's library (`hil`: qube_servo2_usb@0) [default: the port in --qube, else emulated]
@@ -78,7 +78,7 @@ pub struct QubeArguments {
 
 /// The arguments that say how a Qube is treated, whichever it is.
 #[derive(Clone, Copy, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct TreatmentArguments {
     /// How the arm's middle is found: between its stops, or where the operator put it by hand [default: as
     /// the --qube file says, else stops]
@@ -323,9 +323,9 @@ impl ChosenDevice {
 
 /// The arguments for the check before the first motion and for the reaction to faults.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct CheckArguments {
-    /// Skip the check of a real Qube before its first motion; the recordings say so
+    /// Skip the check of a real Qube before its first motion; the recordings note it
     #[arg(long)]
     pub skip_check: bool,
 

@@ -7,10 +7,10 @@ use super::printable::print_message;
 use super::stop::Stop;
 use crate::preflight::doctor::{Diagnosis, Suitability, diagnose};
 
-/// Check this computer: rights to real time, ports, FTDI timers, the vendor's library, and timing accuracy
+/// Check this computer: real-time rights, ports, FTDI timers, the vendor's library, and timing accuracy
 ///
 /// Nothing is changed and nothing moves. Exit code 0 when all is well or there is only advice, 1 when
-/// something must be cured first.
+/// something must be fixed first.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil doctor\n  \
@@ -42,8 +42,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let advice = found.iter().filter(|diagnosis| diagnosis.verdict == Suitability::Advice).count();
     let summary = match (unfit.len(), advice) {
         (0, 0) => "all is well".to_owned(),
-        (0, advice) => format!("fit; advice: {advice}"),
-        (unfit, _) => format!("not fit: {unfit} must be cured"),
+        (0, advice) => format!("ready; advice: {advice}"),
+        (unfit, _) => format!("not ready: {unfit} must be fixed"),
     };
     let rows: Vec<Row> = found.iter().map(row).collect();
     let checks: Vec<_> = found
@@ -54,7 +54,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                 "pass": diagnosis.verdict != Suitability::Unfit,
                 "verdict": diagnosis.verdict,
                 "value": diagnosis.value,
-                "cure": diagnosis.cure,
+                "cure": diagnosis.remedy,
             })
         })
         .collect();
@@ -62,7 +62,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     if unfit.is_empty() {
         return Ok(());
     }
-    Err(Failure::failed(format!("this computer is not fit yet: {}", unfit.join(", "))))
+    Err(Failure::failed(format!("this computer is not ready yet: {}", unfit.join(", "))))
 }
 
 fn row(diagnosis: &Diagnosis) -> Row {
@@ -75,6 +75,6 @@ fn row(diagnosis: &Diagnosis) -> Row {
         name: diagnosis.name.clone(),
         word,
         value: diagnosis.value.clone(),
-        remedy: diagnosis.cure.clone().map(|cure| ("cure:", cure)),
+        remedy: diagnosis.remedy.clone().map(|remedy| ("remedy:", remedy)),
     }
 }

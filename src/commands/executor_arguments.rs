@@ -16,7 +16,7 @@ use crate::storage::MachineDisk;
 #[command(next_help_heading = "Where policies are trained")]
 pub struct ExecutorArguments {
     /// Where policies are trained: `local` on this computer; `slurm` by job arrays of Slurm; `folder` by workers that
-    /// somebody starts by hand; any other text is a command that starts workers, in which {work} stands for a worker's
+    /// you start by hand; any other text is a command that starts workers, in which {work} stands for a worker's
     /// command, {workers} for their number and {folder} for the folder of jobs. Policies do not depend on it
     #[arg(long, value_name = "local|slurm|folder|COMMAND", default_value = "local")]
     executor: String,

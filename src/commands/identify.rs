@@ -25,10 +25,10 @@ const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 /// Identify the Qube, or another plant, that made recordings: parameters, friction, dead zone, cable and delay
 ///
 /// `run --excite chirp` and `--excite steps` make such recordings; swing-ups, balancing and rollouts of policies
-/// serve as well, in any mixture. Recordings name their plant, and all have to be of one. The result is a profile: `train`, `run`, `session`,
+/// can be used as well, in any mixture. Recordings name their plant, and all must be of the same plant. The result is a profile: `train`, `run`, `session`,
 /// `emulate` and `replay` read it with --profile. Verify it with recordings that it was not fitted to
-/// (--holdout): for each, the start state is estimated from the first 0.2 s, and the model then gets the
-/// voltages only. The cable rests as in the fitted recordings of its series, whose names differ in the last number
+/// (--holdout): for each, the start state is estimated from the first 0.2 s, and the model then receives only
+/// the voltages. The cable rests as in the fitted recordings of its series, whose names differ in the last number
 /// only. A recording whose pendulum comes upright is predicted piece by piece: 0.5 s of its swing, 0.1 s
 /// of its balance.
 #[derive(Debug, clap::Args)]
@@ -220,7 +220,7 @@ fn plot(folder: &Path, path: &Path, log: &MotionLog, model: &QubeModel) -> Resul
 fn table(identified: &Identified) -> String {
     let mut text = format!(
         "{:24} {:>11} {:>11} {:9} {:>13}\n",
-        "quantity", "value", "std. error", "unit", "told by data"
+        "quantity", "value", "std. error", "unit", "from data"
     );
     for estimate in &identified.estimates {
         let Estimate { unknown, value, standard_error, told_by_data } = *estimate;
@@ -233,7 +233,7 @@ fn table(identified: &Identified) -> String {
         );
     }
     if !identified.blind.is_empty() {
-        text += "\nThe recordings cannot tell these combinations (in units of the prior):\n";
+        text += "\nThe recordings do not determine these combinations (in units of the prior):\n";
     }
     for direction in &identified.blind {
         let _ = writeln!(text, "  {}", combination(direction));
@@ -261,7 +261,7 @@ fn correlated(identified: &Identified) -> String {
             }
         }
     }
-    if text.is_empty() { text } else { format!("\nHard to tell apart (correlation):\n{text}") }
+    if text.is_empty() { text } else { format!("\nStrongly correlated estimates:\n{text}") }
 }
 
 /// The cable's rest angle in each recording; empty if the angle does not scatter between
@@ -289,7 +289,7 @@ fn assessment(identified: &Identified) -> String {
     let doubts = doubts.join("; ");
     let verdict = match tests.verdict {
         ModelVerdict::Fits => "The model describes this Qube.".to_owned(),
-        ModelVerdict::FitsBut => format!("The model describes this Qube but for {doubts}."),
+        ModelVerdict::FitsBut => format!("The model describes this Qube except for {doubts}."),
         ModelVerdict::DoesNotFit => format!("The model does not describe this Qube: {doubts}."),
     };
     let widened = if identified.inflation > 1.05 {

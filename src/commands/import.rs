@@ -14,11 +14,11 @@ use crate::policy::onnx::{
 use crate::qube::MAX_HISTORY;
 use crate::storage::read_bounded;
 
-/// Import a policy from an ONNX file: that of another program, or one that `export --onnx` wrote
+/// Import a policy from an ONNX file of another program, or from a file that `export --onnx` wrote
 ///
-/// The network is a multilayer perceptron with one output: Gemm or MatMul and Add, Tanh, Relu, Elu or Silu, and Tanh
-/// at the end or nothing. Constants before the first layer (a normalisation, and Clip) become a part of it. Everything
-/// else is refused by name. A file that `export --onnx` wrote names its conventions and needs no option.
+/// The network is a multilayer perceptron with one output: Gemm or MatMul and Add, Tanh, Relu, Elu or Silu, and at
+/// the end Tanh or nothing. Constants before the first layer (a normalisation, and Clip) become a part of it. Any
+/// other operator is refused, by its name. A file that `export --onnx` wrote names its conventions and needs no option.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil import model.onnx --action-scale 5 --out mine.safetensors\n  \
@@ -31,8 +31,8 @@ pub struct Arguments {
     #[arg(value_name = "FILE")]
     file: PathBuf,
 
-    /// Voltage for an output of 1, V; a negative one turns the sign. The program never guesses it: only a file that
-    /// `export --onnx` wrote goes without
+    /// Voltage for an output of 1, V; a negative value reverses the sign. Required, except for a file that `export --onnx`
+    /// wrote
     #[arg(long, value_name = "V", value_parser = scale)]
     action_scale: Option<f64>,
 
@@ -94,8 +94,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let refused = |what: &dyn std::fmt::Display| Failure::usage(format!("{path}: {what}"));
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
     let bytes = read_bounded(&arguments.file, MAX_FILE_BYTES).map_err(|error| {
-        let cure = if error.kind() == std::io::ErrorKind::NotFound { EXPORT_FAILED } else { "" };
-        refused(&format!("cannot be read: {error}{cure}"))
+        let remedy = if error.kind() == std::io::ErrorKind::NotFound { EXPORT_FAILED } else { "" };
+        refused(&format!("cannot be read: {error}{remedy}"))
     })?;
     let policy = from_onnx(&bytes, arguments.foreign().as_ref()).map_err(|error| match error {
         ImportError::NoActionScale => refused(&format!("{error} (--action-scale)")),

@@ -82,7 +82,7 @@ impl Keyboard {
         let Some(Watched { shared, keys, .. }) = &self.watched else { return false };
         let question = format!(
             "{doubt}\nThe motor is off. Look at the Qube; then press a: it is examined, and driven \
-             again. Any other key ends this."
+             again. Any other key ends the command."
         );
         print_message(&question);
         self.progress.ask(&question);

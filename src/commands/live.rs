@@ -87,7 +87,7 @@ impl LiveArguments {
         let stopping = move |peer: SocketAddr| {
             if !flag.swap(true, Ordering::Relaxed) {
                 print_message(&format!(
-                    "stopping, as the live view at {} asks: the arm is braked and the state is kept",
+                    "stopping at the request of the live view at {}: the arm is braked and the state is kept",
                     peer.ip()
                 ));
             }

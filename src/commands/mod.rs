@@ -213,7 +213,7 @@ fn log_to_stderr(verbose: u8) {
         .init();
 }
 
-/// Prints a warning for each real-time right that the system refused, with its cure.
+/// Prints a warning for each real-time right that the system refused, with its remedy.
 fn warn_without_realtime(realtime: &RealtimeReport) {
     for refusal in realtime.refusals() {
         printable::print_message(&format!("warning: {refusal}"));

@@ -188,7 +188,7 @@ fn replay_file(
     let is_csv = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv"));
     if is_csv && !arguments.simulate && arguments.animate.is_none() {
         return Err(Problem::usage(format!(
-            "{}: a table has no policy to run again; add --simulate to lay the simulator beside it, or --animate to see it move",
+            "{}: a table has no policy to run again; add --simulate to compare it with the simulator, or --animate to draw its motion",
             path.display()
         )));
     }
@@ -255,7 +255,7 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
     if let Some(difference) = &rerun.first_difference {
         let (recorded, recomputed) = (&difference.recorded, &difference.recomputed);
         return Some(format!(
-            "{} of {} actions come out differently, first in tick {}: {} mV were sent, {} mV come out",
+            "{} of {} actions differ, first in tick {}: recorded {} mV, recomputed {} mV",
             rerun.actions_different,
             rerun.actions_compared,
             recorded.tick,
@@ -271,20 +271,19 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
     }
     match (&recording.completeness, &recording.outcome) {
         (Completeness::CutOff { lost_bytes, reason }, _) => Some(format!(
-            "cut off, {lost_bytes} bytes lost ({reason}). `qube-hil recover` makes it whole"
+            "cut off, {lost_bytes} bytes lost ({reason}). `qube-hil recover` saves the intact part"
         )),
         (Completeness::Recovered, None) => {
             Some("recovered; how the rollout ended is not known".to_owned())
         }
-        (_, Some(outcome)) if rerun.ending != Some(outcome.ending) => Some(format!(
-            "it ended with {:?}, and comes out with {:?}",
-            outcome.ending, rerun.ending
-        )),
+        (_, Some(outcome)) if rerun.ending != Some(outcome.ending) => {
+            Some(format!("recorded ending {:?}, recomputed {:?}", outcome.ending, rerun.ending))
+        }
         (_, Some(RolloutOutcome { foreseen: Some(recorded), .. }))
             if rerun.foreseen != Some(*recorded) =>
         {
             Some(format!(
-                "foresight ended it for {recorded:?}, and comes out with {:?}",
+                "recorded prediction of foresight {recorded:?}, recomputed {:?}",
                 rerun.foreseen
             ))
         }

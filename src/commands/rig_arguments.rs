@@ -18,7 +18,7 @@ const VARY: f64 = 0.05;
 
 /// The arguments that select the Qubes of a session.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct RigArguments {
     /// `emulated`, the serial port of a Qube's board, or `hil:CARD@ID` for a Qube with the USB panel through the
     /// vendor's library (`hil`: qube_servo2_usb@0); once for each Qube of several [default: the port in --qube, else

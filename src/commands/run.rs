@@ -36,8 +36,8 @@ use crate::session::RolloutPlan;
 /// Run a policy on the Qube and record it: homing, then for each rollout settling, six seconds of policy,
 /// braking; or excite the Qube for `identify`
 ///
-/// Exit code 0 also when box or guard ended a rollout, which is a result; 4 when a fault ended the last
-/// rollout.
+/// Exit code 0 also if the box or the guard ended a rollout, because such a rollout has a result; 4 if
+/// a fault ended the last rollout.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil run --policy classical              # a swing-up without any training\n  \

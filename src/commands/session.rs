@@ -34,15 +34,15 @@ use crate::safety::GuardConsent;
 use crate::session::{Session, SessionError, SessionFolder, SessionReport, SessionSettings};
 use crate::simulation::SensorModel;
 
-/// Run the whole method: identify the Qube, search the distribution of simulations whose policies earn most on it
+/// Run the whole method: identify the Qube, and search for the distribution of simulations whose policies have the highest return on it
 ///
 /// First the Qube is excited for ten seconds and identified. Then policies are trained in simulations around the
-/// identified Qube, run on the Qube at 100 Hz, and recorded. A candidate is one psi, which says how far the
-/// simulations spread, where they lie among the identification's errors, and how much lag it missed. The first
-/// candidate takes the Qube as it was identified; where its policy does not succeed, the recordings so far improve
+/// identified Qube, run on the Qube at 100 Hz, and recorded. A candidate is one psi: the spread of the simulations,
+/// their shift along the identification's errors, and a lag in addition to the identified delay. The first
+/// candidate is the Qube as it was identified; if its policy does not succeed, the recordings so far improve
 /// the identification, and a surrogate of the return over psi proposes the next. The best policy is verified, and
 /// the session ends when one more candidate is expected to gain less than 1 %. A Qube that cannot be identified is
-/// searched as an unknown one, as --method bayrn does from the beginning: then psi holds means and standard
+/// treated as an unknown one, as --method bayrn does from the beginning: then psi contains means and standard
 /// deviations of masses and lengths (--config can choose other quantities). Without arguments this runs on an
 /// emulated Qube that differs from the nominal one as a real Qube does, and takes some minutes. --resume continues
 /// an interrupted session without losing or repeating a finished rollout.
@@ -74,8 +74,8 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
     pub(super) preset: Preset,
 
-    /// Method: `identified` excites and identifies the Qube and searches around what is left unknown; `posterior`
-    /// identifies, trains once and searches nothing; `bayrn` searches psi as configured, for an unknown Qube
+    /// Method: `identified` excites and identifies the Qube and searches around it; `posterior`
+    /// identifies, trains once and does not search; `bayrn` searches psi as configured, for an unknown Qube
     /// [default: identified; bayrn with --preset thesis, or a --config without the table identification]
     #[arg(long, value_enum, conflicts_with = "resume")]
     pub(super) method: Option<Method>,
@@ -84,8 +84,8 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "resume")]
     pub(super) candidates: Option<u32>,
 
-    /// Candidates whose returns are awaited when the search proposes another: that one is trained while these run on
-    /// the Qube. With 0 the Qube waits for each training; goes with --method bayrn [default: 0, or as --config says]
+    /// Number of candidates whose returns are still awaited when the search proposes another: the new candidate is trained
+    /// while these run on the Qube. With 0 the Qube waits for each training; for --method bayrn [default: 0, or as --config says]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1000), conflicts_with = "resume")]
     pub(super) pending: Option<u32>,
 
@@ -163,9 +163,9 @@ impl Preset {
 /// How a session comes to its policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Method {
-    /// Identify the Qube, then search around what is left unknown.
+    /// Identify the Qube, then search around it.
     Identified,
-    /// Identify the Qube, train once, and search nothing.
+    /// Identify the Qube and train once, without a search.
     Posterior,
     /// Search psi as configured, for an unknown Qube.
     Bayrn,

@@ -157,7 +157,7 @@ impl SessionProgress {
                 self.line(format!("{reason}. Another recording is made"));
             }
             SessionEvent::NotIdentified(reason) => self.line(format!(
-                "not identified: {reason}. The search goes on as for an unknown Qube"
+                "not identified: {reason}. The search continues as for an unknown Qube"
             )),
             SessionEvent::NotUpdated(reason) => {
                 self.line(format!("the verification leaves the profile as it is: {reason}"));
@@ -170,13 +170,13 @@ impl SessionProgress {
             )),
             SessionEvent::EndedEarly(SessionError::Stopped) => {}
             SessionEvent::EndedEarly(error) => {
-                self.line(format!("its session ends, and the others go on: {error}"));
+                self.line(format!("its session ends, and the others continue: {error}"));
             }
             SessionEvent::Drift { rig, drift: Ok(drift) } => {
                 self.line(of_rig(*rig) + &command_hints::drift(drift));
             }
             SessionEvent::Drift { rig, drift: Err(unfit) } => self.line(format!(
-                "{}the first rollouts say nothing of how the rig is today: {unfit}",
+                "{}the rig's drift cannot be estimated from the first rollouts: {unfit}",
                 of_rig(*rig)
             )),
             SessionEvent::RigTakenOut { rig, reason } => self.line(format!(

@@ -31,7 +31,7 @@ const MAX_GROWTH_BYTES: i64 = 5_000_000;
 const WARM_UP_ROLLOUTS: u64 = 20;
 
 /// Run for hours: rollout after rollout by the classical controller, each recorded, read back and checked;
-/// no tick may be lost and the memory may not grow
+/// fails if a tick is lost or the memory grows
 ///
 /// With `--clock virtual` a day takes minutes. Exit code 3 when a tick was lost, 4 when a fault ended a
 /// rollout, 1 when the memory grew by more than 5 MB.

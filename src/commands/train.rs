@@ -41,7 +41,7 @@ use crate::simulation::{
     qube-hil train --model robust               # for a Qube not identified yet\n  \
     qube-hil train --profile lab --spread 0.1   # around an identified one\n  \
     qube-hil train --model psi --psi psi.toml   # a distribution of your own\n  \
-    qube-hil train --preset thesis --checkpoint half.safetensors    # can go on")]
+    qube-hil train --preset thesis --checkpoint half.safetensors    # can be resumed")]
 pub struct Arguments {
     /// Distribution of the simulations' parameters
     #[arg(long, default_value = "nominal", value_parser = models())]
@@ -106,7 +106,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
 
-    /// Go on from the weights of this policy, which must see the same observation
+    /// Start from the weights of this policy, which must have the same observation
     #[arg(long, value_name = "FILE", conflicts_with = "checkpoint")]
     from: Option<PathBuf>,
 
@@ -232,7 +232,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let trained = trained.map_err(|error| match error {
         JobError::Training(TrainError::Stopped) => stop.failure(match &arguments.checkpoint {
             None => "stopped; nothing was written".into(),
-            Some(path) => format!("stopped; the same command goes on from {}", path.display()),
+            Some(path) => format!("stopped; the same command continues from {}", path.display()),
         }),
         JobError::Training(
             TrainError::CheckpointDamaged { .. }

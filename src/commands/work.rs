@@ -19,7 +19,7 @@ use crate::storage::MachineDisk;
 ///
 /// A session or experiment with --executor puts its trainings into a folder on a file system that all computers share,
 /// and any number of workers do them, one core each. Policies do not depend on the worker. A training whose worker
-/// dies is done by another one. The worker ends when there was nothing to do for long, or the session has ended;
+/// dies is done by another one. The worker ends after a time without work (--linger), or when the session has ended;
 /// on SIGTERM it gives its training back and exits with 143.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -30,7 +30,7 @@ pub struct Arguments {
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 
-    /// Number of this worker, and of all workers: each begins with another part of the jobs
+    /// Number of this worker, and of all workers: each worker begins with a different part of the jobs
     #[arg(long, value_name = "K/N")]
     slot: Option<Slot>,
 
@@ -88,7 +88,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         })
         .map_err(|error| failures::job_folder(&error, &stop))?;
     if stop.requested() {
-        return Err(stop.failure("stopped; what was under way is given back"));
+        return Err(stop.failure("stopped; unfinished trainings are given back"));
     }
     let text = format!("{} policies trained, {} trainings failed", report.trained, report.failed);
     let result = json!({

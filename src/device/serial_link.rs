@@ -471,7 +471,7 @@ impl<T: Transport> Drop for SerialLink<T> {
     }
 }
 
-/// Whether a new hello may cure this refusal of an arm.
+/// Whether a new hello may remedy this refusal of an arm.
 fn is_cured_by_greeting(reason: RefusalReason) -> bool {
     matches!(reason, RefusalReason::WrongNonce | RefusalReason::AlreadyArmed)
 }

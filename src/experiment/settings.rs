@@ -57,9 +57,10 @@ impl ExperimentSettings {
             "it was changed since this experiment began: restore it, or begin a new experiment with these settings"
                 .to_owned()
         });
-        let retired = retired.iter().find(|entry| entry.changed_something()).map(|entry| {
-            format!("{entry}: an experiment continues with the settings that it began with")
-        });
+        let retired = retired
+            .iter()
+            .find(|entry| entry.changed_something())
+            .map(|entry| format!("{entry}: an experiment keeps the settings that it began with"));
         let gone = settings.recipes.iter().find_map(|recipe| {
             let gone = recipe.settings.check_resumable().err()?;
             Some(format!("recipe {}: {gone}", recipe.name))

@@ -56,7 +56,7 @@ pub enum CsvError {
         time_s: f64,
     },
     /// Two rows are more than 1 s apart, so rows are missing.
-    #[error("line {line}: nothing is known for {gap_s} s before it; cut the file there")]
+    #[error("line {line}: there is no row for {gap_s} s before it; split the file there")]
     Gap {
         /// Number of the line.
         line: usize,

@@ -320,7 +320,7 @@ fn add_distributions(
         return;
     }
     page.section("Distributions of simulations");
-    page.paragraph("As the thesis's figure 5.2. A recipe without spread has no curve.");
+    page.paragraph("Like the thesis's figure 5.2. A recipe without spread has no curve.");
     page.grid(|page| {
         for quantity in shown {
             let curves: Vec<_> =

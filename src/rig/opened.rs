@@ -318,7 +318,7 @@ impl Rig {
         for pause_ns in HOMING_PAUSES_NS {
             match self.home_once() {
                 Err(error) if error.passing_fault().is_some() => {
-                    tracing::warn!("homing begins again: {error}");
+                    tracing::warn!("homing is repeated: {error}");
                     self.greet_again(pause_ns).map_err(|lost| lost.with_ticks_of(error))?;
                 }
                 homed_or_not => return homed_or_not,

@@ -55,8 +55,8 @@ pub fn power_warning(power: Option<&PowerTest>) -> Option<&'static str> {
              Qube's own switch",
         ),
         Some(UsbLost::Unknown) | None => Some(
-            "nobody knows what this Qube's motor does when the board loses power: keep a hand at the \
-             Qube's own switch, and find out once",
+            "it is not known how this Qube's motor behaves when the board loses power: keep a hand at the \
+             Qube's own switch, and test it once",
         ),
     }
 }

@@ -26,7 +26,7 @@ use crate::storage::{MachineDisk, write_whole};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil benchmark regret\n  \
-    qube-hil benchmark regret --repetitions 5 --evaluations 20    # a first look, a minute\n  \
+    qube-hil benchmark regret --repetitions 5 --evaluations 20    # a quick comparison, one minute\n  \
     qube-hil benchmark noise --repetitions 400 --threads 8")]
 pub struct Arguments {
     /// Suite to run

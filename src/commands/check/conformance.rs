@@ -62,7 +62,7 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     output.print(&text, &json!({ "port": port, "checks": checks_json(&results) }));
     if passed < results.len() {
         return Err(Failure::failed(format!(
-            "{port} does not keep PROTOCOL.md: {} failed",
+            "{port} does not conform to PROTOCOL.md: {} failed",
             failed_names(&results)
         )));
     }
@@ -71,7 +71,7 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
 
 /// The row of a check in the table. The remedy of a deviation is the requirement of the protocol.
 fn row(result: &CheckResult) -> Row {
-    let promise = result.cure.clone();
+    let promise = result.remedy.clone();
     Row { remedy: promise.map(|promise| ("must be:", promise)), ..Row::from(result) }
 }
 
@@ -97,7 +97,7 @@ fn open(device: &ChosenDevice) -> Result<Wire, Failure> {
             "--conformance tests a board's firmware, and {address} has the vendor's. Leave --conformance out"
         ))),
         (DeviceChoice::Other(_), _) => {
-            Err(Failure::usage("only a port or the emulated Qube can be put to this test"))
+            Err(Failure::usage("only a port or the emulated Qube can be tested in this way"))
         }
     }
 }

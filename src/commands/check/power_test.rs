@@ -127,14 +127,16 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
             (Ending::Fault(fault), _) if fault.is_timing_fault() && disturbed < DONE_AGAIN => {
                 disturbed += 1;
                 print_message(&format!(
-                    "The motor is off, and nothing is known yet: {fault}. Once more."
+                    "The motor is off, and nothing is known yet: {fault}. Try once more."
                 ));
             }
             (Ending::Fault(fault), _) => {
                 return Err(failures::rig(RigError::Ended { fault }, stop));
             }
             (_, PressOutcome::CameBack) => {
-                print_message("It came back: so it feels while the motor has its voltage.");
+                print_message(
+                    "It came back: this is how the arm feels while the motor has its voltage.",
+                );
                 return Ok(push_v);
             }
             (_, PressOutcome::NotAtStop) => {
@@ -152,7 +154,7 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
         }
     }
     Err(Failure::failed(format!(
-        "not even {MOST_V} V bring the arm back to its stop: see whether it turns freely"
+        "not even {MOST_V} V bring the arm back to its stop: check whether it turns freely"
     )))
 }
 

@@ -171,14 +171,14 @@ impl Results {
         let _ = match &self.drift {
             Some(Ok(drift)) => writeln!(text, "{}", command_hints::drift(drift)),
             Some(Err(unfit)) => {
-                writeln!(text, "these rollouts say nothing of how the rig is today: {unfit}")
+                writeln!(text, "the rig's drift cannot be estimated from these rollouts: {unfit}")
             }
             None => Ok(()),
         };
         text.push_str(&timing_lines(&self.latencies));
         let _ = write!(text, "recordings in {directory}");
         if self.excited {
-            let _ = write!(text, "\nqube-hil identify {directory}/*.mcap says which Qube this is");
+            let _ = write!(text, "\nqube-hil identify {directory}/*.mcap identifies this Qube");
         }
         text
     }
@@ -211,7 +211,7 @@ fn fitness(recording: &Recording) -> String {
     };
     let duration_s = log.samples.last().map_or(0.0, |last| last.time_s);
     match check_recording(&log) {
-        Ok(()) => format!("{duration_s:.1} s recorded, fit for identify"),
-        Err(unfit) => format!("{duration_s:.1} s recorded, but not fit for identify: {unfit}"),
+        Ok(()) => format!("{duration_s:.1} s recorded, usable by identify"),
+        Err(unfit) => format!("{duration_s:.1} s recorded, but not usable by identify: {unfit}"),
     }
 }

@@ -83,7 +83,7 @@ impl Series<'_> {
             }
         }
         if self.stop.requested() {
-            return Err(self.stop.failure("stopped; the recordings are whole up to here"));
+            return Err(self.stop.failure("stopped; the recordings are complete up to here"));
         }
         match results.fault {
             Some(fault) => Err(Failure::fault(fault_message(fault)).caused_by(Some(fault))),
@@ -112,7 +112,7 @@ impl Series<'_> {
             match rig.rollout(&MachineDisk, &path, plan.header(), self.controller.file(rollout)) {
                 Ok(recorded) => return Ok(recorded),
                 Err(error @ RigError::NotBegun { .. }) if tries < MAX_NOT_BEGUN => {
-                    print_message(&format!("rollout {rollout} begins again: {error}"));
+                    print_message(&format!("rollout {rollout} is repeated: {error}"));
                     rig.start_again().map_err(|error| failures::rig(error, self.stop))?;
                     tries += 1;
                 }

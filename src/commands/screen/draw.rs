@@ -87,7 +87,7 @@ pub fn draw(
         Overlay::Help => draw_box(frame, "Help", &help(state), styles),
         Overlay::Quit => {
             let text = format!(
-                "Stop now and quit? {}.\n\ny  yes     any other key  go on",
+                "Stop now and quit? {}.\n\ny  yes     any other key  continue",
                 capital(state.stop_effect)
             );
             draw_box(frame, "Quit", &text, styles);
@@ -132,7 +132,7 @@ fn draw_work(
     frame.render_widget(Line::from(state.work.as_str()), work);
     let phase_line = match (state.is_stopping, state.pause) {
         (true, _) => Line::styled(format!("stopping: {}", state.stop_effect), styles.alarm()),
-        (_, Pause::Now) => Line::styled("paused: the motor is off; p goes on", styles.near()),
+        (_, Pause::Now) => Line::styled("paused: the motor is off; p continues", styles.near()),
         (_, Pause::Asked) => {
             let which = if is_running { "this" } else { "the next" };
             let line = format!("{}; a pause follows {which} rollout", state.phase);
@@ -409,7 +409,7 @@ fn draw_keys(frame: &mut Frame, area: Rect, state: &ScreenState, styles: Styles)
 fn help(state: &ScreenState) -> String {
     let mut text = format!("space  stop now: {}\n", state.stop_effect);
     if state.can_pause {
-        text += "p      pause after this rollout; p again goes on\n";
+        text += "p      pause after this rollout; p again continues\n";
     }
     text += "q      quit, after a question\n?      this help; any key closes it\n";
     text += "Ctrl-C like the space bar; twice: end at once\n\n";

@@ -28,7 +28,7 @@ pub(super) fn diagnose(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
         }
         Err(error) => Diagnosis::unfit(LIBRARY, error.to_string(), INSTALL),
     };
-    let is_here = library.cure.is_none();
+    let is_here = library.remedy.is_none();
     let each = cards.iter().filter(|_| is_here).map(|card| of_card(card, measured(card, stop)));
     std::iter::once(library).chain(each).collect()
 }
@@ -49,9 +49,9 @@ fn of_card(card: &str, measured: Result<Option<MeasuredLink>, String>) -> Diagno
         }
         Ok(None) => Diagnosis::advice(&name, "not measured: stopped", "look again"),
         Err(reason) => {
-            let (value, cure) =
+            let (value, remedy) =
                 reason.split_once(". ").unwrap_or((&reason, "see that it is there"));
-            Diagnosis::unfit(&name, value, cure)
+            Diagnosis::unfit(&name, value, remedy)
         }
     }
 }
@@ -75,10 +75,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_card_that_is_not_there_is_said_with_its_cure() {
+    fn a_card_that_is_not_there_is_named_with_its_remedy() {
         let failed = of_card("hil", Err("hil is not there: no board. Plug it in. Now".into()));
         assert_eq!(failed.verdict, Suitability::Unfit);
         assert_eq!(failed.value, "hil is not there: no board");
-        assert_eq!(failed.cure.unwrap(), "Plug it in. Now");
+        assert_eq!(failed.remedy.unwrap(), "Plug it in. Now");
     }
 }

@@ -25,12 +25,12 @@ pub(super) fn foresight(longest_us: f64) -> Diagnosis {
     if longest_us <= SLOW_US {
         return Diagnosis::well(FORESIGHT, value);
     }
-    let cure = "a processor with AVX2 or AVX-512, and nothing else running on it";
+    let remedy = "a processor with AVX2 or AVX-512, and nothing else running on it";
     if longest_us <= TOO_SLOW_US {
-        return Diagnosis::advice(FORESIGHT, value, cure);
+        return Diagnosis::advice(FORESIGHT, value, remedy);
     }
     let refused = format!("{value}: more than {TOO_SLOW_US:.0} us is refused on a real Qube");
-    Diagnosis::unfit(FORESIGHT, refused, cure)
+    Diagnosis::unfit(FORESIGHT, refused, remedy)
 }
 
 fn governors(processors: &Path) -> BTreeSet<String> {
@@ -70,7 +70,7 @@ mod tests {
             let diagnosis = foresight(longest_us);
             assert_eq!(diagnosis.verdict, verdict);
             assert!(diagnosis.value.contains(&format!("{longest_us:.0} us")));
-            assert_eq!(diagnosis.cure.is_none(), verdict == Suitability::Well);
+            assert_eq!(diagnosis.remedy.is_none(), verdict == Suitability::Well);
         }
     }
 

@@ -53,12 +53,12 @@ fn diagnosis(ticks: u64, lateness_us: &LatencySummary) -> Diagnosis {
         "late by p50 {p50:.0}, p99 {p99:.0}, p99.9 {p999:.0}, max {max:.0} us in {ticks} ticks at \
          100 Hz"
     );
-    let cure = "close programs that keep this computer busy (uptime shows its load; in a virtual machine: \
+    let remedy = "close programs that keep this computer busy (uptime shows its load; in a virtual machine: \
                 the host's too)";
     if p99 > PERIOD_US {
-        Diagnosis::unfit(NAME, value, cure)
+        Diagnosis::unfit(NAME, value, remedy)
     } else if p99 > GOOD_P99_US || max > PERIOD_US {
-        Diagnosis::advice(NAME, value, cure)
+        Diagnosis::advice(NAME, value, remedy)
     } else {
         Diagnosis::well(NAME, value)
     }

@@ -46,11 +46,11 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
 /// the arm as skipped.
 fn give_up(found: &mut Examination, fault: Fault) {
     let value = format!("a fault ended the push: {fault}");
-    let cure = format!("{} Then check again", fault.operator_step());
+    let remedy = format!("{} Then check again", fault.operator_step());
     let name = if fault.is_timing_fault() { MOTOR } else { STALL };
     for each in ALL {
         found.results.push(if each == name {
-            CheckResult::fail(name, value.clone(), cure.clone())
+            CheckResult::fail(name, value.clone(), remedy.clone())
         } else {
             CheckResult::skipped(each, "not after a fault")
         });
@@ -210,7 +210,7 @@ fn stall(seen: &Evidence) -> CheckResult {
             seen.current_a * 1e3,
             seen.strongest_v
         ),
-        "switch the Qube off and turn the arm by hand: something holds it, clear its way",
+        "switch the Qube off and turn the arm by hand: something holds it, so clear its way",
     )
 }
 
@@ -247,13 +247,15 @@ fn pendulum(seen: &Evidence) -> CheckResult {
             let theta_rad = seen.arm.map_or(0.0, |response| response.theta_rad);
             CheckResult::fail(
                 PENDULUM,
-                format!("the arm went {theta_rad:+.3} rad and its count did not follow"),
+                format!(
+                    "the arm turned by {theta_rad:+.3} rad and the pendulum's count did not change"
+                ),
                 "make sure that the pendulum is on its shaft and swings freely; then plug in its \
                  encoder's cable (encoder 1)",
             )
         }
         Pendulum::Unknown if seen.arm_is_dead() => {
-            CheckResult::pass(PENDULUM, "its encoder works: the push swung it")
+            CheckResult::pass(PENDULUM, "its encoder works: the push swung the pendulum")
         }
         Pendulum::Unknown if seen.turns_unseen() => CheckResult::fail(
             PENDULUM,
@@ -288,7 +290,7 @@ fn sign_verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<Chec
         }
         CheckResult::fail(
             name,
-            format!("{of} = {is} is wrong: {follows} of it"),
+            format!("{of} = {is} is wrong: {follows} of the arm's motion"),
             format!("in qube.toml: {of} = {should}"),
         )
     };

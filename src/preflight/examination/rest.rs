@@ -138,8 +138,8 @@ pub(super) fn wait(
                 }
                 None => "hardly any sample came".to_owned(),
             };
-            let cure = "hold the pendulum until it hangs still, then check again";
-            return Ok(CheckResult::fail(NAME, value, cure));
+            let remedy = "hold the pendulum until it hangs still, then check again";
+            return Ok(CheckResult::fail(NAME, value, remedy));
         }
     }
 }

@@ -52,7 +52,7 @@ const MAX_ATTEMPTS: u32 = 5;
 /// Time after which a sample counts as lost, ns.
 const PATIENCE_NS: Nanoseconds = 8_000_000;
 
-const CURE: &str = "do not run anything with it: this motor stays on if the program dies. Install the vendor's \
+const REMEDY: &str = "do not run anything with it: this motor stays on if the program dies. Install the vendor's \
                     present package, then check again";
 
 /// Pushes the arm under the program's control and with the watchdog alone, and compares how far the
@@ -101,7 +101,7 @@ fn verdict(push_v: f64, pushed: [u32; 2], silent: [u32; 2]) -> CheckResult {
     if silent.iter().zip(pushed).all(|(counts, pushed)| *counts <= longest(pushed)) {
         CheckResult::pass(NAME, format!("the motor goes off: {value}"))
     } else {
-        CheckResult::fail(NAME, format!("the motor stays on: {value}"), CURE)
+        CheckResult::fail(NAME, format!("the motor stays on: {value}"), REMEDY)
     }
 }
 
@@ -213,7 +213,7 @@ mod tests {
         assert!(!verdict(0.5, [24, 26], [58, 62]).failed());
         for silent in [[59, 30], [30, 63], [90, 95]] {
             let result = verdict(0.5, [24, 26], silent);
-            assert!(result.failed() && result.cure.unwrap().contains("do not run anything"));
+            assert!(result.failed() && result.remedy.unwrap().contains("do not run anything"));
         }
     }
 }

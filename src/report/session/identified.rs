@@ -46,8 +46,8 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
             if let Some((of, profile)) = source.profile_before_end() {
                 if of != recordings {
                     page.paragraph(&format!(
-                        "What follows is predicted with the profile as it was before the verification, \
-                         profile-{of}.toml, so that the verification tests it."
+                        "The following predictions use the profile as it was before the verification, profile-{of}.toml, \
+                         so that the verification tests it."
                     ));
                 }
                 add_predictions(page, &source.motions, &profile.model());
@@ -82,7 +82,7 @@ fn add_correlations(page: &mut Page, profile: &Profile) {
     let names: Vec<String> = quantities.iter().map(|quantity| words(*quantity)).collect();
     page.matrix(
         "Correlations of the errors",
-        "Near 1 or −1 two errors go together: the recordings determine a combination of the two quantities better than \
+        "Near 1 or −1 two errors are strongly correlated: the recordings determine a combination of the two quantities better than \
          each of them.",
         &names,
         |row, column| correlations.of(quantities[row], quantities[column]),
