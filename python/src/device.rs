@@ -53,7 +53,7 @@ pub struct Device {
 /// Python's side of the thread that owns the Qube.
 struct Served {
     orders: Sender<Order>,
-    ends: Mutex<Receiver<Result<End, Trouble>>>,
+    ends: Mutex<Receiver<Result<End, ErrorMessage>>>,
     exchange: Arc<Exchange>,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<()>,
@@ -79,7 +79,7 @@ struct Episode {
 }
 
 /// The message of an exception.
-struct Trouble(String);
+struct ErrorMessage(String);
 
 /// Observation, reward, terminated, truncated, late answers so far, and at the end of an episode
 /// its ending and return.
@@ -119,7 +119,7 @@ impl Device {
                 Ok(device)
             }
             Ok(Ok(End::Episode(_))) => Err(DeviceError::new_err("the Qube was not opened")),
-            Ok(Err(Trouble(sentence))) => Err(DeviceError::new_err(sentence)),
+            Ok(Err(ErrorMessage(sentence))) => Err(DeviceError::new_err(sentence)),
             Err(error) => Err(error),
         }
     }
@@ -156,7 +156,7 @@ impl Device {
                     "the episode ended while arm and pendulum came to rest: {}",
                     ending_text(episode.ending)
                 )),
-                Err(Trouble(sentence)) => DeviceError::new_err(sentence),
+                Err(ErrorMessage(sentence)) => DeviceError::new_err(sentence),
             });
         }
         self.running = Some(slot.asked);
@@ -186,7 +186,7 @@ impl Device {
             return Ok((observed, reward, false, false, slot.late, None));
         }
         let Episode { ending, return_, last_state } =
-            *self.ended(py)?.map_err(|Trouble(sentence)| DeviceError::new_err(sentence))?;
+            *self.ended(py)?.map_err(|ErrorMessage(sentence)| DeviceError::new_err(sentence))?;
         let (left, whole) = match ending {
             Ending::LeftBox(_) => (true, false),
             Ending::Completed => (false, true),
@@ -265,18 +265,18 @@ impl Device {
     }
 
     /// Waits for the end of the episode, until which the arm may still be braked.
-    fn ended(&mut self, py: Python<'_>) -> PyResult<Result<Box<Episode>, Trouble>> {
+    fn ended(&mut self, py: Python<'_>) -> PyResult<Result<Box<Episode>, ErrorMessage>> {
         self.running = None;
         match self.end(py)? {
             Ok(End::Episode(episode)) => Ok(Ok(episode)),
-            Ok(End::Opened { .. }) => Ok(Err(Trouble("the episode did not begin".into()))),
+            Ok(End::Opened { .. }) => Ok(Err(ErrorMessage("the episode did not begin".into()))),
             Err(trouble) => Ok(Err(trouble)),
         }
     }
 
     /// Waits until the thread reports an end. Ctrl-C requests a stop and raises its exception only
     /// after the thread has reported the end.
-    fn end(&self, py: Python<'_>) -> PyResult<Result<End, Trouble>> {
+    fn end(&self, py: Python<'_>) -> PyResult<Result<End, ErrorMessage>> {
         let served = self.served()?;
         let mut interrupt = None;
         loop {
@@ -374,12 +374,12 @@ impl Server {
         settings: &RigSettings,
         deadline_ms: Option<f64>,
         inbox: &Receiver<Order>,
-        outbox: &Sender<Result<End, Trouble>>,
+        outbox: &Sender<Result<End, ErrorMessage>>,
     ) {
         let mut rig = match Rig::open(settings, &self.stop) {
             Ok(rig) => rig,
             Err(error) => {
-                let _ = outbox.send(Err(Trouble(error.to_string())));
+                let _ = outbox.send(Err(ErrorMessage(error.to_string())));
                 return;
             }
         };
@@ -393,7 +393,7 @@ impl Server {
             let end = self.episode(&mut rig, &order);
             self.exchange.end();
             let message = end.map(|episode| End::Episode(Box::new(episode)));
-            if outbox.send(message.map_err(|error| Trouble(error.to_string()))).is_err() {
+            if outbox.send(message.map_err(|error| ErrorMessage(error.to_string()))).is_err() {
                 return;
             }
         }

@@ -84,7 +84,7 @@ fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String,
 
 fn read(path: &Path) -> Result<MotionLog, String> {
     let log = MotionLog::read(path).map_err(|error| error.to_string())?;
-    let located = |what: &dyn std::fmt::Display| format!("{}: {what}", path.display());
+    let located = |message: &dyn std::fmt::Display| format!("{}: {message}", path.display());
     check_recording(&log).map_err(|why| located(&why))?;
     Ok(log)
 }

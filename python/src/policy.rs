@@ -50,7 +50,7 @@ impl Policy {
             .map(|scale_v| foreign(scale_v, observation, history, corner_rad_s, clip_observation))
             .transpose()?;
         let located =
-            |what: &dyn std::fmt::Display| bad_policy(format!("{}: {what}", path.display()));
+            |message: &dyn std::fmt::Display| bad_policy(format!("{}: {message}", path.display()));
         let bytes = read_bounded(&path, MAX_FILE_BYTES)
             .map_err(|error| located(&format!("cannot be read: {error}")))?;
         let policy = from_onnx(&bytes, foreign.as_ref()).map_err(|error| match error {
@@ -75,7 +75,10 @@ impl Policy {
     /// names the entries of the observation; without `observation` they are the program's own, with
     /// the last `history` commands.
     #[staticmethod]
-    #[allow(clippy::too_many_arguments, reason = "what a file of weights does not say")]
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "conventions that a file of weights does not contain"
+    )]
     fn from_layers(
         layers: Vec<(PyReadonlyArray2<'_, f32>, PyReadonlyArray1<'_, f32>)>,
         activation: &str,

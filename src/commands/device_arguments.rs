@@ -346,7 +346,7 @@ impl CheckArguments {
         let memory = doubts_folder().filter(|_| outlives).map(DoubtStore::new);
         if outlives && memory.is_none() {
             print_message(
-                "warning: there is no folder for what must be remembered after a fault: set HOME or \
+                "warning: there is no folder for the record of a doubt after a fault: set HOME or \
                  XDG_STATE_HOME",
             );
         }

@@ -480,7 +480,7 @@ fn resumed(
         if arguments.table { ExperimentSettings::load } else { ExperimentSettings::load_to_resume };
     let settings = load(&folder.settings()).map_err(|error| match error {
         ExperimentError::NotResumable { .. } => {
-            Failure::usage(format!("{error}; --table shows what is finished"))
+            Failure::usage(format!("{error}; --table shows the finished work"))
         }
         error => Failure::usage(error),
     })?;

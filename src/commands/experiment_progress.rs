@@ -32,7 +32,7 @@ pub struct ExperimentProgress {
 impl ExperimentProgress {
     /// A display for an experiment of this extent.
     pub fn new(settings: &ExperimentSettings, progress: &Progress, stop: &Stop) -> Self {
-        let (count, what) = match &settings.strategies {
+        let (count, item) = match &settings.strategies {
             Some(it) if it.has_budgets() => {
                 let rows = settings.plants.len() * it.methods.len() * it.budgets.len();
                 (rows as u64 * u64::from(it.repetitions), "scores")
@@ -44,7 +44,7 @@ impl ExperimentProgress {
             }
         };
         progress.update(|state| {
-            state.work = format!("{count} {what}");
+            state.work = format!("{count} {item}");
             state.phase = "training and rollouts".into();
             state.done = Some((0, count));
         });
@@ -126,11 +126,11 @@ impl ExperimentProgress {
     /// Shows an update of a training. `of` holds the recipe or search, `policy` or `candidate` with
     /// its number, and the number of the training.
     fn training(&self, of: (&str, &str, u32, u32), update: &TrainUpdate) {
-        let (group, what, number, training) = of;
+        let (group, item, number, training) = of;
         let recipe = group.strip_suffix(SEARCH).unwrap_or(group);
         let updates = *self.updates.0.get(recipe).unwrap_or(&self.updates.1);
         let again = if training > 0 { format!(", training {training}") } else { String::new() };
-        let name = format!("{recipe}: {what} {number}{again}");
+        let name = format!("{recipe}: {item} {number}{again}");
         self.progress.update(|state| {
             let key = (group.to_owned(), number, training);
             state.add_update(key, &name, updates, update.mean_return);
@@ -156,7 +156,7 @@ impl ExperimentProgress {
     }
 
     fn scored(&self, repetition: &Repetition, recommendation: &RecommendationResult) {
-        let what = match &recommendation.score {
+        let item = match &recommendation.score {
             Ok(Score { balanced, ran }) => {
                 let word = if recommendation.succeeds { "succeeds" } else { "does not succeed" };
                 format!("the recommendation {word}, {balanced} of {ran} scored rollouts balanced")
@@ -164,7 +164,7 @@ impl ExperimentProgress {
             Err(reason) => format!("no recommendation: {reason}"),
         };
         let rollouts = recommendation.real_rollouts;
-        self.line(format!("{}, {rollouts} real rollouts: {what}", repetition.name()));
+        self.line(format!("{}, {rollouts} real rollouts: {item}", repetition.name()));
     }
 
     fn searching(&self, name: &str, progress: &SessionEvent) {

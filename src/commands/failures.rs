@@ -140,16 +140,16 @@ fn is_bad_place(error: &io::Error) -> bool {
 pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     let fault = error.fault();
     let failure = match error {
-        SessionError::Stopped => stop.failure(format!("stopped; go on with {resume}")),
+        SessionError::Stopped => stop.failure(format!("stopped; continue with {resume}")),
         _ if stop.requested() => stop.failure(format!("stopped ({error}); continue with {resume}")),
         SessionError::GivenUp { .. } => {
             Failure::fault(format!("{error}, then continue with {resume}"))
         }
         SessionError::InDoubt { .. } => Failure::fault(format!("{error}: {resume} --acknowledge")),
         SessionError::NotStartedAgain { ref source, .. } => {
-            let (what, last_ticks) = (error.to_string(), with_last_ticks(source));
-            let what = what.trim_end_matches('.');
-            Failure::fault(format!("{what}. Then continue with {resume}.{last_ticks}"))
+            let (message, last_ticks) = (error.to_string(), with_last_ticks(source));
+            let message = message.trim_end_matches('.');
+            Failure::fault(format!("{message}. Then continue with {resume}.{last_ticks}"))
         }
         // `rig` adds the fault, and a command that helps.
         SessionError::Rig(error) => return rig(error, stop),
@@ -197,7 +197,7 @@ pub fn job_folder(error: &JobFolderError, stop: &Stop) -> Failure {
 /// The failure for an error of an experiment.
 pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure {
     match error {
-        _ if error.is_stop() => stop.failure(format!("stopped; go on with {resume}")),
+        _ if error.is_stop() => stop.failure(format!("stopped; continue with {resume}")),
         _ if stop.requested() => stop.failure(format!("stopped ({error}); continue with {resume}")),
         ExperimentError::Search { source, .. } => session(*source, stop, resume),
         ExperimentError::Session(error) => session(error, stop, resume),

@@ -91,7 +91,7 @@ impl Arguments {
 /// Reads the model and writes the policy.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let path = arguments.file.display();
-    let refused = |what: &dyn std::fmt::Display| Failure::usage(format!("{path}: {what}"));
+    let refused = |message: &dyn std::fmt::Display| Failure::usage(format!("{path}: {message}"));
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
     let bytes = read_bounded(&arguments.file, MAX_FILE_BYTES).map_err(|error| {
         let remedy = if error.kind() == std::io::ErrorKind::NotFound { EXPORT_FAILED } else { "" };

@@ -127,8 +127,8 @@ impl Live {
     }
 
     /// Shows in words what the command is doing.
-    pub fn doing(&self, what: &str) {
-        self.change(|status| what.clone_into(&mut status.doing));
+    pub fn doing(&self, activity: &str) {
+        self.change(|status| activity.clone_into(&mut status.doing));
     }
 
     /// Shows that rollout number `rollout`, from 0, begins, of `of` rollouts.

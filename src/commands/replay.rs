@@ -109,20 +109,20 @@ const ENDING_OF_THE_FILE: &str = "this rollout ran under the speed envelope, a g
 /// A defect of one file, and the failure that it causes.
 struct Problem {
     failure: fn(String) -> Failure,
-    what: String,
+    message: String,
 }
 
 impl Problem {
-    fn usage(what: impl ToString) -> Self {
-        Self { failure: |what| Failure::usage(what), what: what.to_string() }
+    fn usage(message: impl ToString) -> Self {
+        Self { failure: |message| Failure::usage(message), message: message.to_string() }
     }
 
-    fn failed(what: impl ToString) -> Self {
-        Self { failure: |what| Failure::failed(what), what: what.to_string() }
+    fn failed(message: impl ToString) -> Self {
+        Self { failure: |message| Failure::failed(message), message: message.to_string() }
     }
 
-    fn data_lost(what: impl ToString) -> Self {
-        Self { failure: |what| Failure::data_lost(what), what: what.to_string() }
+    fn data_lost(message: impl ToString) -> Self {
+        Self { failure: |message| Failure::data_lost(message), message: message.to_string() }
     }
 }
 
@@ -153,7 +153,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     for path in &arguments.files {
         let mut report = Report { path: path.clone(), ..Report::default() };
         if let Err(problem) = replay_file(arguments, profile.as_ref(), &mut report) {
-            report.problem = Some(problem.what.clone());
+            report.problem = Some(problem.message.clone());
             problems.push(problem);
         }
         reports.push(report);
@@ -172,7 +172,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         let _ = writeln!(text, "all: {}", rmse_text(rmse));
     }
     output.print(&text, &result);
-    let all: Vec<&str> = problems.iter().map(|problem| problem.what.as_str()).collect();
+    let all: Vec<&str> = problems.iter().map(|problem| problem.message.as_str()).collect();
     match problems.first() {
         Some(first) => Err((first.failure)(all.join("\n"))),
         None => Ok(()),
@@ -247,7 +247,7 @@ fn rerun_recording(recording: &Recording, report: &mut Report) -> Result<Option<
     report.foreseen = rerun.foreseen;
     report.note = rerun.ending_of_the_file.then_some(ENDING_OF_THE_FILE);
     Ok(findings(recording, &rerun)
-        .map(|what| Problem::data_lost(one_line(&format!("{path}: {what}")))))
+        .map(|message| Problem::data_lost(one_line(&format!("{path}: {message}")))))
 }
 
 /// Describes the defects of a recording, if any.
@@ -358,14 +358,14 @@ fn overall(errors: &[Rmse]) -> Option<Rmse> {
 }
 
 fn recording_problem(error: &RecordingError) -> Problem {
-    let what = one_line(&command_hints::recording(error)).into_owned();
-    if is_bad_input(error) { Problem::usage(what) } else { Problem::failed(what) }
+    let message = one_line(&command_hints::recording(error)).into_owned();
+    if is_bad_input(error) { Problem::usage(message) } else { Problem::failed(message) }
 }
 
 /// The failure for an error of a recording.
 pub fn recording_failure(error: &RecordingError) -> Failure {
-    let Problem { failure, what } = recording_problem(error);
-    failure(what)
+    let Problem { failure, message } = recording_problem(error);
+    failure(message)
 }
 
 /// Whether the error lies in the file; a failing disk is not bad input.

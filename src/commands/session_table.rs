@@ -66,8 +66,10 @@ impl SessionTable {
             let scored = &report.candidates[*candidate];
             let candidate = &scored.candidate;
             let whose = match candidate.purpose {
-                Purpose::Incumbent => format!("that of candidate {}", report.incumbent(candidate)),
-                _ => "that of the search's recommendation".into(),
+                Purpose::Incumbent => {
+                    format!("the policy of candidate {}", report.incumbent(candidate))
+                }
+                _ => "the policy of the recommended psi".into(),
             };
             let _ = writeln!(
                 text,

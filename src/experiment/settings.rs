@@ -179,11 +179,11 @@ impl ExperimentSettings {
     }
 }
 
-fn distinct(what: &str, names: &[&str]) -> Result<(), String> {
+fn distinct(kind: &str, names: &[&str]) -> Result<(), String> {
     for (index, name) in names.iter().enumerate() {
-        check_name(what, name)?;
+        check_name(kind, name)?;
         if names[..index].contains(name) {
-            return Err(format!("{what}: two are called {name}"));
+            return Err(format!("{kind}: two are called {name}"));
         }
     }
     Ok(())

@@ -43,7 +43,7 @@ pub(super) struct Scan {
 #[derive(Clone, Debug)]
 pub(super) struct Damage {
     pub(super) offset: usize,
-    pub(super) what: String,
+    pub(super) reason: String,
 }
 
 /// Reads every intact record of a file. `bytes` must start with MCAP's magic bytes, [`MAGIC`].
@@ -77,8 +77,8 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
                 return scan;
             }
             _ => {
-                if let Err(what) = scan.record(&record) {
-                    scan.lose(offset, record.end() - offset, what);
+                if let Err(reason) = scan.record(&record) {
+                    scan.lose(offset, record.end() - offset, reason);
                 }
             }
         }
@@ -91,19 +91,19 @@ impl Scan {
     /// Position and reason of the first defect; `None` if the file is as it was finished.
     pub(super) fn first_damage(&self) -> Option<String> {
         match &self.damage {
-            Some(damage) => Some(format!("at byte {}: {}", damage.offset, damage.what)),
+            Some(damage) => Some(format!("at byte {}: {}", damage.offset, damage.reason)),
             None if self.closed => None,
             None => Some("the end is missing".to_owned()),
         }
     }
 
-    fn note(&mut self, offset: usize, what: impl Into<String>) {
-        self.damage.get_or_insert_with(|| Damage { offset, what: what.into() });
+    fn note(&mut self, offset: usize, reason: impl Into<String>) {
+        self.damage.get_or_insert_with(|| Damage { offset, reason: reason.into() });
     }
 
-    fn lose(&mut self, offset: usize, bytes: usize, what: impl Into<String>) {
+    fn lose(&mut self, offset: usize, bytes: usize, reason: impl Into<String>) {
         self.lost_bytes += bytes as u64;
-        self.note(offset, what);
+        self.note(offset, reason);
     }
 
     fn footer(&mut self, bytes: &[u8], record: &Frame<'_>, summary_start: Option<usize>) {

@@ -166,7 +166,7 @@ mod tests {
             ("", "there are 0 rows"),
             ("0,0,0,0,0,1\n", "there are 1 rows"),
             ("0.1,0,0,0,0,1\n0.1,0,0,0,0,1\n", "line 3: time goes from 0.1 s to 0.1 s"),
-            ("0,0,0,0,0,1\n9,0,0,0,0,1\n", "line 3: nothing is known for 9 s"),
+            ("0,0,0,0,0,1\n9,0,0,0,0,1\n", "line 3: there is no row for 9 s"),
         ];
         for (rows, expected) in cases {
             let message = parse(rows).unwrap_err().to_string();

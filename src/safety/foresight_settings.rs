@@ -1,7 +1,9 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{Belief, BeliefError, CentringBrake, Ends, Foresight, Reach, TrustedForesight};
+use super::{
+    Belief, BeliefError, CentringBrake, Ends, Foresight, PredictionHorizon, TrustedForesight,
+};
 use crate::estimation::MeasuredStops;
 use crate::qube::{PlantModel, Profile};
 
@@ -143,9 +145,10 @@ impl ForesightSettings {
         let end_rad = (nearer_rad.min(described_rad) - self.margin_rad).max(NEAREST_END_RAD) as f32;
         let ends = Ends { low_rad: -end_rad, high_rad: end_rad };
         let of = |belief: Belief, held| {
-            let reach = Reach { held, horizon: self.horizon_periods };
+            let horizon =
+                PredictionHorizon { held_periods: held, horizon_periods: self.horizon_periods };
             let particles = belief.particles(plant.encoders);
-            Foresight::new(&particles, CentringBrake::of_plant(plant), ends, reach)
+            Foresight::new(&particles, CentringBrake::of_plant(plant), ends, horizon)
         };
         let identified = self.identified.map(|known| of(known.belief, known.held_periods));
         TrustedForesight::new(of(self.belief, self.held_periods), identified)

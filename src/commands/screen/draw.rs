@@ -395,7 +395,7 @@ fn draw_keys(frame: &mut Frame, area: Rect, state: &ScreenState, styles: Styles)
         (true, Pause::No) if area.width < 60 => Some(("p", "pause")),
         (true, Pause::No) => Some(("p", "pause after this rollout")),
         (true, Pause::Asked) => Some(("p", "no pause")),
-        (true, Pause::Now) => Some(("p", "go on")),
+        (true, Pause::Now) => Some(("p", "continue")),
     };
     let keys = [Some(("space", "stop now")), pause, Some(("q", "quit")), Some(("?", "help"))];
     let mut spans = vec![Span::raw(" ")];
@@ -415,7 +415,7 @@ fn help(state: &ScreenState) -> String {
     text += "Ctrl-C like the space bar; twice: end at once\n\n";
     if state.has_rollouts {
         text +=
-            "θ arm, α pendulum (0 hangs, ±180 is upright), V voltage; ━ is what was used so far. ";
+            "θ arm, α pendulum (0 hangs, ±180 is upright), V voltage; ━ is the range used so far. ";
     }
     text += "A return is at most 600. Messages are printed again at the end; --plain writes lines instead of this screen.";
     text

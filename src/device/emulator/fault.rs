@@ -252,7 +252,7 @@ impl EmulatorFault {
     /// The text forms of all faults, one a line, each with its effect.
     #[must_use]
     pub fn forms() -> String {
-        let lines = FORMS.map(|(form, what)| format!("  {form:22} {what}"));
+        let lines = FORMS.map(|(form, effect)| format!("  {form:22} {effect}"));
         lines.join("\n")
     }
 }

@@ -54,7 +54,7 @@ fn outcome(source: &SessionSource) -> Vec<String> {
                 _ => "the search's recommendation".into(),
             };
             sentences.push(format!(
-                "The best policy, that of {whose}, balanced the pendulum in {} of {} verifying rollouts on the Qube, with a \
+                "The best policy, from {whose}, balanced the pendulum in {} of {} verifying rollouts on the Qube, with a \
                  mean return of {mean:.1} of at most {largest}.",
                 best.successes(),
                 best.verdicts.len(),

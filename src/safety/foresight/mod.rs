@@ -37,7 +37,7 @@ const GROUP: usize = 4;
 pub struct Foresight<B> {
     brake: B,
     ends: Ends,
-    reach: Reach,
+    horizon: PredictionHorizon,
     filter: FilterGains<f32>,
     /// Age of the estimated velocities, s.
     lag_s: f32,
@@ -50,13 +50,13 @@ pub struct Foresight<B> {
     level: Level,
 }
 
-/// The length of a simulation.
+/// The numbers of control periods of a prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reach {
+pub struct PredictionHorizon {
     /// Control periods for which the voltage is held before the brake begins.
-    pub held: u32,
+    pub held_periods: u32,
     /// Largest number of control periods that are simulated.
-    pub horizon: u32,
+    pub horizon_periods: u32,
 }
 
 /// The angles that the arm must not reach, rad.
@@ -104,7 +104,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     /// Panics if there is no particle, if an end lies on the wrong side of 0, if a share of the
     /// voltage is outside 0 to 1, or if a delay is longer than [`MAX_HISTORY`] control periods.
     #[must_use]
-    pub fn new(particles: &[Particle], brake: B, ends: Ends, reach: Reach) -> Self {
+    pub fn new(particles: &[Particle], brake: B, ends: Ends, horizon: PredictionHorizon) -> Self {
         assert!(!particles.is_empty(), "no particles");
         assert!(ends.low_rad < 0.0 && ends.high_rad > 0.0, "{ends:?}");
         let count = particles.len();
@@ -126,12 +126,12 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
             let particles = std::array::from_fn(|lane| of_lane(block * BLOCK + lane));
             ParticleLanes::new(&particles, qubes, &brake, &ends)
         });
-        let particles = lanes.map(|particles| particles.holding(reach.held)).collect();
+        let particles = lanes.map(|particles| particles.holding(horizon.held_periods)).collect();
         let seen = vec![State::all(&at_rest); qubes.len()];
         let filter = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S).cast();
         let level = Level::best();
         let lag_s = lag_s(&filter, 1);
-        Self { brake, ends, reach, filter, lag_s, count, particles, qubes, seen, level }
+        Self { brake, ends, horizon, filter, lag_s, count, particles, qubes, seen, level }
     }
 
     /// Uses this instruction set instead of the best one, for comparisons.
@@ -179,7 +179,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         let trial = Trial {
             brake: &self.brake,
             ends: self.ends,
-            reach: self.reach,
+            horizon: self.horizon,
             filter: &self.filter,
             lag_s: self.lag_s,
             count: self.count,
@@ -244,7 +244,7 @@ impl ParticleLanes {
 struct Trial<'a, B> {
     brake: &'a B,
     ends: Ends,
-    reach: Reach,
+    horizon: PredictionHorizon,
     filter: &'a FilterGains<f32>,
     lag_s: f32,
     count: usize,
@@ -261,7 +261,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> Outlook {
-        let Self { brake, ends, reach, filter, count, particles, qubes, seen, .. } = self;
+        let Self { brake, ends, horizon, filter, count, particles, qubes, seen, .. } = self;
         let Self { lag_s, state, sent_v, voltage_v, .. } = self;
         let (groups, _) = qubes.as_chunks_mut::<GROUP>();
         let (seen_groups, _) = seen.as_chunks_mut::<GROUP>();
@@ -279,12 +279,12 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
             }
             let mut over = [false; GROUP];
             let mut holds = true;
-            for period in 0..reach.horizon {
+            for period in 0..horizon.horizon_periods {
                 outlook.periods += 1;
                 let mut commands_v = [[voltage_v; BLOCK]; GROUP];
                 for block in 0..GROUP {
                     if !over[block] {
-                        if period >= reach.held {
+                        if period >= horizon.held_periods {
                             commands_v[block] = brakes(brake, &seen[block]);
                         }
                         commands_v[block] = particles[block].arriving(&commands_v[block]);

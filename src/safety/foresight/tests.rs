@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Ends, Foresight, Outlook, Reach};
+use super::{Ends, Foresight, Outlook, PredictionHorizon};
 use crate::elementary::Level;
 use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use crate::qube::{
@@ -16,7 +16,8 @@ use crate::safety::{BrakeLaw as _, CentringBrake, Particle};
 
 const ENDS: Ends = Ends { low_rad: -2.2, high_rad: 2.1 };
 const HORIZON: u32 = 75;
-const REACH: Reach = Reach { held: 1, horizon: HORIZON };
+const PREDICTION_HORIZON: PredictionHorizon =
+    PredictionHorizon { held_periods: 1, horizon_periods: HORIZON };
 
 /// Steps of the reference in a control period.
 const FINE_STEPS: u32 = 20;
@@ -146,7 +147,8 @@ fn it_agrees_with_a_simulation_of_each_particle_alone() {
     let (mut held, mut reached, mut worst) = (0, 0, 0.0_f64);
     for _ in 0..1500 {
         let (particle, case) = (draw.particle(), draw.case());
-        let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, REACH);
+        let mut foresight =
+            Foresight::new(&[particle], CentringBrake::default(), ENDS, PREDICTION_HORIZON);
         let outlook = predict(&mut foresight, &case);
         let reference = clearance_rad(&particle, &case, outlook.periods);
         assert_eq!(outlook.particle, 0);
@@ -187,7 +189,8 @@ fn a_velocity_is_brought_up_to_date_after_lost_samples() {
     let four_periods = FilterGains::new(GUARD_CORNER_RAD_S, 4.0 * CONTROL_PERIOD_S);
     let after_loss = through_filters(&before_loss, state.theta, state.alpha, &four_periods);
     assert!(after_loss.theta_dot < shown.theta_dot - 1.0, "{after_loss:?}, {shown:?}");
-    let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, REACH);
+    let mut foresight =
+        Foresight::new(&[particle], CentringBrake::default(), ENDS, PREDICTION_HORIZON);
     let mut clearance_rad = |shown: &State, periods| {
         foresight.sampled_after(periods);
         let sent_v = [pushed_v as f32; MAX_HISTORY];
@@ -216,10 +219,14 @@ fn search_for_hasty_acceptance(seed: u64, particles: u32) -> u32 {
             }
         }
         let brake = CentringBrake::default();
-        let mut foresight = Foresight::new(&[particle], brake, ENDS, REACH);
-        let mut simulation =
-            Foresight::new(&[particle], brake, ENDS, Reach { held: 1, horizon: 150 })
-                .without_calm();
+        let mut foresight = Foresight::new(&[particle], brake, ENDS, PREDICTION_HORIZON);
+        let mut simulation = Foresight::new(
+            &[particle],
+            brake,
+            ENDS,
+            PredictionHorizon { held_periods: 1, horizon_periods: 150 },
+        )
+        .without_calm();
         for _ in 0..20 {
             let case = draw.case();
             let outlook = predict(&mut foresight, &case);
@@ -254,9 +261,11 @@ fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
     let particles: Vec<Particle> = (0..70).map(|_| draw.particle()).collect();
     let mut alone: Vec<_> = particles
         .iter()
-        .map(|particle| Foresight::new(&[*particle], CentringBrake::default(), ENDS, REACH))
+        .map(|particle| {
+            Foresight::new(&[*particle], CentringBrake::default(), ENDS, PREDICTION_HORIZON)
+        })
         .collect();
-    let all = Foresight::new(&particles, CentringBrake::default(), ENDS, REACH);
+    let all = Foresight::new(&particles, CentringBrake::default(), ENDS, PREDICTION_HORIZON);
     let mut all = Level::ALL.map(|level| all.clone().at_level(level));
     let (mut held, mut reached) = (0, 0);
     for _ in 0..60 {
@@ -280,7 +289,8 @@ fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
 #[test]
 fn a_state_that_is_not_a_number_does_not_hold() {
     let particles = [Particle::exact(QubeModel::NOMINAL); 3];
-    let mut foresight = Foresight::new(&particles, CentringBrake::default(), ENDS, REACH);
+    let mut foresight =
+        Foresight::new(&particles, CentringBrake::default(), ENDS, PREDICTION_HORIZON);
     let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
     let case = Case { state: at_rest, sent_v: [0.0; MAX_HISTORY], voltage_v: 1.0 };
     let outlook = predict(&mut foresight, &case);
