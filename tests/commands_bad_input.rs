@@ -109,9 +109,14 @@ fn estimators_that_are_none() {
     run(&["--estimator-delay-ms", "5"], &["--estimator-delay-ms", "--estimator observer"]);
     run(&["--estimator", "observer", "--estimator-profile", "none.toml"], &["none.toml"]);
     let path = directory.path().join("my.toml");
-    std::fs::write(&path, "[estimator.observer]\nastray_rad = -1.0\n").unwrap();
+    std::fs::write(&path, "[estimator.observer]\nreset_error_rad = -1.0\n").unwrap();
     let arguments = ["session", "--clock", "virtual", "--config", "my.toml", "--out", "session"];
-    refused(directory.path(), &arguments, 2, &["my.toml", "estimator.observer.astray_rad = -1"]);
+    refused(
+        directory.path(),
+        &arguments,
+        2,
+        &["my.toml", "estimator.observer.reset_error_rad = -1"],
+    );
 }
 
 #[test]

@@ -69,7 +69,7 @@ fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String,
             "name": estimate.unknown.name(),
             "value": estimate.value,
             "standard_error": estimate.standard_error,
-            "told_by_data": estimate.told_by_data,
+            "told_by_data": estimate.variance_removed,
         })
     });
     let assessment = &identified.assessment;

@@ -223,9 +223,9 @@ fn table(identified: &Identified) -> String {
         "quantity", "value", "std. error", "unit", "from data"
     );
     for estimate in &identified.estimates {
-        let Estimate { unknown, value, standard_error, told_by_data } = *estimate;
-        let mark = if estimate.is_told() { "" } else { "  from the prior" };
-        let percent = 100.0 * told_by_data;
+        let Estimate { unknown, value, standard_error, variance_removed } = *estimate;
+        let mark = if estimate.is_determined() { "" } else { "  from the prior" };
+        let percent = 100.0 * variance_removed;
         let (name, unit) = (unknown.name(), unknown.0.unit());
         let _ = writeln!(
             text,
@@ -378,7 +378,7 @@ fn result(
             "name": estimate.unknown.name(),
             "value": estimate.value,
             "standard_error": estimate.standard_error,
-            "told_by_data": estimate.told_by_data,
+            "told_by_data": estimate.variance_removed,
         })
     };
     let horizon = |error: &HorizonError| {

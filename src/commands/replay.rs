@@ -103,7 +103,7 @@ impl Report {
 }
 
 /// Note on a recording under the speed envelope, a guard that this program does not have.
-const ENDING_OF_THE_FILE: &str = "this rollout ran under the speed envelope, a guard that this program does not \
+const ENVELOPE_NOTE: &str = "this rollout ran under the speed envelope, a guard that this program does not \
      have: it is compared up to its first braking tick, and its end is taken from the file";
 
 /// A defect of one file, and the failure that it causes.
@@ -245,7 +245,7 @@ fn rerun_recording(recording: &Recording, report: &mut Report) -> Result<Option<
     report.actions_different = rerun.actions_different;
     report.not_compared = rerun.not_compared;
     report.foreseen = rerun.foreseen;
-    report.note = rerun.ending_of_the_file.then_some(ENDING_OF_THE_FILE);
+    report.note = rerun.ending_of_the_file.then_some(ENVELOPE_NOTE);
     Ok(findings(recording, &rerun)
         .map(|message| Problem::data_lost(one_line(&format!("{path}: {message}")))))
 }

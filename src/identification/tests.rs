@@ -84,7 +84,7 @@ fn a_qube_that_is_known_is_found_within_its_standard_errors() {
     let is_determined = |term: Nonideality| {
         let unknown = Unknown::from(term);
         let estimate = found.estimates.iter().find(|estimate| estimate.unknown == unknown);
-        estimate.is_some_and(Estimate::is_told)
+        estimate.is_some_and(Estimate::is_determined)
     };
     assert!(is_determined(Nonideality::CommandDelay) && is_determined(Nonideality::CableStiffness));
     // Scaling all forces and all inertias by the same factor leaves the motion unchanged.

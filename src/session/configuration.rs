@@ -5,7 +5,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 use super::retired::rename_entries;
-use super::settings_check::BEGIN_ANEW;
+use super::settings_check::NEW_SESSION_ADVICE;
 use super::{ConfigurationError, SessionSettings, take_retired};
 use crate::learning::Preset;
 use crate::safety::Guard;
@@ -29,7 +29,7 @@ impl SessionSettings {
         let out_of_range =
             |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };
         if let Some(entry) = retired.iter().find(|entry| entry.changed_something()) {
-            return Err(out_of_range(format!("{entry}: {BEGIN_ANEW}")));
+            return Err(out_of_range(format!("{entry}: {NEW_SESSION_ADVICE}")));
         }
         if !retired.is_empty() {
             text = toml::to_string(&table)?;
@@ -165,11 +165,21 @@ mod tests {
     }
 
     #[test]
-    fn earlier_names_of_training_settings_override_the_preset_too() {
+    fn earlier_names_of_settings_override_the_preset_too() {
         let text = "[training]\npendulums = 32\ntrace_decay = 0.9\nenough = 450.0";
         let training = overridden(text).unwrap().training;
         assert_eq!((training.num_envs, training.gae_lambda), (32, 0.9));
         assert_eq!(training.target_return, Some(450.0));
+        let sensors = "[training.simulation.sensors]\ntype = \"encoders\"";
+        let observer = "estimator.observer]\nastray_rad = 0.2";
+        let text = format!("{sensors}\n[training.simulation.sensors.{observer}\n[{observer}");
+        let settings = overridden(&text).unwrap();
+        let SensorModel::Encoders { estimator } = settings.training.simulation.sensors else {
+            panic!("the sensors are encoders");
+        };
+        for estimator in [settings.estimator, estimator] {
+            assert_eq!(estimator.observer.unwrap().reset_error_rad, 0.2);
+        }
     }
 
     #[test]

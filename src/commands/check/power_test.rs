@@ -35,7 +35,7 @@ const STEP_TICKS: u32 = 6000;
 const REPLUG: Duration = Duration::from_secs(120);
 
 /// Largest number of repetitions in a rehearsal after a late computer or link ended the push.
-const DONE_AGAIN: u32 = 2;
+const MAX_REPETITIONS: u32 = 2;
 
 /// The result of the test, as text for people and as JSON for scripts.
 pub struct Tested {
@@ -124,7 +124,7 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
             rig.press(push_v, STEP_TICKS, true).map_err(|error| failures::rig(error, stop))?;
         match (pressed.ending, pressed.outcome) {
             (Ending::Stopped, _) => return Err(stop.failure("stopped; the motor is off")),
-            (Ending::Fault(fault), _) if fault.is_timing_fault() && disturbed < DONE_AGAIN => {
+            (Ending::Fault(fault), _) if fault.is_timing_fault() && disturbed < MAX_REPETITIONS => {
                 disturbed += 1;
                 print_message(&format!(
                     "The motor is off, and nothing is known yet: {fault}. Try once more."

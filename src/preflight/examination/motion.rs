@@ -20,7 +20,7 @@ const STEPS: u32 = 11;
 
 /// Largest number of repetitions of a push that a late computer or link has ended; such an end is
 /// no fault of the Qube.
-const DONE_AGAIN: u32 = 2;
+const MAX_REPETITIONS: u32 = 2;
 
 const MOTOR: &str = "motor";
 const STALL: &str = "stall";
@@ -123,7 +123,9 @@ fn probe(
                 let report = drive_warm(device, clock, &mut probe, heat, None, stop)?;
                 match report.outcome.ending {
                     Ending::Fault(Fault::LinkGone) => return Err(super::link::gone(port)),
-                    Ending::Fault(fault) if fault.is_timing_fault() && disturbed < DONE_AGAIN => {
+                    Ending::Fault(fault)
+                        if fault.is_timing_fault() && disturbed < MAX_REPETITIONS =>
+                    {
                         disturbed += 1;
                         rest::wait_for_the_arm(device, clock, stop, port)?;
                         continue;
