@@ -20,7 +20,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::Context;
-use qube_hil::learning::{Preset, TrainSettings, evaluate_afresh, train};
+use qube_hil::learning::{Preset, TrainSettings, evaluate_on_new_starts, train};
 use qube_hil::policy::Network;
 use qube_hil::simulation::{DomainDistribution, Family, Trajectory};
 
@@ -91,7 +91,7 @@ fn trained(
     let seconds = started.elapsed().as_secs_f64();
     let fresh_return = |network: &Network| {
         let (simulation, seed) = (&settings.simulation, FRESH_SEED);
-        evaluate_afresh(network, distribution, simulation, seed, FRESH_STARTS).mean_return()
+        evaluate_on_new_starts(network, distribution, simulation, seed, FRESH_STARTS).mean_return()
     };
     let (fresh, fresh_final) =
         (fresh_return(&trained.network), fresh_return(&trained.final_network));

@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use clap::Parser;
 use qube_hil::safety::Guard;
-use stranger::{Effort, Hunt, Known, Method, SearchRecord, summary};
+use stranger::{AdversarySearch, BeliefKind, Effort, Method, SearchRecord, summary};
 
 /// The adversary's command line.
 #[derive(Parser)]
@@ -53,8 +53,8 @@ struct Arguments {
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
     let known = match arguments.belief.as_str() {
-        "unknown" => Known::Unknown,
-        "identified" => Known::Identified,
+        "unknown" => BeliefKind::Unknown,
+        "identified" => BeliefKind::Identified,
         _ => anyhow::bail!("--belief: give unknown or identified"),
     };
     let methods = match arguments.optimiser.as_str() {
@@ -63,36 +63,41 @@ fn main() -> anyhow::Result<()> {
         "both" => vec![Method::Ce, Method::Cma],
         _ => anyhow::bail!("--optimiser: give ce, cma or both"),
     };
-    let hunts: Vec<Hunt> = (arguments.first..arguments.first + arguments.searches)
+    let searches: Vec<AdversarySearch> = (arguments.first..arguments.first + arguments.searches)
         .flat_map(|seed| methods.iter().map(move |&method| (seed, method)))
-        .map(|(seed, method)| Hunt { seed, known, method, guard: Guard::Foresight })
+        .map(|(seed, method)| AdversarySearch { seed, known, method, guard: Guard::Foresight })
         .collect();
     let done = read(&arguments.out)?;
-    let record_of = |hunt: &Hunt| done.iter().find(|record| is_of(record, hunt));
+    let record_of = |search: &AdversarySearch| done.iter().find(|record| is_of(record, search));
     if let Some(seed) = arguments.show {
-        let hunts =
-            methods.iter().map(|&method| Hunt { seed, known, method, guard: Guard::Foresight });
-        for hunt in hunts {
-            if let Some(record) = record_of(&hunt) {
-                tell(&hunt, record);
+        let searches = methods.iter().map(|&method| AdversarySearch {
+            seed,
+            known,
+            method,
+            guard: Guard::Foresight,
+        });
+        for search in searches {
+            if let Some(record) = record_of(&search) {
+                print_record(&search, record);
             }
         }
         return Ok(());
     }
 
-    let missing: Vec<&Hunt> = hunts.iter().filter(|hunt| record_of(hunt).is_none()).collect();
+    let missing: Vec<&AdversarySearch> =
+        searches.iter().filter(|search| record_of(search).is_none()).collect();
     let file = Mutex::new(OpenOptions::new().create(true).append(true).open(&arguments.out)?);
     let next = AtomicUsize::new(0);
     let effort = Effort { generations: arguments.generations, population: arguments.population };
     let work = || -> anyhow::Result<()> {
-        while let Some(hunt) = missing.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let record = hunt.run(effort);
+        while let Some(search) = missing.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let record = search.run(effort);
             let line = serde_json::to_string(&record)?;
             let mut file = file.lock().map_err(|_| anyhow::anyhow!("another thread has failed"))?;
             writeln!(file, "{line}")?;
             eprintln!(
                 "seed {} {:?}: {} hits, farthest {:.4} rad",
-                hunt.seed, hunt.method, record.hits, record.farthest_rad
+                search.seed, search.method, record.hits, record.farthest_rad
             );
         }
         Ok(())
@@ -105,7 +110,7 @@ fn main() -> anyhow::Result<()> {
     })?;
 
     let mut records = read(&arguments.out)?;
-    records.retain(|record| hunts.iter().any(|hunt| is_of(record, hunt)));
+    records.retain(|record| searches.iter().any(|search| is_of(record, search)));
     print!("{}", summary(&records));
     let promised = records.iter().filter(|record| record.scenario.mishap.is_promised());
     let hits: u64 = promised.map(|record| record.hits).sum();
@@ -113,9 +118,9 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn is_of(record: &SearchRecord, hunt: &Hunt) -> bool {
+fn is_of(record: &SearchRecord, search: &AdversarySearch) -> bool {
     let scenario = &record.scenario;
-    scenario.seed == hunt.seed && scenario.known == hunt.known && record.method == hunt.method
+    scenario.seed == search.seed && scenario.known == search.known && record.method == search.method
 }
 
 /// The searches of a file, of which there are none if it does not exist; a truncated line is
@@ -129,10 +134,10 @@ fn read(path: &PathBuf) -> anyhow::Result<Vec<SearchRecord>> {
 }
 
 /// Prints the stored episodes of a search: the farthest, then one for each kind of false fault.
-fn tell(hunt: &Hunt, record: &SearchRecord) {
+fn print_record(search: &AdversarySearch, record: &SearchRecord) {
     let faults = record.kept_faults.values();
     for found in record.farthest.iter().chain(faults) {
-        let trace = hunt.show(&record.scenario, &found.genes);
+        let trace = search.show(&record.scenario, &found.genes);
         println!("{:?} {}", record.method, trace.told);
         for line in &trace.lines {
             println!("{line}");

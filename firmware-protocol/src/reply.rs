@@ -220,7 +220,7 @@ impl RefusalReason {
             Self::QubeAbsent => "its Qube does not answer; check power and the SPI wires",
             Self::WrongLength => "the message has another length there",
             Self::UnknownType => "it does not know this message",
-            Self::StaleSample => "the command answers no sample of the last 20 ms",
+            Self::StaleSample => "the command does not answer a sample of the last 20 ms",
             Self::EmergencyStop => {
                 "its emergency-stop switch is open; close it when nobody is near the arm"
             }

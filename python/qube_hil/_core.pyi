@@ -125,6 +125,6 @@ def train(
     changes: str,
     seed: int,
     initial: Policy | None,
-    tell: Callable[[str], None],
+    on_update: Callable[[str], None],
 ) -> tuple[Policy, float, str]: ...
 def main(arguments: list[str]) -> int: ...

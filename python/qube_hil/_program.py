@@ -1,4 +1,4 @@
-"""The command ``qube-hil``, which the package brings."""
+"""The command ``qube-hil``, which the package contains."""
 
 import signal
 import sys

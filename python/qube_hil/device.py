@@ -20,11 +20,12 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
 
     Args:
         device: Serial port of a Qube; None for the emulated one.
-        deadline_ms: Time that an answer has within the tick of 10 ms; None takes what the measured link leaves, 5 ms at
-            most. After a late answer the last voltage is held; ten in a row brake the arm and raise a `LateError`.
+        deadline_ms: Time limit of an answer within the tick of 10 ms; None takes the time that the measured link leaves,
+            at most 5 ms. After a late answer the last voltage is held; ten in a row brake the arm and raise a `LateError`.
         clock: ``wall``, or ``virtual`` for the emulated Qube: time waits for Python, and the same actions give the same
             bytes.
-        recordings: Folder for the recordings, one of each episode: ``episode-0000.mcap`` and so on after those there.
+        recordings: Folder for the recordings, one for each episode: ``episode-0000.mcap`` and so on, numbered
+            after the files that are already there.
         history: Number of last commands in the observation, 0 to 4.
         seed: Seed of the arm's start angles, and of the emulated Qube.
         options: Other options of the command ``run``, with ``_`` for ``-``: ``qube="qube.toml"``, ``guard="box"``,
@@ -68,14 +69,14 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
 
     @property
     def deadline_ms(self) -> float | None:
-        """Time that an answer has, ms; None under a virtual clock, which waits."""
+        """Time limit of an answer, ms; None under a virtual clock, which waits."""
         return self._device.deadline_ms
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Float32s, dict[str, Any]]:
-        """Brakes a running episode, settles arm and pendulum, and begins the next episode. A seed begins the start
-        angles anew."""
+        """Brakes a running episode, settles arm and pendulum, and begins the next episode. A seed restarts the sequence
+        of start angles."""
         super().reset(seed=seed)
         given = _as_seed(seed)
         if given is not None:

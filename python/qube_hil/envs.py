@@ -91,8 +91,8 @@ class QubeEnv(gymnasium.Env[Any, Any]):
             ``{"M_p": Normal(0.024, 0.005), "command_delay_s": Uniform(0.0, 0.016)}``.
         settings: Sensors, history, reward and box: ``thesis``, ``machine``, ``robust``, or a mapping.
         seed: Seed of the episodes until ``reset`` names another.
-        guard: ``box``, or ``foresight`` as on a machine: the brake is simulated before each voltage on every Qube that this
-            one may be, and takes over where it would come too late. It costs many times a step.
+        guard: ``box``, or ``foresight`` as on a machine: before each voltage the brake is simulated for every Qube that this
+            one may be, and it takes over where it would otherwise be too late. A step then takes many times as long.
 
     An observation is ``float32 [6 + history]``, an action ``float32 [1]``, a fraction of 5 V. The reward of a step is
     in (0, 1]. An episode is terminated where the state leaves the box or the guard takes over, and truncated after 600

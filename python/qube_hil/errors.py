@@ -1,4 +1,4 @@
-"""The exceptions of the package. Each carries the program's sentence: what, where, what to do."""
+"""The exceptions of the package. The text of each names the cause, the place and the remedy."""
 
 
 class QubeHilError(Exception):
@@ -26,7 +26,7 @@ class RecordingError(QubeHilError, ValueError):
 
 
 class SessionError(QubeHilError, ValueError):
-    """A folder is no session, or a part of it cannot be read."""
+    """A folder is not a session, or a part of it cannot be read."""
 
 
 class IdentificationError(QubeHilError, ValueError):

@@ -47,15 +47,15 @@ def train(
         preset: Budget and settings: ``quick`` (seconds), ``robust`` (half a minute) or ``thesis``.
         simulation: Sensors, history, reward and box, as for `QubeEnv`; None stands for the preset's.
         seed: Seed of every random number.
-        initial: Policy whose weights the training goes on from, as the option `--from`. It must see the same observation
-            and have the layers of a trained policy; another is a `PolicyError`.
+        initial: Policy whose weights the training starts from, as the option `--from`. It must see the same observation
+            and have the layers of a trained policy; otherwise it raises `PolicyError`.
         callback: Called after each update with its statistics, such as ``mean_return``. An exception ends the training.
         changes: Settings of the training that differ from the preset's, such as ``updates=20``.
 
     Ctrl-C ends the training with a ``KeyboardInterrupt``.
     """
 
-    def tell(update: str) -> None:
+    def on_update(update: str) -> None:
         if callback is not None:
             callback(json.loads(update))
 
@@ -73,7 +73,7 @@ def train(
         changed,
         int(seed),
         None if initial is None else initial._core,
-        tell,
+        on_update,
     )
     points = json.loads(curve)
     columns = {name: np.array([point[name] for point in points], np.float64) for name in points[0]}

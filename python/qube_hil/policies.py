@@ -142,14 +142,14 @@ class Policy:
         return self._core.to_bytes()
 
     def save(self, path: str | os.PathLike[str], force: bool = False) -> None:
-        """Writes the policy file, which appears whole or not at all. A file of that name is replaced with ``force``
-        alone."""
+        """Writes the policy file, which appears whole or not at all. An existing file is replaced only with
+        ``force``."""
         self._core.save(os.fspath(path), force)
 
     def to_onnx(self) -> bytes:
         """The bytes of an ONNX model, as `qube-hil export --onnx` writes it: from ``observation``, float32
-        ``[n, observation_size]``, to ``voltage_v``, float32 ``[n, 1]`` within 5 V. Its metadata says what stands before
-        and after it."""
+        ``[n, observation_size]``, to ``voltage_v``, float32 ``[n, 1]`` within 5 V. Its metadata describe the computations before
+        and after the network."""
         return self._core.to_onnx()
 
     def act(self, observation: npt.ArrayLike) -> Float32s:
@@ -210,7 +210,7 @@ class Policy:
 
 
 class _LastTanh:
-    """The function that SAC's actor applies to its mean, which is none of its modules."""
+    """The tanh that SAC's actor applies to its mean outside of its modules."""
 
 
 #: Activations by the names of torch's classes.

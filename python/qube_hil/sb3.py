@@ -1,4 +1,4 @@
-"""The simulation for Stable-Baselines3, which must be installed besides this package."""
+"""The simulation for Stable-Baselines3, which must be installed in addition to this package."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,10 +10,10 @@ from .envs import QubeVectorEnv
 
 
 class QubeVecEnv(VecEnv):  # type: ignore[misc]
-    """A `QubeVectorEnv` as Stable-Baselines3 wants it; the arguments are the same.
+    """A `QubeVectorEnv` in the interface of Stable-Baselines3; the arguments are the same.
 
     The last observation of an episode is in ``infos[i]["terminal_observation"]``, and ``infos[i]["TimeLimit.truncated"]``
-    is true where it was cut short by time. Episode statistics are in ``infos[i]["episode"]``, as `VecMonitor` gives them.
+    is true where the time limit ended it. Episode statistics are in ``infos[i]["episode"]``, as `VecMonitor` gives them.
     """
 
     def __init__(self, num_envs: int = 80, **settings: Any) -> None:

@@ -1,4 +1,4 @@
-"""Sessions: candidates, returns, and what the search believes."""
+"""Sessions: candidates, returns, and the surrogate."""
 
 import json
 import os
@@ -39,8 +39,8 @@ class Candidate:
 
 
 class Surrogate:
-    """What a session believes of the return over psi: the Gaussian process of its report, fitted to the mean returns of
-    the candidates that the search has evaluated."""
+    """The surrogate of a session: the Gaussian process of its report, fitted over psi to the mean returns of the
+    candidates that the search has evaluated."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         """Use `Session.surrogate`."""
@@ -87,7 +87,7 @@ class Surrogate:
 
 
 class Session:
-    """A session's folder, for reading only: nothing in it changes, and it may be in use."""
+    """A session's folder, opened for reading only; it may be in use."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)

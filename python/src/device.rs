@@ -25,7 +25,7 @@ use crate::errors::{
 use crate::exchange::{Exchange, Remote, Slot};
 
 /// Time between two checks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Longest deadline that is chosen from the measured link, us: half of the tick.
 const LONGEST_OWN_DEADLINE_US: f64 = 5000.0;
@@ -53,7 +53,7 @@ pub struct Device {
 /// Python's side of the thread that owns the Qube.
 struct Served {
     orders: Sender<Order>,
-    ends: Mutex<Receiver<Result<End, Trouble>>>,
+    ends: Mutex<Receiver<Result<End, ErrorMessage>>>,
     exchange: Arc<Exchange>,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<()>,
@@ -79,7 +79,7 @@ struct Episode {
 }
 
 /// The message of an exception.
-struct Trouble(String);
+struct ErrorMessage(String);
 
 /// Observation, reward, terminated, truncated, late answers so far, and at the end of an episode
 /// its ending and return.
@@ -119,7 +119,7 @@ impl Device {
                 Ok(device)
             }
             Ok(Ok(End::Episode(_))) => Err(DeviceError::new_err("the Qube was not opened")),
-            Ok(Err(Trouble(sentence))) => Err(DeviceError::new_err(sentence)),
+            Ok(Err(ErrorMessage(sentence))) => Err(DeviceError::new_err(sentence)),
             Err(error) => Err(error),
         }
     }
@@ -154,9 +154,9 @@ impl Device {
             return Err(match self.ended(py)? {
                 Ok(episode) => DeviceError::new_err(format!(
                     "the episode ended while arm and pendulum came to rest: {}",
-                    told(episode.ending)
+                    ending_text(episode.ending)
                 )),
-                Err(Trouble(sentence)) => DeviceError::new_err(sentence),
+                Err(ErrorMessage(sentence)) => DeviceError::new_err(sentence),
             });
         }
         self.running = Some(slot.asked);
@@ -186,7 +186,7 @@ impl Device {
             return Ok((observed, reward, false, false, slot.late, None));
         }
         let Episode { ending, return_, last_state } =
-            *self.ended(py)?.map_err(|Trouble(sentence)| DeviceError::new_err(sentence))?;
+            *self.ended(py)?.map_err(|ErrorMessage(sentence)| DeviceError::new_err(sentence))?;
         let (left, whole) = match ending {
             Ending::LeftBox(_) => (true, false),
             Ending::Completed => (false, true),
@@ -208,7 +208,7 @@ impl Device {
             }
         };
         let observed = self.observed(py, &last_state, &slot);
-        Ok((observed, reward, left, whole, slot.late, Some((told(ending), return_))))
+        Ok((observed, reward, left, whole, slot.late, Some((ending_text(ending), return_))))
     }
 
     /// Brakes the arm and ends the running episode, if there is one.
@@ -235,7 +235,7 @@ impl Device {
     fn served(&self) -> PyResult<&Served> {
         if self.process != std::process::id() {
             return Err(ClosedError::new_err(
-                "this process was forked, and the Qube belongs to its parent: open it here anew",
+                "this process was forked, and the Qube belongs to its parent: open it again here",
             ));
         }
         let closed = || ClosedError::new_err("the Qube is closed: make another environment");
@@ -254,7 +254,7 @@ impl Device {
     fn next(&mut self, py: Python<'_>, after: u64) -> PyResult<Slot> {
         loop {
             let exchange = Arc::clone(&self.served()?.exchange);
-            if let Some(slot) = py.detach(|| exchange.next_ask(after, LOOK)) {
+            if let Some(slot) = py.detach(|| exchange.next_ask(after, POLL_INTERVAL)) {
                 return Ok(slot);
             }
             if let Err(interrupt) = py.check_signals() {
@@ -265,24 +265,24 @@ impl Device {
     }
 
     /// Waits for the end of the episode, until which the arm may still be braked.
-    fn ended(&mut self, py: Python<'_>) -> PyResult<Result<Box<Episode>, Trouble>> {
+    fn ended(&mut self, py: Python<'_>) -> PyResult<Result<Box<Episode>, ErrorMessage>> {
         self.running = None;
         match self.end(py)? {
             Ok(End::Episode(episode)) => Ok(Ok(episode)),
-            Ok(End::Opened { .. }) => Ok(Err(Trouble("the episode did not begin".into()))),
+            Ok(End::Opened { .. }) => Ok(Err(ErrorMessage("the episode did not begin".into()))),
             Err(trouble) => Ok(Err(trouble)),
         }
     }
 
     /// Waits until the thread reports an end. Ctrl-C requests a stop and raises its exception only
     /// after the thread has reported the end.
-    fn end(&self, py: Python<'_>) -> PyResult<Result<End, Trouble>> {
+    fn end(&self, py: Python<'_>) -> PyResult<Result<End, ErrorMessage>> {
         let served = self.served()?;
         let mut interrupt = None;
         loop {
             let next = py.detach(|| {
                 let ends = served.ends.lock().unwrap_or_else(PoisonError::into_inner);
-                ends.recv_timeout(LOOK)
+                ends.recv_timeout(POLL_INTERVAL)
             });
             match (next, interrupt.take()) {
                 (Ok(_), Some(interrupt)) => return Err(interrupt),
@@ -374,12 +374,12 @@ impl Server {
         settings: &RigSettings,
         deadline_ms: Option<f64>,
         inbox: &Receiver<Order>,
-        outbox: &Sender<Result<End, Trouble>>,
+        outbox: &Sender<Result<End, ErrorMessage>>,
     ) {
         let mut rig = match Rig::open(settings, &self.stop) {
             Ok(rig) => rig,
             Err(error) => {
-                let _ = outbox.send(Err(Trouble(error.to_string())));
+                let _ = outbox.send(Err(ErrorMessage(error.to_string())));
                 return;
             }
         };
@@ -392,8 +392,8 @@ impl Server {
         for order in inbox {
             let end = self.episode(&mut rig, &order);
             self.exchange.end();
-            let told = end.map(|episode| End::Episode(Box::new(episode)));
-            if outbox.send(told.map_err(|error| Trouble(error.to_string()))).is_err() {
+            let message = end.map(|episode| End::Episode(Box::new(episode)));
+            if outbox.send(message.map_err(|error| ErrorMessage(error.to_string()))).is_err() {
                 return;
             }
         }
@@ -459,7 +459,7 @@ fn own_deadline_us(rig: &Rig) -> f64 {
     left.clamp(SHORTEST_DEADLINE_US, LONGEST_OWN_DEADLINE_US)
 }
 
-fn told(ending: Ending) -> String {
+fn ending_text(ending: Ending) -> String {
     match ending {
         Ending::Completed => "completed".into(),
         Ending::LeftBox(limit) => format!("left the box: {limit}"),

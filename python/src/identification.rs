@@ -13,7 +13,7 @@ use serde_json::json;
 use crate::errors::{IdentificationError, bad_settings};
 
 /// Time between two checks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Fits a Qube to recordings, MCAP or CSV. `fixed` names the quantities that keep their nominal
 /// values, and `name` is the name of the profile. Returns JSON: estimates, verdict, doubts, and the
@@ -46,7 +46,7 @@ pub fn identify(
         py.check_signals()?;
         let next = py.detach(|| {
             let inbox = inbox.lock().unwrap_or_else(PoisonError::into_inner);
-            inbox.recv_timeout(LOOK)
+            inbox.recv_timeout(POLL_INTERVAL)
         });
         match next {
             Ok(fitted) => return fitted.map_err(IdentificationError::new_err),
@@ -69,7 +69,7 @@ fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String,
             "name": estimate.unknown.name(),
             "value": estimate.value,
             "standard_error": estimate.standard_error,
-            "told_by_data": estimate.told_by_data,
+            "told_by_data": estimate.variance_removed,
         })
     });
     let assessment = &identified.assessment;
@@ -84,7 +84,7 @@ fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String,
 
 fn read(path: &Path) -> Result<MotionLog, String> {
     let log = MotionLog::read(path).map_err(|error| error.to_string())?;
-    let told = |what: &dyn std::fmt::Display| format!("{}: {what}", path.display());
-    check_recording(&log).map_err(|why| told(&why))?;
+    let located = |message: &dyn std::fmt::Display| format!("{}: {message}", path.display());
+    check_recording(&log).map_err(|why| located(&why))?;
     Ok(log)
 }

@@ -6,7 +6,7 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2, PyUntypedArra
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use qube_hil::policy::onnx::{
-    ForeignConventions, ImportError, Layers, MAX_FILE_BYTES, Sight, from_onnx, to_onnx,
+    ForeignConventions, ImportError, Layers, MAX_FILE_BYTES, ObservationLayout, from_onnx, to_onnx,
 };
 use qube_hil::policy::{Activation, Controller, LayerWeights, OutputKind, Policy as Kind};
 use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State};
@@ -49,12 +49,13 @@ impl Policy {
         let foreign = action_scale_v
             .map(|scale_v| foreign(scale_v, observation, history, corner_rad_s, clip_observation))
             .transpose()?;
-        let told = |what: &dyn std::fmt::Display| bad_policy(format!("{}: {what}", path.display()));
+        let located =
+            |message: &dyn std::fmt::Display| bad_policy(format!("{}: {message}", path.display()));
         let bytes = read_bounded(&path, MAX_FILE_BYTES)
-            .map_err(|error| told(&format!("cannot be read: {error}")))?;
+            .map_err(|error| located(&format!("cannot be read: {error}")))?;
         let policy = from_onnx(&bytes, foreign.as_ref()).map_err(|error| match error {
-            ImportError::NoActionScale => told(&format!("{error} (action_scale_v)")),
-            other => told(&other),
+            ImportError::NoActionScale => located(&format!("{error} (action_scale_v)")),
+            other => located(&other),
         })?;
         Ok(Self { policy: Kind::Network(policy) })
     }
@@ -74,7 +75,10 @@ impl Policy {
     /// names the entries of the observation; without `observation` they are the program's own, with
     /// the last `history` commands.
     #[staticmethod]
-    #[allow(clippy::too_many_arguments, reason = "what a file of weights does not say")]
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "conventions that a file of weights does not contain"
+    )]
     fn from_layers(
         layers: Vec<(PyReadonlyArray2<'_, f32>, PyReadonlyArray1<'_, f32>)>,
         activation: &str,
@@ -232,12 +236,12 @@ fn foreign(
     if history > MAX_HISTORY {
         return Err(bad_policy(format!("history = {history}: give 0 to {MAX_HISTORY}")));
     }
-    let sight = match observation {
-        Some(names) => Sight::parse(names).map_err(bad_policy)?,
-        None => Sight::own(history),
+    let layout = match observation {
+        Some(names) => ObservationLayout::parse(names).map_err(bad_policy)?,
+        None => ObservationLayout::own(history),
     };
     let action_scale_v = action_scale_v as f32;
-    Ok(ForeignConventions { sight, action_scale_v, corner_rad_s, clip_observation })
+    Ok(ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation })
 }
 
 /// The state of an observation, rad and rad/s, with both angles within half a turn of 0.

@@ -132,7 +132,7 @@ fn read(folder: PathBuf) -> Result<Value, String> {
 
 /// Reads a profile of the session.
 fn profile(path: &Path) -> Result<Profile, String> {
-    let told = |what: &dyn std::fmt::Display| format!("{}: {what}", path.display());
-    let text = read_text(path, SETTINGS_BYTES).map_err(|error| told(&error))?;
-    Profile::parse(&text).map_err(|error| told(&error))
+    let located = |message: &dyn std::fmt::Display| format!("{}: {message}", path.display());
+    let text = read_text(path, SETTINGS_BYTES).map_err(|error| located(&error))?;
+    Profile::parse(&text).map_err(|error| located(&error))
 }

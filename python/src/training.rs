@@ -17,9 +17,9 @@ use crate::policy::Policy;
 use crate::simulation::{read_distribution, read_settings};
 
 /// Time between two checks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Trains a policy and calls `tell` with each update as JSON. Ctrl-C, or an exception in `tell`,
+/// Trains a policy and calls `on_update` with each update as JSON. Ctrl-C, or an exception in `on_update`,
 /// ends the training.
 ///
 /// `simulation` is JSON, or `None` for the preset's simulation; `changes` are settings of the
@@ -39,7 +39,7 @@ pub fn train(
     changes: &str,
     seed: u64,
     initial: Option<PyRef<'_, Policy>>,
-    tell: &Bound<'_, PyAny>,
+    on_update: &Bound<'_, PyAny>,
 ) -> PyResult<(Policy, f64, String)> {
     let named =
         Preset::NAMED.into_iter().find(|known| known.name() == preset).ok_or_else(|| {
@@ -62,7 +62,7 @@ pub fn train(
     settings.check().map_err(bad_settings)?;
     let initial = match initial.as_deref() {
         Some(Policy { policy: Kind::Network(policy) }) => Some(&policy.network),
-        Some(_) => return Err(bad_policy("the policy to go on from has no network")),
+        Some(_) => return Err(bad_policy("the policy to start from has no network")),
         None => None,
     };
     let from = if initial.is_some() { " from a policy" } else { "" };
@@ -71,36 +71,36 @@ pub fn train(
         psi: None,
         preset: Preset::of(&settings).name().to_owned(),
     };
-    let trained = supervised(py, initial, &distribution, &settings, seed, tell)?;
+    let trained = supervised(py, initial, &distribution, &settings, seed, on_update)?;
     let best_return = trained.best_return;
     let curve = serde_json::to_string(&trained.curve).map_err(bad_settings)?;
     Ok((Policy { policy: trained.into_policy(origin) }, best_return, curve))
 }
 
-/// Trains in another thread, while this one calls `tell` and checks for Ctrl-C.
+/// Trains in another thread, while this one calls `on_update` and checks for Ctrl-C.
 fn supervised(
     py: Python<'_>,
     initial: Option<&Network>,
     distribution: &DomainDistribution,
     settings: &TrainSettings,
     seed: u64,
-    tell: &Bound<'_, PyAny>,
+    on_update: &Bound<'_, PyAny>,
 ) -> PyResult<Trained> {
     let stop = AtomicBool::new(false);
-    let (updates, told) = channel();
+    let (updates, events) = channel();
     std::thread::scope(|scope| {
         let stop = &stop;
         let training = scope.spawn(move || {
             // The receiver is gone only after an error, upon which the training is stopped.
-            let tell = |update: &TrainUpdate| {
+            let on_update = |update: &TrainUpdate| {
                 let _ = updates.send(*update);
             };
             match initial {
-                Some(initial) => train_from(initial, distribution, settings, seed, stop, tell),
-                None => train_on(distribution, settings, seed, None, stop, tell),
+                Some(initial) => train_from(initial, distribution, settings, seed, stop, on_update),
+                None => train_on(distribution, settings, seed, None, stop, on_update),
             }
         });
-        let followed = follow(py, told, tell);
+        let followed = follow(py, events, on_update);
         if followed.is_err() {
             stop.store(true, Ordering::Relaxed);
         }
@@ -116,19 +116,23 @@ fn supervised(
     })
 }
 
-/// Calls `tell` with each update until the training ends.
-fn follow(py: Python<'_>, told: Receiver<TrainUpdate>, tell: &Bound<'_, PyAny>) -> PyResult<()> {
-    let mut told = std::sync::Mutex::new(told);
+/// Calls `on_update` with each update until the training ends.
+fn follow(
+    py: Python<'_>,
+    events: Receiver<TrainUpdate>,
+    on_update: &Bound<'_, PyAny>,
+) -> PyResult<()> {
+    let mut events = std::sync::Mutex::new(events);
     loop {
         py.check_signals()?;
-        let receiver = &mut told;
+        let receiver = &mut events;
         let next = py.detach(|| match receiver.get_mut() {
-            Ok(receiver) => receiver.recv_timeout(LOOK),
+            Ok(receiver) => receiver.recv_timeout(POLL_INTERVAL),
             Err(_) => Err(RecvTimeoutError::Disconnected),
         });
         match next {
             Ok(update) => {
-                tell.call1((serde_json::to_string(&update).map_err(bad_settings)?,))?;
+                on_update.call1((serde_json::to_string(&update).map_err(bad_settings)?,))?;
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Ok(()),

@@ -97,8 +97,8 @@ def test_a_training_goes_on_from_a_policy_as_the_command_does(tmp_path):
     still = qube_hil.train("handcrafted", initial=further.policy, seed=3, updates=1, learning_rate=1e-9)
     assert still.best_return > first.best_return
     for wrong, told in [
-        (Policy.from_layers([(np.ones((4, 6)), None), (np.ones((1, 4)), None)], action_scale_v=5.0), "goes on from"),
-        (qube_hil.train("robust", **SMALL).policy, "goes on from"),
+        (Policy.from_layers([(np.ones((4, 6)), None), (np.ones((1, 4)), None)], action_scale_v=5.0), "starts from"),
+        (qube_hil.train("robust", **SMALL).policy, "starts from"),
     ]:
         with pytest.raises(qube_hil.PolicyError, match=told):
             qube_hil.train(initial=wrong, **SMALL)

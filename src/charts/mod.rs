@@ -22,7 +22,7 @@ pub use motion::motion_svg;
 pub use noise::noise_svg;
 pub use regret::regret_svg;
 pub use searches::searches_svg;
-pub use strategies::{StepLine, strategies_svg};
+pub use strategies::{StepLine, methods_svg};
 pub use training_progress::training_progress_svg;
 
 use plotters::coord::Shift;

@@ -22,7 +22,7 @@ const APART: f64 = 0.012;
 ///
 /// # Errors
 /// The drawing library failed.
-pub fn strategies_svg(title: &str, lines: &[StepLine], last: f64) -> Result<String, DrawingError> {
+pub fn methods_svg(title: &str, lines: &[StepLine], last: f64) -> Result<String, DrawingError> {
     let mut svg = String::new();
     draw(&mut svg, title, lines, last)?;
     Ok(svg)
@@ -81,7 +81,7 @@ mod tests {
         let flat = vec![(1.0, 0.0), (125.0, 0.0)];
         let lines =
             [line("cem", flat.clone()), line("random", flat), line("bayrn", vec![(1.0, 0.5)])];
-        let svg = strategies_svg("opt-nominal on lab", &lines, 125.0).unwrap();
+        let svg = methods_svg("opt-nominal on lab", &lines, 125.0).unwrap();
         assert!(svg.contains("cem: never") && svg.contains("opt-nominal on lab"), "{svg}");
         assert!(svg.ends_with("</svg>\n"));
         let flat: Vec<&str> = svg

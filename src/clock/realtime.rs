@@ -95,13 +95,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_processor_that_may_sleep_is_told_with_its_cure() {
+    fn a_processor_that_may_sleep_is_named_with_its_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("cpu_dma_latency");
-        let told = sleepy(&file).unwrap();
+        let message = sleepy(&file).unwrap();
         assert!(
-            told.contains("cpu_dma_latency") && told.contains("sudo scripts/install"),
-            "{told}"
+            message.contains("cpu_dma_latency") && message.contains("sudo scripts/install"),
+            "{message}"
         );
         std::fs::write(&file, "").unwrap();
         assert_eq!(sleepy(&file), None);

@@ -1,6 +1,6 @@
 //! Results of checks, as a table for people and as JSON for scripts.
 
-use super::command_hints::cure;
+use super::command_hints::remedy;
 use serde_json::{Value, json};
 
 use crate::telemetry::{CheckResult, CheckVerdict};
@@ -35,7 +35,7 @@ impl From<&CheckResult> for Row {
             name: result.name.clone(),
             word,
             value: result.value.clone(),
-            remedy: cure(result).map(|cure| ("cure:", cure)),
+            remedy: remedy(result).map(|remedy| ("remedy:", remedy)),
         }
     }
 }
@@ -96,7 +96,7 @@ pub fn checks_json(results: &[CheckResult]) -> Value {
                 "name": result.name,
                 "pass": pass(result.verdict),
                 "value": result.value,
-                "cure": cure(result),
+                "cure": remedy(result),
             })
         })
         .collect();
@@ -126,13 +126,13 @@ mod tests {
                 name: "a-rather-long-name".into(),
                 word: "FAIL",
                 value: long.clone(),
-                remedy: Some(("cure:", long)),
+                remedy: Some(("remedy:", long)),
             },
         ];
         let text = table(&rows);
         assert!(text.lines().all(|line| line.chars().count() <= COLUMNS), "{text}");
         assert!(text.starts_with("short               pass  0.9 ms\n"), "{text}");
         assert_eq!(text.matches("word").count(), 120);
-        assert_eq!(text.matches("cure: word").count(), 1);
+        assert_eq!(text.matches("remedy: word").count(), 1);
     }
 }

@@ -11,10 +11,10 @@ use crate::telemetry::{CheckResult, Fault};
 pub fn after_fault(fault: Fault) -> Option<&'static str> {
     match fault {
         Fault::NoSample | Fault::WatchdogTripped | Fault::TooLate => {
-            Some("qube-hil doctor names what keeps a computer busy")
+            Some("qube-hil doctor tests this computer's timing")
         }
         Fault::DeviceClock => Some(
-            "qube-hil doctor names what keeps a computer busy, and qube-hil check --conformance tries the board",
+            "qube-hil doctor tests this computer's timing, and qube-hil check --conformance tests the board",
         ),
         Fault::WrongSignTheta | Fault::WrongSignAlpha | Fault::WrongSignMotor => {
             Some("qube-hil check --write finds the signs")
@@ -30,20 +30,20 @@ pub fn after_limit(limit: Limit) -> Option<&'static str> {
         .then_some("qube-hil run --excite chirp, then qube-hil identify, make a new profile")
 }
 
-/// The cure of a failed check, with the command that carries the cure out.
-pub fn cure(result: &CheckResult) -> Option<String> {
-    let cure = result.cure.clone()?;
+/// The remedy of a failed check, with the command that carries the remedy out.
+pub fn remedy(result: &CheckResult) -> Option<String> {
+    let remedy = result.remedy.clone()?;
     Some(match result.name.as_str() {
         "arm-sign" | "pendulum-sign" | "motor-sign" => {
-            format!("qube-hil check --write, or by hand {cure}")
+            format!("qube-hil check --write, or by hand {remedy}")
         }
-        "watchdog" if cure.contains("firmware") => {
-            format!("{cure} with qube-hil check --conformance")
+        "watchdog" if remedy.contains("firmware") => {
+            format!("{remedy} with qube-hil check --conformance")
         }
-        "latency" if cure.contains("busy") => {
-            format!("{cure}. qube-hil doctor names what keeps a computer busy")
+        "latency" if remedy.contains("busy") => {
+            format!("{remedy}. qube-hil doctor tests this computer's timing")
         }
-        _ => cure,
+        _ => remedy,
     })
 }
 
@@ -88,7 +88,7 @@ pub fn drift(drift: &Drift) -> String {
 pub fn before_driving(power: Option<&PowerTest>) -> Option<String> {
     let warning = power_warning(power)?;
     Some(match power.map(|power| power.usb_lost) {
-        Some(UsbLost::MotorOff | UsbLost::KeepsItsWord) => warning.into(),
+        Some(UsbLost::MotorOff | UsbLost::KeepsVoltage) => warning.into(),
         Some(UsbLost::Unknown) | None => format!("{warning} with qube-hil check --power-test"),
     })
 }

@@ -36,10 +36,10 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
 
 /// The first paragraph of an error, which says what is wrong, on one line.
 pub fn cause_of(error: &clap::Error) -> String {
-    let told = error.to_string();
+    let message = error.to_string();
     // Missing arguments are listed below the first line.
     let lines: Vec<&str> =
-        told.lines().map(str::trim).take_while(|line| !line.is_empty()).collect();
+        message.lines().map(str::trim).take_while(|line| !line.is_empty()).collect();
     lines.join(" ").trim_start_matches("error: ").to_owned()
 }
 

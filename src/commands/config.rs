@@ -13,7 +13,7 @@ use crate::session::{IdentificationSettings, SessionSettings};
 ///
 /// `print` writes every setting with its default, unit, accepted values and meaning, as a file for `session --config`.
 /// A line that begins with # and no space is a setting that is absent by default. `check` reads files as `session
-/// --config` does: an error names line and key, and what a good file changes is listed.
+/// --config` does: an error names line and key; for a valid file, the settings that it changes are listed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil config print > mine.toml          # every setting, to edit\n  \
@@ -32,7 +32,7 @@ enum Action {
         #[arg(long, value_enum, default_value_t = Preset::Quick)]
         preset: Preset,
     },
-    /// Check files of settings; exit code 2 and the line of the first error when one is bad
+    /// Check files of settings; exit code 2 and the line of the first error if one is invalid
     Check {
         /// Files of settings (.toml)
         #[arg(required = true, value_name = "FILE")]
@@ -101,12 +101,12 @@ fn check(files: &[PathBuf], preset: Preset, output: &Output) -> Result<(), Failu
         let changes = settings.differences(&defaults).map_err(Failure::failed)?;
         let shown = file.display().to_string();
         let mut text = match changes.len() {
-            0 => format!("{shown}: good; it changes nothing"),
-            1 => format!("{shown}: good; it changes one setting"),
-            many => format!("{shown}: good; it changes {many} settings"),
+            0 => format!("{shown}: valid; it changes nothing"),
+            1 => format!("{shown}: valid; it changes one setting"),
+            many => format!("{shown}: valid; it changes {many} settings"),
         };
         for change in &changes {
-            let [value, default] = [&change.value, &change.default].map(told);
+            let [value, default] = [&change.value, &change.default].map(value_text);
             text += &format!("\n  {} = {value} (default {default})", change.key);
         }
         if leaves_out {
@@ -124,7 +124,7 @@ fn check(files: &[PathBuf], preset: Preset, output: &Output) -> Result<(), Failu
     Ok(())
 }
 
-fn told(value: &Option<Value>) -> String {
+fn value_text(value: &Option<Value>) -> String {
     match value {
         None => "absent".into(),
         Some(Value::Array(entries)) => format!("a list of {}", entries.len()),

@@ -9,7 +9,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::exit::Failure;
 use super::failures;
-use super::printable::tell;
+use super::printable::print_message;
 use crate::session::FolderError;
 use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 
@@ -37,7 +37,7 @@ impl OutputFile {
         match path.symlink_metadata() {
             Ok(found) if !found.is_file() && !found.is_symlink() => {
                 return Err(Failure::usage(format!(
-                    "{option} {shown}: it is no file: name a file"
+                    "{option} {shown}: it is not a file: give a file"
                 )));
             }
             Ok(_) if !replace => {
@@ -67,7 +67,7 @@ impl OutputFile {
                 Err(error) => failures::folder(&error.into()),
             }
         } else {
-            Failure::usage(format!("{} has been made by somebody else", self.path.display()))
+            Failure::usage(format!("{} was created by another process", self.path.display()))
         };
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let name = self.path.file_name().unwrap_or(OsStr::new("result")).to_string_lossy();
@@ -210,7 +210,7 @@ fn folder_of(path: &Path) -> &Path {
 /// Checks that a file can be created in a folder, and that the disk has enough space.
 pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     if !folder.is_dir() {
-        let why = if folder.exists() { "is no folder" } else { "does not exist: make it first" };
+        let why = if folder.exists() { "is no folder" } else { "does not exist: create it first" };
         return Err(Failure::usage(format!("the folder {} {why}", folder.display())));
     }
     let trial = folder.join(format!(".qube-hil-{}", std::process::id()));
@@ -220,7 +220,7 @@ pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     if let Err(error) = fs::remove_file(&trial)
         && error.kind() != ErrorKind::NotFound
     {
-        tell(&format!("warning: {}: {error}", trial.display()));
+        print_message(&format!("warning: {}: {error}", trial.display()));
     }
     written.map_err(|error| failures::not_written(folder, &error))
 }

@@ -7,7 +7,7 @@ use super::command_hints::{before_driving, too_wide};
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::plant_file::PlantArgument;
-use super::printable::tell;
+use super::printable::print_message;
 use super::profile;
 use crate::clock::{Clock, MonotonicClock};
 use crate::control::{HomingMethod, HomingSettings};
@@ -15,7 +15,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::device::{Device, HilLink, Tty};
 use crate::estimation::EstimatorSettings;
 use crate::qube::{MotorRating, PlantModel, Profile};
-use crate::rig::{ClockChoice, DeviceChoice, DoubtMemory, LINK_PATIENCE_S, Recovery, RigSettings};
+use crate::rig::{ClockChoice, DeviceChoice, DoubtStore, LINK_PATIENCE_S, Recovery, RigSettings};
 use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
 use crate::session::{QUBE_FILE, QubeFile};
 
@@ -24,7 +24,7 @@ pub(super) const EMULATED: &str = "emulated";
 
 /// The arguments that select a Qube and a clock.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct DeviceArguments {
     #[command(flatten)]
     qube: QubeArguments,
@@ -35,7 +35,7 @@ pub struct DeviceArguments {
 
 /// The arguments that select the clock and the plant that is driven.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct TimedPlantArguments {
     /// Clock: `virtual` runs the emulated Qube as fast as the processor can
     #[arg(long, value_enum, default_value_t = ClockArgument::Wall)]
@@ -47,20 +47,20 @@ pub struct TimedPlantArguments {
 
 /// The arguments that select the plant that is driven.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct DrivenPlantArguments {
     #[command(flatten)]
     plant: PlantArgument,
 
     /// Drive hardware as a --plant that differs from a Qube by more than smaller limits: its guard and homing then
-    /// rely on what the file says
+    /// rely on the file
     #[arg(long)]
     accept_plant: bool,
 }
 
 /// The arguments that select a Qube.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct QubeArguments {
     /// `emulated`, the serial port of a Qube's board, or `hil:CARD@ID` for a Qube with the USB panel through the
     /// vendor's library (`hil`: qube_servo2_usb@0) [default: the port in --qube, else emulated]
@@ -78,7 +78,7 @@ pub struct QubeArguments {
 
 /// The arguments that say how a Qube is treated, whichever it is.
 #[derive(Clone, Copy, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct TreatmentArguments {
     /// How the arm's middle is found: between its stops, or where the operator put it by hand [default: as
     /// the --qube file says, else stops]
@@ -183,7 +183,7 @@ impl QubeArguments {
         };
         let file = path.map(QubeFile::load).transpose().map_err(Failure::usage)?;
         if let Some(path) = path {
-            tell(&format!("this Qube's settings are those in {}", path.display()));
+            print_message(&format!("this Qube's settings are those in {}", path.display()));
         }
         let port_of_file = file.as_ref().and_then(|file| file.port.clone());
         let choice = match (self.device.as_deref(), path) {
@@ -355,9 +355,9 @@ impl ChosenDevice {
 
 /// The arguments for the check before the first motion and for the reaction to faults.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct CheckArguments {
-    /// Skip the check of a real Qube before its first motion; the recordings say so
+    /// Skip the check of a real Qube before its first motion; the recordings note it
     #[arg(long)]
     pub skip_check: bool,
 
@@ -375,10 +375,10 @@ impl CheckArguments {
     fn recovery(self, device: &DeviceChoice) -> Recovery {
         // Only a device that outlives this program can be in doubt after the program has ended.
         let outlives = matches!(device, DeviceChoice::Port(_) | DeviceChoice::Hil(_));
-        let memory = doubts_folder().filter(|_| outlives).map(DoubtMemory::new);
+        let memory = doubts_folder().filter(|_| outlives).map(DoubtStore::new);
         if outlives && memory.is_none() {
-            tell(
-                "warning: there is no folder for what must be remembered after a fault: set HOME or \
+            print_message(
+                "warning: there is no folder for the record of a doubt after a fault: set HOME or \
                  XDG_STATE_HOME",
             );
         }

@@ -3,14 +3,14 @@ use serde_json::json;
 use super::check_table::{Row, table};
 use super::exit::Failure;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::stop::Stop;
-use crate::preflight::doctor::{Diagnosis, Fitness, diagnose};
+use crate::preflight::doctor::{Diagnosis, Suitability, diagnose};
 
-/// Check this computer: rights to real time, ports, FTDI timers, the vendor's library, and timing accuracy
+/// Check this computer: real-time rights, ports, FTDI timers, the vendor's library, and timing accuracy
 ///
 /// Nothing is changed and nothing moves. Exit code 0 when all is well or there is only advice, 1 when
-/// something must be cured first.
+/// something must be fixed first.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil doctor\n  \
@@ -28,7 +28,7 @@ pub struct Arguments {
 /// Performs the checks and prints the findings.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
-    tell(&format!("watching the timer for {} s", arguments.seconds));
+    print_message(&format!("watching the timer for {} s", arguments.seconds));
     let found = diagnose(&arguments.device, arguments.seconds, &stop.flag)
         .map_err(|error| Failure::failed(format!("the timer cannot be watched: {error}")))?;
     if stop.requested() {
@@ -36,14 +36,14 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     let unfit: Vec<&str> = found
         .iter()
-        .filter(|diagnosis| diagnosis.verdict == Fitness::Unfit)
+        .filter(|diagnosis| diagnosis.verdict == Suitability::Unfit)
         .map(|diagnosis| diagnosis.name.as_str())
         .collect();
-    let advice = found.iter().filter(|diagnosis| diagnosis.verdict == Fitness::Advice).count();
+    let advice = found.iter().filter(|diagnosis| diagnosis.verdict == Suitability::Advice).count();
     let summary = match (unfit.len(), advice) {
         (0, 0) => "all is well".to_owned(),
-        (0, advice) => format!("fit; advice: {advice}"),
-        (unfit, _) => format!("not fit: {unfit} must be cured"),
+        (0, advice) => format!("ready; advice: {advice}"),
+        (unfit, _) => format!("not ready: {unfit} must be fixed"),
     };
     let rows: Vec<Row> = found.iter().map(row).collect();
     let checks: Vec<_> = found
@@ -51,10 +51,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         .map(|diagnosis| {
             json!({
                 "name": diagnosis.name,
-                "pass": diagnosis.verdict != Fitness::Unfit,
+                "pass": diagnosis.verdict != Suitability::Unfit,
                 "verdict": diagnosis.verdict,
                 "value": diagnosis.value,
-                "cure": diagnosis.cure,
+                "cure": diagnosis.remedy,
             })
         })
         .collect();
@@ -62,19 +62,19 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     if unfit.is_empty() {
         return Ok(());
     }
-    Err(Failure::failed(format!("this computer is not fit yet: {}", unfit.join(", "))))
+    Err(Failure::failed(format!("this computer is not ready yet: {}", unfit.join(", "))))
 }
 
 fn row(diagnosis: &Diagnosis) -> Row {
     let word = match diagnosis.verdict {
-        Fitness::Well => "well",
-        Fitness::Advice => "advice",
-        Fitness::Unfit => "UNFIT",
+        Suitability::Well => "well",
+        Suitability::Advice => "advice",
+        Suitability::Unfit => "UNFIT",
     };
     Row {
         name: diagnosis.name.clone(),
         word,
         value: diagnosis.value.clone(),
-        remedy: diagnosis.cure.clone().map(|cure| ("cure:", cure)),
+        remedy: diagnosis.remedy.clone().map(|remedy| ("remedy:", remedy)),
     }
 }

@@ -18,7 +18,7 @@ use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Usb
 #[command(after_help = "Examples:\n  \
     qube-hil emulate --link /tmp/qube &\n  \
     qube-hil run --device /tmp/qube --policy classical\n  \
-    qube-hil emulate --profile lab --gap 1.5 # half again as far from the nominal Qube as a real one\n  \
+    qube-hil emulate --profile lab --gap 1.5 # 1.5 times as far from the nominal Qube as a real one\n  \
     qube-hil emulate --fault silent@10       # stops answering after 10 s")]
 pub struct Arguments {
     /// Path of a symbolic link to the pty, for a name that is known in advance

@@ -3,7 +3,7 @@ use std::sync::Arc;
 
 use super::exit::Failure;
 use super::failures;
-use super::printable::tell;
+use super::printable::print_message;
 use super::service_manager;
 use super::stop::Stop;
 use crate::jobs::folder::{JobFolder, Terms};
@@ -16,7 +16,7 @@ use crate::storage::MachineDisk;
 #[command(next_help_heading = "Where policies are trained")]
 pub struct ExecutorArguments {
     /// Where policies are trained: `local` on this computer; `slurm` by job arrays of Slurm; `folder` by workers that
-    /// somebody starts by hand; any other text is a command that starts workers, in which {work} stands for a worker's
+    /// you start by hand; any other text is a command that starts workers, in which {work} stands for a worker's
     /// command, {workers} for their number and {folder} for the folder of jobs. Policies do not depend on it
     #[arg(long, value_name = "local|slurm|folder|COMMAND", default_value = "local")]
     executor: String,
@@ -119,10 +119,10 @@ impl ExecutorArguments {
             _ => command,
         };
         if starter.is_none() {
-            tell(&format!("start workers by hand: qube-hil work {}", root.display()));
+            print_message(&format!("start workers by hand: qube-hil work {}", root.display()));
         }
         let leave = self.leave_workers;
         let executor = FolderExecutor::new(folder, starter, self.workers, leave, &stop.flag);
-        Ok(Some(Arc::new(executor.map_err(failed)?.telling(service_manager::alive))))
+        Ok(Some(Arc::new(executor.map_err(failed)?.while_waiting(service_manager::alive))))
     }
 }

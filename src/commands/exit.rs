@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::command_hints::after_fault;
-use super::printable::{tell, with_short_numbers};
+use super::printable::{print_message, with_short_numbers};
 use crate::telemetry::Fault;
 
 /// The failure of a command: its exit code, and a sentence for the user.
@@ -96,7 +96,7 @@ impl Failure {
 
     /// Prints the message and returns the exit code.
     pub fn report(&self) -> u8 {
-        tell(&format!("qube-hil: {}", with_short_numbers(&self.message)));
+        print_message(&format!("qube-hil: {}", with_short_numbers(&self.message)));
         self.code
     }
 }

@@ -22,7 +22,7 @@ use super::named_values::{named, presets};
 use super::number_arguments::seed_in_toml;
 use super::output::Output;
 use super::plant_arguments::PlantArguments;
-use super::printable::tell;
+use super::printable::print_message;
 use super::report;
 use super::screen::{Screen, ScreenArgument};
 use super::stop::Stop;
@@ -52,16 +52,16 @@ use crate::simulation::{Family, Model, SensorModel};
 /// and uses a filter of 200 rad/s.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    qube-hil experiment --profile lab              # the thesis's table, on a real gap\n  \
+    qube-hil experiment --profile lab              # the thesis's table, on a Qube with friction, cable and delay\n  \
     qube-hil experiment --profile lab --models nominal --preset thesis --out logs/t\n  \
     qube-hil experiment --resume logs/t\n  \
-    qube-hil experiment --resume logs/t --table    # what is finished so far\n  \
+    qube-hil experiment --resume logs/t --table    # the finished work\n  \
     qube-hil experiment --recipe mine.toml --plants plants.toml --policies 5\n  \
     qube-hil experiment --profile lab --strategies bayrn,identify --filter 200\n\n\
     A recipe file:\n  \
     name = \"slow-filter\"\n  \
     model = \"nominal\"          # or any of --models\n  \
-    [settings.estimator]       # what differs from the flags, as in session.toml\n  \
+    [settings.estimator]       # entries that differ from the flags, as in session.toml\n  \
     corner_rad_s = 20.0")]
 pub struct Arguments {
     /// Models, separated by commas [default: the thesis's five, or none with --recipe]
@@ -134,7 +134,7 @@ pub struct Arguments {
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
 
-    /// Also write a CSV file with a line for each policy, or recommendation; unasked it replaces such a file only
+    /// Also write a CSV file with a line for each policy, or recommendation; without --force it replaces only such a file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 
@@ -227,7 +227,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     let stop = Stop::on_signals()?;
     let resume = format!("qube-hil experiment --resume {}", folder.root().display());
-    tell(&format!("experiment in {}", folder.root().display()));
+    print_message(&format!("experiment in {}", folder.root().display()));
 
     let first = &settings.recipes[0].settings;
     let rig = RigSettings {
@@ -243,7 +243,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(warning) = unidentified(&rig, first.safety_box.guard)
         && !arguments.table
     {
-        tell(&format!("warning: {warning}"));
+        print_message(&format!("warning: {warning}"));
     }
     let live = match arguments.table {
         true => Live::default(),
@@ -263,7 +263,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         state.has_rollouts = is_hardware;
         state.can_pause = is_hardware;
         if !is_hardware {
-            state.stop_effect = "finished work is kept, and --resume goes on";
+            state.stop_effect = "finished work is kept, and --resume continues";
         }
     });
     let screens = screen.viewer().filter(|_| is_hardware);
@@ -281,9 +281,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut ended = Ok(());
     if !arguments.table {
         ended = experiment
-            .run(&|news| {
-                progress.tell(&news);
-                live.experiment(&news);
+            .run(&|event| {
+                progress.update(&event);
+                live.experiment(&event);
             })
             .map_err(failed);
     }
@@ -304,7 +304,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let page = report::write_into_experiment(&report, &experiment);
     match &page {
         Ok(path) => text.push_str(&format!("\na page for a browser: {}", path.display())),
-        Err(reason) => tell(&format!("warning: no report was written: {reason}")),
+        Err(reason) => print_message(&format!("warning: no report was written: {reason}")),
     }
     result["report"] = json!(page.ok().map(|path| path.to_string_lossy().into_owned()));
     if ended.is_err() {
@@ -469,13 +469,13 @@ fn resumed(
 ) -> Result<Opened, Failure> {
     if arguments.plants.describe_qube(&device.plant)? {
         return Err(Failure::usage(
-            "an experiment goes on with the emulated Qubes that it began with: leave --profile, --gap, --delay-ms, \
+            "an experiment keeps the emulated Qubes that it began with: leave --profile, --gap, --delay-ms, \
              --jitter-ms, --cable-drift, --play-deg, --effect and --scale out",
         ));
     }
     if arguments.estimator.settings(&device.plant)?.is_some() {
         return Err(Failure::usage(
-            "an experiment goes on with the estimator that it began with: leave --estimator, --filter, \
+            "an experiment keeps the estimator that it began with: leave --estimator, --filter, \
              --estimator-profile and --estimator-delay-ms out",
         ));
     }
@@ -484,7 +484,7 @@ fn resumed(
         if arguments.table { ExperimentSettings::load } else { ExperimentSettings::load_to_resume };
     let settings = load(&folder.settings()).map_err(|error| match error {
         ExperimentError::NotResumable { .. } => {
-            Failure::usage(format!("{error}; --table shows what is finished"))
+            Failure::usage(format!("{error}; --table shows the finished work"))
         }
         error => Failure::usage(error),
     })?;
@@ -492,12 +492,12 @@ fn resumed(
         |guard| settings.recipes.iter().all(|it| it.settings.safety_box.guard != guard);
     if arguments.guard.is_some_and(|guard| of_another(Guard::from(guard))) {
         return Err(Failure::usage(
-            "an experiment goes on with the guards that it began with: leave --guard out",
+            "an experiment keeps the guards that it began with: leave --guard out",
         ));
     }
     if device.plant_is_given && device.plant != *settings.plant() {
         return Err(Failure::usage(format!(
-            "an experiment goes on with the plant that it began with, {}: leave --plant out",
+            "an experiment keeps the plant that it began with, {}: leave --plant out",
             settings.plant().name
         )));
     }

@@ -32,7 +32,7 @@ pub struct ExperimentProgress {
 impl ExperimentProgress {
     /// A display for an experiment of this extent.
     pub fn new(settings: &ExperimentSettings, progress: &Progress, stop: &Stop) -> Self {
-        let (count, what) = match &settings.strategies {
+        let (count, item) = match &settings.strategies {
             Some(it) if it.has_budgets() => {
                 let rows = settings.plants.len() * it.methods.len() * it.budgets.len();
                 (rows as u64 * u64::from(it.repetitions), "scores")
@@ -44,7 +44,7 @@ impl ExperimentProgress {
             }
         };
         progress.update(|state| {
-            state.work = format!("{count} {what}");
+            state.work = format!("{count} {item}");
             state.phase = "training and rollouts".into();
             state.done = Some((0, count));
         });
@@ -62,8 +62,8 @@ impl ExperimentProgress {
     }
 
     /// Shows one event.
-    pub fn tell(&self, news: &ExperimentEvent) {
-        match news {
+    pub fn update(&self, event: &ExperimentEvent) {
+        match event {
             ExperimentEvent::Search { name, progress } => self.searching(name, progress),
             ExperimentEvent::Training { recipe, policy, training, update } => {
                 self.training((recipe, "policy", *policy, *training), update);
@@ -85,26 +85,26 @@ impl ExperimentProgress {
                     .collect();
                 let returns: Vec<f64> = results.iter().filter_map(|it| it.return_).collect();
                 let kinds = kinds.join(", ");
-                let told = if returns.is_empty() {
+                let outcome = if returns.is_empty() {
                     "no return".to_owned()
                 } else {
                     let mean = returns.iter().sum::<f64>() / returns.len() as f64;
                     self.better(mean, &format!("{recipe}, policy {policy} on {plant}"));
                     format!("mean return {mean:.0}")
                 };
-                self.line(format!("{recipe} {policy} on {plant}: {told}; {kinds}"));
-                self.one_more();
+                self.line(format!("{recipe} {policy} on {plant}: {outcome}; {kinds}"));
+                self.count_finished();
                 self.progress.wait_while_paused(&self.stop);
             }
             ExperimentEvent::Scored { repetition, recommendation } => {
                 self.scored(repetition, recommendation);
             }
-            ExperimentEvent::Over { .. } | ExperimentEvent::NotScored => self.one_more(),
+            ExperimentEvent::Over { .. } | ExperimentEvent::NotScored => self.count_finished(),
         }
     }
 
     /// Counts one more finished piece of work.
-    fn one_more(&self) {
+    fn count_finished(&self) {
         self.done.fetch_add(1, Ordering::Relaxed);
         self.progress.update(|state| self.expect_end(state));
     }
@@ -126,11 +126,11 @@ impl ExperimentProgress {
     /// Shows an update of a training. `of` holds the recipe or search, `policy` or `candidate` with
     /// its number, and the number of the training.
     fn training(&self, of: (&str, &str, u32, u32), update: &TrainUpdate) {
-        let (group, what, number, training) = of;
+        let (group, item, number, training) = of;
         let recipe = group.strip_suffix(SEARCH).unwrap_or(group);
         let updates = *self.updates.0.get(recipe).unwrap_or(&self.updates.1);
         let again = if training > 0 { format!(", training {training}") } else { String::new() };
-        let name = format!("{recipe}: {what} {number}{again}");
+        let name = format!("{recipe}: {item} {number}{again}");
         self.progress.update(|state| {
             let key = (group.to_owned(), number, training);
             state.add_update(key, &name, updates, update.mean_return);
@@ -150,13 +150,13 @@ impl ExperimentProgress {
         let mut best = self.best.lock().unwrap_or_else(PoisonError::into_inner);
         if mean.is_finite() && best.is_none_or(|best| mean > best) {
             *best = Some(mean);
-            let told = format!("best so far: {of} with a mean return of {mean:.0}");
-            self.progress.update(|state| state.best = told);
+            let outcome = format!("best so far: {of} with a mean return of {mean:.0}");
+            self.progress.update(|state| state.best = outcome);
         }
     }
 
     fn scored(&self, repetition: &Repetition, recommendation: &RecommendationResult) {
-        let what = match &recommendation.score {
+        let item = match &recommendation.score {
             Ok(Score { balanced, ran }) => {
                 let word = if recommendation.succeeds { "succeeds" } else { "does not succeed" };
                 format!("the recommendation {word}, {balanced} of {ran} scored rollouts balanced")
@@ -164,7 +164,7 @@ impl ExperimentProgress {
             Err(reason) => format!("no recommendation: {reason}"),
         };
         let rollouts = recommendation.real_rollouts;
-        self.line(format!("{}, {rollouts} real rollouts: {what}", repetition.name()));
+        self.line(format!("{}, {rollouts} real rollouts: {item}", repetition.name()));
     }
 
     fn searching(&self, name: &str, progress: &SessionEvent) {
@@ -188,10 +188,10 @@ impl ExperimentProgress {
             | SessionEvent::Drift { .. }
             | SessionEvent::RigTakenOut { .. }
             | SessionEvent::Identified { .. }
-            | SessionEvent::ExcitesAgain(_)
+            | SessionEvent::ExcitationRepeated(_)
             | SessionEvent::NotIdentified(_)
             | SessionEvent::NotUpdated(_)
-            | SessionEvent::GoesOn { .. }
+            | SessionEvent::SearchContinues { .. }
             | SessionEvent::SearchEnded { .. }
             | SessionEvent::EndedEarly(_) => {}
         }

@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::exit::Failure;
 use super::{experiment_table, failures, strategy_table};
 use crate::charts::{
-    DrawingError, ShareOfPlant, StepLine, budgets_svg, densities_svg, searches_svg, strategies_svg,
+    DrawingError, ShareOfPlant, StepLine, budgets_svg, densities_svg, methods_svg, searches_svg,
     training_progress_svg,
 };
 use crate::experiment::{
@@ -193,7 +193,7 @@ impl Figures<'_> {
                 let lines: Vec<StepLine> = results.strategies.iter().map(line).collect();
                 let budgets = results.strategies.iter().filter_map(StrategyResult::budget);
                 let last = f64::from(budgets.max().unwrap_or(1).max(2));
-                drawn.push(("strategies.svg", strategies_svg(&title, &lines, last)?));
+                drawn.push(("strategies.svg", methods_svg(&title, &lines, last)?));
             }
             Self::Budgets(shares) => {
                 drawn

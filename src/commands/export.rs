@@ -16,9 +16,9 @@ use crate::storage::{Disk, MachineDisk};
 /// Write recordings as tables (CSV or Parquet), or policies as ONNX models
 ///
 /// A table has one row for each tick, in numbers that read back exactly; docs/reference/files.md lists the columns. The
-/// estimated state and the voltage have the names that `identify` and `replay --simulate` read. Exit code 3 when a
+/// estimated state and the voltage have the column names that `identify` and `replay --simulate` read. Exit code 3 when a
 /// recording was truncated: the table then has its intact ticks. A model has the network from the observation to the
-/// voltage, and says in its metadata what stands before and after it; `import` gives the same policy again.
+/// voltage, and its metadata describe the computations before and after the network; `import` gives the same policy again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil export logs/monday/candidates/002/*.mcap --out tables\n  \
@@ -164,8 +164,8 @@ mod tests {
     #[test]
     fn the_name_of_a_table_is_no_folder() {
         for (name, format) in [("x.parquet", "--format parquet"), ("logs/x.CSV", "--format csv")] {
-            let told = folder(name).unwrap_err();
-            assert!(told.contains(format), "{told}");
+            let message = folder(name).unwrap_err();
+            assert!(message.contains(format), "{message}");
         }
         for name in ["tables", "logs/2.5", "../csv"] {
             assert_eq!(folder(name).unwrap(), Path::new(name));

@@ -40,7 +40,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::Emulator(_) | RigError::Thread(_) => Failure::failed(error),
         RigError::TooSlow(_) => Failure::failed(format!("{error}; see qube-hil doctor")),
         RigError::CheckFailed { .. } => Failure::failed(format!(
-            "{error}\nSee the whole table with qube-hil check; --skip-check goes on all the same"
+            "{error}\nqube-hil check shows the whole table; --skip-check continues without the check"
         )),
         RigError::VirtualPort { .. } => {
             Failure::usage(format!("{error}: leave --clock virtual or the port out"))
@@ -77,8 +77,8 @@ pub fn with_last_ticks(error: &RigError) -> String {
     let text: String = lines.collect();
     let written = File::create_new(&path).and_then(|mut file| file.write_all(text.as_bytes()));
     match written {
-        Ok(()) => format!(" The second before it is in {}", path.display()),
-        Err(reason) => format!(" The second before it could not be kept: {reason}"),
+        Ok(()) => format!(" The last second before it is in {}", path.display()),
+        Err(reason) => format!(" The last second before it could not be kept: {reason}"),
     }
 }
 
@@ -102,7 +102,7 @@ pub fn policy(error: &PolicyError) -> Failure {
 pub fn folder(error: &FolderError) -> Failure {
     let advice = match error {
         FolderError::Exists { path } => format!(
-            ". Choose another --out, or, if it is a session, go on with it by --resume {}",
+            ". Choose another --out, or continue a session with --resume {}",
             path.display()
         ),
         FolderError::NotASession { .. } => ". Give the folder of a session to --resume".into(),
@@ -140,16 +140,16 @@ fn is_bad_place(error: &io::Error) -> bool {
 pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     let fault = error.fault();
     let failure = match error {
-        SessionError::Stopped => stop.failure(format!("stopped; go on with {resume}")),
-        _ if stop.requested() => stop.failure(format!("stopped ({error}); go on with {resume}")),
+        SessionError::Stopped => stop.failure(format!("stopped; continue with {resume}")),
+        _ if stop.requested() => stop.failure(format!("stopped ({error}); continue with {resume}")),
         SessionError::GivenUp { .. } => {
-            Failure::fault(format!("{error}, then go on with {resume}"))
+            Failure::fault(format!("{error}, then continue with {resume}"))
         }
         SessionError::InDoubt { .. } => Failure::fault(format!("{error}: {resume} --acknowledge")),
         SessionError::NotStartedAgain { ref source, .. } => {
-            let (what, last_ticks) = (error.to_string(), with_last_ticks(source));
-            let what = what.trim_end_matches('.');
-            Failure::fault(format!("{what}. Then go on with {resume}.{last_ticks}"))
+            let (message, last_ticks) = (error.to_string(), with_last_ticks(source));
+            let message = message.trim_end_matches('.');
+            Failure::fault(format!("{message}. Then continue with {resume}.{last_ticks}"))
         }
         // `rig` adds the fault, and a command that helps.
         SessionError::Rig(error) => return rig(error, stop),
@@ -173,8 +173,8 @@ fn job(error: JobError, stop: &Stop) -> Failure {
         JobError::Start(ref start) => match start.as_ref() {
             StartError::NoProgram { .. }
             | StartError::Refused { .. }
-            | StartError::Fruitless { .. }
-            | StartError::InVain { .. }
+            | StartError::NoWorkerAppeared { .. }
+            | StartError::NoResult { .. }
             | StartError::WorkersRefuse { .. } => Failure::usage(error),
             StartError::Silent { .. } | StartError::Command(_) => Failure::failed(error),
         },
@@ -197,8 +197,8 @@ pub fn job_folder(error: &JobFolderError, stop: &Stop) -> Failure {
 /// The failure for an error of an experiment.
 pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure {
     match error {
-        _ if error.is_stop() => stop.failure(format!("stopped; go on with {resume}")),
-        _ if stop.requested() => stop.failure(format!("stopped ({error}); go on with {resume}")),
+        _ if error.is_stop() => stop.failure(format!("stopped; continue with {resume}")),
+        _ if stop.requested() => stop.failure(format!("stopped ({error}); continue with {resume}")),
         ExperimentError::Search { source, .. } => session(*source, stop, resume),
         ExperimentError::Session(error) => session(error, stop, resume),
         ExperimentError::Curve { .. }

@@ -2,7 +2,7 @@ use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 
 use super::exit::Failure;
-use super::words_gone::names_but;
+use super::retired_names::names_and_retired;
 use crate::safety::{Guard, GuardConsent};
 
 /// The guard in the spelling of the command line.
@@ -17,7 +17,7 @@ pub enum GuardArgument {
 
 /// The parser of `--guard`.
 pub fn guard_parser() -> impl TypedValueParser<Value = GuardArgument> {
-    names_but("envelope", "it serves only to replay old recordings; use foresight")
+    names_and_retired("envelope", "it is only for replays of old recordings; use foresight")
 }
 
 impl From<GuardArgument> for Guard {
@@ -31,9 +31,9 @@ impl From<GuardArgument> for Guard {
 
 /// The second of the two arguments that switch the guard off on a real Qube.
 #[derive(Clone, Copy, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct ConsentArgument {
-    /// With --guard box on a real Qube: accept that the arm may reach its hard stop; the recordings say so
+    /// With --guard box on a real Qube: accept that the arm may reach its hard stop; the recordings note it
     #[arg(long)]
     accept_hard_stop: bool,
 }
@@ -43,8 +43,8 @@ impl ConsentArgument {
     pub fn beside(self, guard: Option<GuardArgument>) -> Result<Option<GuardConsent>, Failure> {
         if self.accept_hard_stop && guard != Some(GuardArgument::Box) {
             return Err(Failure::usage(
-                "--accept-hard-stop says that the arm may reach its hard stop, which only --guard box \
-                 lets it: give both or neither",
+                "--accept-hard-stop accepts that the arm may reach its hard stop, which only --guard box \
+                 allows: give both or neither",
             ));
         }
         Ok(GuardConsent::given(guard.map(Guard::from), self.accept_hard_stop))

@@ -9,7 +9,7 @@ use super::destination::{OutputFile, OutputFolder};
 use super::exit::Failure;
 use super::output::Output;
 use super::plant_file::PlantArgument;
-use super::printable::tell;
+use super::printable::print_message;
 use super::profile;
 use crate::charts::motion_svg;
 use crate::identification::{
@@ -26,10 +26,10 @@ const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 /// Identify the Qube, or another plant, that made recordings: parameters, friction, dead zone, cable and delay
 ///
 /// `run --excite chirp` and `--excite steps` make such recordings; swing-ups, balancing and rollouts of policies
-/// serve as well, in any mixture. Recordings name their plant, and all have to be of one. The result is a profile: `train`, `run`, `session`,
+/// can be used as well, in any mixture. Recordings name their plant, and all must be of the same plant. The result is a profile: `train`, `run`, `session`,
 /// `emulate` and `replay` read it with --profile. Verify it with recordings that it was not fitted to
-/// (--holdout): for each, the start state is estimated from the first 0.2 s, and the model then gets the
-/// voltages only. The cable rests as in the fitted recordings of its series, whose names differ in the last number
+/// (--holdout): for each, the start state is estimated from the first 0.2 s, and the model then receives only
+/// the voltages. The cable rests as in the fitted recordings of its series, whose names differ in the last number
 /// only. A recording whose pendulum comes upright is predicted piece by piece: 0.5 s of its swing, 0.1 s
 /// of its balance.
 #[derive(Debug, clap::Args)]
@@ -88,15 +88,15 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut incomplete = Vec::new();
     let fitted = read(&arguments.files, &mut plant, &mut incomplete)?;
     let held_out = read(&arguments.holdout, &mut plant, &mut incomplete)?;
-    if let Some(twice) = twice(arguments.files.iter().chain(&arguments.holdout)) {
-        let shown = twice.display();
+    if let Some(duplicate) = duplicate(arguments.files.iter().chain(&arguments.holdout)) {
+        let shown = duplicate.display();
         return Err(Failure::usage(format!(
             "{shown} is named twice: the same data would count as new evidence. Name each recording once"
         )));
     }
     if !incomplete.is_empty() {
         let parts: Vec<String> = incomplete.iter().map(IncompleteRecording::words).collect();
-        tell(&format!("warning: not every recording is complete: {}", parts.join("; ")));
+        print_message(&format!("warning: not every recording is complete: {}", parts.join("; ")));
     }
     let plant = plant.unwrap_or_default();
     let first_guess = match &arguments.from {
@@ -234,7 +234,7 @@ fn read(
 }
 
 /// The first file that is named twice, even if by different paths.
-fn twice<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Option<&'a PathBuf> {
+fn duplicate<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Option<&'a PathBuf> {
     let mut seen = BTreeSet::new();
     files.into_iter().find(|path| {
         let whole = path.canonicalize().unwrap_or_else(|_| PathBuf::from(path));
@@ -258,12 +258,12 @@ fn plot(folder: &Path, path: &Path, log: &MotionLog, model: &QubeModel) -> Resul
 fn table(identified: &Identified) -> String {
     let mut text = format!(
         "{:24} {:>11} {:>11} {:9} {:>13}\n",
-        "quantity", "value", "std. error", "unit", "told by data"
+        "quantity", "value", "std. error", "unit", "from data"
     );
     for estimate in &identified.estimates {
-        let Estimate { unknown, value, standard_error, told_by_data } = *estimate;
-        let mark = if estimate.is_told() { "" } else { "  from the prior" };
-        let percent = 100.0 * told_by_data;
+        let Estimate { unknown, value, standard_error, variance_removed } = *estimate;
+        let mark = if estimate.is_determined() { "" } else { "  from the prior" };
+        let percent = 100.0 * variance_removed;
         let (name, unit) = (unknown.name(), unknown.0.unit());
         let _ = writeln!(
             text,
@@ -271,7 +271,7 @@ fn table(identified: &Identified) -> String {
         );
     }
     if !identified.blind.is_empty() {
-        text += "\nThe recordings cannot tell these combinations (in units of the prior):\n";
+        text += "\nThe recordings do not determine these combinations (in units of the prior):\n";
     }
     for direction in &identified.blind {
         let _ = writeln!(text, "  {}", combination(direction));
@@ -280,7 +280,7 @@ fn table(identified: &Identified) -> String {
 }
 
 /// Absolute correlation from which two estimates are listed as hard to tell apart.
-const HARD_TO_TELL: f64 = 0.8;
+const STRONG_CORRELATION: f64 = 0.8;
 
 /// The pairs of estimates that the recordings hardly tell apart.
 fn correlated(identified: &Identified) -> String {
@@ -288,7 +288,7 @@ fn correlated(identified: &Identified) -> String {
     let name = |index: usize| identified.estimates[index].unknown.name();
     for (one, row) in identified.correlations.iter().enumerate() {
         for (other, &correlation) in row[..one].iter().enumerate() {
-            if correlation.abs() >= HARD_TO_TELL {
+            if correlation.abs() >= STRONG_CORRELATION {
                 let also = if correlation > 0.0 { "more" } else { "less" };
                 let _ = writeln!(
                     text,
@@ -299,7 +299,7 @@ fn correlated(identified: &Identified) -> String {
             }
         }
     }
-    if text.is_empty() { text } else { format!("\nHard to tell apart (correlation):\n{text}") }
+    if text.is_empty() { text } else { format!("\nStrongly correlated estimates:\n{text}") }
 }
 
 /// The cable's rest angle in each recording; empty if the angle does not scatter between
@@ -327,7 +327,7 @@ fn assessment(identified: &Identified) -> String {
     let doubts = doubts.join("; ");
     let verdict = match tests.verdict {
         ModelVerdict::Fits => "The model describes this Qube.".to_owned(),
-        ModelVerdict::FitsBut => format!("The model describes this Qube but for {doubts}."),
+        ModelVerdict::FitsBut => format!("The model describes this Qube except for {doubts}."),
         ModelVerdict::DoesNotFit => format!("The model does not describe this Qube: {doubts}."),
     };
     let widened = if identified.inflation > 1.05 {
@@ -416,7 +416,7 @@ fn result(
             "name": estimate.unknown.name(),
             "value": estimate.value,
             "standard_error": estimate.standard_error,
-            "told_by_data": estimate.told_by_data,
+            "told_by_data": estimate.variance_removed,
         })
     };
     let horizon = |error: &HorizonError| {

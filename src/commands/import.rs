@@ -8,15 +8,17 @@ use super::number_arguments::between;
 use super::output::Output;
 use crate::estimation::EstimatorSettings;
 use crate::policy::Policy;
-use crate::policy::onnx::{ForeignConventions, ImportError, MAX_FILE_BYTES, Sight, from_onnx};
+use crate::policy::onnx::{
+    ForeignConventions, ImportError, MAX_FILE_BYTES, ObservationLayout, from_onnx,
+};
 use crate::qube::MAX_HISTORY;
 use crate::storage::read_bounded;
 
-/// Import a policy from an ONNX file: that of another program, or one that `export --onnx` wrote
+/// Import a policy from an ONNX file of another program, or from a file that `export --onnx` wrote
 ///
-/// The network is a multilayer perceptron with one output: Gemm or MatMul and Add, Tanh, Relu, Elu or Silu, and Tanh
-/// at the end or nothing. Constants before the first layer (a normalisation, and Clip) become a part of it. Everything
-/// else is refused by name. A file that `export --onnx` wrote names its conventions and needs no option.
+/// The network is a multilayer perceptron with one output: Gemm or MatMul and Add, Tanh, Relu, Elu or Silu, and at
+/// the end Tanh or nothing. Constants before the first layer (a normalisation, and Clip) become a part of it. Any
+/// other operator is refused, by its name. A file that `export --onnx` wrote names its conventions and needs no option.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil import model.onnx --action-scale 5 --out mine.safetensors\n  \
@@ -29,16 +31,16 @@ pub struct Arguments {
     #[arg(value_name = "FILE")]
     file: PathBuf,
 
-    /// Voltage for an output of 1, V; a negative one turns the sign. The program never guesses it: only a file that
-    /// `export --onnx` wrote goes without
+    /// Voltage for an output of 1, V; a negative value reverses the sign. Required, except for a file that `export --onnx`
+    /// wrote
     #[arg(long, value_name = "V", value_parser = scale)]
     action_scale: Option<f64>,
 
     /// Entries of the observation in the network's order, each with or without a factor (0.1*theta_dot): sin_theta,
     /// cos_theta, sin_alpha, cos_alpha, theta_dot, alpha_dot (rad/s), command_1 to command_4 (the newest first, as
     /// fractions of 5 V). alpha is 0 where the pendulum hangs [default: this program's own observation]
-    #[arg(long, value_name = "NAMES", value_parser = Sight::parse, conflicts_with = "history", requires = "action_scale")]
-    observation: Option<Sight>,
+    #[arg(long, value_name = "NAMES", value_parser = ObservationLayout::parse, conflicts_with = "history", requires = "action_scale")]
+    observation: Option<ObservationLayout>,
 
     /// Number of last commands in this program's own observation, 0 to 4 [default: 0]
     #[arg(
@@ -76,9 +78,9 @@ impl Arguments {
     /// The conventions of a foreign file, from the options; `None` without `--action-scale`, for a
     /// file that names its own.
     fn foreign(&self) -> Option<ForeignConventions> {
-        let own = || Sight::own(self.history.unwrap_or_default().into());
+        let own = || ObservationLayout::own(self.history.unwrap_or_default().into());
         self.action_scale.map(|action_scale_v| ForeignConventions {
-            sight: self.observation.clone().unwrap_or_else(own),
+            layout: self.observation.clone().unwrap_or_else(own),
             action_scale_v: action_scale_v as f32,
             corner_rad_s: self.filter.unwrap_or(EstimatorSettings::default().corner_rad_s),
             clip_observation: self.clip_observation.map(|limit| limit as f32),
@@ -89,11 +91,11 @@ impl Arguments {
 /// Reads the model and writes the policy.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let path = arguments.file.display();
-    let refused = |what: &dyn std::fmt::Display| Failure::usage(format!("{path}: {what}"));
+    let refused = |message: &dyn std::fmt::Display| Failure::usage(format!("{path}: {message}"));
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
     let bytes = read_bounded(&arguments.file, MAX_FILE_BYTES).map_err(|error| {
-        let cure = if error.kind() == std::io::ErrorKind::NotFound { EXPORT_FAILED } else { "" };
-        refused(&format!("cannot be read: {error}{cure}"))
+        let remedy = if error.kind() == std::io::ErrorKind::NotFound { EXPORT_FAILED } else { "" };
+        refused(&format!("cannot be read: {error}{remedy}"))
     })?;
     let policy = from_onnx(&bytes, arguments.foreign().as_ref()).map_err(|error| match error {
         ImportError::NoActionScale => refused(&format!("{error} (--action-scale)")),

@@ -13,14 +13,14 @@ use rustix::stdio::stdin;
 use rustix::termios::isatty;
 use signal_hook::consts::SIGTSTP;
 
-use super::printable::tell;
+use super::printable::print_message;
 use super::screen::Progress;
 use super::stop::Stop;
 use super::terminal;
 use crate::rig::Doubt;
 
 /// Longest wait for a key before the thread checks whether the program was suspended.
-const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
+const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
 /// A reader of single keys from the terminal; dropping it restores the terminal.
 ///
@@ -82,9 +82,9 @@ impl Keyboard {
         let Some(Watched { shared, keys, .. }) = &self.watched else { return false };
         let question = format!(
             "{doubt}\nThe motor is off. Look at the Qube; then press a: it is examined, and driven \
-             again. Any other key ends this."
+             again. Any other key ends the command."
         );
-        tell(&question);
+        print_message(&question);
         self.progress.ask(&question);
         while keys.try_recv().is_ok() {}
         shared.asking.store(true, Ordering::Relaxed);
@@ -159,7 +159,7 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
         let input = stdin();
         let mut ready =
             [PollFd::new(&input, PollFlags::IN), PollFd::new(&shared.wake, PollFlags::IN)];
-        let readable = match poll(&mut ready, Some(&LOOK)) {
+        let readable = match poll(&mut ready, Some(&POLL_INTERVAL)) {
             Ok(_) => ready[0].revents(),
             Err(_) => continue,
         };
@@ -183,7 +183,7 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
                 false => key == b' ',
             };
             if is_stop && !shared.stop.swap(true, Ordering::Relaxed) {
-                tell(&format!("stopping: {}", shared.progress.stop_effect()));
+                print_message(&format!("stopping: {}", shared.progress.stop_effect()));
             }
         }
     }

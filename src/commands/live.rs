@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use super::exit::Failure;
-use super::printable::tell;
+use super::printable::print_message;
 use super::stop::Stop;
 use crate::experiment::ExperimentEvent;
 use crate::live::{LiveError, LiveSettings, LiveView, Status};
@@ -86,8 +86,8 @@ impl LiveArguments {
         let flag = Arc::clone(&stop.flag);
         let stopping = move |peer: SocketAddr| {
             if !flag.swap(true, Ordering::Relaxed) {
-                tell(&format!(
-                    "stopping, as the live view at {} asks: the arm is braked and the state is kept",
+                print_message(&format!(
+                    "stopping at the request of the live view at {}: the arm is braked and the state is kept",
                     peer.ip()
                 ));
             }
@@ -98,8 +98,8 @@ impl LiveArguments {
             }
             LiveError::System(_) => Failure::failed(error),
         })?;
-        tell(&format!("live view: {}", view.url()));
-        view.tell(|status| {
+        print_message(&format!("live view: {}", view.url()));
+        view.update_status(|status| {
             command.clone_into(&mut status.command);
             status.doing = "at the beginning".to_owned();
         });
@@ -127,8 +127,8 @@ impl Live {
     }
 
     /// Shows in words what the command is doing.
-    pub fn doing(&self, what: &str) {
-        self.change(|status| what.clone_into(&mut status.doing));
+    pub fn doing(&self, activity: &str) {
+        self.change(|status| activity.clone_into(&mut status.doing));
     }
 
     /// Shows that rollout number `rollout`, from 0, begins, of `of` rollouts.
@@ -145,17 +145,17 @@ impl Live {
     }
 
     /// Shows one event of a session. `left` is the time until its last candidate is done.
-    pub fn tell(&mut self, news: &SessionEvent, left: Option<Duration>) {
+    pub fn update(&mut self, event: &SessionEvent, left: Option<Duration>) {
         let Some(view) = &self.view else { return };
-        match news {
+        match event {
             SessionEvent::Proposed { candidate, purpose, outlook } => {
                 if *purpose == Purpose::Excitation {
                     self.excitations.push(*candidate);
-                    return view.tell(|status| {
+                    return view.update_status(|status| {
                         "exciting the Qube to identify it".clone_into(&mut status.doing);
                     });
                 }
-                view.tell(|status| {
+                view.update_status(|status| {
                     status.candidate = Some(*candidate);
                     status.of = outlook.total;
                     status.time_left_s = left.map(|left| left.as_secs_f64());
@@ -166,7 +166,7 @@ impl Live {
                     };
                 });
             }
-            SessionEvent::Training { candidate, update, .. } => view.tell(|status| {
+            SessionEvent::Training { candidate, update, .. } => view.update_status(|status| {
                 let (done, mean) = (update.update + 1, update.mean_return);
                 status.time_left_s = left.map(|left| left.as_secs_f64());
                 status.doing = format!(
@@ -174,24 +174,26 @@ impl Live {
                     candidate + 1
                 );
             }),
-            SessionEvent::Trained { candidate, .. } => view.tell(|status| {
+            SessionEvent::Trained { candidate, .. } => view.update_status(|status| {
                 status.doing = format!("candidate {} is trained", candidate + 1);
             }),
-            SessionEvent::Rollout { candidate, rollout, verdict, .. } => view.tell(|status| {
-                status.doing = format!("candidate {}, rollout {}", candidate + 1, rollout + 1);
-                // An excitation is no attempt to balance.
-                if !self.excitations.contains(candidate) {
-                    better(status, verdict.return_());
-                }
-            }),
+            SessionEvent::Rollout { candidate, rollout, verdict, .. } => {
+                view.update_status(|status| {
+                    status.doing = format!("candidate {}, rollout {}", candidate + 1, rollout + 1);
+                    // An excitation is no attempt to balance.
+                    if !self.excitations.contains(candidate) {
+                        better(status, verdict.return_());
+                    }
+                })
+            }
             SessionEvent::Connected { .. } => self.doing("connected; the arm is homed"),
             _ => {}
         }
     }
 
     /// Shows one event of an experiment.
-    pub fn experiment(&self, news: &ExperimentEvent) {
-        match news {
+    pub fn experiment(&self, event: &ExperimentEvent) {
+        match event {
             ExperimentEvent::Search {
                 name,
                 progress: SessionEvent::Proposed { candidate, .. },
@@ -216,7 +218,7 @@ impl Live {
 
     fn change(&self, change: impl FnOnce(&mut Status)) {
         if let Some(view) = &self.view {
-            view.tell(change);
+            view.update_status(change);
         }
     }
 }

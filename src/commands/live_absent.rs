@@ -59,9 +59,9 @@ impl Live {
 
     pub fn returned(&self, _return: Option<f64>) {}
 
-    pub fn experiment(&self, _news: &ExperimentEvent) {}
+    pub fn experiment(&self, _event: &ExperimentEvent) {}
 
-    pub fn tell(&mut self, _news: &SessionEvent, _left: Option<Duration>) {}
+    pub fn update(&mut self, _event: &SessionEvent, _left: Option<Duration>) {}
 }
 
 #[cfg(test)]
@@ -75,7 +75,7 @@ mod tests {
         let asked = LiveArguments { live: Some(String::new()), live_origin: Vec::new() };
         let refused = asked.serve("run", &stop).err().unwrap();
         assert!(refused.is_usage());
-        let told = refused.ended_by()["cause"].to_string();
-        assert!(told.contains("--features live"), "{told}");
+        let message = refused.ended_by()["cause"].to_string();
+        assert!(message.contains("--features live"), "{message}");
     }
 }

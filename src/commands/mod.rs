@@ -47,6 +47,7 @@ mod profile;
 mod recover;
 mod replay;
 mod report;
+mod retired_names;
 mod rig_arguments;
 mod rig_sessions;
 mod run;
@@ -67,7 +68,6 @@ mod toy;
 mod train;
 mod training_pace;
 mod training_progress;
-mod words_gone;
 mod work;
 
 use std::ffi::OsString;
@@ -213,10 +213,10 @@ fn log_to_stderr(verbose: u8) {
         .init();
 }
 
-/// Prints a warning for each real-time right that the system refused, with its cure.
+/// Prints a warning for each real-time right that the system refused, with its remedy.
 fn warn_without_realtime(realtime: &RealtimeReport) {
     for refusal in realtime.refusals() {
-        printable::tell(&format!("warning: {refusal}"));
+        printable::print_message(&format!("warning: {refusal}"));
     }
 }
 

@@ -24,7 +24,7 @@ pub fn presets() -> impl TypedValueParser<Value = Preset> {
     let retired = PossibleValue::new(RETIRED).hide(true);
     PossibleValuesParser::new(offered.chain([retired])).try_map(|given| {
         if given == RETIRED {
-            return Err("this version has robust in its place");
+            return Err("use robust instead");
         }
         Preset::NAMED.into_iter().find(|it| it.name() == given).ok_or("there is no such preset")
     })

@@ -68,7 +68,7 @@ pub fn with_short_numbers(text: &str) -> String {
 /// Prints a message to the user on stderr. A message that cannot be written is lost: neither a full
 /// disk nor a reader that has gone away may end a motion, or change the exit code that names its
 /// fault.
-pub fn tell(text: &str) {
+pub fn print_message(text: &str) {
     let _ = writeln!(std::io::stderr(), "{}", printable(text.trim_end()));
 }
 

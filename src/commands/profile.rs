@@ -19,7 +19,7 @@ pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure>
         IDEAL => Profile::exact(IDEAL, &plant.nominal()),
         "lab" if !plant.name.is_qube() => {
             return Err(Failure::usage(format!(
-                "lab is a Qube and no {}: give ideal, or a profile that identify wrote for this plant",
+                "lab is a Qube, not a {}: give ideal, or a profile that identify wrote for this plant",
                 plant.name
             )));
         }
@@ -47,7 +47,7 @@ pub fn check_plant(name: &str, profile: &Profile, plant: &PlantModel) -> Result<
         return Ok(());
     }
     Err(format!(
-        "{name}: it describes a specimen of the plant {} and this is the plant {}: give a profile of that",
+        "{name}: it describes a specimen of the plant {} and this is the plant {}: give a profile of this plant",
         profile.plant, plant.name
     ))
 }

@@ -40,7 +40,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     match recovered {
         Recovered::WasWhole => {
             output.print(
-                &format!("{path} is whole; nothing was written"),
+                &format!("{path} is complete; nothing was written"),
                 &json!({ "path": arguments.file.to_string_lossy(), "was_whole": true, "recovered": null }),
             );
             Ok(())

@@ -103,26 +103,26 @@ impl Report {
 }
 
 /// Note on a recording under the speed envelope, a guard that this program does not have.
-const ENDING_OF_THE_FILE: &str = "this rollout ran under the speed envelope, a guard that this program does not \
+const ENVELOPE_NOTE: &str = "this rollout ran under the speed envelope, a guard that this program does not \
      have: it is compared up to its first braking tick, and its end is taken from the file";
 
 /// A defect of one file, and the failure that it causes.
 struct Problem {
     failure: fn(String) -> Failure,
-    what: String,
+    message: String,
 }
 
 impl Problem {
-    fn usage(what: impl ToString) -> Self {
-        Self { failure: |what| Failure::usage(what), what: what.to_string() }
+    fn usage(message: impl ToString) -> Self {
+        Self { failure: |message| Failure::usage(message), message: message.to_string() }
     }
 
-    fn failed(what: impl ToString) -> Self {
-        Self { failure: |what| Failure::failed(what), what: what.to_string() }
+    fn failed(message: impl ToString) -> Self {
+        Self { failure: |message| Failure::failed(message), message: message.to_string() }
     }
 
-    fn data_lost(what: impl ToString) -> Self {
-        Self { failure: |what| Failure::data_lost(what), what: what.to_string() }
+    fn data_lost(message: impl ToString) -> Self {
+        Self { failure: |message| Failure::data_lost(message), message: message.to_string() }
     }
 }
 
@@ -153,7 +153,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     for path in &arguments.files {
         let mut report = Report { path: path.clone(), ..Report::default() };
         if let Err(problem) = replay_file(arguments, profile.as_ref(), &mut report) {
-            report.problem = Some(problem.what.clone());
+            report.problem = Some(problem.message.clone());
             problems.push(problem);
         }
         reports.push(report);
@@ -172,7 +172,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         let _ = writeln!(text, "all: {}", rmse_text(rmse));
     }
     output.print(&text, &result);
-    let all: Vec<&str> = problems.iter().map(|problem| problem.what.as_str()).collect();
+    let all: Vec<&str> = problems.iter().map(|problem| problem.message.as_str()).collect();
     match problems.first() {
         Some(first) => Err((first.failure)(all.join("\n"))),
         None => Ok(()),
@@ -188,7 +188,7 @@ fn replay_file(
     let is_csv = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv"));
     if is_csv && !arguments.simulate && arguments.animate.is_none() {
         return Err(Problem::usage(format!(
-            "{}: a table has no policy to run again; add --simulate to lay the simulator beside it, or --animate to see it move",
+            "{}: a table has no policy to run again; add --simulate to compare it with the simulator, or --animate to draw its motion",
             path.display()
         )));
     }
@@ -245,9 +245,9 @@ fn rerun_recording(recording: &Recording, report: &mut Report) -> Result<Option<
     report.actions_different = rerun.actions_different;
     report.not_compared = rerun.not_compared;
     report.foreseen = rerun.foreseen;
-    report.note = rerun.ending_of_the_file.then_some(ENDING_OF_THE_FILE);
+    report.note = rerun.ending_of_the_file.then_some(ENVELOPE_NOTE);
     Ok(findings(recording, &rerun)
-        .map(|what| Problem::data_lost(one_line(&format!("{path}: {what}")))))
+        .map(|message| Problem::data_lost(one_line(&format!("{path}: {message}")))))
 }
 
 /// Describes the defects of a recording, if any.
@@ -255,7 +255,7 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
     if let Some(difference) = &rerun.first_difference {
         let (recorded, recomputed) = (&difference.recorded, &difference.recomputed);
         return Some(format!(
-            "{} of {} actions come out differently, first in tick {}: {} mV were sent, {} mV come out",
+            "{} of {} actions differ, first in tick {}: recorded {} mV, recomputed {} mV",
             rerun.actions_different,
             rerun.actions_compared,
             recorded.tick,
@@ -271,20 +271,19 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
     }
     match (&recording.completeness, &recording.outcome) {
         (Completeness::CutOff { lost_bytes, reason }, _) => Some(format!(
-            "cut off, {lost_bytes} bytes lost ({reason}). `qube-hil recover` makes it whole"
+            "cut off, {lost_bytes} bytes lost ({reason}). `qube-hil recover` saves the intact part"
         )),
         (Completeness::Recovered, None) => {
             Some("recovered; how the rollout ended is not known".to_owned())
         }
-        (_, Some(outcome)) if rerun.ending != Some(outcome.ending) => Some(format!(
-            "it ended with {:?}, and comes out with {:?}",
-            outcome.ending, rerun.ending
-        )),
+        (_, Some(outcome)) if rerun.ending != Some(outcome.ending) => {
+            Some(format!("recorded ending {:?}, recomputed {:?}", outcome.ending, rerun.ending))
+        }
         (_, Some(RolloutOutcome { foreseen: Some(recorded), .. }))
             if rerun.foreseen != Some(*recorded) =>
         {
             Some(format!(
-                "foresight ended it for {recorded:?}, and comes out with {:?}",
+                "recorded prediction of foresight {recorded:?}, recomputed {:?}",
                 rerun.foreseen
             ))
         }
@@ -359,14 +358,14 @@ fn overall(errors: &[Rmse]) -> Option<Rmse> {
 }
 
 fn recording_problem(error: &RecordingError) -> Problem {
-    let what = one_line(&command_hints::recording(error)).into_owned();
-    if is_bad_input(error) { Problem::usage(what) } else { Problem::failed(what) }
+    let message = one_line(&command_hints::recording(error)).into_owned();
+    if is_bad_input(error) { Problem::usage(message) } else { Problem::failed(message) }
 }
 
 /// The failure for an error of a recording.
 pub fn recording_failure(error: &RecordingError) -> Failure {
-    let Problem { failure, what } = recording_problem(error);
-    failure(what)
+    let Problem { failure, message } = recording_problem(error);
+    failure(message)
 }
 
 /// Whether the error lies in the file; a failing disk is not bad input.

@@ -22,11 +22,10 @@ use crate::storage::{MachineDisk, write_whole};
 /// Name of a session's report in its folder.
 const REPORT: &str = "report.html";
 
-/// Write a session, an experiment or recordings as one page for a browser, with figures to zoom and pendulums to play
+/// Write a session, an experiment or recordings as one page for a browser, with figures to zoom and rollouts to play back
 ///
-/// The page is one file that loads nothing: it works from a disk, in a mail, and on paper. That of a session shows
-/// the outcome, what the search did, every rollout beside the simulator, the recommended distribution, the
-/// identification, what the search believes, the trainings, timing, faults, and the commands to repeat it. `session`
+/// The page is one file that loads nothing: it can be opened from a disk, sent by mail, and printed. The page of a
+/// session shows the outcome, the course of the search, every rollout beside the simulator, the recommended distribution, the identification, the surrogate's posterior, the trainings, timing, faults, and the commands to repeat it. `session`
 /// and `experiment` write it at their end.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -63,7 +62,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         [folder] if folders == 1 => {
             if arguments.profile.is_some() {
                 return Err(Failure::usage(
-                    "a session is shown beside the Qube that it identified: leave --profile out, or name its recordings",
+                    "a session is compared with the Qube that it identified: leave --profile out, or give its recordings",
                 ));
             }
             if RigSessions::are_in(folder) {
@@ -135,7 +134,7 @@ fn page_of_experiment(
     let root = quoted(experiment.folder().root().as_os_str());
     let commands = [
         (
-            "Go on, or show the table again:".to_owned(),
+            "Continue, or show the table again:".to_owned(),
             format!("qube-hil experiment --resume {root}"),
         ),
         (
@@ -184,7 +183,7 @@ fn of_recordings(files: &[PathBuf], profile: Option<&str>) -> Result<String, Fai
     }
     let shown: Vec<String> = files.iter().map(|path| quoted(path.as_os_str())).collect();
     let commands = [(
-        "Check that every recorded voltage comes out again:".to_owned(),
+        "Check that the replay reproduces every recorded voltage:".to_owned(),
         format!("qube-hil replay {}", shown.join(" ")),
     )];
     let model = known.map(|(_, known)| known.model());
@@ -211,7 +210,7 @@ fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, Strin
         ));
     }
     let recordings = format!("qube-hil replay {root}/candidates/*/*.mcap");
-    commands.push(("Check that every recorded voltage comes out again:".into(), recordings));
+    commands.push(("Check that the replay reproduces every recorded voltage:".into(), recordings));
     let settings = quoted(paths.configuration().as_os_str());
     let (clock, same) = if source.is_of_computed_time() {
         (" --clock virtual", "Repeat this session; the same program gives the same results:")
@@ -234,14 +233,14 @@ fn quoted(path: &OsStr) -> String {
 }
 
 fn failure(error: ReportError) -> Failure {
-    let told = one_line(&error.to_string()).into_owned();
+    let message = one_line(&error.to_string()).into_owned();
     match error {
         ReportError::NotASession { .. } => {
-            Failure::usage(format!("{told}. Give a session's folder, or recordings"))
+            Failure::usage(format!("{message}. Give a session's folder, or recordings"))
         }
-        ReportError::Configuration(_) => Failure::usage(told),
-        ReportError::Ledger(_) => Failure::data_lost(told),
-        ReportError::Data(_) => Failure::failed(told),
+        ReportError::Configuration(_) => Failure::usage(message),
+        ReportError::Ledger(_) => Failure::data_lost(message),
+        ReportError::Data(_) => Failure::failed(message),
     }
 }
 

@@ -18,7 +18,7 @@ const VARY: f64 = 0.05;
 
 /// The arguments that select the Qubes of a session.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Which Qube")]
+#[command(next_help_heading = "Qube")]
 pub struct RigArguments {
     /// `emulated`, the serial port of a Qube's board, or `hil:CARD@ID` for a Qube with the USB panel through the
     /// vendor's library (`hil`: qube_servo2_usb@0); once for each Qube of several [default: the port in --qube, else
@@ -124,7 +124,7 @@ impl RigArguments {
             let one = QubeArguments::of_one(device, file, self.treatment);
             chosen.push(one.choose_timed(&self.timed_plant)?);
         }
-        refuse_twice(&chosen)?;
+        refuse_duplicates(&chosen)?;
         let in_virtual_time = |it: &&ChosenDevice| it.clock == ClockChoice::Virtual;
         let real = chosen.iter().filter(in_virtual_time).find_map(|it| it.choice.name());
         if let Some(name) = real.filter(|_| count > 1) {
@@ -137,7 +137,7 @@ impl RigArguments {
 }
 
 /// Refuses a port or card that is named twice, a port also by different paths.
-fn refuse_twice(chosen: &[ChosenDevice]) -> Result<(), Failure> {
+fn refuse_duplicates(chosen: &[ChosenDevice]) -> Result<(), Failure> {
     let mut known = BTreeSet::new();
     for device in chosen {
         let Some(name) = device.choice.name() else { continue };

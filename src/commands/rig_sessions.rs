@@ -15,7 +15,7 @@ use super::failures;
 use super::keyboard::Keyboard;
 use super::live::Live;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::rig_arguments::name_of;
 use super::screen::Screen;
 use super::service_manager;
@@ -68,7 +68,7 @@ pub fn run(
     let begins = arguments.resume.is_none();
     let mut place = None;
     let (root, sessions) = match &arguments.resume {
-        Some(root) => (root.clone(), goes_on(arguments, root, &devices)?),
+        Some(root) => (root.clone(), resume_all(arguments, root, &devices)?),
         None => {
             let settings = of_each(arguments, consent, &devices)?;
             for device in &devices {
@@ -82,7 +82,7 @@ pub fn run(
     };
     // The estimators are the same in all sessions, so the first session speaks for all.
     if let Some(difference) = sessions.first().and_then(|(_, it)| session::estimators_differ(it)) {
-        tell(&difference);
+        print_message(&difference);
     }
     let resume = resume_command(&root, &devices);
     let opened = open(arguments, &root, devices, sessions, consent, &resume);
@@ -97,15 +97,15 @@ pub fn run(
     };
 
     let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
-    tell(keyboard.hint());
-    tell(&format!("sessions of {} Qubes in {}", rigs.len(), root.display()));
+    print_message(keyboard.hint());
+    print_message(&format!("sessions of {} Qubes in {}", rigs.len(), root.display()));
     service_manager::ready();
     let ended = run_side_by_side(rigs.iter_mut().map(|rig| {
         let Rig { session, progress, live, .. } = rig;
-        (session, move |news: SessionEvent| {
+        (session, move |event: SessionEvent| {
             service_manager::alive();
-            progress.tell(&news);
-            live.tell(&news, progress.time_left());
+            progress.update(&event);
+            live.update(&event, progress.time_left());
         })
     }));
     service_manager::stopping();
@@ -118,17 +118,17 @@ pub fn run(
         ended.iter().all(|ended| ended.as_ref().is_err_and(Failure::is_usage))
     };
     if none_began && all_refused(&ended) {
-        let failure = together(rigs.into_iter().map(|rig| rig.name()).zip(ended));
+        let failure = joined(rigs.into_iter().map(|rig| rig.name()).zip(ended));
         if begins {
             RigSessions::withdraw(&root);
         }
         return failure;
     }
-    tell_results(rigs, ended, failed, &root, started, output)
+    print_results(rigs, ended, failed, &root, started, output)
 }
 
 /// Prints the results of all sessions; returns one failure for all that failed.
-fn tell_results(
+fn print_results(
     rigs: Vec<Rig>,
     ended: Vec<Result<(), Failure>>,
     failed: impl Fn(SessionError) -> Failure + Copy,
@@ -156,7 +156,7 @@ fn tell_results(
         outcomes.push((rig.name(), ended));
     }
     text.push_str(&summary(&results));
-    let ended = together(outcomes);
+    let ended = joined(outcomes);
     let all = json!({
         "rig_policy": "own",
         "rigs": results,
@@ -187,7 +187,7 @@ fn summary(results: &[Value]) -> String {
 }
 
 /// Joins the failures of all rigs into one; `Ok` if no rig failed.
-fn together(
+fn joined(
     outcomes: impl IntoIterator<Item = (String, Result<(), Failure>)>,
 ) -> Result<(), Failure> {
     let failures: Vec<_> =
@@ -246,7 +246,7 @@ fn begin(
 }
 
 /// Opens the folders of the sessions that are resumed.
-fn goes_on(
+fn resume_all(
     arguments: &Arguments,
     root: &Path,
     devices: &[ChosenDevice],
@@ -283,10 +283,10 @@ fn open(
             session::rig_settings(&mut device, &folder, &settings, consent, arguments.check)?;
         rig_settings.viewers = live.viewer().into_iter().collect();
         for warning in session::warnings(&device, &rig_settings, &settings) {
-            tell(&format!("{name}: warning: {warning}"));
+            print_message(&format!("{name}: warning: {warning}"));
         }
         if rig_settings.checks() {
-            tell(&format!(
+            print_message(&format!(
                 "{name}: first the Qube is checked and homed (--skip-check leaves the check out)"
             ));
         }

@@ -23,7 +23,7 @@ use super::keyboard::Keyboard;
 use super::live::LiveArguments;
 use super::number_arguments::between;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::screen::ScreenArgument;
 use super::stop::Stop;
 use crate::control::HomingMethod;
@@ -36,8 +36,8 @@ use crate::session::RolloutPlan;
 /// Run a policy on the Qube and record it: homing, then for each rollout settling, six seconds of policy,
 /// braking; or excite the Qube for `identify`
 ///
-/// Exit code 0 also when box or guard ended a rollout, which is a result; 4 when a fault ended the last
-/// rollout.
+/// Exit code 0 also if the box or the guard ended a rollout, because such a rollout has a result; 4 if
+/// a fault ended the last rollout.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil run --policy classical              # a swing-up without any training\n  \
@@ -134,7 +134,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let _hold = folder.hold()?;
     folder.check_for_recordings(arguments.rollouts.into())?;
     let directory = folder.path().to_owned();
-    controller.notes.iter().for_each(|note| tell(note));
+    controller.notes.iter().for_each(|note| print_message(note));
     let randomisation = controller.policy.as_ref().and_then(randomisation).map(|it| json!(it));
     let title = format!("qube-hil run: {} in {}", controller.name, directory.display());
     let screen = arguments.screen.open(&title, output, &stop);
@@ -145,21 +145,21 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let keyboard = Keyboard::watch(&stop, &screen.progress());
     // The screen shows its own line of keys.
     if !screen.progress().has_screen() {
-        tell(keyboard.hint());
+        print_message(keyboard.hint());
     }
     if let Some(warning) = device.power_warning() {
-        tell(&format!("warning: {warning}"));
+        print_message(&format!("warning: {warning}"));
     }
     if let Some(warning) = unidentified(&settings, plan.safety_box.guard) {
-        tell(&format!("warning: {warning}"));
+        print_message(&format!("warning: {warning}"));
     }
     if settings.checks() {
-        tell(
+        print_message(
             "checking the Qube: before all else the arm is pushed a little (--skip-check leaves it out)",
         );
     }
     if settings.homing.method == HomingMethod::Stops {
-        tell("homing: before the first rollout the arm looks for its stops");
+        print_message("homing: before the first rollout the arm looks for its stops");
     }
     let plan = RolloutPlan { steps: controller.steps, policy: controller.name.clone(), ..plan };
     let mut results = Results::new(arguments.excite.is_some());

@@ -1,27 +1,27 @@
 //! Notifications to systemd, if systemd has started this program (`Type=notify`, `WatchdogSec=`);
 //! otherwise nothing happens.
 
-use sd_notify::{NotifyState, notify};
+use sd_notify::NotifyState;
 
 /// Reports that the session has begun.
 pub fn ready() {
-    tell(NotifyState::Ready);
+    notify(NotifyState::Ready);
 }
 
 /// Reports that work was finished. The work itself reports, rather than a separate thread, so that
 /// a session that hangs sends no report and systemd restarts it.
 pub fn alive() {
-    tell(NotifyState::Watchdog);
+    notify(NotifyState::Watchdog);
 }
 
 /// Reports that the session is over.
 pub fn stopping() {
-    tell(NotifyState::Stopping);
+    notify(NotifyState::Stopping);
 }
 
-fn tell(state: NotifyState) {
+fn notify(state: NotifyState) {
     // A service manager that does not listen is not a reason to stop.
-    if let Err(error) = notify(&[state]) {
-        tracing::debug!("the service manager could not be told: {error}");
+    if let Err(error) = sd_notify::notify(&[state]) {
+        tracing::debug!("cannot notify the service manager: {error}");
     }
 }

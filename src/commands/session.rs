@@ -17,7 +17,7 @@ use super::keyboard::Keyboard;
 use super::live::LiveArguments;
 use super::number_arguments::seed_in_toml;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::report;
 use super::rig_arguments::RigArguments;
 use super::screen::ScreenArgument;
@@ -34,15 +34,15 @@ use crate::safety::GuardConsent;
 use crate::session::{Session, SessionError, SessionFolder, SessionReport, SessionSettings};
 use crate::simulation::SensorModel;
 
-/// Run the whole method: identify the Qube, search the distribution of simulations whose policies earn most on it
+/// Run the whole method: identify the Qube, and search for the distribution of simulations whose policies have the highest return on it
 ///
 /// First the Qube is excited for ten seconds and identified. Then policies are trained in simulations around the
-/// identified Qube, run on the Qube at 100 Hz, and recorded. A candidate is one psi, which says how far the
-/// simulations spread, where they lie among the identification's errors, and how much lag it missed. The first
-/// candidate takes the Qube as it was identified; where its policy does not succeed, the recordings so far improve
+/// identified Qube, run on the Qube at 100 Hz, and recorded. A candidate is one psi: the spread of the simulations,
+/// their shift along the identification's errors, and a lag in addition to the identified delay. The first
+/// candidate is the Qube as it was identified; if its policy does not succeed, the recordings so far improve
 /// the identification, and a surrogate of the return over psi proposes the next. The best policy is verified, and
 /// the session ends when one more candidate is expected to gain less than 1 %. A Qube that cannot be identified is
-/// searched as an unknown one, as --method bayrn does from the beginning: then psi holds means and standard
+/// treated as an unknown one, as --method bayrn does from the beginning: then psi contains means and standard
 /// deviations of masses and lengths (--config can choose other quantities). Without arguments this runs on an
 /// emulated Qube that differs from the nominal one as a real Qube does, and takes some minutes. --resume continues
 /// an interrupted session without losing or repeating a finished rollout.
@@ -74,8 +74,8 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
     pub(super) preset: Preset,
 
-    /// Method: `identified` excites and identifies the Qube and searches around what is left unknown; `posterior`
-    /// identifies, trains once and searches nothing; `bayrn` searches psi as configured, for an unknown Qube
+    /// Method: `identified` excites and identifies the Qube and searches around it; `posterior`
+    /// identifies, trains once and does not search; `bayrn` searches psi as configured, for an unknown Qube
     /// [default: identified; bayrn with --preset thesis, or a --config without the table identification]
     #[arg(long, value_enum, conflicts_with = "resume")]
     pub(super) method: Option<Method>,
@@ -84,8 +84,8 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "resume")]
     pub(super) candidates: Option<u32>,
 
-    /// Candidates whose returns are awaited when the search proposes another: that one is trained while these run on
-    /// the Qube. With 0 the Qube waits for each training; goes with --method bayrn [default: 0, or as --config says]
+    /// Number of candidates whose returns are still awaited when the search proposes another: the new candidate is trained
+    /// while these run on the Qube. With 0 the Qube waits for each training; for --method bayrn [default: 0, or as --config says]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1000), conflicts_with = "resume")]
     pub(super) pending: Option<u32>,
 
@@ -163,9 +163,9 @@ impl Preset {
 /// How a session comes to its policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Method {
-    /// Identify the Qube, then search around what is left unknown.
+    /// Identify the Qube, then search around it.
     Identified,
-    /// Identify the Qube, train once, and search nothing.
+    /// Identify the Qube and train once, without a search.
     Posterior,
     /// Search psi as configured, for an unknown Qube.
     Bayrn,
@@ -191,7 +191,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     };
     let rig_settings = rig_settings(&mut device, &folder, &settings, consent, arguments.check)?;
     if let Some(difference) = estimators_differ(&settings) {
-        tell(&difference);
+        print_message(&difference);
     }
     let profile = device.profile.as_ref().map(Profile::model);
     let stop = Stop::on_signals()?;
@@ -222,14 +222,14 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let keyboard = Keyboard::watch(&stop, &screen.progress());
     // The screen shows its own line of keys.
     if !screen.progress().has_screen() {
-        tell(keyboard.hint());
+        print_message(keyboard.hint());
     }
-    tell(&format!("session in {}", folder.paths().root().display()));
+    print_message(&format!("session in {}", folder.paths().root().display()));
     for warning in warnings(&device, &rig_settings, &settings) {
-        tell(&format!("warning: {warning}"));
+        print_message(&format!("warning: {warning}"));
     }
     if rig_settings.checks() {
-        tell("first the Qube is checked and homed (--skip-check leaves the check out)");
+        print_message("first the Qube is checked and homed (--skip-check leaves the check out)");
     }
 
     let failed = |error| failures::session(error, &stop, &resume);
@@ -243,10 +243,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     service_manager::ready();
     let ended = loop {
-        let ended = session.run(&mut |news| {
+        let ended = session.run(&mut |event| {
             service_manager::alive();
-            progress.tell(&news);
-            live.tell(&news, progress.time_left());
+            progress.update(&event);
+            live.update(&event, progress.time_left());
         });
         match ended.as_ref().err().and_then(SessionError::doubt) {
             Some(doubt) if keyboard.acknowledges(doubt, &stop) => session.acknowledge(),
@@ -325,7 +325,7 @@ pub fn results(
     let report = report::write_into_session(session.folder().paths().root());
     match &report {
         Ok(path) => text.push_str(&format!("a page for a browser: {}\n", path.display())),
-        Err(reason) => tell(&format!("warning: no report was written: {reason}")),
+        Err(reason) => print_message(&format!("warning: no report was written: {reason}")),
     }
     result["report"] = json!(report.ok().map(|path| path.to_string_lossy().into_owned()));
     Ok((text, result, ended))
@@ -369,11 +369,14 @@ mod tests {
         assert_eq!(estimators_differ(&quick), None);
         assert_eq!(estimators_differ(&quick.clone().seen_through(observer)), None);
         let apart = SessionSettings { estimator: observer, ..quick.clone() };
-        let told = estimators_differ(&apart).unwrap();
-        assert!(told.contains("filter of 200 rad/s") && told.contains("observer"), "{told}");
+        let message = estimators_differ(&apart).unwrap();
+        assert!(
+            message.contains("filter of 200 rad/s") && message.contains("observer"),
+            "{message}"
+        );
         let mut blind = quick;
         blind.training.simulation.sensors = SensorModel::TrueState;
-        let told = estimators_differ(&blind).unwrap();
-        assert!(told.contains("true states"), "{told}");
+        let message = estimators_differ(&blind).unwrap();
+        assert!(message.contains("true states"), "{message}");
     }
 }

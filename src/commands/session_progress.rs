@@ -80,8 +80,8 @@ impl SessionProgress {
     }
 
     /// Shows one event.
-    pub fn tell(&mut self, news: &SessionEvent) {
-        match news {
+    pub fn update(&mut self, event: &SessionEvent) {
+        match event {
             SessionEvent::Proposed { candidate, purpose, outlook } => {
                 let why = match purpose {
                     Purpose::Excitation => "a recording that identifies the Qube",
@@ -150,16 +150,16 @@ impl SessionProgress {
                 self.progress.update(|state| state.phase = "planning".into());
                 self.line(identified(*recordings, doubts));
             }
-            SessionEvent::ExcitesAgain(reason) => {
+            SessionEvent::ExcitationRepeated(reason) => {
                 self.line(format!("{reason}. Another recording is made"));
             }
             SessionEvent::NotIdentified(reason) => self.line(format!(
-                "not identified: {reason}. The search goes on as for an unknown Qube"
+                "not identified: {reason}. The search continues as for an unknown Qube"
             )),
             SessionEvent::NotUpdated(reason) => {
                 self.line(format!("the verification leaves the profile as it is: {reason}"));
             }
-            SessionEvent::GoesOn { expected_gain, smallest_gain } => self.line(format!(
+            SessionEvent::SearchContinues { expected_gain, smallest_gain } => self.line(format!(
                 "one more candidate is expected to gain {expected_gain:.1}; the search ends below {smallest_gain:.1}"
             )),
             SessionEvent::SearchEnded { expected_gain } => self.line(format!(
@@ -167,13 +167,13 @@ impl SessionProgress {
             )),
             SessionEvent::EndedEarly(SessionError::Stopped) => {}
             SessionEvent::EndedEarly(error) => {
-                self.line(format!("its session ends, and the others go on: {error}"));
+                self.line(format!("its session ends, and the others continue: {error}"));
             }
             SessionEvent::Drift { rig, drift: Ok(drift) } => {
                 self.line(of_rig(*rig) + &command_hints::drift(drift));
             }
             SessionEvent::Drift { rig, drift: Err(unfit) } => self.line(format!(
-                "{}the first rollouts say nothing of how the rig is today: {unfit}",
+                "{}the rig's drift cannot be estimated from the first rollouts: {unfit}",
                 of_rig(*rig)
             )),
             SessionEvent::RigTakenOut { rig, reason } => self.line(format!(
@@ -326,7 +326,7 @@ mod tests {
             (1, (vec![400.0], 1)),
             (2, (vec![20.0], 0)),
         ]);
-        let told = "best so far: candidate 1 with a return of 400; 1 of 1 rollouts balance";
-        assert_eq!(best(&candidates), told);
+        let expected = "best so far: candidate 1 with a return of 400; 1 of 1 rollouts balance";
+        assert_eq!(best(&candidates), expected);
     }
 }

@@ -153,13 +153,13 @@ pub fn reopened(
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     if arguments.emulated.settings(&device.plant)?.is_some() {
         return Err(Failure::usage(
-            "a session goes on with the emulated Qube that it began with: leave --profile, \
+            "a session keeps the emulated Qube that it began with: leave --profile, \
              --gap, --delay-ms, --jitter-ms, --cable-drift and --scale out",
         ));
     }
     if arguments.estimator.settings(&device.plant)?.is_some() {
         return Err(Failure::usage(
-            "a session goes on with the estimator that it began with: leave --estimator, \
+            "a session keeps the estimator that it began with: leave --estimator, \
              --filter, --estimator-profile and --estimator-delay-ms out",
         ));
     }
@@ -168,12 +168,12 @@ pub fn reopened(
         SessionSettings::load(&folder.paths().configuration()).map_err(Failure::usage)?;
     if arguments.guard.is_some_and(|guard| Guard::from(guard) != settings.safety_box.guard) {
         return Err(Failure::usage(
-            "a session goes on with the guard that it began with: leave --guard out",
+            "a session keeps the guard that it began with: leave --guard out",
         ));
     }
     if device.plant_is_given && device.plant != *settings.plant() {
         return Err(Failure::usage(format!(
-            "a session goes on with the plant that it began with, {}: leave --plant out",
+            "a session keeps the plant that it began with, {}: leave --plant out",
             settings.plant().name
         )));
     }

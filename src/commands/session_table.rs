@@ -19,8 +19,8 @@ impl SessionTable {
     pub fn check_best_policy(&self) -> Result<(), Failure> {
         let checked = self.0.best.as_ref().map_or(Ok(()), BestPolicy::check);
         checked.map_err(|error| {
-            let told = one_line(&error.to_string()).into_owned();
-            Failure::data_lost(format!("the best policy is lost: {told}"))
+            let message = one_line(&error.to_string()).into_owned();
+            Failure::data_lost(format!("the best policy is lost: {message}"))
         })
     }
 
@@ -66,8 +66,10 @@ impl SessionTable {
             let scored = &report.candidates[*candidate];
             let candidate = &scored.candidate;
             let whose = match candidate.purpose {
-                Purpose::Incumbent => format!("that of candidate {}", report.incumbent(candidate)),
-                _ => "that of the search's recommendation".into(),
+                Purpose::Incumbent => {
+                    format!("the policy of candidate {}", report.incumbent(candidate))
+                }
+                _ => "the policy of the recommended psi".into(),
             };
             let _ = writeln!(
                 text,
@@ -146,9 +148,9 @@ impl SessionTable {
             }
             Identification::Found { recordings, doubts, .. } => {
                 let profile = report.directory.join(format!("profile-{recordings}.toml"));
-                let told = identified(*recordings, doubts);
+                let message = identified(*recordings, doubts);
                 format!(
-                    "\n{told}\nits profile, with the errors of its values: {}\n",
+                    "\n{message}\nits profile, with the errors of its values: {}\n",
                     profile.display()
                 )
             }

@@ -48,7 +48,7 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
     };
     if RigSessions::are_in(root) {
         let known = RigSessions::load(root).map_err(Failure::usage)?.devices;
-        let devices = devices_again(arguments, root, &known)?;
+        let devices = devices_to_resume(arguments, root, &known)?;
         return Ok(Some(SeveralRigs { policy: RigPolicy::Own, devices }));
     }
     // With a single Qube the session itself reports what is wrong with its folder.
@@ -64,7 +64,7 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
         return Ok(None);
     }
     let known: Vec<String> = shared.into_iter().map(|rig| rig.device).collect();
-    let devices = devices_again(arguments, root, &known)?;
+    let devices = devices_to_resume(arguments, root, &known)?;
     Ok(Some(SeveralRigs { policy: RigPolicy::Shared, devices }))
 }
 
@@ -81,7 +81,7 @@ impl SeveralRigs {
 
 /// Selects the Qubes for a session that is resumed. They must be as many as before and in the same
 /// order, and emulated or real as before.
-fn devices_again(
+fn devices_to_resume(
     arguments: &Arguments,
     root: &Path,
     known: &[String],

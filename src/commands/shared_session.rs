@@ -12,7 +12,7 @@ use super::failures;
 use super::keyboard::Keyboard;
 use super::live::Live;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::rig_arguments::name_of;
 use super::screen::Screen;
 use super::service_manager;
@@ -61,7 +61,7 @@ pub fn run(
         }
     };
     if let Some(difference) = session::estimators_differ(&settings) {
-        tell(&difference);
+        print_message(&difference);
     }
     let root = folder.paths().root().to_owned();
     let resume = resume_command(&root, &devices);
@@ -88,8 +88,8 @@ pub fn run(
     };
     let screen = Screen::none();
     let keyboard = Keyboard::watch(&stop, &screen.progress());
-    tell(keyboard.hint());
-    tell(&format!("session of {} Qubes in {}", rigs.len(), root.display()));
+    print_message(keyboard.hint());
+    print_message(&format!("session of {} Qubes in {}", rigs.len(), root.display()));
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
@@ -105,12 +105,12 @@ pub fn run(
     }
     service_manager::ready();
     let ended = loop {
-        let ended = session.run(&mut |news| {
+        let ended = session.run(&mut |event| {
             service_manager::alive();
-            progress.tell(&news);
+            progress.update(&event);
             for (number, live) in (1..).zip(&mut lives) {
-                if rig_of(&news).is_none_or(|rig| rig == number) {
-                    live.tell(&news, progress.time_left());
+                if rig_of(&event).is_none_or(|rig| rig == number) {
+                    live.update(&event, progress.time_left());
                 }
             }
         });
@@ -137,8 +137,8 @@ pub fn run(
 
 /// Number of the rig that an event concerns, from 1; `None` if the event concerns the whole
 /// session.
-fn rig_of(news: &SessionEvent) -> Option<u32> {
-    match news {
+fn rig_of(event: &SessionEvent) -> Option<u32> {
+    match event {
         SessionEvent::Connected { rig, .. } | SessionEvent::Rollout { rig, .. } => *rig,
         _ => None,
     }
@@ -212,10 +212,10 @@ fn opened(
         let live = arguments.live.of_rig(number)?.serve("session", stop)?;
         rig_settings.viewers = live.viewer().into_iter().collect();
         for warning in session::warnings(&device, &rig_settings, &of_rig) {
-            tell(&format!("rig {number}: warning: {warning}"));
+            print_message(&format!("rig {number}: warning: {warning}"));
         }
         if rig_settings.checks() {
-            tell(&format!(
+            print_message(&format!(
                 "rig {number} is checked and homed first (--skip-check leaves the check out)"
             ));
         }

@@ -8,7 +8,7 @@ use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::number_arguments::positive;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::stop::Stop;
 use super::{failures, warn_without_realtime};
 use crate::device::emulator::EmulatorSettings;
@@ -31,7 +31,7 @@ const MAX_GROWTH_BYTES: i64 = 5_000_000;
 const WARM_UP_ROLLOUTS: u64 = 20;
 
 /// Run for hours: rollout after rollout by the classical controller, each recorded, read back and checked;
-/// no tick may be lost and the memory may not grow
+/// fails if a tick is lost or the memory grows
 ///
 /// With `--clock virtual` a day takes minutes. Exit code 3 when a tick was lost, 4 when a fault ended a
 /// rollout, 1 when the memory grew by more than 5 MB.
@@ -85,7 +85,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             output.print(&soaked.text(), &result);
         }
     }
-    ended.and_then(|()| soaked.judge())
+    ended.and_then(|()| soaked.verdict())
 }
 
 /// Folder of the recordings.
@@ -186,7 +186,7 @@ impl Soaked {
             self.add(&read(&path).map_err(|error| failures::recording(&error))?);
             folder.is_done_with(&path)?;
             if self.rollouts.is_multiple_of(200) {
-                tell(&format!("{:.1} h of {} h", self.hours(), arguments.hours));
+                print_message(&format!("{:.1} h of {} h", self.hours(), arguments.hours));
             }
             if self.last_was_void && !stop.requested() {
                 rig.start_again().map_err(failed)?;
@@ -234,7 +234,7 @@ impl Soaked {
         self.memory_at_start_bytes.map(|start| self.memory_bytes - start)
     }
 
-    fn judge(&self) -> Result<(), Failure> {
+    fn verdict(&self) -> Result<(), Failure> {
         if self.lost > 0 {
             return Err(Failure::data_lost(format!("{} ticks were lost", self.lost)));
         }

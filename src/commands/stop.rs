@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::exit::Failure;
-use super::printable::tell;
+use super::printable::print_message;
 use super::terminal;
 
 /// A request to stop, set by a signal or a key.
@@ -38,7 +38,7 @@ impl Stop {
             if !interrupt.swap(true, Ordering::Relaxed) {
                 interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
             }
-            tell("\nstopping: the arm is braked and the state is kept (Ctrl-C again ends the program at once)");
+            print_message("\nstopping: the arm is braked and the state is kept (Ctrl-C again ends the program at once)");
         })
         .map_err(|error| handlers(error.to_string()))?;
         for kind in [SIGTERM, SIGHUP] {

@@ -65,7 +65,7 @@ pub fn check_device(
     match (strategies, device.choice.name()) {
         (Some(_), Some(port)) => Err(Failure::usage(format!(
             "--strategies works with the emulated Qube only, not with {port}: scoring every recommendation \
-             would take a real one thousands of rollouts. Leave --device and --qube out"
+             would take thousands of rollouts on a real Qube. Leave --device and --qube out"
         ))),
         _ => Ok(()),
     }

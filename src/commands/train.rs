@@ -41,7 +41,7 @@ use crate::simulation::{
     qube-hil train --model robust               # for a Qube not identified yet\n  \
     qube-hil train --profile lab --spread 0.1   # around an identified one\n  \
     qube-hil train --model psi --psi psi.toml   # a distribution of your own\n  \
-    qube-hil train --preset thesis --checkpoint half.safetensors    # can go on")]
+    qube-hil train --preset thesis --checkpoint half.safetensors    # can be resumed")]
 pub struct Arguments {
     /// Distribution of the simulations' parameters
     #[arg(long, default_value = "nominal", value_parser = models())]
@@ -106,7 +106,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
 
-    /// Go on from the weights of this policy, which must see the same observation
+    /// Start from the weights of this policy, which must have the same observation
     #[arg(long, value_name = "FILE", conflicts_with = "checkpoint")]
     from: Option<PathBuf>,
 
@@ -222,16 +222,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut progress = TrainingProgress::new(job.settings.updates, keeps, &screen.progress());
 
     let started = Instant::now();
-    let mut tell = |update: &TrainUpdate| progress.tell(update);
+    let mut on_update = |update: &TrainUpdate| progress.update(update);
     let trained = match &start {
         Some(start) => {
             let TrainingJob { distribution, settings, seed } = &job;
-            train_from(&start.network, distribution, settings, *seed, &stop.flag, tell)
+            train_from(&start.network, distribution, settings, *seed, &stop.flag, on_update)
                 .map_err(JobError::from)
         }
         None => {
             let executor = LocalExecutor::on_cores(1).checkpointed(checkpointing);
-            executor.train_one(&job, &stop.flag, &mut tell)
+            executor.train_one(&job, &stop.flag, &mut on_update)
         }
     };
     drop(keyboard);
@@ -239,7 +239,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let trained = trained.map_err(|error| match error {
         JobError::Training(TrainError::Stopped) => stop.failure(match &arguments.checkpoint {
             Some(path) if path.exists() => {
-                format!("stopped; the same command goes on from {}", path.display())
+                format!("stopped; the same command continues from {}", path.display())
             }
             _ => "stopped; nothing was written".into(),
         }),

@@ -23,7 +23,7 @@ impl TrainingProgress {
             state.has_rollouts = false;
             state.can_pause = false;
             state.stop_effect = match has_checkpoint {
-                true => "the checkpoint is kept, and the same command goes on from it",
+                true => "the checkpoint is kept, and the same command continues from it",
                 false => "nothing is written (--checkpoint would keep the training)",
             };
             state.work = "one policy".into();
@@ -34,7 +34,7 @@ impl TrainingProgress {
     }
 
     /// Shows one more update.
-    pub fn tell(&mut self, update: &TrainUpdate) {
+    pub fn update(&mut self, update: &TrainUpdate) {
         let (done, all) = (update.update + 1, self.updates);
         self.best_return = self.best_return.max(update.mean_return);
         let best_return = self.best_return;

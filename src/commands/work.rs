@@ -8,7 +8,7 @@ use super::exit::Failure;
 use super::failures;
 use super::number_arguments::between;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::stop::Stop;
 use super::train::InstructionSet;
 use crate::jobs::JobFolderError;
@@ -19,7 +19,7 @@ use crate::storage::MachineDisk;
 ///
 /// A session or experiment with --executor puts its trainings into a folder on a file system that all computers share,
 /// and any number of workers do them, one core each. Policies do not depend on the worker. A training whose worker
-/// dies is done by another one. The worker ends when there was nothing to do for long, or the session has ended;
+/// dies is done by another one. The worker ends after a time without work (--linger), or when the session has ended;
 /// on SIGTERM it gives its training back and exits with 143.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -30,7 +30,7 @@ pub struct Arguments {
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 
-    /// Number of this worker, and of all workers: each begins with another part of the jobs
+    /// Number of this worker, and of all workers: each worker begins with a different part of the jobs
     #[arg(long, value_name = "K/N")]
     slot: Option<Slot>,
 
@@ -63,30 +63,32 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     });
     let worker = worker.map_err(|error| {
         if !matches!(error, JobFolderError::NotAFolderOfJobs { .. }) {
-            JobFolder::leave_refusal(disk.as_ref(), &arguments.folder, &holder, &error.to_string());
+            JobFolder::write_refusal(disk.as_ref(), &arguments.folder, &holder, &error.to_string());
         }
         failures::job_folder(&error, &stop)
     })?;
-    tell(&format!("{holder} works in {}", arguments.folder.display()));
+    print_message(&format!("{holder} works in {}", arguments.folder.display()));
     let report = worker
         .run(&stop.flag, &mut |event| match event {
-            WorkerEvent::Began { job, number: 0 } => tell(&format!("training {job}")),
+            WorkerEvent::Began { job, number: 0 } => print_message(&format!("training {job}")),
             WorkerEvent::Began { job, number } => {
-                tell(&format!("training {job}, try {}", number + 1));
+                print_message(&format!("training {job}, try {}", number + 1));
             }
-            WorkerEvent::Finished { job, outcome: Ok(best_return), took } => tell(&format!(
-                "trained {job} in {:.1} s, best return {best_return:.1}",
-                took.as_secs_f64()
-            )),
+            WorkerEvent::Finished { job, outcome: Ok(best_return), took } => {
+                print_message(&format!(
+                    "trained {job} in {:.1} s, best return {best_return:.1}",
+                    took.as_secs_f64()
+                ))
+            }
             WorkerEvent::Finished { job, outcome: Err(reason), .. } => {
-                tell(&format!("training {job} failed: {reason}"));
+                print_message(&format!("training {job} failed: {reason}"));
             }
-            WorkerEvent::Unreadable { reason, .. } => tell(&format!("warning: {reason}")),
-            WorkerEvent::Waiting => tell("nothing to do: waiting"),
+            WorkerEvent::Unreadable { reason, .. } => print_message(&format!("warning: {reason}")),
+            WorkerEvent::Waiting => print_message("nothing to do: waiting"),
         })
         .map_err(|error| failures::job_folder(&error, &stop))?;
     if stop.requested() {
-        return Err(stop.failure("stopped; what was under way is given back"));
+        return Err(stop.failure("stopped; unfinished trainings are given back"));
     }
     let text = format!("{} policies trained, {} trainings failed", report.trained, report.failed);
     let result = json!({

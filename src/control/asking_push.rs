@@ -17,7 +17,7 @@ const GROWS_V: f64 = 0.4;
 
 /// Voltage that friction, dead zone and cable may take up, V: four times the friction of the
 /// profile `lab` and 1.5 times its dead zone.
-const SWALLOWED_V: f64 = 0.9;
+const ABSORBED_V: f64 = 0.9;
 
 /// Voltage with which the pendulum's weight may hold the arm, V, as a factor on sin(alpha)
 /// cos(alpha): 1.5 times M_p L_r g / 2 over the motor's torque per volt.
@@ -35,19 +35,19 @@ const SLOWEST_TICKS: usize = 2;
 const LEAST_RAD_S2_V: f64 = 11.0;
 
 /// Fraction of the arm's inertia that a vertical pendulum removes by giving way.
-const GIVES_WAY: f64 = 0.56;
+const INERTIA_RELIEF: f64 = 0.56;
 
 /// Largest fraction that is assumed for any plant: beyond it an arm would hardly have any inertia
 /// left.
-const MOST_GIVES_WAY: f64 = 0.75;
+const LARGEST_INERTIA_RELIEF: f64 = 0.75;
 
 /// Travel of the slowest possible arm from which a constant count proves a fault, counts.
-const MUST_HAVE_GONE_COUNTS: f64 = 4.0;
+const PROOF_COUNTS: f64 = 4.0;
 
 /// The coefficients of the slowest possible arm of a plant: those of the Qube, scaled by the ratios
 /// of the two plants' nominal parameters.
 #[derive(Clone, Copy, Debug)]
-struct Slowest {
+struct SlowestArm {
     weight_holds_v: f64,
     swing_holds_v_s2: f64,
     least_rad_s2_v: f64,
@@ -57,7 +57,7 @@ struct Slowest {
     largest_v: f64,
 }
 
-impl Slowest {
+impl SlowestArm {
     fn of(plant: &PlantModel) -> Self {
         let own = Dynamics::<f64>::new(&plant.parameters);
         let qube = Dynamics::<f64>::new(&DomainParameters::NOMINAL);
@@ -79,8 +79,9 @@ impl Slowest {
             weight_holds_v: weight * WEIGHT_HOLDS_V,
             swing_holds_v_s2: swing * SWING_HOLDS_V_S2,
             least_rad_s2_v: LEAST_RAD_S2_V / plant.volts_per_qube_volt(),
-            gives_way: (gives_way(&own) / gives_way(&qube) * GIVES_WAY).min(MOST_GIVES_WAY),
-            must_have_gone_rad: MUST_HAVE_GONE_COUNTS * plant.encoders.theta.rad_per_count(),
+            gives_way: (gives_way(&own) / gives_way(&qube) * INERTIA_RELIEF)
+                .min(LARGEST_INERTIA_RELIEF),
+            must_have_gone_rad: PROOF_COUNTS * plant.encoders.theta.rad_per_count(),
             largest_v: plant.limits.largest_voltage_v,
         }
     }
@@ -92,7 +93,7 @@ impl Slowest {
 /// and cancel the push. The push ends, and the policy continues, once the count has changed by two.
 #[derive(Clone, Copy, Debug)]
 pub struct AskingPush {
-    slowest: Slowest,
+    slowest: SlowestArm,
     counts: i32,
     /// Device time since which the count has been constant under voltage, us.
     since_us: Option<u64>,
@@ -114,10 +115,10 @@ impl AskingPush {
     /// A watch of this plant before its first sample.
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
-        Self::new(Slowest::of(plant))
+        Self::new(SlowestArm::of(plant))
     }
 
-    fn new(slowest: Slowest) -> Self {
+    fn new(slowest: SlowestArm) -> Self {
         Self {
             slowest,
             counts: 0,
@@ -165,10 +166,10 @@ impl AskingPush {
         self.under_way_v[SLOWEST_TICKS - 1] = (sent_v - self.holding_v()) * self.push_v.signum();
         let (sin, cos) = Scalar::sin_cos(alpha);
         let alpha_dot = (alpha - self.previous_alpha) / elapsed_s.max(1e-3);
-        let held_v = SWALLOWED_V
+        let held_v = ABSORBED_V
             + self.slowest.weight_holds_v * (sin * cos).abs()
             + self.slowest.swing_holds_v_s2 * sin.abs() * alpha_dot * alpha_dot;
-        let Slowest { least_rad_s2_v, gives_way, .. } = self.slowest;
+        let SlowestArm { least_rad_s2_v, gives_way, .. } = self.slowest;
         let least_rad_s2_v = least_rad_s2_v / (1.0 - gives_way * cos * cos);
         let gained_rad_s = least_rad_s2_v * (along_v - held_v) * elapsed_s;
         self.previous_alpha = alpha;
@@ -218,7 +219,7 @@ mod tests {
             (WEIGHT_HOLDS_V, 1.5 * weight),
             (SWING_HOLDS_V_S2, qube.coupling / qube.torque_per_volt),
             (LEAST_RAD_S2_V, 0.5 * qube.torque_per_volt / qube.arm_inertia),
-            (GIVES_WAY, given_way),
+            (INERTIA_RELIEF, given_way),
         ] {
             assert!((constant / source - 1.0).abs() < 0.02, "{constant} {source}");
         }

@@ -60,7 +60,7 @@ impl Motor {
 
 /// Knowledge about the encoder counts between motions.
 #[derive(Debug, Default)]
-pub(super) struct Undriven {
+pub(super) struct RestMonitor {
     /// Name of the port for errors.
     pub port: String,
     /// Counts at which arm and pendulum came to rest after the last motion; `None` if they were not
@@ -70,7 +70,7 @@ pub(super) struct Undriven {
     pub encoders: Encoders,
 }
 
-impl Undriven {
+impl RestMonitor {
     /// Watches with the amplifier off where arm and pendulum come to rest after a motion, and
     /// stores their counts in `left_at`.
     pub fn keep(

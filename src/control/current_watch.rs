@@ -17,11 +17,11 @@ pub const WEAK_A_V: f64 = 1.0 / 17.0;
 const WEAK_MV: i16 = 1200;
 
 /// Travel within which an arm counts as still, counts.
-const STANDS_COUNTS: i32 = 3;
+const STILL_COUNTS: i32 = 3;
 
 /// Ticks (0.25 s) for which the arm must be still, or the motor without current, before a fault is
 /// reported.
-const STANDS_TICKS: u32 = 25;
+const STILL_TICKS: u32 = 25;
 
 /// Largest reading of a current sensor that shows nothing although the motor moved the arm, A.
 const BLIND_A: f64 = 0.004;
@@ -31,7 +31,7 @@ const BLIND_A: f64 = 0.004;
 /// The comparison stays in `f32`: a replay must decide as the recorded tick did, and at whole
 /// milliamperes the last bit decides.
 #[must_use]
-pub fn takes_nothing(sample: &Measurement, voltage_mv: i16) -> bool {
+pub fn draws_no_current(sample: &Measurement, voltage_mv: i16) -> bool {
     let least_a = DEAD_A_V as f32 * f32::from(voltage_mv.saturating_abs()) * 1e-3;
     sample.current_a.abs() < least_a
 }
@@ -45,8 +45,8 @@ pub struct CurrentWatch {
     largest_a: f64,
     is_blind: bool,
     without_ticks: u32,
-    stands_at: i32,
-    stands_ticks: u32,
+    still_at_counts: i32,
+    still_ticks: u32,
 }
 
 impl CurrentWatch {
@@ -63,8 +63,8 @@ impl CurrentWatch {
 
     /// Whether the motor draws no current at this voltage, mV, while the arm is fast. In a
     /// connected motor the back-EMF alone drives a current.
-    pub fn takes_nothing_at_speed(&self, sample: &Measurement, voltage_mv: i16) -> bool {
-        takes_nothing(sample, voltage_mv) || f64::from(sample.current_a).abs() < BLIND_A
+    pub fn draws_no_current_at_speed(&self, sample: &Measurement, voltage_mv: i16) -> bool {
+        draws_no_current(sample, voltage_mv) || f64::from(sample.current_a).abs() < BLIND_A
     }
 
     /// Checks one sample; returns the fault if the motor is dead or has a bad contact.
@@ -80,20 +80,20 @@ impl CurrentWatch {
         self.largest_a = self.largest_a.max(taken_a);
         let volts = f64::from(voltage_mv) * 1e-3;
         // Homing never moves the arm so fast that the back-EMF hides the current for long.
-        let takes_nothing = voltage_mv >= LEAST_MV && taken_a < DEAD_A_V * volts;
-        self.without_ticks = if takes_nothing { self.without_ticks + 1 } else { 0 };
-        if !self.is_blind && self.without_ticks >= STANDS_TICKS {
+        let draws_no_current = voltage_mv >= LEAST_MV && taken_a < DEAD_A_V * volts;
+        self.without_ticks = if draws_no_current { self.without_ticks + 1 } else { 0 };
+        if !self.is_blind && self.without_ticks >= STILL_TICKS {
             return Some(Fault::MotorDead);
         }
         let stays =
-            sample.theta_counts.wrapping_sub(self.stands_at).wrapping_abs() <= STANDS_COUNTS;
+            sample.theta_counts.wrapping_sub(self.still_at_counts).wrapping_abs() <= STILL_COUNTS;
         let takes_little = taken_a < WEAK_A_V * volts;
         if voltage_mv < WEAK_MV || !stays || !takes_little {
-            (self.stands_at, self.stands_ticks) = (sample.theta_counts, 0);
+            (self.still_at_counts, self.still_ticks) = (sample.theta_counts, 0);
             return None;
         }
-        self.stands_ticks += 1;
-        let is_weak = !self.is_blind && self.stands_ticks > STANDS_TICKS;
+        self.still_ticks += 1;
+        let is_weak = !self.is_blind && self.still_ticks > STILL_TICKS;
         is_weak.then_some(Fault::MotorWeak)
     }
 }

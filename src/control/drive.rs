@@ -262,17 +262,17 @@ mod tests {
     }
 
     /// Homes on a device that counts in each sample how often the file is open, and injects
-    /// `mishap`. Returns the ending (`None` after a panic) and the largest of these counts.
+    /// `disturbance`. Returns the ending (`None` after a panic) and the largest of these counts.
     fn homed_while_watched(
         file: &Path,
-        mishap: impl Fn(u32) -> Option<TestFault> + Send + 'static,
+        disturbance: impl Fn(u32) -> Option<TestFault> + Send + 'static,
     ) -> (Option<Ending>, usize) {
         let most_openings = Arc::new(AtomicUsize::new(0));
         let (seen, watched) = (Arc::clone(&most_openings), file.to_owned());
         let mut device = PlantDevice::new(State::default());
-        device.mishap = Box::new(move |sample| {
+        device.disturbance = Box::new(move |sample| {
             seen.fetch_max(openings_of(&watched), Ordering::Relaxed);
-            mishap(sample)
+            disturbance(sample)
         });
         let clock = SleepyClock { time: device.clock.clone(), file: file.to_owned() };
         let stop = AtomicBool::new(false);

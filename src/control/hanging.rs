@@ -1,6 +1,6 @@
 //! Finds the angle at which the pendulum hangs, from its swing while the motor is at 0 V.
 
-use super::led_arm::standing_rad;
+use super::homing_watch::standing_rad;
 use super::rest::{RECOIL, Swing};
 use crate::qube::PlantModel;
 
@@ -43,7 +43,7 @@ pub struct Hanging {
 
 /// The angle at which the pendulum hangs, with its error.
 #[derive(Clone, Copy, Debug)]
-pub struct Hung {
+pub struct HangingAngle {
     /// Middle of the swing, rad.
     pub middle_rad: f64,
     /// Largest error of the middle, rad.
@@ -68,7 +68,7 @@ impl Hanging {
 
     /// Takes the next angles of arm and pendulum; returns the hanging angle once it is known and
     /// the pendulum hardly swings.
-    pub fn update(&mut self, theta: f64, alpha: f64) -> Option<Hung> {
+    pub fn update(&mut self, theta: f64, alpha: f64) -> Option<HangingAngle> {
         let arm = self.arm.update(theta);
         let pendulum = self.pendulum.update(alpha)?;
         if !is_calm_enough(pendulum.width_rad, arm?.width_rad, self.standing_rad) {
@@ -82,7 +82,7 @@ impl Hanging {
         let within_rad = 0.01f64.mul_add(pendulum.width_rad, self.rad_per_count);
         self.windows += 1;
         (apart_rad < AGREEING_COUNTS * self.rad_per_count || self.windows > MOST_WINDOWS).then_some(
-            Hung {
+            HangingAngle {
                 middle_rad: 0.5 * (pendulum.middle_rad + before_rad),
                 within_rad: within_rad + 0.5 * apart_rad,
                 swing_rad: pendulum.width_rad,

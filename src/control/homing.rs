@@ -1,14 +1,14 @@
+use super::cross_check::{CrossCheck, zero_within_rad};
 use super::current_watch::CurrentWatch;
 use super::hanging::Hanging;
 use super::homing_probe::{HomingProbe, PushResponse, STRONGEST_V};
 use super::homing_settings::{HomingMethod, HomingSettings};
-use super::led_arm::{ComingOff, Held, Runaway, Stood};
+use super::homing_watch::{Held, LeavingStop, Motionless, Runaway};
 use super::rest::{StillnessDetector, Swing};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, LEAD_RAD_S};
 use super::stop_seek::{Found, StopSeek};
 use super::watch::{Alarm, Watch};
-use super::witness::{Witness, zero_within_rad};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, MeasuredRig, MeasuredStops};
 use crate::qube::{Encoder, Encoders, Measurement, State};
@@ -68,7 +68,7 @@ pub struct Homing {
     swing: Swing,
     settler: GentleSettler,
     held: Held,
-    stood: Stood,
+    motionless: Motionless,
     runaway: Runaway,
     state: State,
     voltage_mv: i16,
@@ -86,7 +86,7 @@ enum Stage {
     /// Seek the stops, which define the middle.
     Seek(StopSeek),
     /// After a fault: lead the arm back to where homing first pushed it, if it can move.
-    ComeOff(ComingOff),
+    LeaveStop(LeavingStop),
 }
 
 impl Homing {
@@ -116,7 +116,7 @@ impl Homing {
             swing: Swing::default(),
             settler: GentleSettler::of(&settings.plant),
             held: Held::default(),
-            stood: Stood::default(),
+            motionless: Motionless::default(),
             runaway: Runaway::default(),
             state: State::default(),
             voltage_mv: 0,
@@ -171,12 +171,12 @@ impl Homing {
     /// Sets the angle at which the pendulum hangs, rad, known to within `within_rad`. Starts the
     /// cross-check of the encoders, and restarts it if the angle has changed by more than
     /// `OTHER_ZERO_COUNTS`.
-    fn hangs_at(&mut self, hanging_rad: f64, within_rad: f64) {
+    fn set_hanging_angle(&mut self, hanging_rad: f64, within_rad: f64) {
         let rad_per_count = self.settings.plant.encoders.alpha.rad_per_count();
         let off_rad = (hanging_rad - self.hanging_rad).abs();
         let is_other = off_rad > OTHER_ZERO_COUNTS * rad_per_count;
         self.hanging_rad = hanging_rad;
-        if is_other || self.sensors.witness().is_none() {
+        if is_other || self.sensors.cross_check().is_none() {
             let off_counts = (hanging_rad / rad_per_count).round() as i32;
             let inverted = self.provisional.alpha_inverted;
             let zero = self.provisional.alpha_zero_counts;
@@ -185,7 +185,7 @@ impl Homing {
                 alpha_zero_counts: zero.wrapping_add(off_counts),
                 ..self.provisional
             };
-            self.sensors.call_witness(calibration, within_rad);
+            self.sensors.start_cross_check(calibration, within_rad);
         }
     }
 
@@ -194,11 +194,11 @@ impl Homing {
     fn advance(&mut self, measurement: &Measurement) -> Option<Ending> {
         let seen = self.seen();
         let encoders = self.settings.plant.encoders;
-        let scale_is_known = self.sensors.witness().is_some_and(Witness::scale_is_known);
+        let scale_is_known = self.sensors.cross_check().is_some_and(CrossCheck::scale_is_known);
         match &mut self.stage {
             Stage::Observe(hanging) => {
                 if let Some(hung) = hanging.update(self.state.theta, self.state.alpha) {
-                    self.hangs_at(hung.middle_rad, hung.within_rad);
+                    self.set_hanging_angle(hung.middle_rad, hung.within_rad);
                     if self.control.take(ControlEvent::AtRest) == ControlAction::Seek {
                         self.place_rad = self.state.theta;
                         self.stage =
@@ -208,14 +208,14 @@ impl Homing {
             }
             Stage::Probe(probe) => {
                 let answer = probe.update(&seen);
-                return self.answered(answer).map(Ending::Fault);
+                return self.apply_response(answer).map(Ending::Fault);
             }
             Stage::Calm => {
                 // Target: the middle, or where the operator put the arm by hand.
                 let off_rad = self.state.theta - self.calm_rad();
                 let voltage_v = f64::from(self.voltage_mv) * 1e-3;
                 let is_off = off_rad.abs() >= NEAR_MIDDLE_RAD;
-                self.stood.update(measurement.theta_counts);
+                self.motionless.update(measurement.theta_counts);
                 if self.held.lasts(measurement.theta_counts, voltage_v, is_off) {
                     return Some(Ending::Fault(Fault::ArmHeld));
                 }
@@ -224,7 +224,10 @@ impl Homing {
                 {
                     // A still pendulum hangs. A wrong hanging angle would hold the arm off its
                     // target for good.
-                    self.hangs_at(window.middle_rad, zero_within_rad(&self.settings.plant));
+                    self.set_hanging_angle(
+                        window.middle_rad,
+                        zero_within_rad(&self.settings.plant),
+                    );
                     if !is_off {
                         self.found = Some(self.zeros(measurement, off_rad));
                         return Some(Ending::Completed);
@@ -240,30 +243,30 @@ impl Homing {
                     self.swing = Swing::default();
                     let travel = (highest_rad - lowest_rad) / self.settings.expected_travel_rad();
                     if (travel - 1.0).abs() > TRAVEL_TOLERANCE {
-                        self.come_off(Fault::TravelWrong);
+                        self.leave_stop(Fault::TravelWrong);
                     } else {
                         self.middle_rad = Some(0.5 * (lowest_rad + highest_rad));
                         self.stage = Stage::Calm;
                     }
                 }
             }
-            Stage::ComeOff(coming_off) => {
-                return coming_off.update(&seen).map(Ending::Fault);
+            Stage::LeaveStop(leaving_stop) => {
+                return leaving_stop.update(&seen).map(Ending::Fault);
             }
         }
         None
     }
 
-    fn come_off(&mut self, fault: Fault) {
-        self.stage = Stage::ComeOff(ComingOff::after(fault, self.state.theta, self.place_rad));
+    fn leave_stop(&mut self, fault: Fault) {
+        self.stage = Stage::LeaveStop(LeavingStop::after(fault, self.state.theta, self.place_rad));
     }
 
     /// Acts on the response to a push: enters the next stage, waits, or asks for a second push.
     /// Returns the fault that the response proves, if any.
-    fn answered(&mut self, answer: PushResponse) -> Option<Fault> {
-        let witness = self.sensors.witness();
-        let leads = witness.is_some_and(|own| own.pendulum_seems_to_lead());
-        let rather_leads = witness.is_some_and(|own| own.pendulum_rather_leads());
+    fn apply_response(&mut self, answer: PushResponse) -> Option<Fault> {
+        let cross_check = self.sensors.cross_check();
+        let leads = cross_check.is_some_and(|own| own.lead_is_evident());
+        let rather_leads = cross_check.is_some_and(|own| own.lead_is_likelier());
         let wrong_sign = match answer {
             PushResponse::Waits => return None,
             PushResponse::Moves => return Some(Fault::ArmPushed),
@@ -293,7 +296,7 @@ impl Homing {
                 self.suspected = Some(sign);
                 self.sensors.forget_signs();
                 if let Stage::Probe(probe) = &mut self.stage {
-                    probe.ask_again();
+                    probe.push_again();
                 }
                 None
             }
@@ -353,7 +356,7 @@ impl Homing {
                 let target_rad = seek.target_rad().unwrap_or(seen.theta);
                 self.settler.follow(&seen, target_rad, seek.push_v())
             }
-            Stage::ComeOff(coming_off) => self.settler.voltage(&seen, coming_off.place_rad()),
+            Stage::LeaveStop(leaving_stop) => self.settler.voltage(&seen, leaving_stop.place_rad()),
         }
     }
 
@@ -372,7 +375,7 @@ impl Homing {
     }
 
     /// The fault that encoders and motor show together, if any.
-    fn sensed(&mut self, sample: &Measurement) -> Option<Fault> {
+    fn sensor_fault(&mut self, sample: &Measurement) -> Option<Fault> {
         let alarm = self.sensors.check(sample, None);
         if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = alarm {
             return Some(fault);
@@ -382,14 +385,14 @@ impl Homing {
         match self.current.check(sample) {
             // A stiff cable would throw an arm that is released at one stop across to the other
             // stop.
-            Some(Fault::MotorWeak) if is_led => self.come_off(Fault::MotorWeak),
-            Some(Fault::MotorWeak) if matches!(self.stage, Stage::ComeOff(_)) => {}
+            Some(Fault::MotorWeak) if is_led => self.leave_stop(Fault::MotorWeak),
+            Some(Fault::MotorWeak) if matches!(self.stage, Stage::LeaveStop(_)) => {}
             Some(fault) => return Some(fault),
             None => {}
         }
-        let witness = self.sensors.witness();
-        let leads = witness.and_then(|own| own.pendulum_leads()) == Some(true);
-        let miscounts = witness.is_some_and(|own| own.scale_is_wrong());
+        let cross_check = self.sensors.cross_check();
+        let leads = cross_check.and_then(|own| own.pendulum_leads()) == Some(true);
+        let miscounts = cross_check.is_some_and(|own| own.scale_is_wrong());
         ((leads || miscounts) && is_led).then_some(Fault::EncodersDisagree)
     }
 }
@@ -402,8 +405,8 @@ impl Motion for Homing {
         // would brake a rollout.
         let watched = self.watch.check(input);
         let watched = watched.map(|(Alarm::Zero(fault) | Alarm::Brake(fault))| fault);
-        let fault =
-            watched.or_else(|| input.measurement.as_ref().and_then(|sample| self.sensed(sample)));
+        let fault = watched
+            .or_else(|| input.measurement.as_ref().and_then(|sample| self.sensor_fault(sample)));
         if let Some(fault) = fault {
             return self.off(Ending::Fault(fault));
         }
@@ -411,7 +414,7 @@ impl Motion for Homing {
             return self.off(Ending::Stopped);
         }
         if self.ticks > MAX_TICKS {
-            let is_held = self.stood.is_held();
+            let is_held = self.motionless.is_held();
             let fault = if is_held { Fault::ArmHeld } else { Fault::HomingTimedOut };
             return self.off(Ending::Fault(fault));
         }
@@ -430,7 +433,7 @@ impl Motion for Homing {
         if is_led && self.runaway.lasts(&self.seen(), f64::from(self.voltage_mv) * 1e-3) {
             // A stiff cable moves an arm against the voltage even if the motor is dead, so the
             // current decides which of the two faults it is.
-            let is_dead = self.current.takes_nothing_at_speed(measurement, self.voltage_mv);
+            let is_dead = self.current.draws_no_current_at_speed(measurement, self.voltage_mv);
             let fault = if is_dead { Fault::MotorDead } else { Fault::ArmPushed };
             return self.off(Ending::Fault(fault));
         }

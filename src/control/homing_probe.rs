@@ -1,7 +1,7 @@
 //! The first pushes of a homing, which show whether the arm follows the voltage and whether
 //! anything moves at all.
 
-use super::led_arm::standing_rad;
+use super::homing_watch::standing_rad;
 use super::rest::RECOIL;
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
@@ -110,7 +110,7 @@ impl HomingProbe {
     }
 
     /// Starts another push in the other direction, after one that has moved the arm.
-    pub fn ask_again(&mut self) {
+    pub fn push_again(&mut self) {
         *self = Self { vain_pushes: 0, has_moved: true, waited_ticks: 0, ..self.turned() };
     }
 

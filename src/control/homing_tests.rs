@@ -120,7 +120,7 @@ fn a_qube_in_which_nothing_answers_is_not_homed() {
 #[test]
 fn a_lost_link_ends_homing() {
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| (tick > 50).then_some(TestFault::Lost));
+    device.disturbance = Box::new(|tick| (tick > 50).then_some(TestFault::Lost));
     let (ending, found) = home(&mut device, &HomingSettings::default());
     assert_eq!((ending, found), (Ending::Fault(Fault::NoSample), None));
 }

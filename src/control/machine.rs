@@ -60,7 +60,7 @@ pub enum ControlEvent {
     /// A stop is requested.
     Stop,
     /// The arm has stopped, or its time to stop is over.
-    Stands,
+    BrakingEnded,
     /// A fault while link, amplifier and encoders can be trusted.
     BrakeFault,
     /// A fault after which link, amplifier or encoders cannot be trusted.
@@ -179,9 +179,9 @@ impl ControlState {
                 E::Stop,
             ) => ignored,
 
-            (S::Braking, E::Stands) => (S::Ready, A::Off),
-            (S::Faulting, E::Stands) => latched,
-            (_, E::Stands) => ignored,
+            (S::Braking, E::BrakingEnded) => (S::Ready, A::Off),
+            (S::Faulting, E::BrakingEnded) => latched,
+            (_, E::BrakingEnded) => ignored,
 
             (S::Identified, E::NoAnswer) => (S::Idle, A::Off),
             (
@@ -268,7 +268,7 @@ impl ControlEvent {
         Self::TimeUp,
         Self::LimitLeft,
         Self::Stop,
-        Self::Stands,
+        Self::BrakingEnded,
         Self::BrakeFault,
         Self::ZeroFault,
         Self::CountDoubted,
@@ -366,7 +366,7 @@ mod tests {
             }
             if next == S::Ready && state != S::Ready {
                 assert!(
-                    matches!((state, event), (S::Homing, E::Homed) | (S::Braking, E::Stands)),
+                    matches!((state, event), (S::Homing, E::Homed) | (S::Braking, E::BrakingEnded)),
                     "{step}"
                 );
             }

@@ -9,6 +9,7 @@
 
 mod asking_push;
 mod between_motions;
+mod cross_check;
 mod current_watch;
 mod drive;
 mod error;
@@ -16,15 +17,16 @@ mod hanging;
 mod homing;
 mod homing_probe;
 mod homing_settings;
+mod homing_watch;
 mod last_ticks;
 mod latency;
-mod led_arm;
 mod machine;
 mod momentum_watch;
 mod motion;
 mod push;
 mod reconnect;
 mod rest;
+mod rest_watch;
 mod sensor_watch;
 mod settling;
 mod sign_probe;
@@ -33,9 +35,7 @@ mod stop_press;
 mod stop_seek;
 mod thread;
 mod tick;
-mod undriven;
 mod watch;
-mod witness;
 
 pub use current_watch::WEAK_A_V;
 pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive, drive_warm};
@@ -48,12 +48,12 @@ pub use machine::{ControlAction, ControlEvent, ControlState, state_diagram};
 pub use motion::{Motion, TickInput, TickOutput};
 pub use push::ArmInput;
 pub use reconnect::Patience;
+pub use rest_watch::{Moved, RestWatch, RestingCounts};
 pub use sensor_watch::SensorWatch;
-pub use sign_probe::{ArmResponse, ProbeSample, ProbeStage, ProbeTrace, STOOD_COUNTS, SignProbe};
+pub use sign_probe::{AT_REST_COUNTS, ArmResponse, ProbeSample, ProbeStage, ProbeTrace, SignProbe};
 pub use stop_press::{PressOutcome, StopPress};
 pub use thread::{ControlThread, Homed};
 pub use tick::Tick;
-pub use undriven::{Moved, RestWatch, RestingCounts};
 pub use watch::Alarm;
 
 /// Capacity of the ring from the tick to the recorder, in records. It holds the longest rollout (15

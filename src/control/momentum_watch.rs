@@ -25,10 +25,10 @@ const SWING_SHARE: f64 = 0.4;
 const MOTOR_SHARE: f64 = 0.5;
 
 /// Least change of the arm's velocity that the pendulum's equation must show as well, rad/s.
-const FELT_RAD_S: f64 = 0.5;
+const PENDULUM_RAD_S: f64 = 0.5;
 
 /// Relative uncertainty of the change of velocity that the pendulum's equation shows.
-const FELT_SHARE: f64 = 0.15;
+const PENDULUM_SHARE: f64 = 0.15;
 
 /// Motor current that proves a working current sensor, A. Before the first such reading the watch
 /// computes the current from the voltage.
@@ -259,10 +259,10 @@ impl MomentumWatch {
         }
         let turned_rad_s = 2.0 / 3.0 * lengths * (now_rad_s - before_rad_s);
         let pulled_rad_s = now.pulled_rad_s - before.pulled_rad_s;
-        let felt_rad_s = -(turned_rad_s + pulled_rad_s);
+        let pendulum_rad_s = -(turned_rad_s + pulled_rad_s);
         let least_rad_s =
-            FELT_SHARE.mul_add(0.5 * (turned_rad_s.abs() + pulled_rad_s.abs()), FELT_RAD_S);
-        let agree = felt_rad_s * implied_rad_s * (cos_now + cos_before) > 0.0;
-        felt_rad_s.abs() > least_rad_s && agree
+            PENDULUM_SHARE.mul_add(0.5 * (turned_rad_s.abs() + pulled_rad_s.abs()), PENDULUM_RAD_S);
+        let agree = pendulum_rad_s * implied_rad_s * (cos_now + cos_before) > 0.0;
+        pendulum_rad_s.abs() > least_rad_s && agree
     }
 }

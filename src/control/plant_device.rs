@@ -24,7 +24,7 @@ pub enum TestFault {
 pub struct PlantDevice {
     pub state: State,
     pub clock: VirtualClock,
-    pub mishap: Box<dyn Fn(u32) -> Option<TestFault> + Send>,
+    pub disturbance: Box<dyn Fn(u32) -> Option<TestFault> + Send>,
     /// Counts that both encoders show at zero angle.
     pub offset_counts: i32,
     pub armed: bool,
@@ -45,7 +45,7 @@ impl PlantDevice {
         Self {
             state,
             clock: VirtualClock::default(),
-            mishap: Box::new(|_| None),
+            disturbance: Box::new(|_| None),
             offset_counts: 0,
             armed: false,
             voltages_mv: Vec::new(),
@@ -109,7 +109,7 @@ impl Device for PlantDevice {
         let tick = self.samples;
         self.samples += 1;
         let mut status = Status { armed: self.armed, ..Status::default() };
-        match (self.mishap)(tick) {
+        match (self.disturbance)(tick) {
             Some(TestFault::Lost) => {
                 self.clock.sleep_until(deadline_ns);
                 return Err(LinkFault::Timeout);

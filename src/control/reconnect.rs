@@ -9,7 +9,7 @@ const MS: Nanoseconds = 1_000_000;
 const PAUSES_NS: [Nanoseconds; 5] = [100 * MS, 200 * MS, 500 * MS, 1000 * MS, 2000 * MS];
 
 /// Interval at which a pause checks for a request to stop, ns.
-const LOOK_NS: Nanoseconds = 50 * MS;
+const STOP_POLL_NS: Nanoseconds = 50 * MS;
 
 /// Timing of the hellos to a device that has fallen silent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -54,7 +54,7 @@ pub(super) fn greet_patiently(
 fn pause(clock: &dyn Clock, stop: &AtomicBool, pause_ns: Nanoseconds) {
     let end_ns = clock.now_ns() + pause_ns;
     while clock.now_ns() < end_ns && !stop.load(Ordering::Relaxed) {
-        clock.sleep_until(end_ns.min(clock.now_ns() + LOOK_NS));
+        clock.sleep_until(end_ns.min(clock.now_ns() + STOP_POLL_NS));
     }
 }
 

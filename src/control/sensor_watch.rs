@@ -1,9 +1,9 @@
-use super::current_watch::takes_nothing;
+use super::cross_check::{Contradiction, CrossCheck, RIG_SHARE, WHOLE_DOMAIN_SHARE};
+use super::current_watch::draws_no_current;
 use super::momentum_watch::MomentumWatch;
 use super::push::{ArmInput, Push};
 use super::still_pendulum::Pendulum;
 use super::watch::Alarm;
-use super::witness::{Contradiction, RIG_SHARE, WHOLE_DOMAIN_SHARE, Witness};
 use crate::estimation::Calibration;
 use crate::qube::{CONTROL_PERIOD_S, Measurement, PlantModel};
 use crate::telemetry::Fault;
@@ -60,7 +60,7 @@ const TACHOMETER_US: u64 = 300_000;
 
 /// Change of the arm's velocity, as the pendulum implies it, up to which the arm counts as held,
 /// rad/s.
-const FELT_RAD_S: f64 = 0.4;
+const IMPLIED_RAD_S: f64 = 0.4;
 
 /// Cross-checks of encoders, motor current and tachometer, on the device's clock.
 ///
@@ -81,7 +81,7 @@ pub struct SensorWatch {
     alpha_steps: [i32; 3],
     /// Cross-check of the two encoders, with the calibration of their angles; `None` under
     /// [`TickRules::First`](crate::telemetry::TickRules::First).
-    witness: Option<(Calibration, Witness)>,
+    cross_check: Option<(Calibration, CrossCheck)>,
     /// Test of the arm's count against the Qube's momentum.
     momentum: MomentumWatch,
     has_taken_current: bool,
@@ -124,7 +124,7 @@ impl SensorWatch {
             stepped: None,
             theta_steps: [0; 3],
             alpha_steps: [0; 3],
-            witness: None,
+            cross_check: None,
             momentum: MomentumWatch::of(plant),
             has_taken_current: false,
             without_current_ticks: 0,
@@ -138,45 +138,47 @@ impl SensorWatch {
     /// A watch of a plant, with the cross-check of the two encoders. `calibration` gives the signs
     /// and zeros of their angles.
     #[must_use]
-    pub fn witnessed(plant: &PlantModel, calibration: Calibration) -> Self {
-        Self { witness: Some((calibration, Witness::of(plant))), ..Self::of(plant) }
+    pub fn with_cross_check(plant: &PlantModel, calibration: Calibration) -> Self {
+        Self { cross_check: Some((calibration, CrossCheck::of(plant))), ..Self::of(plant) }
     }
 
     /// Starts the cross-check of the encoders with the zeros of `calibration`; the pendulum's zero
     /// is known within `zero_within_rad`, rad.
-    pub fn call_witness(&mut self, calibration: Calibration, zero_within_rad: f64) {
-        let witness = Witness::with_zero_within(&self.plant, zero_within_rad, RIG_SHARE);
-        self.witness = Some((calibration, witness));
+    pub fn start_cross_check(&mut self, calibration: Calibration, zero_within_rad: f64) {
+        let cross_check = CrossCheck::with_zero_within(&self.plant, zero_within_rad, RIG_SHARE);
+        self.cross_check = Some((calibration, cross_check));
     }
 
     /// Widens the thresholds of the cross-check for a policy's motion: no healthy Qube of the whole
     /// domain may raise an alarm, which would void the rollout.
     pub fn allow_the_whole_domain(&mut self) {
-        if let Some((_, witness)) = &mut self.witness {
-            witness.allow(WHOLE_DOMAIN_SHARE);
+        if let Some((_, cross_check)) = &mut self.cross_check {
+            cross_check.allow(WHOLE_DOMAIN_SHARE);
         }
     }
 
     /// The cross-check of the encoders, if it is running.
     #[must_use]
-    pub fn witness(&self) -> Option<&Witness> {
-        self.witness.as_ref().map(|(_, witness)| witness)
+    pub fn cross_check(&self) -> Option<&CrossCheck> {
+        self.cross_check.as_ref().map(|(_, cross_check)| cross_check)
     }
 
     /// Names the fault of an arm whose count is constant under a voltage, mV, that moves any arm.
     #[must_use]
-    pub fn why_arm_stands(&self, sample: &Measurement, voltage_mv: i16) -> Fault {
-        if takes_nothing(sample, voltage_mv) {
+    pub fn why_arm_rests(&self, sample: &Measurement, voltage_mv: i16) -> Fault {
+        if draws_no_current(sample, voltage_mv) {
             return Fault::MotorDead;
         }
-        let feels_arm = self.witness().is_none_or(|witness| witness.felt_rad_s() > FELT_RAD_S);
-        if feels_arm { Fault::EncoderFrozen } else { Fault::ArmHeld }
+        let moves_by_pendulum = self
+            .cross_check()
+            .is_none_or(|cross_check| cross_check.implied_rad_s() > IMPLIED_RAD_S);
+        if moves_by_pendulum { Fault::EncoderFrozen } else { Fault::ArmHeld }
     }
 
     /// Restarts the test of the encoders' signs.
     pub fn forget_signs(&mut self) {
-        if let Some((_, witness)) = &mut self.witness {
-            witness.forget_signs();
+        if let Some((_, cross_check)) = &mut self.cross_check {
+            cross_check.forget_signs();
         }
     }
 
@@ -205,15 +207,15 @@ impl SensorWatch {
         if theta.abs() > of_theta * JUMP_COUNTS * periods {
             return Some(Alarm::Zero(Fault::EncoderJump));
         }
-        if alpha.abs() > of_alpha * JUMP_COUNTS * periods && self.witness.is_some() {
-            self.witness = None;
+        if alpha.abs() > of_alpha * JUMP_COUNTS * periods && self.cross_check.is_some() {
+            self.cross_check = None;
             return Some(Alarm::Brake(Fault::PendulumJump));
         }
-        let mut testimony = self.witness.as_mut().and_then(|(calibration, witness)| {
+        let mut contradiction = self.cross_check.as_mut().and_then(|(calibration, cross_check)| {
             let (theta, alpha) = calibration.angles_rad(sample);
-            witness.update(sample, theta, alpha)
+            cross_check.update(sample, theta, alpha)
         });
-        if self.witness.is_some() {
+        if self.cross_check.is_some() {
             // Whether a step is a jump is known one sample later, so a sudden step is no evidence
             // yet.
             let leaps = |steps: &[i32; 3], step: f64, of_qube: f64| {
@@ -223,19 +225,19 @@ impl SensorWatch {
             if leaps(&self.theta_steps, step.theta_of_a_period(), of_theta)
                 || leaps(&self.alpha_steps, step.alpha_of_a_period(), of_alpha)
             {
-                testimony = None;
+                contradiction = None;
             }
         }
-        if let Some(step) = step.filter(|_| self.witness.is_some()) {
+        if let Some(step) = step.filter(|_| self.cross_check.is_some()) {
             if is_spike(&mut self.theta_steps, step.theta_of_a_period(), of_theta) {
                 return Some(Alarm::Zero(Fault::EncoderJump));
             }
             if is_spike(&mut self.alpha_steps, step.alpha_of_a_period(), of_alpha) {
-                self.witness = None;
+                self.cross_check = None;
                 return Some(Alarm::Brake(Fault::PendulumJump));
             }
         }
-        if let (Some((calibration, _)), Some(drive)) = (&self.witness, drive) {
+        if let (Some((calibration, _)), Some(drive)) = (&self.cross_check, drive) {
             let (_, alpha) = calibration.angles_rad(sample);
             let sign = if calibration.voltage_inverted { -1.0 } else { 1.0 };
             let voltage_v = f64::from(drive.voltage_mv) * 1e-3;
@@ -243,16 +245,16 @@ impl SensorWatch {
                 return Some(Alarm::Zero(Fault::EncoderFrozen));
             }
         }
-        match testimony {
-            Some(Contradiction::ArmStands) => return Some(Alarm::Zero(Fault::EncoderFrozen)),
-            Some(Contradiction::PendulumStands) => {
+        match contradiction {
+            Some(Contradiction::ArmFrozen) => return Some(Alarm::Zero(Fault::EncoderFrozen)),
+            Some(Contradiction::PendulumFrozen) => {
                 // The brake does not need the pendulum; the cross-check does and ends here.
-                self.witness = None;
+                self.cross_check = None;
                 return Some(Alarm::Brake(Fault::PendulumFrozen));
             }
             None => {}
         }
-        if self.witness.is_some() && self.takes_no_current(sample) {
+        if self.cross_check.is_some() && self.takes_no_current(sample) {
             return Some(Alarm::Zero(Fault::MotorDead));
         }
         let counts_s = theta / elapsed_s;
@@ -299,9 +301,9 @@ impl SensorWatch {
         counts_s: f64,
         elapsed_s: f64,
     ) -> Option<Fault> {
-        let is_dead = self.witness.is_some() && takes_nothing(sample, drive.voltage_mv);
+        let is_dead = self.cross_check.is_some() && draws_no_current(sample, drive.voltage_mv);
         if self.frozen.moves_nothing(sample, drive, (FROZEN_DRIVE_MV, FROZEN_COUNTS, FROZEN_US)) {
-            return Some(match self.witness {
+            return Some(match self.cross_check {
                 // The cross-check has not contradicted the count, so the arm does not move.
                 Some(_) if is_dead => Fault::MotorDead,
                 Some(_) => Fault::ArmHeld,

@@ -30,7 +30,7 @@ const MOVED_COUNTS: f64 = 10.0;
 
 /// Largest travel of an arm that counts as at rest, counts: play and the pendulum's pull cause as
 /// much.
-pub const STOOD_COUNTS: f64 = 4.0;
+pub const AT_REST_COUNTS: f64 = 4.0;
 
 /// Least value of the limit on the braking voltage, V: the voltage of the push may lie within the
 /// motor's dead zone.
@@ -158,8 +158,8 @@ impl ProbeTrace {
             return Some(ArmResponse { voltage_v: self.push_v, theta_rad: pushed });
         }
         let countered = self.travel(ProbeStage::Counter)?;
-        let stood_rad = STOOD_COUNTS * self.encoders.theta.rad_per_count();
-        (pushed.abs() <= stood_rad && countered.abs() >= self.moved_rad())
+        let at_rest_rad = AT_REST_COUNTS * self.encoders.theta.rad_per_count();
+        (pushed.abs() <= at_rest_rad && countered.abs() >= self.moved_rad())
             .then_some(ArmResponse { voltage_v: -self.push_v, theta_rad: countered })
     }
 

@@ -4,7 +4,7 @@ use std::thread::JoinHandle;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
-use super::between_motions::{Motor, Undriven};
+use super::between_motions::{Motor, RestMonitor};
 use super::reconnect::{Patience, greet_patiently};
 use super::{
     ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
@@ -79,11 +79,18 @@ impl ControlThread {
             let _ = ready.send(report);
             let mut state = ControlState::default();
             let mut motor = Motor::default();
-            let mut undriven = Undriven::default();
+            let mut rest_monitor = RestMonitor::default();
             for command in inbox {
                 let (device, clock) = (device.as_mut(), clock.as_ref());
-                let event =
-                    obey(&mut state, &mut motor, &mut undriven, command, device, clock, &stop);
+                let event = execute(
+                    &mut state,
+                    &mut motor,
+                    &mut rest_monitor,
+                    command,
+                    device,
+                    clock,
+                    &stop,
+                );
                 if outbox.send(event).is_err() {
                     return;
                 }
@@ -223,10 +230,10 @@ impl Drop for ControlThread {
     }
 }
 
-fn obey(
+fn execute(
     state: &mut ControlState,
     motor: &mut Motor,
-    undriven: &mut Undriven,
+    rest_monitor: &mut RestMonitor,
     command: Command,
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -236,9 +243,9 @@ fn obey(
         Command::Hello(patience) => {
             let identified = greet_patiently(device, clock, stop, patience);
             let answered = identified.is_ok();
-            *undriven = Undriven::default();
+            *rest_monitor = RestMonitor::default();
             if let Ok(identity) = &identified {
-                undriven.port.clone_from(&identity.port);
+                rest_monitor.port.clone_from(&identity.port);
             }
             state.take(if answered { ControlEvent::Hello } else { ControlEvent::NoAnswer });
             Event::Identified(identified, device.is_hardware())
@@ -253,7 +260,7 @@ fn obey(
         }
         Command::Home(settings) => {
             motor.cool_down(clock, stop);
-            undriven.encoders = settings.plant.encoders;
+            rest_monitor.encoders = settings.plant.encoders;
             let mut homing = match state {
                 ControlState::Cleared => Homing::after_fault(&settings),
                 _ => Homing::new(&settings),
@@ -261,7 +268,7 @@ fn obey(
             let driven = allowed(state, ControlEvent::Home)
                 .and_then(|()| driven(state, motor, device, clock, &mut homing, None, stop));
             if let (Ok(report), ControlState::Ready) = (&driven, *state) {
-                undriven.keep(report.last_measurement.as_ref(), device, clock, stop);
+                rest_monitor.keep(report.last_measurement.as_ref(), device, clock, stop);
             }
             let homed = Homed { rig: homing.measured(), travel_rad: homing.travel_rad() };
             Event::Homed(driven.map(|report| (report, homed)))
@@ -269,7 +276,7 @@ fn obey(
         Command::Rollout(settings, controller, mut records) => {
             let before = *state;
             let driven = allowed(state, ControlEvent::Rollout).and_then(|()| {
-                if let Err(error) = undriven.compare(&settings, device, clock, stop) {
+                if let Err(error) = rest_monitor.compare(&settings, device, clock, stop) {
                     *state = before;
                     if matches!(error, ControlError::Device(_)) {
                         state.take(ControlEvent::NoAnswer);
@@ -279,9 +286,9 @@ fn obey(
                 let mut tick = Tick::new(&settings, controller);
                 driven(state, motor, device, clock, &mut tick, Some(&mut records), stop)
             });
-            undriven.left_at = None;
+            rest_monitor.left_at = None;
             if let (Ok(report), ControlState::Ready) = (&driven, *state) {
-                undriven.keep(report.last_measurement.as_ref(), device, clock, stop);
+                rest_monitor.keep(report.last_measurement.as_ref(), device, clock, stop);
             }
             Event::Finished(driven)
         }
@@ -345,7 +352,7 @@ mod tests {
     /// A thread whose device loses its port at sample `gone_at`, and settings for a short rollout.
     fn control(gone_at: u32) -> (ControlThread, TickSettings) {
         let mut device = PlantDevice::new(State::default());
-        device.mishap = Box::new(move |sample| (sample == gone_at).then_some(TestFault::Gone));
+        device.disturbance = Box::new(move |sample| (sample == gone_at).then_some(TestFault::Gone));
         let clock: Arc<dyn Clock> = Arc::new(device.clock.clone());
         let stop = Arc::new(AtomicBool::new(false));
         let thread = ControlThread::spawn(Box::new(device), clock, false, stop).unwrap();
@@ -425,9 +432,9 @@ mod tests {
         let cooled = thread.cool_motor().unwrap();
         assert!((cooled.load - homed.cooled(20.0).load).abs() < 1e-12, "{cooled:?}");
         // The heat can be set, as after the port was reopened.
-        let told = MotorHeat { load: 0.6, ..cooled };
-        thread.set_motor(told).unwrap();
-        assert_eq!(thread.cool_motor().unwrap(), told);
+        let warm = MotorHeat { load: 0.6, ..cooled };
+        thread.set_motor(warm).unwrap();
+        assert_eq!(thread.cool_motor().unwrap(), warm);
         thread.set_motor(cooled).unwrap();
         // Reading the heat does not cool the motor.
         assert_eq!(thread.cool_motor().unwrap(), cooled);

@@ -89,14 +89,14 @@ impl<C: Controller> Tick<C> {
         let hard_stop_rad = plant.limits.hard_stop_rad;
         let nearer_rad = settings.stops.map_or(hard_stop_rad, |stops| stops.nearer_rad());
         let room_rad = (hard_stop_rad - STOPS_MEASURED_WITHIN_RAD - nearer_rad).max(0.0);
-        let is_witnessed = settings.rules >= TickRules::Witnessed;
+        let cross_checks = settings.rules >= TickRules::CrossChecked;
         let mut tick = Self {
             settings: *settings,
             policy,
             estimator: Estimator::new(settings.estimator, settings.calibration),
-            watch: if is_witnessed { Watch::default() } else { Watch::of_the_first_rules() },
-            sensors: if is_witnessed {
-                SensorWatch::witnessed(plant, settings.calibration)
+            watch: if cross_checks { Watch::default() } else { Watch::of_the_first_rules() },
+            sensors: if cross_checks {
+                SensorWatch::with_cross_check(plant, settings.calibration)
             } else {
                 SensorWatch::of(plant)
             },
@@ -104,7 +104,7 @@ impl<C: Controller> Tick<C> {
             settler: Settler::of(plant),
             gentle: GentleSettler::of(plant),
             rest: RestDetector::default(),
-            centred: if is_witnessed {
+            centred: if cross_checks {
                 CentredDetector::off_stops(hard_stop_rad - room_rad)
             } else {
                 CentredDetector::default()
@@ -154,8 +154,8 @@ impl<C: Controller> Tick<C> {
                 // The box counts the pendulum's turns from the start of each rollout.
                 self.estimates = self.estimator.forget_whole_turns();
                 self.policy.start();
-                let is_witnessed = self.settings.rules >= TickRules::Witnessed;
-                self.asking = is_witnessed.then(|| AskingPush::of(&self.settings.plant));
+                let cross_checks = self.settings.rules >= TickRules::CrossChecked;
+                self.asking = cross_checks.then(|| AskingPush::of(&self.settings.plant));
                 self.sensors.allow_the_whole_domain();
                 if let Some(foresight) = &mut self.foresight {
                     foresight.begin_policy();
@@ -182,7 +182,7 @@ impl<C: Controller> Tick<C> {
     fn event(&mut self, input: &TickInput, unpredicted: bool) -> Option<(ControlEvent, Ending)> {
         let stopped = input.stop_requested.then_some((ControlEvent::Stop, Ending::Stopped));
         match self.phase {
-            Phase::Braking => self.braked(),
+            Phase::Braking => self.braking_end(),
             _ if stopped.is_some() => stopped,
             Phase::Settling => {
                 if self.rest.at_rest(&self.estimates.guarded, self.settings.start_theta_rad) {
@@ -206,10 +206,10 @@ impl<C: Controller> Tick<C> {
     }
 
     /// The event that ends braking, once the arm has stopped or time is up.
-    fn braked(&mut self) -> Option<(ControlEvent, Ending)> {
+    fn braking_end(&mut self) -> Option<(ControlEvent, Ending)> {
         let State { theta, theta_dot, .. } = self.estimates.guarded;
         let speed_rad_s = theta_dot.abs();
-        let (stands, most_ticks) = match self.settings.safety_box.guard {
+        let (is_at_rest, most_ticks) = match self.settings.safety_box.guard {
             // A frozen count looks stopped at once although the arm may move, so the count must
             // stay in place for the longer time of the detector.
             _ if self.damps => (self.centred.is_centred(theta), MAX_RETURN_TICKS),
@@ -223,10 +223,10 @@ impl<C: Controller> Tick<C> {
             }
         };
         let time_is_up = self.periods_in_phase >= most_ticks;
-        if !stands && time_is_up && speed_rad_s > RUNAWAY_RAD_S {
+        if !is_at_rest && time_is_up && speed_rad_s > RUNAWAY_RAD_S {
             Some((ControlEvent::ZeroFault, Ending::Fault(Fault::BrakingTimedOut)))
-        } else if stands || time_is_up {
-            Some((ControlEvent::Stands, self.reason))
+        } else if is_at_rest || time_is_up {
+            Some((ControlEvent::BrakingEnded, self.reason))
         } else {
             None
         }
@@ -236,7 +236,7 @@ impl<C: Controller> Tick<C> {
         match self.phase {
             Phase::Settling => {
                 let (state, target) = (&self.estimates.guarded, self.settings.start_theta_rad);
-                if self.settings.rules >= TickRules::Witnessed {
+                if self.settings.rules >= TickRules::CrossChecked {
                     self.gentle.voltage(state, target)
                 } else {
                     self.settler.voltage(state, target)
@@ -256,10 +256,10 @@ impl<C: Controller> Tick<C> {
     ///
     /// A firm brake whose voltage is held while samples are lost may throw a light arm back. If no
     /// share passes, the brake's full voltage is returned. It is also returned under the rules
-    /// before [`TickRules::Tried`] and while the arm's count is doubted.
+    /// before [`TickRules::BrakeSimulating`] and while the arm's count is doubted.
     fn braking_voltage(&mut self) -> f64 {
         let wanted_v = self.brake.voltage_v(&self.estimates.guarded);
-        if self.settings.rules < TickRules::Tried || self.damps {
+        if self.settings.rules < TickRules::BrakeSimulating || self.damps {
             return wanted_v;
         }
         let largest_v = self.settings.plant.limits.largest_voltage_v;
@@ -276,7 +276,7 @@ impl<C: Controller> Tick<C> {
         let asking = self.asking.as_mut().filter(|_| self.phase == Phase::Running)?;
         let (_, alpha) = self.settings.calibration.angles_rad(sample);
         let unanswered = asking.is_unanswered(sample, self.voltage_mv, alpha);
-        unanswered.then(|| Alarm::Zero(self.sensors.why_arm_stands(sample, self.voltage_mv)))
+        unanswered.then(|| Alarm::Zero(self.sensors.why_arm_rests(sample, self.voltage_mv)))
     }
 
     /// Whether the last motion of the Qube contradicts the profile that foresight simulates.
@@ -302,7 +302,7 @@ impl<C: Controller> Tick<C> {
     }
 
     /// Tells a running policy which voltage the motor has had since the last tick.
-    fn tell_policy_what_was_applied(&mut self, skipped_periods: u32) {
+    fn pass_applied_voltage(&mut self, skipped_periods: u32) {
         if self.phase == Phase::Running {
             // A policy looks back over at most `MAX_HISTORY` periods.
             for _ in 0..=skipped_periods.min(MAX_HISTORY as u32) {
@@ -334,7 +334,7 @@ fn brake_of(settings: &TickSettings, damps: bool) -> Brake {
     } else {
         Brake::centring(&settings.plant)
     };
-    if settings.rules >= TickRules::Yielding { brake } else { brake.by_earlier_rules() }
+    if settings.rules >= TickRules::GainReducing { brake } else { brake.by_earlier_rules() }
 }
 
 impl<C: Controller> Motion for Tick<C> {
@@ -342,7 +342,7 @@ impl<C: Controller> Motion for Tick<C> {
         self.angle = None;
         self.periods_in_phase += input.skipped_periods;
         self.periods_without_sample += 1 + input.skipped_periods;
-        self.tell_policy_what_was_applied(input.skipped_periods);
+        self.pass_applied_voltage(input.skipped_periods);
         self.remember_sent(input.skipped_periods);
 
         // Watch link, clock, the device's status flags, and sensors.
@@ -358,7 +358,7 @@ impl<C: Controller> Motion for Tick<C> {
         // then coast into its stop. The brake damps such an arm by its velocity. For an arm at rest
         // it asks for 0 V anyway.
         let since =
-            if self.phase == Phase::Settling { TickRules::Yielding } else { TickRules::Damped };
+            if self.phase == Phase::Settling { TickRules::GainReducing } else { TickRules::Damped };
         let damps = self.settings.rules >= since;
         let off = match self.watch.check(input).or(seen).or(unanswered) {
             Some(Alarm::Zero(fault)) if damps && fault.doubts_count() => {
@@ -383,7 +383,7 @@ impl<C: Controller> Motion for Tick<C> {
         };
         self.estimates = self.estimator.update(measurement);
         let periods = std::mem::take(&mut self.periods_without_sample);
-        if self.settings.rules >= TickRules::Tried
+        if self.settings.rules >= TickRules::BrakeSimulating
             && let Some(foresight) = &mut self.foresight
         {
             foresight.sampled_after(periods);

@@ -90,12 +90,12 @@ fn no_observer_however_wrong_moves_the_limits_of_the_box() {
     // observer's state is far from the arm's.
     let parameters = DomainParameters { rotary_mass_kg: 9.5, ..DomainParameters::NOMINAL };
     let model = QubeModel { parameters, ..QubeModel::NOMINAL };
-    let astray = ObserverSettings {
+    let lost = ObserverSettings {
         theta_noise_rad_s2: 0.1,
-        astray_rad: 10.0,
+        reset_error_rad: 10.0,
         ..ObserverSettings::of(model)
     };
-    let estimator = EstimatorSettings::observer(astray.with_delay(0.1));
+    let estimator = EstimatorSettings::observer(lost.with_delay(0.1));
     let settings = TickSettings { estimator, ..settings() };
     let mut device = PlantDevice::new(State::default());
     let clock = device.clock.clone();
@@ -167,7 +167,7 @@ impl Controller for &mut Listener {
 #[test]
 fn a_policy_is_told_what_the_motor_had_in_each_period_of_its_rollout() {
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| match tick {
+    device.disturbance = Box::new(|tick| match tick {
         80 => Some(TestFault::Slow(34_000_000)),
         tick => (tick % 17 == 3).then_some(TestFault::Lost),
     });
@@ -195,7 +195,7 @@ fn a_policy_is_told_what_the_motor_had_in_each_period_of_its_rollout() {
 #[test]
 fn the_last_hundred_ticks_travel_with_a_fault() {
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| (tick == 170).then_some(TestFault::Gone));
+    device.disturbance = Box::new(|tick| (tick == 170).then_some(TestFault::Gone));
     let (report, records) = rollout(&mut device, classical(), false);
     assert_eq!(report.outcome.ending, Ending::Fault(Fault::LinkGone));
     assert_eq!(report.last_ticks, records[records.len() - 100..]);
@@ -222,7 +222,7 @@ fn a_stop_brakes_at_once() {
 #[test]
 fn lost_samples_are_held_over_and_a_silent_link_ends_the_rollout() {
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| (tick % 20 < 2).then_some(TestFault::Lost));
+    device.disturbance = Box::new(|tick| (tick % 20 < 2).then_some(TestFault::Lost));
     let (report, records) = rollout(&mut device, classical(), false);
     assert_eq!(report.outcome.ending, Ending::Completed);
     let held = records.iter().filter(|record| record.measurement.is_none()).count();
@@ -230,7 +230,7 @@ fn lost_samples_are_held_over_and_a_silent_link_ends_the_rollout() {
     assert_eq!(report.outcome.missed_deadlines as usize, held);
 
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| (tick >= 100).then_some(TestFault::Lost));
+    device.disturbance = Box::new(|tick| (tick >= 100).then_some(TestFault::Lost));
     let (report, records) = rollout(&mut device, classical(), false);
     assert_eq!(report.outcome.ending, Ending::Fault(Fault::NoSample));
     assert_eq!(records.len(), 104);
@@ -239,7 +239,7 @@ fn lost_samples_are_held_over_and_a_silent_link_ends_the_rollout() {
 #[test]
 fn a_stalled_answer_skips_whole_periods_and_never_bursts() {
     let mut device = PlantDevice::new(State::default());
-    device.mishap = Box::new(|tick| (tick == 150).then_some(TestFault::Slow(34_000_000)));
+    device.disturbance = Box::new(|tick| (tick == 150).then_some(TestFault::Slow(34_000_000)));
     let (report, records) = rollout(&mut device, classical(), false);
     assert_eq!(report.outcome.ending, Ending::Completed);
     assert_eq!(records[151].skipped_periods, 2);
@@ -253,14 +253,14 @@ fn a_stalled_answer_skips_whole_periods_and_never_bursts() {
 #[test]
 fn faults_of_link_and_machine_switch_off_without_another_act() {
     let armed = Status { armed: true, ..Status::default() };
-    for (mishap, fault) in [
+    for (disturbance, fault) in [
         (TestFault::Gone, Fault::LinkGone),
         (TestFault::Reports(Status::default()), Fault::NotArmed),
         (TestFault::Reports(Status { watchdog_tripped: true, ..armed }), Fault::WatchdogTripped),
         (TestFault::Reports(Status { amplifier_fault: true, ..armed }), Fault::Amplifier),
     ] {
         let mut device = PlantDevice::new(State::default());
-        device.mishap = Box::new(move |tick| (tick == 70).then_some(mishap));
+        device.disturbance = Box::new(move |tick| (tick == 70).then_some(disturbance));
         let (report, records) = rollout(&mut device, classical(), false);
         assert_eq!(report.outcome.ending, Ending::Fault(fault));
         assert_eq!(records.len(), 71);

@@ -172,7 +172,7 @@ pub enum LinkFault {
     #[error("the device's watchdog switched the motor off")]
     WatchdogTripped,
     /// The act does not answer the last sample, or that sample was requested more than 20 ms ago.
-    #[error("the command answers no sample of the last 20 ms")]
+    #[error("the command does not answer a sample of the last 20 ms")]
     StaleSample,
 }
 
@@ -211,8 +211,8 @@ pub enum DeviceError {
     },
     /// A device that answered before no longer answers.
     #[error(
-        "{port} answered until {silent_s:.1} s ago, then {since}. Switch the Qube off, then look at \
-         the board's supply and its USB cable"
+        "{port} answered until {silent_s:.1} s ago, then {since}. Switch the Qube off, then check the \
+         board's supply and its USB cable"
     )]
     FellSilent {
         /// The port.
@@ -230,7 +230,7 @@ pub enum DeviceError {
     },
     /// The device speaks another protocol version.
     #[error(
-        "{port} speaks protocol version {theirs}, this program {ours}. Flash the firmware of this release"
+        "{port} uses protocol version {theirs}, this program uses {ours}. Flash the firmware of this release"
     )]
     VersionMismatch {
         /// The port.

@@ -51,7 +51,7 @@ pub struct SerialLink<T: Transport> {
     /// Whether a frame may be incomplete on the wire; the next request then begins with a delimiter
     /// that ends that frame.
     broken_frame: bool,
-    heard: Heard,
+    heard: Traffic,
     sample_time_ns: Option<Nanoseconds>,
 }
 
@@ -66,7 +66,7 @@ enum Motor {
 /// The traffic since the last answer, from which an error message explains a silent or foreign
 /// device.
 #[derive(Clone, Copy, Debug, Default)]
-struct Heard {
+struct Traffic {
     /// Time of the last valid answer, ns; `None` before the first.
     answered_ns: Option<Nanoseconds>,
     /// Bytes received since then, or since the first hello.
@@ -116,7 +116,7 @@ impl<T: Transport> SerialLink<T> {
             device_time: DeviceTime::default(),
             last_sample: None,
             broken_frame: false,
-            heard: Heard::default(),
+            heard: Traffic::default(),
             sample_time_ns: None,
         }
     }
@@ -158,7 +158,7 @@ impl<T: Transport> SerialLink<T> {
                 let reply = Reply::parse(&frame);
                 if reply.is_ok() {
                     let answered_ns = Some(self.clock.now_ns());
-                    self.heard = Heard { answered_ns, ..Heard::default() };
+                    self.heard = Traffic { answered_ns, ..Traffic::default() };
                 }
                 match reply {
                     Ok(reply) if frame.sequence == sequence => awaited = Some(reply),
@@ -230,19 +230,19 @@ impl<T: Transport> SerialLink<T> {
 
     /// The error for unanswered hellos.
     fn silence(&self, hellos: u32, wait_ns: Nanoseconds) -> DeviceError {
-        let Heard { answered_ns, bytes, requests } = self.heard;
+        let Traffic { answered_ns, bytes, requests } = self.heard;
         let nothing = format!("no answer to {hellos} hellos in {:.1} s", wait_ns as f64 * 1e-9);
         if let Some(answered_ns) = answered_ns {
             let silent_s = (self.clock.now_ns() - answered_ns) as f64 * 1e-9;
             let since =
-                if bytes > 0 { format!("{bytes} bytes that are no answer") } else { nothing };
+                if bytes > 0 { format!("{bytes} bytes that are not an answer") } else { nothing };
             return DeviceError::FellSilent { port: self.name(), silent_s, since };
         }
         self.not_a_qube(if requests > 0 {
             "it echoes what it is sent".into()
         } else if bytes > 0 {
             format!(
-                "it sent {bytes} bytes that are no answer (another device, or another baud rate)"
+                "it sent {bytes} bytes that are not an answer (another device, or another baud rate)"
             )
         } else {
             nothing
@@ -471,7 +471,7 @@ impl<T: Transport> Drop for SerialLink<T> {
     }
 }
 
-/// Whether a new hello may cure this refusal of an arm.
+/// Whether a new hello may remedy this refusal of an arm.
 fn is_cured_by_greeting(reason: RefusalReason) -> bool {
     matches!(reason, RefusalReason::WrongNonce | RefusalReason::AlreadyArmed)
 }

@@ -12,14 +12,14 @@ const MAX_INTERVAL_US: u64 = 100_000;
 
 /// Bound on every entry of a state, rad and rad/s, far beyond any motion of a Qube. A state with an
 /// entry beyond the bound, or with one that is not a number, is discarded.
-const SENSELESS: f64 = 1e4;
+const DIVERGED: f64 = 1e4;
 
 /// The observer's equations, for one real Qube or for the simulated Qubes that vector instructions
 /// compute side by side (lanes).
 #[derive(Clone, Copy, Debug)]
 pub struct ObserverEquations<T = f64> {
     dynamics: NonidealDynamics<T>,
-    astray: T,
+    reset_error_rad: T,
 }
 
 impl<T: Scalar> ObserverEquations<T> {
@@ -28,7 +28,7 @@ impl<T: Scalar> ObserverEquations<T> {
     pub fn new(settings: &ObserverSettings) -> Self {
         Self {
             dynamics: NonidealDynamics::new(&settings.model),
-            astray: T::from_f64(settings.astray_rad),
+            reset_error_rad: T::from_f64(settings.reset_error_rad),
         }
     }
 
@@ -59,8 +59,9 @@ impl<T: Scalar> ObserverEquations<T> {
             alpha_dot: alpha_gains.velocity.mul_add(alpha_off, predicted.alpha_dot),
         };
         // A comparison with NaN is false and therefore resets.
-        let near = (theta_off.abs() < self.astray) & (alpha_off.abs() < self.astray);
-        let kept = near & makes_sense(&corrected);
+        let near =
+            (theta_off.abs() < self.reset_error_rad) & (alpha_off.abs() < self.reset_error_rad);
+        let kept = near & is_plausible(&corrected);
         (choose(kept, &corrected, filtered), !kept)
     }
 
@@ -68,7 +69,7 @@ impl<T: Scalar> ObserverEquations<T> {
     /// command acts, or `filtered` where the prediction is implausible.
     #[inline(always)]
     pub fn shown(ahead: &State<T>, filtered: &State<T>) -> State<T> {
-        choose(makes_sense(ahead), ahead, filtered)
+        choose(is_plausible(ahead), ahead, filtered)
     }
 }
 
@@ -85,8 +86,8 @@ fn choose<T: Scalar>(first: bool, a: &State<T>, b: &State<T>) -> State<T> {
 }
 
 #[inline(always)]
-fn makes_sense<T: Scalar>(state: &State<T>) -> bool {
-    let limit = T::from_f64(SENSELESS);
+fn is_plausible<T: Scalar>(state: &State<T>) -> bool {
+    let limit = T::from_f64(DIVERGED);
     (state.theta.abs() < limit)
         & (state.alpha.abs() < limit)
         & (state.theta_dot.abs() < limit)
@@ -129,7 +130,7 @@ impl Observer {
     /// `before_us`. Returns the state at the instant at which the command being computed will act.
     pub(super) fn update(&mut self, before_us: u64, now_us: u64, filtered: &State) -> State {
         let elapsed_us = now_us - before_us;
-        let (estimate, astray) = if elapsed_us <= MAX_INTERVAL_US {
+        let (estimate, is_reset) = if elapsed_us <= MAX_INTERVAL_US {
             let elapsed_s = elapsed_us as f64 * 1e-6;
             let gains =
                 |encoder, noise_rad_s2| KalmanGains::steady_state(encoder, noise_rad_s2, elapsed_s);
@@ -143,7 +144,7 @@ impl Observer {
             (*filtered, true)
         };
         self.estimate = estimate;
-        self.observer_resets = self.observer_resets.saturating_add(u32::from(astray));
+        self.observer_resets = self.observer_resets.saturating_add(u32::from(is_reset));
         let ahead = self.moved(now_us, now_us.saturating_add(self.sent.delay_us()));
         ObserverEquations::shown(&ahead, filtered)
     }

@@ -40,7 +40,8 @@ pub struct ObserverSettings {
     pub alpha_noise_rad_s2: f64,
     /// Largest difference between measured and predicted angle, rad; above 0 and up to 10. Beyond
     /// it the observer restarts from the encoders and the guard's filter.
-    pub astray_rad: f64,
+    #[serde(alias = "astray_rad")]
+    pub reset_error_rad: f64,
 }
 
 /// The reason why estimator settings are invalid.
@@ -97,7 +98,7 @@ impl EstimatorSettings {
         };
         within("observer.theta_noise_rad_s2", observer.theta_noise_rad_s2, 1e6)?;
         within("observer.alpha_noise_rad_s2", observer.alpha_noise_rad_s2, 1e6)?;
-        within("observer.astray_rad", observer.astray_rad, 10.0)?;
+        within("observer.reset_error_rad", observer.reset_error_rad, 10.0)?;
         Ok(observer.model.check()?)
     }
 }
@@ -139,7 +140,7 @@ impl Default for ObserverSettings {
             model: QubeModel::NOMINAL,
             theta_noise_rad_s2: 30.0,
             alpha_noise_rad_s2: 30.0,
-            astray_rad: 0.1,
+            reset_error_rad: 0.1,
         }
     }
 }

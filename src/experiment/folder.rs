@@ -149,13 +149,13 @@ pub(super) fn make(path: &Path) -> Result<(), FolderError> {
     MachineDisk.create_folder(path).map_err(io)
 }
 
-/// Checks a name that also becomes the name of a folder; `what` names the setting in the error.
-pub(super) fn check_name(what: &str, name: &str) -> Result<(), String> {
+/// Checks a name that also becomes the name of a folder; `kind` names the setting in the error.
+pub(super) fn check_name(kind: &str, name: &str) -> Result<(), String> {
     let allowed = |letter: char| letter.is_ascii_alphanumeric() || "-_.+%".contains(letter);
     if !name.is_empty() && name.len() <= 60 && !name.starts_with('.') && name.chars().all(allowed) {
         return Ok(());
     }
     Err(format!(
-        "{what}: {name:?} is not a valid name: use letters, digits, and - _ . + %, at most 60 of them"
+        "{kind}: {name:?} is not a valid name: use letters, digits, and - _ . + %, at most 60 of them"
     ))
 }

@@ -11,7 +11,7 @@ use super::statistics::{
     Interval, bounded_mean_interval, mean, standard_deviation, wilson_interval,
 };
 use super::{Experiment, ExperimentError, Plant, Recipe, RolloutResult};
-use crate::learning::evaluate_afresh;
+use crate::learning::evaluate_on_new_starts;
 use crate::policy::Policy;
 use crate::qube::MAX_STEPS;
 use crate::scoring::{Behaviour, Quietness, criterion};
@@ -251,7 +251,8 @@ pub(super) fn simulated_return(
     let Policy::Network(policy) = Policy::load(path)? else {
         return Ok(f64::NAN);
     };
-    let evaluation = evaluate_afresh(&policy.network, distribution, simulation, FRESH_SEED, starts);
+    let evaluation =
+        evaluate_on_new_starts(&policy.network, distribution, simulation, FRESH_SEED, starts);
     Ok(evaluation.mean_return())
 }
 

@@ -5,7 +5,7 @@ use super::folder::{PolicyFolders, make};
 use super::rollouts::{Record, Repeated};
 use super::{ExperimentError, Plant, Recipe, RolloutResult};
 use crate::jobs::{CHOSEN_OF_STARTS, Executor, ROUNDS, SUCCEEDED, TrainingJob, worst_return};
-use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_afresh};
+use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_on_new_starts};
 use crate::policy::Policy;
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::session::{EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed};
@@ -121,7 +121,8 @@ impl Series<'_> {
         let mut scored = |training: u32| -> Result<(f64, Trained), ExperimentError> {
             let trained = train(training)?;
             let (network, starts) = (&trained.network, CHOSEN_OF_STARTS);
-            let simulated = evaluate_afresh(network, &distribution, &simulation, fresh, starts);
+            let simulated =
+                evaluate_on_new_starts(network, &distribution, &simulation, fresh, starts);
             Ok((worst_return(&simulated), trained))
         };
         let mut best = scored(0)?;

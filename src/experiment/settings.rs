@@ -57,9 +57,10 @@ impl ExperimentSettings {
             "it was changed since this experiment began: restore it, or begin a new experiment with these settings"
                 .to_owned()
         });
-        let retired = retired.iter().find(|entry| entry.changed_something()).map(|entry| {
-            format!("{entry}: an experiment continues with the settings that it began with")
-        });
+        let retired = retired
+            .iter()
+            .find(|entry| entry.changed_something())
+            .map(|entry| format!("{entry}: an experiment keeps the settings that it began with"));
         let gone = settings.recipes.iter().find_map(|recipe| {
             let gone = recipe.settings.check_resumable().err()?;
             Some(format!("recipe {}: {gone}", recipe.name))
@@ -178,11 +179,11 @@ impl ExperimentSettings {
     }
 }
 
-fn distinct(what: &str, names: &[&str]) -> Result<(), String> {
+fn distinct(kind: &str, names: &[&str]) -> Result<(), String> {
     for (index, name) in names.iter().enumerate() {
-        check_name(what, name)?;
+        check_name(kind, name)?;
         if names[..index].contains(name) {
-            return Err(format!("{what}: two are called {name}"));
+            return Err(format!("{kind}: two are called {name}"));
         }
     }
     Ok(())

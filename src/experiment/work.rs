@@ -123,7 +123,7 @@ pub type SearchReturns = Vec<(String, Vec<Vec<f64>>)>;
 pub type TrainingProgress = Vec<(String, Vec<Vec<f64>>)>;
 
 /// Receives the events of an experiment.
-pub(super) type Tell<'a> = dyn Fn(ExperimentEvent) + Sync + 'a;
+pub(super) type OnEvent<'a> = dyn Fn(ExperimentEvent) + Sync + 'a;
 
 impl Experiment {
     /// An experiment that begins or continues in its folder. `rig` selects the Qube; if it is
@@ -198,19 +198,19 @@ impl Experiment {
     ///
     /// # Errors
     /// The work ends early; finished work is on disk.
-    pub fn run(&self, tell: &Tell) -> Result<(), ExperimentError> {
+    pub fn run(&self, on_event: &OnEvent) -> Result<(), ExperimentError> {
         let mut items = self.items();
         let searches = items.iter().filter(|item| matches!(item, WorkItem::Search { .. })).count();
         if !self.is_virtual() {
             for item in items.extract_if(..searches, |_| true).collect::<Vec<_>>() {
-                items.extend(self.work(item, self.threads, tell)?);
+                items.extend(self.work(item, self.threads, on_event)?);
             }
         }
         let cores = self.threads / searches.max(1);
         Queue::new(items, &self.stop)
-            .run(self.items_at_a_time(), |item| self.work(item, cores, tell))?;
+            .run(self.items_at_a_time(), |item| self.work(item, cores, on_event))?;
         if !self.is_virtual() {
-            self.run_on_device(tell)?;
+            self.run_on_device(on_event)?;
         }
         Ok(())
     }
@@ -245,36 +245,41 @@ impl Experiment {
         &self,
         item: WorkItem,
         cores: usize,
-        tell: &Tell,
+        on_event: &OnEvent,
     ) -> Result<Vec<WorkItem>, ExperimentError> {
         match item {
             WorkItem::Search { recipe } => {
-                self.search(&self.settings.recipes[recipe], cores, tell)?;
+                self.search(&self.settings.recipes[recipe], cores, on_event)?;
                 Ok(self.policies(recipe).collect())
             }
             WorkItem::Policy { recipe, policy } => {
                 let recipe = &self.settings.recipes[recipe];
-                self.make_policy(recipe, policy, tell)?;
+                self.make_policy(recipe, policy, on_event)?;
                 Ok(Vec::new())
             }
             WorkItem::AtBudgets(trial) => {
                 if let Some(strategies) = &self.settings.strategies {
-                    self.at_budgets(strategies, trial, Access::Work(tell))?;
+                    self.at_budgets(strategies, trial, Access::Work(on_event))?;
                 }
                 Ok(Vec::new())
             }
             WorkItem::Repetition { method, repetition } => {
                 if let Some(strategies) = &self.settings.strategies {
                     let repetition =
-                        self.follow(strategies, (method, repetition), Access::Work(tell))?;
-                    tell(ExperimentEvent::Over { repetition: &repetition });
+                        self.follow(strategies, (method, repetition), Access::Work(on_event))?;
+                    on_event(ExperimentEvent::Over { repetition: &repetition });
                 }
                 Ok(Vec::new())
             }
         }
     }
 
-    fn search(&self, recipe: &Recipe, cores: usize, tell: &Tell) -> Result<(), ExperimentError> {
+    fn search(
+        &self,
+        recipe: &Recipe,
+        cores: usize,
+        on_event: &OnEvent,
+    ) -> Result<(), ExperimentError> {
         make(&self.folder.searches())?;
         let emulated = self.settings.plants[0].emulated;
         let settings = SessionSettings {
@@ -289,10 +294,10 @@ impl Experiment {
         };
         let folder = self.folder.search(&recipe.name);
         let session = open_search(&folder, settings, &self.rig, &self.stop)?;
-        let tell = &mut |progress: SessionEvent| {
-            tell(ExperimentEvent::Search { name: &recipe.name, progress: &progress });
+        let on_event = &mut |progress: SessionEvent| {
+            on_event(ExperimentEvent::Search { name: &recipe.name, progress: &progress });
         };
-        session.trained_by(self.executor(cores)).run(tell).map_err(failed)
+        session.trained_by(self.executor(cores)).run(on_event).map_err(failed)
     }
 
     /// The state of the search for a recipe's psi.
@@ -376,25 +381,25 @@ impl Experiment {
         &self,
         recipe: &Recipe,
         policy: u32,
-        tell: &Tell,
+        on_event: &OnEvent,
     ) -> Result<(), ExperimentError> {
         let psi = self.psi(recipe)?;
         let series = self.series(recipe, psi.value());
         let best_return = series.train(policy, &mut |training, update| {
-            tell(ExperimentEvent::Training { recipe: &recipe.name, policy, training, update });
+            on_event(ExperimentEvent::Training { recipe: &recipe.name, policy, training, update });
         })?;
-        tell(ExperimentEvent::Trained { recipe: &recipe.name, policy, best_return });
+        on_event(ExperimentEvent::Trained { recipe: &recipe.name, policy, best_return });
         let plants = if self.is_virtual() { &self.settings.plants[..] } else { &[] };
         for plant in plants {
             let results = series.run_in_virtual_time(policy, plant, self.settings.rollouts)?;
             let (recipe, plant, results) = (&recipe.name, &plant.name, &results);
-            tell(ExperimentEvent::Ran { recipe, policy, plant, results });
+            on_event(ExperimentEvent::Ran { recipe, policy, plant, results });
         }
         Ok(())
     }
 
     /// Runs all rollouts on one Qube, one after the other.
-    fn run_on_device(&self, tell: &Tell) -> Result<(), ExperimentError> {
+    fn run_on_device(&self, on_event: &OnEvent) -> Result<(), ExperimentError> {
         let mut rig: Option<Rig> = None;
         let plant = &self.settings.plants[0];
         for recipe in &self.settings.recipes {
@@ -404,7 +409,7 @@ impl Experiment {
                 let rollouts = self.settings.rollouts;
                 let results = series.run_on_device(&mut rig, policy, plant, rollouts)?;
                 let (recipe, plant, results) = (&recipe.name, &plant.name, &results);
-                tell(ExperimentEvent::Ran { recipe, policy, plant, results });
+                on_event(ExperimentEvent::Ran { recipe, policy, plant, results });
             }
         }
         Ok(())

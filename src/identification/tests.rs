@@ -81,12 +81,12 @@ fn a_qube_that_is_known_is_found_within_its_standard_errors() {
         let off = (estimate.value - expected).abs() / estimate.standard_error;
         assert!(off < 4.0, "{} should be {expected}: {estimate:?}", estimate.unknown.name());
     }
-    let told = |term: Nonideality| {
+    let is_determined = |term: Nonideality| {
         let unknown = Unknown::from(term);
         let estimate = found.estimates.iter().find(|estimate| estimate.unknown == unknown);
-        estimate.is_some_and(Estimate::is_told)
+        estimate.is_some_and(Estimate::is_determined)
     };
-    assert!(told(Nonideality::CommandDelay) && told(Nonideality::CableStiffness));
+    assert!(is_determined(Nonideality::CommandDelay) && is_determined(Nonideality::CableStiffness));
     // Scaling all forces and all inertias by the same factor leaves the motion unchanged.
     let blind: Vec<Unknown> = found.blind.iter().flatten().map(|(unknown, _)| *unknown).collect();
     assert!(blind.contains(&DomainParameter::PendulumMass.into()), "{blind:?}");

@@ -7,7 +7,7 @@ use crate::qube::{Nonideality, PlantModel};
 
 /// Share of its prior variance that the data must remove from an unknown before it counts as
 /// determined.
-const TOLD: f64 = 0.5;
+const DETERMINED_SHARE: f64 = 0.5;
 
 /// Smallest entry, in magnitude, that is reported of a direction of length 1.
 const WORTH_NAMING: f64 = 0.25;
@@ -27,14 +27,14 @@ pub struct Estimate {
     pub standard_error: f64,
     /// Share of the prior variance that the data removed, 0 to 1; near 0, the value is that of the
     /// prior.
-    pub told_by_data: f64,
+    pub variance_removed: f64,
 }
 
 impl Estimate {
     /// Whether the data rather than the prior determine the value.
     #[must_use]
-    pub fn is_told(&self) -> bool {
-        self.told_by_data >= TOLD
+    pub fn is_determined(&self) -> bool {
+        self.variance_removed >= DETERMINED_SHARE
     }
 }
 
@@ -105,7 +105,7 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
             value: unknown.quantity(moved),
             standard_error: unknown
                 .deviation(moved, total(index).sqrt() * unknown.prior(fit.plant).std),
-            told_by_data: 1.0 - left,
+            variance_removed: 1.0 - left,
         }
     });
     let blind = eigen.eigenvalues.iter().enumerate().filter(|(_, value)| **value < 1.0);

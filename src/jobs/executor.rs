@@ -32,12 +32,12 @@ pub trait Executor: Send + Sync {
     /// Number of trainings that run at the same time if there are enough jobs.
     fn concurrency(&self) -> usize;
 
-    /// Carries out all jobs and returns when `tell` has received one [`JobEvent::Finished`] for
-    /// each; setting `stop` ends them soon. `tell` is called on the calling thread, in no
+    /// Carries out all jobs and returns when `on_event` has received one [`JobEvent::Finished`] for
+    /// each; setting `stop` ends them soon. `on_event` is called on the calling thread, in no
     /// particular order of the jobs.
-    fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent));
+    fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, on_event: &mut dyn FnMut(JobEvent));
 
-    /// Carries out one job; `tell` is called after each update.
+    /// Carries out one job; `on_update` is called after each update.
     ///
     /// # Errors
     /// The training fails or is stopped.
@@ -45,12 +45,12 @@ pub trait Executor: Send + Sync {
         &self,
         job: &TrainingJob,
         stop: &AtomicBool,
-        tell: &mut dyn FnMut(&TrainUpdate),
+        on_update: &mut dyn FnMut(&TrainUpdate),
     ) -> Result<Trained, JobError> {
         let mut ended = Err(TrainError::Stopped.into());
         self.train(std::slice::from_ref(job), stop, &mut |event| match event {
             JobEvent::Begun { .. } => {}
-            JobEvent::Update { update, .. } => tell(&update),
+            JobEvent::Update { update, .. } => on_update(&update),
             JobEvent::Finished { result, .. } => ended = result.map(|trained| *trained),
         });
         ended

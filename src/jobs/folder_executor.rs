@@ -10,7 +10,7 @@ use super::folder::{
     ClaimEnding, Heartbeat, HeartbeatWatch, Holder, JobFolder, JobResult, NextTry, Tries,
 };
 use super::starter::{StartError, Starter};
-use super::workforce::{NoWorkforce, Workforce};
+use super::worker_pool::{NoWorkers, WorkerPool};
 use super::{Executor, JobError, JobEvent, JobFolderError, TrainingJob};
 use crate::learning::{TrainError, Trained};
 
@@ -21,7 +21,7 @@ const SHORTEST_WAIT: Duration = Duration::from_millis(10);
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
 /// Time between two checks of a stop flag.
-const GLANCE: Duration = Duration::from_millis(250);
+const POLL_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Time between two calls of the function that reports that a caller waits and does not hang.
 const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
@@ -80,11 +80,11 @@ impl From<Failure> for JobError {
     }
 }
 
-impl From<NoWorkforce> for Failure {
-    fn from(error: NoWorkforce) -> Self {
+impl From<NoWorkers> for Failure {
+    fn from(error: NoWorkers) -> Self {
         match error {
-            NoWorkforce::Folder(error) => Self::Folder(Arc::new(error)),
-            NoWorkforce::Start(error) => Self::Start(Arc::new(error)),
+            NoWorkers::Folder(error) => Self::Folder(Arc::new(error)),
+            NoWorkers::Start(error) => Self::Start(Arc::new(error)),
         }
     }
 }
@@ -123,11 +123,11 @@ impl FolderExecutor {
             results: AtomicU64::new(0),
             leave,
         });
-        let workforce = starter.map(|starter| Workforce::new(starter, workers, &shared.folder));
+        let worker_pool = starter.map(|starter| WorkerPool::new(starter, workers, &shared.folder));
         let watched = Arc::clone(&shared);
         let watch = std::thread::Builder::new()
             .name("jobs".to_owned())
-            .spawn(move || watched.watch(heartbeat, workforce))
+            .spawn(move || watched.watch(heartbeat, worker_pool))
             .map_err(|source| JobFolderError::Disk {
                 path: shared.folder.root().to_owned(),
                 source,
@@ -138,7 +138,7 @@ impl FolderExecutor {
     /// Sets a function that is called every 10 s while a caller waits for results, because a
     /// scheduler's queue may be long.
     #[must_use]
-    pub fn telling(mut self, waits: fn()) -> Self {
+    pub fn while_waiting(mut self, waits: fn()) -> Self {
         self.waits = waits;
         self
     }
@@ -165,24 +165,24 @@ impl Executor for FolderExecutor {
         self.workers as usize
     }
 
-    fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
+    fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, on_event: &mut dyn FnMut(JobEvent)) {
         let shared = &self.shared;
         let (sender, receiver) = unbounded();
         let mut open: HashMap<usize, String> = HashMap::with_capacity(jobs.len());
         for (index, job) in jobs.iter().enumerate() {
             match shared.ask(index, job, &sender) {
                 Ok(name) => drop(open.insert(index, name)),
-                Err(error) => tell(JobEvent::Finished { job: index, result: Err(error) }),
+                Err(error) => on_event(JobEvent::Finished { job: index, result: Err(error) }),
             }
         }
         shared.changed.notify_all();
-        let mut told = Instant::now();
+        let mut notified = Instant::now();
         while !open.is_empty() {
-            if told.elapsed() >= SIGN_OF_LIFE {
-                told = Instant::now();
+            if notified.elapsed() >= SIGN_OF_LIFE {
+                notified = Instant::now();
                 (self.waits)();
             }
-            let notice = match receiver.recv_timeout(GLANCE) {
+            let notice = match receiver.recv_timeout(POLL_INTERVAL) {
                 Ok(notice) => notice,
                 Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => continue,
                 Err(_) => break,
@@ -202,16 +202,16 @@ impl Executor for FolderExecutor {
             let name = open.remove(&index);
             if let Ok(trained) = &result {
                 for update in &trained.curve {
-                    tell(JobEvent::Update { job: index, update: *update });
+                    on_event(JobEvent::Update { job: index, update: *update });
                 }
             }
-            tell(JobEvent::Finished { job: index, result });
+            on_event(JobEvent::Finished { job: index, result });
             // The policy is in the caller's hands, so nobody needs the files any more.
             name.into_iter().for_each(|name| shared.release(&name));
         }
         for (job, name) in open {
             shared.withdraw(&name, job, &sender);
-            tell(JobEvent::Finished { job, result: Err(TrainError::Stopped.into()) });
+            on_event(JobEvent::Finished { job, result: Err(TrainError::Stopped.into()) });
         }
     }
 }
@@ -300,11 +300,11 @@ impl Shared {
 
     /// Runs until the executor ends: keeps the heartbeat, announces results, gives up jobs and
     /// tends the workers.
-    fn watch(&self, mut heartbeat: Heartbeat, mut workforce: Option<Workforce>) {
+    fn watch(&self, mut heartbeat: Heartbeat, mut worker_pool: Option<WorkerPool>) {
         let terms = self.folder.terms().clone();
         let begun = Instant::now();
         let mut tries = HeartbeatWatch::new(Holder::this_process(), terms.stale());
-        let (mut beaten, mut judged) = (Instant::now(), Instant::now());
+        let (mut beaten, mut stale_checked) = (Instant::now(), Instant::now());
         let mut tended: Option<Instant> = None;
         let longest = LONGEST_WAIT.min(terms.beat());
         let mut wait = SHORTEST_WAIT;
@@ -315,8 +315,8 @@ impl Shared {
                 let _ = heartbeat.beat();
             }
             let looked = self.announce_results().and_then(|found| {
-                if judged.elapsed() >= terms.beat() {
-                    judged = Instant::now();
+                if stale_checked.elapsed() >= terms.beat() {
+                    stale_checked = Instant::now();
                     self.give_up(&mut tries, begun.elapsed())?;
                 }
                 Ok(found)
@@ -334,12 +334,12 @@ impl Shared {
                 }
                 Err(error) => self.fail(&Failure::Folder(Arc::new(error))),
             }
-            if let Some(force) = &mut workforce
+            if let Some(pool) = &mut worker_pool
                 && tended.is_none_or(|tended| tended.elapsed() >= terms.beat())
             {
                 let open = self.lock().waiting.len();
                 if let Err(error) =
-                    force.tend(&self.folder, open, self.results.load(Ordering::Relaxed))
+                    pool.start_missing(&self.folder, open, self.results.load(Ordering::Relaxed))
                 {
                     self.fail(&error.into());
                 }
@@ -356,7 +356,7 @@ impl Shared {
         }
         if !self.leave || self.folder.open_jobs().is_ok_and(|jobs| jobs.is_empty()) {
             let _ = self.folder.close();
-            workforce.iter_mut().for_each(Workforce::cancel);
+            worker_pool.iter_mut().for_each(WorkerPool::cancel);
         }
         let _ = heartbeat.end(&ClaimEnding::Done);
     }

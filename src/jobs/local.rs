@@ -51,15 +51,18 @@ impl LocalExecutor {
         jobs: &[TrainingJob],
         index: usize,
         stop: &AtomicBool,
-        tell: &mut dyn FnMut(JobEvent),
+        on_event: &mut dyn FnMut(JobEvent),
     ) {
         let TrainingJob { distribution, settings, seed } = &jobs[index];
-        tell(JobEvent::Begun { job: index });
+        on_event(JobEvent::Begun { job: index });
         let checkpointing = self.checkpointing.as_ref().filter(|_| jobs.len() == 1);
         let result = train(distribution, settings, *seed, checkpointing, stop, |update| {
-            tell(JobEvent::Update { job: index, update: *update });
+            on_event(JobEvent::Update { job: index, update: *update });
         });
-        tell(JobEvent::Finished { job: index, result: result.map(Box::new).map_err(Into::into) });
+        on_event(JobEvent::Finished {
+            job: index,
+            result: result.map(Box::new).map_err(Into::into),
+        });
     }
 }
 
@@ -68,12 +71,12 @@ impl Executor for LocalExecutor {
         self.cores
     }
 
-    fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
+    fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, on_event: &mut dyn FnMut(JobEvent)) {
         let workers = self.cores.min(jobs.len());
         // Trainings that are confined to some cores need threads of their own, because the caller's
         // thread must keep its cores and priority.
         if workers <= 1 && self.keeps_to.is_none() {
-            (0..jobs.len()).for_each(|index| self.carry_out(jobs, index, stop, tell));
+            (0..jobs.len()).for_each(|index| self.carry_out(jobs, index, stop, on_event));
             return;
         }
         let (sender, receiver) = unbounded();
@@ -97,7 +100,7 @@ impl Executor for LocalExecutor {
                 });
             }
             drop(sender);
-            receiver.iter().for_each(tell);
+            receiver.iter().for_each(on_event);
         });
     }
 }

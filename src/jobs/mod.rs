@@ -33,7 +33,7 @@ mod selection;
 pub mod starter;
 mod training_cores;
 mod training_job;
-mod workforce;
+mod worker_pool;
 
 pub use error::{JobError, JobFolderError};
 pub use executor::{Executor, JobEvent};

@@ -24,7 +24,7 @@ impl TrainingCores {
     }
 
     /// The processors on which the calling thread may run; `None` where the operating system does
-    /// not tell.
+    /// not report them.
     pub(super) fn of_this_thread() -> Option<Self> {
         sched_getaffinity(None).ok().map(Self)
     }
@@ -64,7 +64,7 @@ impl TrainingCores {
     }
 }
 
-/// The logical processors of the core of `processor`; empty if Linux does not tell them.
+/// The logical processors of the core of `processor`; empty if Linux does not report them.
 fn siblings(processor: usize) -> Vec<usize> {
     let path = format!("/sys/devices/system/cpu/cpu{processor}/topology/thread_siblings_list");
     let text = std::fs::read_to_string(Path::new(&path)).unwrap_or_default();

@@ -13,15 +13,15 @@ pub(super) struct NetworkActor<'a> {
     network: &'a Network,
     /// Physics inputs of each lane's Qube, `[input][lanes]`; empty for a network without physics
     /// inputs.
-    told: Vec<f32>,
+    physics_inputs: Vec<f32>,
     /// Observations and physics inputs of a step, `[input][lanes]`.
     inputs: Vec<f32>,
 }
 
 impl<'a> NetworkActor<'a> {
     /// An actor whose Qubes have these physics inputs, `[input][lanes]`.
-    pub fn told(network: &'a Network, told: Vec<f32>) -> Self {
-        Self { network, told, inputs: Vec::new() }
+    pub fn with_physics(network: &'a Network, physics_inputs: Vec<f32>) -> Self {
+        Self { network, physics_inputs, inputs: Vec::new() }
     }
 }
 
@@ -29,7 +29,7 @@ impl Actor for NetworkActor<'_> {
     fn act(&mut self, observations: &[f32], voltages_v: &mut [f32]) {
         self.inputs.clear();
         self.inputs.extend_from_slice(observations);
-        self.inputs.extend_from_slice(&self.told);
+        self.inputs.extend_from_slice(&self.physics_inputs);
         outputs(self.network, &self.inputs, voltages_v);
         for voltage_v in voltages_v {
             *voltage_v *= VOLTS_PER_OUTPUT;

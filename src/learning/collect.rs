@@ -5,12 +5,12 @@ use rand_chacha::ChaCha8Rng;
 
 use super::TrainSettings;
 use super::actor::{VOLTS_PER_OUTPUT, outputs};
-use super::calm::Calm;
 use super::kernels::{Forward, gaussian_log_probability};
 use super::network::{LOG_STD, MAX_OBSERVATION_SIZE, Network, WIDTH};
 use super::physics_inputs::PhysicsInputs;
 use super::random::Stream;
-use super::transition::{End, Further, Observation, Transition, estimate_advantages, inputs};
+use super::smoothness::SmoothnessFactor;
+use super::transition::{End, ExtraInputs, Observation, Transition, estimate_advantages, inputs};
 use crate::elementary::{dispatch, exp, normal_pair};
 use crate::qube::MAX_STEPS;
 use crate::simulation::{DomainDistribution, LaneStatus, Pendulums, Trajectory};
@@ -20,7 +20,7 @@ pub(super) struct Batch {
     pub transitions: Vec<Transition>,
     /// Inputs of the networks beyond those of an [`Observation`], at each transition; empty if the
     /// networks have none.
-    pub further: Vec<Further>,
+    pub extra_inputs: Vec<ExtraInputs>,
     /// Number of trajectories begun.
     pub trajectories: u32,
     /// The ends of the trajectories, in order of their indices.
@@ -76,13 +76,13 @@ impl Collector<'_> {
             ends.extend(part.ends.iter().map(shifted));
             first += part.transitions.len();
         }
-        let mut parts = parts.into_iter().map(|part| (part.transitions, part.further));
-        let (mut transitions, mut further) = parts.next().unwrap_or_default();
+        let mut parts = parts.into_iter().map(|part| (part.transitions, part.extra_inputs));
+        let (mut transitions, mut extra_inputs) = parts.next().unwrap_or_default();
         for (more, more_further) in parts {
             transitions.extend(more);
-            further.extend(more_further);
+            extra_inputs.extend(more_further);
         }
-        Batch { transitions, further, trajectories, ends }
+        Batch { transitions, extra_inputs, trajectories, ends }
     }
 
     fn collect_lanes(&self, lanes: Range<usize>) -> Batch {
@@ -95,18 +95,18 @@ impl Collector<'_> {
         let mut observations = vec![0.0; self.policy.observation_size * width];
         for (lane, explorer) in explorers.iter().enumerate() {
             pendulums.restart(lane, &explorer.trajectory);
-            self.tell_physics(explorer, lane, width, &mut observations[observed..]);
+            self.write_physics(explorer, lane, width, &mut observations[observed..]);
         }
         let mut means = vec![0.0; width];
         let mut voltages_v = vec![0.0; width];
         let mut rewards = vec![0.0; width];
         let mut statuses = vec![LaneStatus::Running; width];
         let mut transitions = vec![Transition::default(); lanes.len() * MAX_STEPS];
-        let has_further = self.policy.observation_size > MAX_OBSERVATION_SIZE;
+        let has_extra_inputs = self.policy.observation_size > MAX_OBSERVATION_SIZE;
         let mut further_of =
-            vec![Further::default(); if has_further { transitions.len() } else { 0 }];
+            vec![ExtraInputs::default(); if has_extra_inputs { transitions.len() } else { 0 }];
         let mut ends = Vec::new();
-        let mut cut: Vec<Cut> = Vec::new();
+        let mut truncated: Vec<Truncated> = Vec::new();
         let log_std = self.policy.tail[LOG_STD];
         let weight = self.settings.voltage_change_weight_at(self.update);
         let (std, inverse_std) = (exp(log_std), exp(-log_std));
@@ -123,7 +123,7 @@ impl Collector<'_> {
                 let z = (action - means[lane]) * inverse_std;
                 transition.log_probability = gaussian_log_probability(z, log_std);
                 if let Some(entry) = further_of.get_mut(lane * MAX_STEPS + step) {
-                    *entry = further(&observations, lane, width);
+                    *entry = extra_inputs(&observations, lane, width);
                 }
             }
             let own = &mut observations[..observed];
@@ -131,15 +131,15 @@ impl Collector<'_> {
             for (lane, explorer) in explorers.iter_mut().enumerate() {
                 let index = lane * MAX_STEPS + step;
                 transitions[index].reward =
-                    rewards[lane] * explorer.calm.factor(voltages_v[lane], weight);
+                    rewards[lane] * explorer.smoothness.factor(voltages_v[lane], weight);
                 let is_last = step + 1 == MAX_STEPS;
                 match statuses[lane] {
                     LaneStatus::Running if !is_last => continue,
                     LaneStatus::Running | LaneStatus::TimeUp => {
-                        cut.push(Cut {
+                        truncated.push(Truncated {
                             place: ends.len(),
                             observation: observation(&observations, lane, width),
-                            further: further(&observations, lane, width),
+                            extra_inputs: extra_inputs(&observations, lane, width),
                         });
                     }
                     LaneStatus::LeftBox => {}
@@ -149,47 +149,48 @@ impl Collector<'_> {
                     *explorer = self.explorer(lanes.start + lane, explorer.number + 1);
                     pendulums.restart(lane, &explorer.trajectory);
                     pendulums.observe_lane(lane, &mut observations[..observed]);
-                    self.tell_physics(explorer, lane, width, &mut observations[observed..]);
+                    self.write_physics(explorer, lane, width, &mut observations[observed..]);
                 }
             }
         }
-        let trajectory_ends = ends_in_order(&ends, &cut);
-        self.appraise(&mut transitions, &further_of, ends, &cut);
+        let trajectory_ends = ends_in_order(&ends, &truncated);
+        self.estimate_values(&mut transitions, &further_of, ends, &truncated);
         let trajectories = explorers.iter().map(|explorer| u32::from(explorer.number) + 1).sum();
-        Batch { transitions, further: further_of, trajectories, ends: trajectory_ends }
+        Batch { transitions, extra_inputs: further_of, trajectories, ends: trajectory_ends }
     }
 
     /// Writes the physics inputs of a lane's Qube to their rows, `[input][lanes]`.
-    fn tell_physics(&self, explorer: &Explorer, lane: usize, lanes: usize, rows: &mut [f32]) {
+    fn write_physics(&self, explorer: &Explorer, lane: usize, lanes: usize, rows: &mut [f32]) {
         if let Some(physics) = &self.physics {
             physics.write(&explorer.trajectory.model, lane, lanes, rows);
         }
     }
 
     /// Fills in the value, advantage and return of each transition.
-    fn appraise(
+    fn estimate_values(
         &self,
         transitions: &mut [Transition],
-        further: &[Further],
+        extra_inputs: &[ExtraInputs],
         mut ends: Vec<End>,
-        cut: &[Cut],
+        truncated: &[Truncated],
     ) {
         for (number, block) in transitions.chunks_mut(WIDTH).enumerate() {
             let observations = block.iter().map(|transition| &transition.observation);
-            let further = further.get(number * WIDTH..).unwrap_or_default().iter().take(WIDTH);
-            let inputs = inputs(self.value.observation_size, observations, further);
+            let extra_inputs =
+                extra_inputs.get(number * WIDTH..).unwrap_or_default().iter().take(WIDTH);
+            let inputs = inputs(self.value.observation_size, observations, extra_inputs);
             let values = dispatch(Forward { network: self.value, inputs: &inputs });
             for (transition, value) in block.iter_mut().zip(values) {
                 transition.value = value;
             }
         }
-        for block in cut.chunks(WIDTH) {
-            let observations = block.iter().map(|cut| &cut.observation);
-            let further = block.iter().map(|cut| &cut.further);
-            let inputs = inputs(self.value.observation_size, observations, further);
+        for block in truncated.chunks(WIDTH) {
+            let observations = block.iter().map(|truncated| &truncated.observation);
+            let extra_inputs = block.iter().map(|truncated| &truncated.extra_inputs);
+            let inputs = inputs(self.value.observation_size, observations, extra_inputs);
             let values = dispatch(Forward { network: self.value, inputs: &inputs });
-            for (cut, value) in block.iter().zip(values) {
-                ends[cut.place].value_after = value;
+            for (truncated, value) in block.iter().zip(values) {
+                ends[truncated.place].value_after = value;
             }
         }
         ends.sort_unstable_by_key(|end| end.index);
@@ -204,28 +205,30 @@ impl Collector<'_> {
             number,
             generator: stream(true).generator(self.seed),
             spare: None,
-            calm: Calm::limited_to(self.settings.simulation.plant.limits.largest_voltage_v as f32),
+            smoothness: SmoothnessFactor::limited_to(
+                self.settings.simulation.plant.limits.largest_voltage_v as f32,
+            ),
         }
     }
 }
 
 /// The end of a trajectory that the time limit or the end of the batch cut short.
-struct Cut {
+struct Truncated {
     /// Index of this end among the ends of all trajectories.
     place: usize,
     /// Observation after the last transition.
     observation: Observation,
     /// Inputs that follow those of the observation.
-    further: Further,
+    extra_inputs: ExtraInputs,
 }
 
-/// The ends of trajectories in order of their indices; a trajectory that `cut` does not name left
+/// The ends of trajectories in order of their indices; a trajectory that `truncated` does not name left
 /// the box.
-fn ends_in_order(ends: &[End], cut: &[Cut]) -> Vec<TrajectoryEnd> {
+fn ends_in_order(ends: &[End], truncated: &[Truncated]) -> Vec<TrajectoryEnd> {
     let mut in_order: Vec<TrajectoryEnd> =
         ends.iter().map(|end| TrajectoryEnd { end: end.index + 1, left_box: true }).collect();
-    for cut in cut {
-        in_order[cut.place].left_box = false;
+    for truncated in truncated {
+        in_order[truncated.place].left_box = false;
     }
     in_order.sort_unstable_by_key(|end| end.end);
     in_order
@@ -238,7 +241,7 @@ struct Explorer {
     number: u16,
     generator: ChaCha8Rng,
     spare: Option<f32>,
-    calm: Calm,
+    smoothness: SmoothnessFactor,
 }
 
 impl Explorer {
@@ -259,13 +262,13 @@ fn observation(observations: &[f32], lane: usize, lanes: usize) -> Observation {
     observation
 }
 
-fn further(observations: &[f32], lane: usize, lanes: usize) -> Further {
-    let mut further = Further::default();
+fn extra_inputs(observations: &[f32], lane: usize, lanes: usize) -> ExtraInputs {
+    let mut extra_inputs = ExtraInputs::default();
     let beyond = observations.chunks_exact(lanes).skip(MAX_OBSERVATION_SIZE);
-    for (entry, of_lanes) in further.iter_mut().zip(beyond) {
+    for (entry, of_lanes) in extra_inputs.iter_mut().zip(beyond) {
         *entry = of_lanes[lane];
     }
-    further
+    extra_inputs
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ pub enum TrainError {
     /// The policy that the training starts from has other layers, functions, scale or bounds than
     /// the networks of this training.
     #[error(
-        "the policy to go on from has the layers {sizes:?}: a training goes on from {expected:?} with tanh, a linear output, \
+        "the policy to start from has the layers {sizes:?}: a training starts from {expected:?} with tanh, a linear output, \
          a scale of 5 V and an observation that is not clipped. Give it the history that it was trained with, or give another policy"
     )]
     Start {

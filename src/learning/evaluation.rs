@@ -9,7 +9,7 @@ use crate::simulation::{DomainDistribution, Evaluation, SimulationSettings, eval
 /// Panics if the network's number of inputs differs from the length of the simulation's
 /// observation.
 #[must_use]
-pub fn evaluate_afresh(
+pub fn evaluate_on_new_starts(
     network: &Network,
     distribution: &DomainDistribution,
     simulation: &SimulationSettings,

@@ -22,7 +22,6 @@
 //! ```
 
 mod actor;
-mod calm;
 mod checkpoint;
 mod collect;
 mod curve;
@@ -38,6 +37,7 @@ mod preset;
 mod random;
 mod randomisation;
 mod settings;
+mod smoothness;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -52,7 +52,7 @@ mod worst;
 pub use checkpoint::Checkpointing;
 pub use curve::{CURVE_BYTES, CurveError, CurvePoint, TrainUpdate, curve_csv, parse_curve_csv};
 pub use error::TrainError;
-pub use evaluation::evaluate_afresh;
+pub use evaluation::evaluate_on_new_starts;
 pub use physics_inputs::PhysicsInputs;
 pub use preset::Preset;
 pub use settings::TrainSettings;

@@ -92,7 +92,7 @@ fn for_each_minibatch(
         for &index in minibatches.get(number + 1).into_iter().flatten() {
             prefetch(&batch.transitions[index as usize]);
         }
-        minibatch.gather(&batch.transitions, &batch.further, indices);
+        minibatch.gather(&batch.transitions, &batch.extra_inputs, indices);
         learn(&minibatch);
     }
 }

@@ -36,8 +36,8 @@ impl<'a> TrainingState<'a> {
         seed: u64,
     ) -> Self {
         let mut generator = Stream::Weights.generator(seed);
-        let told = physics.map_or(0, |physics| physics.count);
-        let size = settings.simulation.observation_size() + told;
+        let physics_count = physics.map_or(0, |physics| physics.count);
+        let size = settings.simulation.observation_size() + physics_count;
         let policy = Network::orthogonal(size, &mut generator, POLICY_GAIN, settings.first_log_std);
         let value = Network::orthogonal(size, &mut generator, VALUE_GAIN, 0.0);
         Self {

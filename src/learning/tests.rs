@@ -149,10 +149,10 @@ fn the_weight_on_voltage_changes_grows_and_reported_returns_exclude_it() {
     // The weight is 0 in the first update, so that both trainings learn the same in that update and
     // report the same return.
     assert_eq!(weighted.curve[0].mean_return, plain.curve[0].mean_return);
-    let told = |trained: &Trained| {
+    let reports_best = |trained: &Trained| {
         trained.curve.iter().any(|update| update.mean_return == trained.best_return)
     };
-    assert!(told(&weighted) && told(&plain));
+    assert!(reports_best(&weighted) && reports_best(&plain));
     assert_eq!((weighted.voltage_change_weight, plain.voltage_change_weight), (0.5, 0.0));
 }
 

@@ -1,13 +1,13 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::actor::NetworkActor;
-use super::calm::Calm;
 use super::checkpoint::Checkpointing;
 use super::collect::{Batch, Collector};
 use super::curve::TrainUpdate;
 use super::export::{exported, imported};
 use super::network::LOG_STD;
 use super::optimise::optimise;
+use super::smoothness::SmoothnessFactor;
 use super::state::TrainingState;
 use super::trained::Trained;
 use super::transition::Transition;
@@ -15,7 +15,7 @@ use super::worst::worst_of;
 use super::{TrainError, TrainSettings};
 use crate::policy;
 use crate::simulation::{
-    DomainDistribution, Evaluation, LANES_MULTIPLE, Trajectory, evaluate_and_tell,
+    DomainDistribution, Evaluation, LANES_MULTIPLE, Trajectory, evaluate_with,
 };
 
 /// Seed of the fixed starts and Qubes on which every policy is evaluated during training.
@@ -25,7 +25,7 @@ const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
 ///
 /// The same arguments give the same policy, bit for bit, on processors with AVX2 or more, on any
 /// number of threads, and also when the training is interrupted and resumes from its checkpoint.
-/// `tell` is called after each update. `stop` is read before each gradient step.
+/// `on_update` is called after each update. `stop` is read before each gradient step.
 ///
 /// # Errors
 /// A setting is out of range; `stop` was set; a checkpoint cannot be read or written, is damaged or
@@ -36,14 +36,14 @@ pub fn train(
     seed: u64,
     checkpointing: Option<&Checkpointing>,
     stop: &AtomicBool,
-    tell: impl FnMut(&TrainUpdate),
+    on_update: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
     settings.check()?;
     let mut training = TrainingState::new(distribution, settings, None, seed);
     if let Some(checkpointing) = checkpointing {
         checkpointing.resume(&mut training)?;
     }
-    finished(training, checkpointing, stop, tell)
+    finished(training, checkpointing, stop, on_update)
 }
 
 /// Trains like [`train`], but starts from the weights of a policy instead of random weights and
@@ -59,7 +59,7 @@ pub fn train_from(
     settings: &TrainSettings,
     seed: u64,
     stop: &AtomicBool,
-    tell: impl FnMut(&TrainUpdate),
+    on_update: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
     settings.check()?;
     let size = settings.simulation.observation_size();
@@ -67,11 +67,11 @@ pub fn train_from(
     let mut training = TrainingState::new(distribution, settings, None, seed);
     training.policy.network = start.clone();
     training.best = start;
-    let (evaluation, calm_return) = training.evaluate();
+    let (evaluation, smooth_return) = training.evaluate();
     training.best_return = evaluation.mean_return();
     let is_weighted = settings.voltage_change_weight > 0.0;
-    training.best_score = if is_weighted { calm_return } else { training.best_return };
-    finished(training, None, stop, tell)
+    training.best_score = if is_weighted { smooth_return } else { training.best_return };
+    finished(training, None, stop, on_update)
 }
 
 /// Performs the remaining updates, converts the result and removes the checkpoint.
@@ -79,9 +79,9 @@ fn finished(
     mut training: TrainingState<'_>,
     checkpointing: Option<&Checkpointing>,
     stop: &AtomicBool,
-    tell: impl FnMut(&TrainUpdate),
+    on_update: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
-    perform(&mut training, checkpointing, stop, tell)?;
+    perform(&mut training, checkpointing, stop, on_update)?;
     let trained = training.into_trained()?;
     if let Some(checkpointing) = checkpointing {
         checkpointing.remove()?;
@@ -89,17 +89,17 @@ fn finished(
     Ok(trained)
 }
 
-/// Performs the remaining updates of a training. After each update it calls `tell` and writes a
+/// Performs the remaining updates of a training. After each update it calls `on_update` and writes a
 /// checkpoint if one is due.
 pub(super) fn perform(
     training: &mut TrainingState<'_>,
     checkpointing: Option<&Checkpointing>,
     stop: &AtomicBool,
-    mut tell: impl FnMut(&TrainUpdate),
+    mut on_update: impl FnMut(&TrainUpdate),
 ) -> Result<(), TrainError> {
     while !training.is_finished() {
         let update = training.update(stop)?;
-        tell(update);
+        on_update(update);
         if let Some(checkpointing) = checkpointing
             && checkpointing.is_due(training.curve.len())
         {
@@ -128,10 +128,10 @@ impl TrainingState<'_> {
         if stop.load(Ordering::Relaxed) {
             return Err(TrainError::Stopped);
         }
-        let (evaluation, calm_return) = self.evaluate();
+        let (evaluation, smooth_return) = self.evaluate();
         let mean_return = evaluation.mean_return();
         let is_weighted = self.settings.voltage_change_weight > 0.0;
-        let score = if is_weighted { calm_return } else { mean_return };
+        let score = if is_weighted { smooth_return } else { mean_return };
         if score > self.best_score {
             (self.best_score, self.best_return) = (score, mean_return);
             self.best = self.policy.network.clone();
@@ -175,33 +175,34 @@ impl TrainingState<'_> {
         let starts = usize::from(self.settings.evaluation_starts);
         let weight = self.settings.voltage_change_weight;
         let plant = &self.settings.simulation.plant;
-        let mut calm = vec![Calm::limited_to(plant.limits.largest_voltage_v as f32); starts];
-        let mut calm_return = 0.0;
-        let evaluation = evaluate_and_tell(
+        let mut smoothness =
+            vec![SmoothnessFactor::limited_to(plant.limits.largest_voltage_v as f32); starts];
+        let mut smooth_return = 0.0;
+        let evaluation = evaluate_with(
             &mut self.actor(starts),
             self.distribution,
             &self.settings.simulation,
             EVALUATION_SEED,
             starts,
             |start, reward, voltage_v| {
-                calm_return += f64::from(reward * calm[start].factor(voltage_v, weight));
+                smooth_return += f64::from(reward * smoothness[start].factor(voltage_v, weight));
             },
         );
-        (evaluation, calm_return / starts as f64)
+        (evaluation, smooth_return / starts as f64)
     }
 
     /// The policy without exploration; its physics inputs are those of the Qubes of the first
     /// `starts` fixed starts.
     fn actor(&self, starts: usize) -> NetworkActor<'_> {
         let lanes = starts.next_multiple_of(LANES_MULTIPLE);
-        let mut told = vec![0.0; self.physics.map_or(0, |physics| physics.count) * lanes];
+        let mut physics_inputs = vec![0.0; self.physics.map_or(0, |physics| physics.count) * lanes];
         if let Some(physics) = &self.physics {
             for lane in 0..starts {
                 let drawn = Trajectory::draw(self.distribution, EVALUATION_SEED, lane as u64);
-                physics.write(&drawn.model, lane, lanes, &mut told);
+                physics.write(&drawn.model, lane, lanes, &mut physics_inputs);
             }
         }
-        NetworkActor::told(&self.policy.network, told)
+        NetworkActor::with_physics(&self.policy.network, physics_inputs)
     }
 
     /// The result of the training.

@@ -15,7 +15,7 @@ pub struct Trained {
     pub network: Network,
     /// Mean return of `network` in its evaluation during training. The best of many evaluations is
     /// an overestimate; a published return needs a fresh evaluation from more starts
-    /// ([`super::evaluate_afresh`]).
+    /// ([`super::evaluate_on_new_starts`]).
     pub best_return: f64,
     /// Network after the last update.
     pub final_network: Network,
@@ -65,7 +65,7 @@ impl Trained {
                         model: observer.model,
                         theta_noise_rad_s2: observer.theta_noise_rad_s2,
                         alpha_noise_rad_s2: observer.alpha_noise_rad_s2,
-                        astray_rad: observer.astray_rad,
+                        reset_error_rad: observer.reset_error_rad,
                     }),
                 }
             }

@@ -6,7 +6,7 @@ pub(super) type Observation = [f32; MAX_OBSERVATION_SIZE];
 
 /// The inputs that follow those of an [`Observation`]. Only networks with many physics inputs have
 /// them. They are stored beside the transitions, so that a transition fits into one cache line.
-pub(super) type Further = [f32; MAX_PHYSICS_INPUTS];
+pub(super) type ExtraInputs = [f32; MAX_PHYSICS_INPUTS];
 
 /// One step of one simulated pendulum. It fills one cache line, because minibatches pick
 /// transitions at random.
@@ -74,7 +74,7 @@ pub(super) fn constant_inputs<const SAMPLES: usize>(observation_size: usize) -> 
 pub(super) fn inputs<'a>(
     observation_size: usize,
     observations: impl Iterator<Item = &'a Observation>,
-    further: impl Iterator<Item = &'a Further>,
+    extra_inputs: impl Iterator<Item = &'a ExtraInputs>,
 ) -> Inputs {
     let mut inputs = constant_inputs(observation_size);
     let first = observation_size.min(MAX_OBSERVATION_SIZE);
@@ -84,8 +84,8 @@ pub(super) fn inputs<'a>(
             row[sample] = entry;
         }
     }
-    for (sample, further) in further.enumerate() {
-        for (row, &entry) in beyond.iter_mut().zip(further) {
+    for (sample, extra_inputs) in extra_inputs.enumerate() {
+        for (row, &entry) in beyond.iter_mut().zip(extra_inputs) {
             row[sample] = entry;
         }
     }
@@ -110,7 +110,7 @@ impl Minibatch {
     pub fn gather(
         &mut self,
         transitions: &[Transition],
-        further: &[Further],
+        extra_inputs: &[ExtraInputs],
         indices: &[u32; WIDTH],
     ) {
         let picked = indices.map(|index| &transitions[index as usize]);
@@ -120,7 +120,7 @@ impl Minibatch {
             *row = picked.map(|transition| transition.observation[entry]);
         }
         for (entry, row) in beyond.iter_mut().enumerate() {
-            *row = indices.map(|index| further[index as usize][entry]);
+            *row = indices.map(|index| extra_inputs[index as usize][entry]);
         }
         self.action = picked.map(|transition| transition.action);
         self.log_probability = picked.map(|transition| transition.log_probability);
@@ -175,13 +175,13 @@ mod tests {
                 }
             })
             .collect();
-        let further: Vec<Further> = (0..100)
+        let extra_inputs: Vec<ExtraInputs> = (0..100)
             .map(|i| std::array::from_fn(|entry| 20.0 * i as f32 + 0.5 + entry as f32))
             .collect();
         for size in [6, MAX_OBSERVATION_SIZE, MAX_OBSERVATION_SIZE + 3] {
             let mut minibatch = Minibatch::empty(size);
             let indices = std::array::from_fn(|sample| 99 - sample as u32);
-            minibatch.gather(&transitions, &further, &indices);
+            minibatch.gather(&transitions, &extra_inputs, &indices);
             assert_eq!(minibatch.inputs[size], [1.0; WIDTH]);
             assert!(minibatch.inputs[1 + size..].iter().flatten().all(|&entry| entry == 0.0));
             for sample in 0..WIDTH {
@@ -189,7 +189,7 @@ mod tests {
                 for entry in 0..size {
                     let expected = match entry.checked_sub(MAX_OBSERVATION_SIZE) {
                         None => base + entry as f32,
-                        Some(further) => base + 0.5 + further as f32,
+                        Some(extra_inputs) => base + 0.5 + extra_inputs as f32,
                     };
                     assert_eq!(minibatch.inputs[entry][sample], expected);
                 }

@@ -35,7 +35,7 @@ pub fn train_universal(
     physics: PhysicsInputs<'_>,
     seed: u64,
     stop: &AtomicBool,
-    tell: impl FnMut(&TrainUpdate),
+    on_update: impl FnMut(&TrainUpdate),
 ) -> Result<UniversalPolicy, TrainError> {
     settings.check()?;
     if !(1..=MAX_PHYSICS_INPUTS).contains(&physics.count) {
@@ -43,7 +43,7 @@ pub fn train_universal(
         return Err(TrainError::Setting { name, value, bound: "1 to 16" });
     }
     let mut training = TrainingState::new(distribution, settings, Some(physics), seed);
-    perform(&mut training, None, stop, tell)?;
+    perform(&mut training, None, stop, on_update)?;
     let observation_size = settings.simulation.observation_size();
     let (best, last) = (training.best.clone(), training.policy.network.clone());
     training.best = at_fixed(&best, observation_size, &[]);
@@ -80,10 +80,10 @@ fn at_fixed(network: &Network, observation_size: usize, physics: &[f32]) -> Netw
     let mut fixed = network.clone();
     fixed.observation_size = observation_size;
     fixed.first[observation_size..].as_flattened_mut().fill(0.0);
-    let told = &network.first[observation_size..network.constant()];
+    let physics_weights = &network.first[observation_size..network.constant()];
     let bias = &mut fixed.first[observation_size];
     *bias = network.first[network.constant()];
-    for (weights, input) in told.iter().zip(physics) {
+    for (weights, input) in physics_weights.iter().zip(physics) {
         for (bias, weight) in bias.iter_mut().zip(weights) {
             *bias += weight * input;
         }
@@ -118,14 +118,17 @@ mod tests {
             let network = Network::orthogonal(size, &mut Stream::Weights.generator(4), 1.0, -0.5);
             let physics = &PHYSICS[..count];
             let fixed = at_fixed(&network, OBSERVATION.len(), physics);
-            let told = output(&network, &[&OBSERVATION[..], physics].concat());
-            assert!((output(&fixed, &OBSERVATION) - told).abs() < 1e-5);
+            let with_physics = output(&network, &[&OBSERVATION[..], physics].concat());
+            assert!((output(&fixed, &OBSERVATION) - with_physics).abs() < 1e-5);
             let mut deployed = exported(&fixed).unwrap();
             assert_eq!(deployed.sizes(), [8, 64, 64, 1]);
             let voltage_v = deployed.voltage_of_observation_v(&OBSERVATION);
-            assert!((voltage_v - 5.0 * told).abs() < 1e-4);
-            let untold = at_fixed(&network, OBSERVATION.len(), &[]);
-            assert!((output(&untold, &OBSERVATION) - told).abs() > 1e-3, "the inputs matter");
+            assert!((voltage_v - 5.0 * with_physics).abs() < 1e-4);
+            let without_physics = at_fixed(&network, OBSERVATION.len(), &[]);
+            assert!(
+                (output(&without_physics, &OBSERVATION) - with_physics).abs() > 1e-3,
+                "the inputs matter"
+            );
         }
     }
 

@@ -56,7 +56,7 @@ impl<'a> Workbench<'a> {
             std::array::from_fn(|sample| ((start + sample * STRIDE) % count) as u32);
         self.next = (start + WIDTH * STRIDE) % count;
         let mut minibatch = Minibatch::empty(self.training.settings.simulation.observation_size());
-        minibatch.gather(&self.batch.transitions, &self.batch.further, &indices);
+        minibatch.gather(&self.batch.transitions, &self.batch.extra_inputs, &indices);
         let TrainingState { policy, value, settings, .. } = &mut self.training;
         ValueFit::new(value, settings, 0).step(&minibatch);
         PolicyImprovement::new(policy, settings, 0).step(&minibatch);

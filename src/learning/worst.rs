@@ -1,5 +1,5 @@
 use super::collect::{Batch, TrajectoryEnd};
-use super::transition::{Further, Transition};
+use super::transition::{ExtraInputs, Transition};
 use crate::qube::MAX_STEPS;
 
 /// Selects the transitions of the trajectories with the lowest returns: `share` of a batch's
@@ -23,14 +23,14 @@ pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
     trajectories.sort_by(|one, other| one.0.total_cmp(&other.0));
     let kept = ((share * trajectories.len() as f32).ceil() as usize).clamp(1, trajectories.len());
     trajectories.truncate(kept);
-    let (mut transitions, mut further) = (Vec::<Transition>::new(), Vec::<Further>::new());
+    let (mut transitions, mut extra_inputs) = (Vec::<Transition>::new(), Vec::<ExtraInputs>::new());
     let mut ends = Vec::with_capacity(kept);
     for &(_, first, own) in &trajectories {
         transitions.extend(&batch.transitions[first..own.end]);
-        further.extend(batch.further.get(first..own.end).unwrap_or_default());
+        extra_inputs.extend(batch.extra_inputs.get(first..own.end).unwrap_or_default());
         ends.push(TrajectoryEnd { end: transitions.len(), ..own });
     }
-    Batch { transitions, further, trajectories: kept as u32, ends }
+    Batch { transitions, extra_inputs, trajectories: kept as u32, ends }
 }
 
 #[cfg(test)]
@@ -46,7 +46,7 @@ mod tests {
             transitions.extend(vec![Transition { reward, ..Transition::default() }; steps]);
             ends.push(TrajectoryEnd { end: transitions.len(), left_box });
         }
-        Batch { transitions, further: Vec::new(), trajectories: ends.len() as u32, ends }
+        Batch { transitions, extra_inputs: Vec::new(), trajectories: ends.len() as u32, ends }
     }
 
     #[test]
@@ -70,9 +70,9 @@ mod tests {
     #[test]
     fn physics_inputs_stay_with_their_transitions() {
         let mut all = batch(&[(0.9, 2, false), (0.1, 3, true)]);
-        all.further = (0..5).map(|index| [index as f32; MAX_PHYSICS_INPUTS]).collect();
+        all.extra_inputs = (0..5).map(|index| [index as f32; MAX_PHYSICS_INPUTS]).collect();
         let kept = worst_of(&all, 0.5);
-        assert_eq!(kept.further[..], all.further[2..]);
+        assert_eq!(kept.extra_inputs[..], all.extra_inputs[2..]);
         assert_eq!(kept.ends, [TrajectoryEnd { end: 3, left_box: true }]);
     }
 }

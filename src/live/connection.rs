@@ -104,7 +104,7 @@ fn stop(shared: &Shared, request: &Request, peer: SocketAddr) -> Answer {
         return Answer::refusal("401 Unauthorized");
     }
     (shared.stop)(peer);
-    shared.feed.tell(|status| status.stop_requested = true);
+    shared.feed.update_status(|status| status.stop_requested = true);
     Answer::text("200 OK", "stopping: the arm is braked and the state is kept\n")
 }
 

@@ -32,12 +32,12 @@ enum Event {
 
 /// The sending end of the queue, which the recorder's thread uses.
 #[derive(Debug)]
-pub(super) struct Entrance {
+pub(super) struct FeedSender {
     events: Sender<Event>,
     lost: Arc<AtomicU64>,
 }
 
-impl Viewer for Entrance {
+impl Viewer for FeedSender {
     fn begins(&self, header: &RolloutHeader, time_ns: u64) {
         let event = Event::Begins(Box::new(header.clone()), time_ns);
         // If this event is lost, the page continues with the rollout before; nothing else depends
@@ -110,7 +110,7 @@ struct Shown {
 
 /// The place of a connection in the feed: the numbers up to which it has been sent changes.
 #[derive(Debug, Default)]
-pub(super) struct Place {
+pub(super) struct FeedPosition {
     status: u64,
     rollout: u64,
     end: u64,
@@ -119,7 +119,7 @@ pub(super) struct Place {
 
 /// The changes that a connection has not been sent.
 #[derive(Debug, Default)]
-pub(super) struct News {
+pub(super) struct Changes {
     pub(super) status: Option<Status>,
     pub(super) rollout: Option<Arc<RolloutShown>>,
     pub(super) ticks: Vec<Arc<TickShown>>,
@@ -141,10 +141,10 @@ pub(super) struct Feed {
 }
 
 impl Feed {
-    /// A queue into the feed: its entrance, and the end that [`Self::follow`] reads.
-    pub(super) fn entrance(&self) -> (Entrance, Exit) {
-        let (events, exit) = crossbeam_channel::bounded(WAITING_RECORDS);
-        (Entrance { events, lost: Arc::clone(&self.lost) }, Exit(exit))
+    /// A queue into the feed: its sender, and the receiver that [`Self::follow`] reads.
+    pub(super) fn channel(&self) -> (FeedSender, FeedReceiver) {
+        let (events, receiver) = crossbeam_channel::bounded(WAITING_RECORDS);
+        (FeedSender { events, lost: Arc::clone(&self.lost) }, FeedReceiver(receiver))
     }
 
     fn shown(&self) -> MutexGuard<'_, Shown> {
@@ -152,7 +152,7 @@ impl Feed {
     }
 
     /// Changes the status.
-    pub(super) fn tell(&self, change: impl FnOnce(&mut Status)) {
+    pub(super) fn update_status(&self, change: impl FnOnce(&mut Status)) {
         let mut shown = self.shown();
         let before = shown.status.clone();
         change(&mut shown.status);
@@ -161,8 +161,8 @@ impl Feed {
         }
     }
 
-    /// Moves events into the ring until the queue's entrance is dropped or the view closes.
-    pub(super) fn follow(&self, Exit(events): Exit) {
+    /// Moves events into the ring until the sender is dropped or the view closes.
+    pub(super) fn follow(&self, FeedReceiver(events): FeedReceiver) {
         let mut rollout: Option<(Box<RolloutHeader>, Arc<RolloutShown>)> = None;
         let mut origin_ns = None;
         loop {
@@ -236,42 +236,42 @@ impl Feed {
     }
 
     /// The place of a new connection, which is sent the present state and no tick of the past.
-    pub(super) fn place(&self) -> Place {
+    pub(super) fn position(&self) -> FeedPosition {
         let shown = self.shown();
-        Place { tick: shown.first + shown.ticks.len() as u64, ..Place::default() }
+        FeedPosition { tick: shown.first + shown.ticks.len() as u64, ..FeedPosition::default() }
     }
 
-    /// Returns the changes since `place`, with at most 128 ticks, and moves `place` past them.
-    pub(super) fn since(&self, place: &mut Place) -> News {
+    /// Returns the changes since `position`, with at most 128 ticks, and moves `position` past them.
+    pub(super) fn since(&self, position: &mut FeedPosition) -> Changes {
         let shown = self.shown();
-        let mut news = News::default();
+        let mut changes = Changes::default();
         // A place holds the number of the next status that it is to be sent: a new place, at 0,
         // gets the present one.
-        if place.status <= shown.status_number {
-            place.status = shown.status_number + 1;
-            news.status = Some(shown.status.clone());
+        if position.status <= shown.status_number {
+            position.status = shown.status_number + 1;
+            changes.status = Some(shown.status.clone());
         }
         if let Some(rollout) = &shown.rollout
-            && place.rollout != rollout.number
+            && position.rollout != rollout.number
         {
-            place.rollout = rollout.number;
-            news.rollout = Some(Arc::clone(rollout));
+            position.rollout = rollout.number;
+            changes.rollout = Some(Arc::clone(rollout));
         }
-        if place.end != shown.end_number {
-            place.end = shown.end_number;
-            news.end.clone_from(&shown.end);
+        if position.end != shown.end_number {
+            position.end = shown.end_number;
+            changes.end.clone_from(&shown.end);
         }
-        news.lost = shown.first.saturating_sub(place.tick);
-        place.tick += news.lost;
-        let skipped = usize::try_from(place.tick - shown.first).unwrap_or(usize::MAX);
-        news.ticks.extend(shown.ticks.iter().skip(skipped).take(TICKS_AT_ONCE).cloned());
-        place.tick += news.ticks.len() as u64;
-        news
+        changes.lost = shown.first.saturating_sub(position.tick);
+        position.tick += changes.lost;
+        let skipped = usize::try_from(position.tick - shown.first).unwrap_or(usize::MAX);
+        changes.ticks.extend(shown.ticks.iter().skip(skipped).take(TICKS_AT_ONCE).cloned());
+        position.tick += changes.ticks.len() as u64;
+        changes
     }
 }
 
 /// The receiving end of the queue, which the view's thread uses.
-pub(super) struct Exit(Receiver<Event>);
+pub(super) struct FeedReceiver(Receiver<Event>);
 
 fn rollout_shown(header: &RolloutHeader, number: u64, time_ns: u64) -> RolloutShown {
     let settings = &header.settings;

@@ -15,7 +15,7 @@ use tungstenite::{Error, Message, WebSocket};
 
 use super::Status;
 use super::connection::STUCK_WITHIN;
-use super::feed::{Feed, News, now_unix_ns};
+use super::feed::{Changes, Feed, now_unix_ns};
 use super::page::{self, Answer};
 use super::request::Request;
 use crate::recording::Channel;
@@ -149,43 +149,43 @@ impl Client {
     fn follow(&mut self, feed: &Feed) -> Result<(), Error> {
         self.put(Message::text(server_info().to_string()))?;
         self.put(Message::text(advertisement().to_string()))?;
-        let mut place = feed.place();
-        let mut lasting = News::default();
+        let mut position = feed.position();
+        let mut lasting = Changes::default();
         loop {
             let closes = feed.closed.load(Ordering::Relaxed);
-            let news = feed.since(&mut place);
-            self.tell(&news)?;
+            let changes = feed.since(&mut position);
+            self.send(&changes)?;
             if closes {
                 let _ = self.socket.close(None);
                 return self.flush();
             }
-            if news.status.is_some() {
-                lasting.status = news.status;
+            if changes.status.is_some() {
+                lasting.status = changes.status;
             }
-            if news.rollout.is_some() {
-                lasting.rollout = news.rollout;
+            if changes.rollout.is_some() {
+                lasting.rollout = changes.rollout;
             }
             self.flush()?;
             while let Some(message) = self.receive()? {
                 if let Message::Text(text) = message {
-                    self.obey(&text);
+                    self.handle(&text);
                 }
             }
             for channel in std::mem::take(&mut self.wants) {
-                self.tell_lasting(channel, &lasting)?;
+                self.send_lasting(channel, &lasting)?;
             }
         }
     }
 
     /// Sends the messages about the feed's changes. A client that takes no bytes misses the ticks.
-    fn tell(&mut self, news: &News) -> Result<(), Error> {
-        if news.status.is_some() {
-            self.tell_lasting(SESSION_CHANNEL, news)?;
+    fn send(&mut self, changes: &Changes) -> Result<(), Error> {
+        if changes.status.is_some() {
+            self.send_lasting(SESSION_CHANNEL, changes)?;
         }
-        if news.rollout.is_some() {
-            self.tell_lasting(number(Channel::Scene), news)?;
+        if changes.rollout.is_some() {
+            self.send_lasting(number(Channel::Scene), changes)?;
         }
-        for tick in &news.ticks {
+        for tick in &changes.ticks {
             if self.stuck_since.is_some() {
                 return Ok(());
             }
@@ -196,14 +196,14 @@ impl Client {
         Ok(())
     }
 
-    /// Sends the lasting message of a channel, if it has one and `news` contains it: the status or
+    /// Sends the lasting message of a channel, if it has one and `changes` contains it: the status or
     /// the scene. These change rarely, so a new subscriber gets the last one at once.
-    fn tell_lasting(&mut self, channel: u64, news: &News) -> Result<(), Error> {
-        if let (SESSION_CHANNEL, Some(status)) = (channel, &news.status) {
+    fn send_lasting(&mut self, channel: u64, changes: &Changes) -> Result<(), Error> {
+        if let (SESSION_CHANNEL, Some(status)) = (channel, &changes.status) {
             let message = serde_json::to_vec(status).unwrap_or_default();
             return self.data(channel, now_unix_ns(), &message);
         }
-        if let Some(rollout) = &news.rollout
+        if let Some(rollout) = &changes.rollout
             && channel == number(Channel::Scene)
         {
             return self.data(channel, rollout.time_ns, &rollout.scene);
@@ -268,7 +268,7 @@ impl Client {
         }
     }
 
-    fn obey(&mut self, text: &str) {
+    fn handle(&mut self, text: &str) {
         match serde_json::from_str(text) {
             Ok(ClientRequest::Subscribe { subscriptions }) => {
                 for Subscription { id, channel_id } in subscriptions {

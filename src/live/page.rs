@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use super::feed::{Feed, News};
+use super::feed::{Changes, Feed};
 
 /// Interval at which the page is sent the feed's changes.
 const INTERVAL: Duration = Duration::from_millis(40);
@@ -63,14 +63,14 @@ pub(super) fn send(stream: &mut TcpStream, answer: &Answer) {
     let head = head(status, kind, &format!("Content-Length: {}\r\n", body.len()));
     let sent = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(body.as_bytes()));
     if sent.is_ok() && stream.shutdown(Shutdown::Write).is_ok() {
-        pass_over(stream);
+        drain(stream);
     }
     // A client that is gone needs no answer.
 }
 
 /// Reads and discards what a client still sends, for a moment. If a connection is closed with
 /// unread bytes, the system resets it, and the client may lose its answer.
-fn pass_over(stream: &mut TcpStream) {
+fn drain(stream: &mut TcpStream) {
     let until = Instant::now() + LINGER;
     let mut part = [0; 4096];
     while Instant::now() < until {
@@ -96,12 +96,12 @@ pub(super) fn events(feed: &Feed, mut stream: TcpStream) {
     if stream.write_all(started.as_bytes()).is_err() || stream.set_nonblocking(false).is_err() {
         return;
     }
-    let mut place = feed.place();
+    let mut position = feed.position();
     let mut spoke = Instant::now();
     loop {
         let closes = feed.closed.load(Ordering::Relaxed);
         let mut text = String::new();
-        tell(&mut text, &feed.since(&mut place));
+        write_events(&mut text, &feed.since(&mut position));
         if text.is_empty() && spoke.elapsed() >= ALIVE {
             text.push_str(": alive\n\n");
         }
@@ -128,21 +128,21 @@ fn is_gone(stream: &TcpStream) -> bool {
     is_gone || stream.set_nonblocking(false).is_err()
 }
 
-fn tell(text: &mut String, news: &News) {
-    if let Some(status) = &news.status {
+fn write_events(text: &mut String, changes: &Changes) {
+    if let Some(status) = &changes.status {
         event(text, "status", status);
     }
-    if let Some(rollout) = &news.rollout {
+    if let Some(rollout) = &changes.rollout {
         event(text, "rollout", &**rollout);
     }
-    if news.lost > 0 {
-        event(text, "lost", &news.lost);
+    if changes.lost > 0 {
+        event(text, "lost", &changes.lost);
     }
-    if !news.ticks.is_empty() {
-        let points: Vec<_> = news.ticks.iter().map(|tick| tick.point).collect();
+    if !changes.ticks.is_empty() {
+        let points: Vec<_> = changes.ticks.iter().map(|tick| tick.point).collect();
         event(text, "ticks", &points);
     }
-    if let Some(end) = &news.end {
+    if let Some(end) = &changes.end {
         event(text, "end", &**end);
     }
 }

@@ -15,7 +15,7 @@ use super::connection::{Shared, Slot, serve};
 const PAUSE: Duration = Duration::from_millis(5);
 
 /// Time between two checks whether the view closes.
-const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
+const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
 /// Size of the stack of a client's thread, bytes. A program that locks its memory for the control
 /// thread fills each new stack at once, on a processor that the tick may want.
@@ -41,7 +41,7 @@ pub enum LiveError {
 }
 
 /// Lowers the priority of the calling thread and of those that it starts.
-pub(super) fn step_back() {
+pub(super) fn lower_priority() {
     // On Linux the call changes the calling thread alone. If the system refuses it, the view works
     // all the same.
     let _ = setpriority_process(None, NICENESS);
@@ -49,10 +49,10 @@ pub(super) fn step_back() {
 
 /// Accepts connections until the view closes; each connection has a thread of its own.
 pub(super) fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
-    step_back();
+    lower_priority();
     while !shared.feed.closed.load(Ordering::Relaxed) {
         let mut waiting = [PollFd::new(listener, PollFlags::IN)];
-        if !matches!(poll(&mut waiting, Some(&LOOK)), Ok(1..)) {
+        if !matches!(poll(&mut waiting, Some(&POLL_INTERVAL)), Ok(1..)) {
             continue;
         }
         if let Ok((stream, peer)) = listener.accept()

@@ -178,7 +178,7 @@ fn foxglove_gets_the_messages_of_a_recording() {
     }
     seen.sort_unstable();
     assert_eq!(seen, [(2, 0), (2, 10_000_000), (3, 0), (3, 10_000_000)]);
-    view.tell(|status| status.doing = "something else".to_owned());
+    view.update_status(|status| status.doing = "something else".to_owned());
     let (subscription, _, message) = listener.data();
     assert_eq!((subscription, &message[..1]), (4, &b"{"[..]));
 }
@@ -264,7 +264,7 @@ fn the_page_hears_of_status_rollout_ticks_and_end() {
     assert!(ticks.contains("event: ticks\ndata: [[0.0,"), "{ticks}");
     viewer.ended(Some(&outcome()));
     until(&mut stream, "\"ending\":\"left the box by theta\"");
-    view.tell(|status| status.doing = "line\nbreak".to_owned());
+    view.update_status(|status| status.doing = "line\nbreak".to_owned());
     until(&mut stream, "line\\nbreak");
     drop(view);
     until(&mut stream, "\"ended\":true");

@@ -7,14 +7,14 @@ use std::thread::{self, Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
 use super::connection::Shared;
-use super::feed::{Entrance, Feed};
+use super::feed::{Feed, FeedSender};
 use super::origin::Admission;
-use super::server::{LiveError, accept, step_back};
+use super::server::{LiveError, accept, lower_priority};
 use super::status::Status;
 use crate::recording::Viewer;
 
 /// Time that connections have to end when the view closes.
-const FAREWELL: Duration = Duration::from_millis(500);
+const CLOSING_TIME: Duration = Duration::from_millis(500);
 
 /// The settings of a live view.
 #[derive(Clone, Debug)]
@@ -30,7 +30,7 @@ pub struct LiveSettings {
 pub struct LiveView {
     address: SocketAddr,
     shared: Arc<Shared>,
-    viewer: Arc<Entrance>,
+    viewer: Arc<FeedSender>,
     threads: Vec<JoinHandle<()>>,
 }
 
@@ -59,19 +59,19 @@ impl LiveView {
             stop: Box::new(stop),
             open: [AtomicUsize::new(0), AtomicUsize::new(0)],
         });
-        let (entrance, exit) = feed.entrance();
+        let (sender, receiver) = feed.channel();
         let of_clients = Arc::clone(&shared);
         let threads = [
             Builder::new().name("live".to_owned()).spawn(move || {
-                step_back();
-                feed.follow(exit);
+                lower_priority();
+                feed.follow(receiver);
             }),
             Builder::new()
                 .name("live listener".to_owned())
                 .spawn(move || accept(&listener, &of_clients)),
         ];
         let mut view =
-            Self { address, shared, viewer: Arc::new(entrance), threads: Vec::with_capacity(2) };
+            Self { address, shared, viewer: Arc::new(sender), threads: Vec::with_capacity(2) };
         for thread in threads {
             // On an error the view is dropped, which ends a thread that has started.
             view.threads.push(thread.map_err(LiveError::System)?);
@@ -107,12 +107,12 @@ impl LiveView {
     /// The viewer to which a rig's recorder hands its records.
     #[must_use]
     pub fn viewer(&self) -> Arc<dyn Viewer> {
-        Arc::<Entrance>::clone(&self.viewer)
+        Arc::<FeedSender>::clone(&self.viewer)
     }
 
     /// Changes the status of the command, which the view shows.
-    pub fn tell(&self, change: impl FnOnce(&mut Status)) {
-        self.shared.feed.tell(change);
+    pub fn update_status(&self, change: impl FnOnce(&mut Status)) {
+        self.shared.feed.update_status(change);
     }
 
     /// Number of ticks that were not shown because the view's own thread was late.
@@ -124,13 +124,13 @@ impl LiveView {
 
 impl Drop for LiveView {
     fn drop(&mut self) {
-        self.tell(|status| status.ended = true);
+        self.update_status(|status| status.ended = true);
         self.shared.feed.closed.store(true, Ordering::Relaxed);
         for thread in self.threads.drain(..) {
             // If a thread of the view has panicked, nothing else ends with it.
             let _ = thread.join();
         }
-        let until = Instant::now() + FAREWELL;
+        let until = Instant::now() + CLOSING_TIME;
         let is_open = || self.shared.open.iter().any(|open| open.load(Ordering::Relaxed) > 0);
         while is_open() && Instant::now() < until {
             thread::sleep(Duration::from_millis(10));

@@ -76,7 +76,7 @@ pub enum PolicyFault {
     #[error("has no metadata `{METADATA_KEY}`. Give a file that `train` wrote")]
     NoMetadata,
     /// The metadata of a file of another format describes a controller that is no network.
-    #[error("has the metadata of a controller that is no network")]
+    #[error("has the metadata of a controller that is not a network")]
     NoNetwork,
     /// The metadata cannot be parsed.
     #[error("has metadata that this program does not understand: {source}")]

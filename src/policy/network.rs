@@ -24,7 +24,7 @@ pub enum NetworkError {
         sizes: Vec<usize>,
     },
     /// The length of an array does not match the sizes.
-    #[error("{array} has {length} values where the network's sizes ask for {expected}")]
+    #[error("{array} has {length} values where the network's sizes require {expected}")]
     Length {
         /// Name of the array, such as `layers.0.weight`.
         array: String,
@@ -34,7 +34,7 @@ pub enum NetworkError {
         expected: usize,
     },
     /// A weight is not a finite number.
-    #[error("{array} holds {value} at index {index}: train again, this network is broken")]
+    #[error("{array} holds {value} at index {index}: the network is invalid, so train again")]
     NotFinite {
         /// Name of the array, such as `layers.0.weight`.
         array: String,

@@ -31,12 +31,12 @@ pub struct Randomisation {
 impl fmt::Display for Randomisation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let random = self.distributions.iter().filter(|(_, drawn)| is_random(drawn));
-        let told: Vec<String> =
+        let quantities: Vec<String> =
             random.map(|(quantity, drawn)| in_words(*quantity, drawn)).collect();
-        match (told.is_empty(), self.directions.len()) {
+        match (quantities.is_empty(), self.directions.len()) {
             (true, 0) => f.write_str("always the same Qube")?,
             (true, _) => {}
-            (false, _) => f.write_str(&told.join(", "))?,
+            (false, _) => f.write_str(&quantities.join(", "))?,
         }
         match self.directions.len() {
             0 => {}
@@ -100,12 +100,12 @@ mod tests {
             directions: Vec::new(),
             specimens: Vec::new(),
         };
-        let told = "R_m 8.4 ± 0.84 ohm (normal), coulomb 0 ± 1.20e-4 N m (uniform)";
-        assert_eq!(randomisation.to_string(), told);
+        let expected = "R_m 8.4 ± 0.84 ohm (normal), coulomb 0 ± 1.20e-4 N m (uniform)";
+        assert_eq!(randomisation.to_string(), expected);
         randomisation.directions.push(BTreeMap::from([(DomainParameter::RotaryMass.into(), 0.1)]));
         randomisation.specimens = vec![QubeModel::NOMINAL; 3];
         let more = "; one joint deviation; each draw is one of 3 Qubes with these moments";
-        assert_eq!(randomisation.to_string(), format!("{told}{more}"));
+        assert_eq!(randomisation.to_string(), format!("{expected}{more}"));
         randomisation.distributions.retain(|_, drawn| !is_random(drawn));
         (randomisation.directions, randomisation.specimens) = Default::default();
         assert_eq!(randomisation.to_string(), "always the same Qube");

@@ -21,8 +21,8 @@ pub enum OtherPlant {
     },
     /// The plants have the same name and different numbers.
     #[error(
-        "the policy was made for the plant {plant} as its file said then, and the file says something else now: \
-         train a policy again, or give the old file"
+        "the policy was made for the plant {plant} with another description than the file that was given: train a policy \
+         again, or give the earlier file"
     )]
     Description {
         /// Name of both plants.

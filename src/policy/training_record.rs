@@ -126,5 +126,6 @@ pub struct SimulatedObserver {
     /// Standard deviation of the model's error in the pendulum's acceleration, rad/s^2.
     pub alpha_noise_rad_s2: f64,
     /// Prediction error beyond which the observer was reset, rad.
-    pub astray_rad: f64,
+    #[serde(rename = "astray_rad", alias = "reset_error_rad")]
+    pub reset_error_rad: f64,
 }

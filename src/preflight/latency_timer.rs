@@ -15,7 +15,7 @@ pub fn latency_timer_ms(port: &str) -> Option<u32> {
 
 /// The command that sets the timer to 1 ms.
 #[must_use]
-pub fn latency_timer_cure(port: &str) -> String {
+pub fn latency_timer_remedy(port: &str) -> String {
     match setting(Path::new(TERMINALS), port) {
         Some(path) => format!(
             "echo 1 | sudo tee {} (until it is unplugged; for good: sudo scripts/install)",

@@ -113,19 +113,19 @@ pub enum Unreadable {
     CutOffAtStart,
     /// The recording was changed after it was finished, or a metadata record of it is damaged.
     #[error(
-        "this recording was changed or damaged at byte {offset}: {what}. Its intact part can be saved"
+        "this recording was changed or damaged at byte {offset}: {reason}. Its intact part can be saved"
     )]
     Damaged {
         /// Offset at which the damaged record starts, bytes; 0 for a metadata record whose own
         /// checksum does not fit.
         offset: u64,
         /// Defect that was found.
-        what: String,
+        reason: String,
     },
 }
 
 impl RecordingError {
-    /// The error of a failed write. A full disk has its own variant, because the user can cure it.
+    /// The error of a failed write. A full disk has its own variant, because the user can remedy it.
     pub(super) fn write(path: &Path, source: io::Error) -> Self {
         let path = path.to_owned();
         match source.kind() {

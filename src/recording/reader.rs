@@ -84,8 +84,8 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     if let Some(damage) = &scan.damage
         && is_finished(bytes)
     {
-        let (offset, what) = (damage.offset as u64, damage.what.clone());
-        return Err(Unreadable::Damaged { offset, what });
+        let (offset, reason) = (damage.offset as u64, damage.reason.clone());
+        return Err(Unreadable::Damaged { offset, reason });
     }
     recording(scan)
 }
@@ -119,14 +119,14 @@ pub(super) fn recording(mut scan: Scan) -> Result<Recording, Unreadable> {
     if format != FORMAT_VERSION.to_string() {
         return Err(Unreadable::OtherFormat { found: format, expected: FORMAT_VERSION });
     }
-    let damaged = |record: &str, what| Unreadable::Damaged {
+    let damaged = |record: &str, reason| Unreadable::Damaged {
         offset: 0,
-        what: format!("the metadata `{record}`: {what}"),
+        reason: format!("the metadata `{record}`: {reason}"),
     };
-    let header = metadata::from_map(header).map_err(|what| damaged(metadata::HEADER, what))?;
+    let header = metadata::from_map(header).map_err(|reason| damaged(metadata::HEADER, reason))?;
     let outcome = match scan.metadata.get(metadata::OUTCOME) {
         Some(map) => {
-            Some(metadata::from_map(map).map_err(|what| damaged(metadata::OUTCOME, what))?)
+            Some(metadata::from_map(map).map_err(|reason| damaged(metadata::OUTCOME, reason))?)
         }
         None => None,
     };

@@ -43,7 +43,7 @@ pub(super) struct Scan {
 #[derive(Clone, Debug)]
 pub(super) struct Damage {
     pub(super) offset: usize,
-    pub(super) what: String,
+    pub(super) reason: String,
 }
 
 /// Reads every intact record of a file. `bytes` must start with MCAP's magic bytes, [`MAGIC`].
@@ -62,7 +62,7 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
             opcode::DATA_END => {
                 let stored = Fields(record.body).u32();
                 if record.body.len() != 4 || stored != Some(CRC_32.checksum(&bytes[..offset])) {
-                    scan.note(offset, "the checksum over everything before does not fit");
+                    scan.note(offset, "the checksum over everything before does not match");
                 }
                 summary_start = Some(record.end());
             }
@@ -77,8 +77,8 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
                 return scan;
             }
             _ => {
-                if let Err(what) = scan.record(&record) {
-                    scan.lose(offset, record.end() - offset, what);
+                if let Err(reason) = scan.record(&record) {
+                    scan.lose(offset, record.end() - offset, reason);
                 }
             }
         }
@@ -91,19 +91,19 @@ impl Scan {
     /// Position and reason of the first defect; `None` if the file is as it was finished.
     pub(super) fn first_damage(&self) -> Option<String> {
         match &self.damage {
-            Some(damage) => Some(format!("at byte {}: {}", damage.offset, damage.what)),
+            Some(damage) => Some(format!("at byte {}: {}", damage.offset, damage.reason)),
             None if self.closed => None,
             None => Some("the end is missing".to_owned()),
         }
     }
 
-    fn note(&mut self, offset: usize, what: impl Into<String>) {
-        self.damage.get_or_insert_with(|| Damage { offset, what: what.into() });
+    fn note(&mut self, offset: usize, reason: impl Into<String>) {
+        self.damage.get_or_insert_with(|| Damage { offset, reason: reason.into() });
     }
 
-    fn lose(&mut self, offset: usize, bytes: usize, what: impl Into<String>) {
+    fn lose(&mut self, offset: usize, bytes: usize, reason: impl Into<String>) {
         self.lost_bytes += bytes as u64;
-        self.note(offset, what);
+        self.note(offset, reason);
     }
 
     fn footer(&mut self, bytes: &[u8], record: &Frame<'_>, summary_start: Option<usize>) {
@@ -116,7 +116,7 @@ impl Scan {
                 stored == Some(CRC_32.checksum(covered))
             });
         if !sound {
-            self.note(record.offset, "the checksum over the index does not fit");
+            self.note(record.offset, "the checksum over the index does not match");
         }
         if bytes[record.end()..] == *MAGIC {
             self.closed = true;
@@ -131,7 +131,9 @@ impl Scan {
             opcode::ATTACHMENT => self.attachment(record.body),
             opcode::METADATA => {
                 if record.body.len() > MAX_METADATA_BYTES {
-                    return Err("a metadata record is larger than any of ours".to_owned());
+                    return Err(
+                        "a metadata record is larger than any that this program writes".to_owned()
+                    );
                 }
                 let mut fields = Fields(record.body);
                 let (Some(name), Some(map)) = (fields.text(), fields.map()) else {
@@ -152,7 +154,7 @@ impl Scan {
         let malformed = || "an attachment is malformed".to_owned();
         let (covered, stored) = body.split_last_chunk().ok_or_else(malformed)?;
         if u32::from_le_bytes(*stored) != CRC_32.checksum(covered) {
-            return Err("the checksum of an attachment does not fit".to_owned());
+            return Err("the checksum of an attachment does not match".to_owned());
         }
         let mut fields = Fields(covered);
         let (Some(_log_time), Some(_create_time), Some(name), Some(_media_type), Some(length)) =
@@ -286,7 +288,7 @@ fn decompress(body: &[u8]) -> Result<Vec<u8>, String> {
         return Err("the header of a block is malformed".to_owned());
     };
     if length != fields.0.len() as u64 {
-        return Err("a block has another length than it says".to_owned());
+        return Err("a block has another length than its header states".to_owned());
     }
     if compression != "lz4" {
         return Err(format!("a block is compressed as `{compression}`, not by this program"));
@@ -299,7 +301,7 @@ fn decompress(body: &[u8]) -> Result<Vec<u8>, String> {
         .and_then(|decoder| decoder.take(size + 1).read_to_end(&mut content))
         .map_err(|error| format!("a block cannot be decompressed ({error})"))?;
     if content.len() as u64 != size || checksum != CRC_32.checksum(&content) {
-        return Err("the checksum of a block does not fit".to_owned());
+        return Err("the checksum of a block does not match".to_owned());
     }
     Ok(content)
 }

@@ -56,7 +56,7 @@ pub enum CsvError {
         time_s: f64,
     },
     /// Two rows are more than 1 s apart, so rows are missing.
-    #[error("line {line}: nothing is known for {gap_s} s before it; cut the file there")]
+    #[error("line {line}: there is no row for {gap_s} s before it; split the file there")]
     Gap {
         /// Number of the line.
         line: usize,
@@ -166,7 +166,7 @@ mod tests {
             ("", "there are 0 rows"),
             ("0,0,0,0,0,1\n", "there are 1 rows"),
             ("0.1,0,0,0,0,1\n0.1,0,0,0,0,1\n", "line 3: time goes from 0.1 s to 0.1 s"),
-            ("0,0,0,0,0,1\n9,0,0,0,0,1\n", "line 3: nothing is known for 9 s"),
+            ("0,0,0,0,0,1\n9,0,0,0,0,1\n", "line 3: there is no row for 9 s"),
         ];
         for (rows, expected) in cases {
             let message = parse(rows).unwrap_err().to_string();

@@ -320,7 +320,7 @@ fn add_distributions(
         return;
     }
     page.section("Distributions of simulations");
-    page.paragraph("As the thesis's figure 5.2. A recipe without spread has no curve.");
+    page.paragraph("Like the thesis's figure 5.2. A recipe without spread has no curve.");
     page.grid(|page| {
         for quantity in shown {
             let curves: Vec<_> =
@@ -367,9 +367,9 @@ fn add_examples(page: &mut Page, rollouts: NamedRollouts) {
         "The first rollout of the best and of the worst policy of each recipe on each plant, for up to 20 of these pairs.",
     );
     let motions = rollouts.into_iter().map(|(name, view)| {
-        let told = format!("{name}: {}", view.result());
+        let outcome = format!("{name}: {}", view.result());
         let sentence = view.sentence();
-        view.motion.named(name, told, sentence)
+        view.motion.named(name, outcome, sentence)
     });
     add_player(page, motions.collect(), 0);
 }

@@ -142,7 +142,7 @@ impl Motion {
         self.nearest.extend(guard.map(|(approach, time_s)| {
             let foreseen = approach.foreseen;
             let label = format!(
-                "guard: foresaw {:.2} of {:.2} rad",
+                "guard: predicted {:.2} of {:.2} rad",
                 foreseen.largest_rad, foreseen.end_rad
             );
             Near { of: "theta", time_s, label }

@@ -61,7 +61,7 @@ pub fn recordings_page(
             let (largest, end) = (f64::from(foreseen.largest_rad), f64::from(foreseen.end_rad));
             let share = Some(100.0 * largest / end).filter(|share| share.is_finite());
             vec![
-                "arm's angle that the guard foresaw".into(),
+                "arm's angle that the guard predicted".into(),
                 Cell::number(Some(largest).filter(|it| it.is_finite()), 2),
                 Cell::number(Some(end), 2),
                 "rad".into(),

@@ -147,11 +147,11 @@ fn guard_words((approach, time_s): (GuardApproach, f64)) -> String {
     let when = format!("at {time_s:.2} s, with θ at {theta_rad:.2} rad");
     if !largest_rad.is_finite() {
         return format!(
-            "The guard was nearest {when}: it could not foresee where the arm would stop"
+            "The guard was nearest {when}: it could not predict where the arm would stop"
         );
     }
     let saw = format!(
-        "for the voltage of the policy and the brake after it, it foresaw the arm of some Qube that this one may be at {largest_rad:.2} rad"
+        "for the voltage of the policy and the brake after it, it predicted the arm of some Qube that this one may be at {largest_rad:.2} rad"
     );
     if largest_rad >= end_rad {
         return format!(

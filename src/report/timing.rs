@@ -33,7 +33,7 @@ pub fn add_timing(page: &mut Page, latencies: &Latencies) {
         None,
     );
     if lateness_us.max <= 0.0 {
-        page.paragraph("Time was computed here, so that no tick is late.");
+        page.paragraph("These rollouts ran in virtual time, in which no tick is late.");
         return;
     }
     let edges: Vec<f64> = (0..=5 * PER_DECADE)
@@ -64,7 +64,7 @@ pub fn add_timing(page: &mut Page, latencies: &Latencies) {
         ..Chart::default()
     };
     page.chart(
-        "How late the control loop woke",
+        "Lateness of the control loop's wake-ups",
         "Each bar is a sixth of a decade wide; both axes are logarithmic, so that a single late tick shows.",
         chart,
     );

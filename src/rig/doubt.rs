@@ -29,20 +29,23 @@ impl fmt::Display for Doubt {
             Some(fault) => write!(formatter, ": {fault}. {}", fault.operator_step())?,
             None => write!(formatter, ", and its record cannot be read. Look at the Qube.")?,
         }
-        write!(formatter, " Nothing moves before somebody has, and then the Qube is examined first")
+        write!(
+            formatter,
+            " Nothing moves until somebody has checked it; then the Qube is examined first"
+        )
     }
 }
 
 /// A store for doubts that outlive the program: one folder with a file for each board.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DoubtMemory {
+pub struct DoubtStore {
     folder: PathBuf,
 }
 
 /// Largest file that is read, bytes.
 const MAX_FILE_BYTES: u64 = 4096;
 
-impl DoubtMemory {
+impl DoubtStore {
     /// A store in this folder, which is created with the first doubt.
     #[must_use]
     pub fn new(folder: PathBuf) -> Self {
@@ -52,7 +55,7 @@ impl DoubtMemory {
     /// The doubt about a board, if there is one. An unreadable file is a doubt too. A file about a
     /// fault that leaves no doubt by this release's table of faults is not.
     #[must_use]
-    pub fn recall(&self, board: &str) -> Option<Doubt> {
+    pub fn load(&self, board: &str) -> Option<Doubt> {
         let path = self.path(board);
         if !MachineDisk.exists(&path) {
             return None;
@@ -65,7 +68,7 @@ impl DoubtMemory {
     }
 
     /// Stores a doubt. If that fails, the doubt lasts until the program ends.
-    pub fn keep(&self, doubt: &Doubt) {
+    pub fn store(&self, doubt: &Doubt) {
         let path = self.path(&doubt.board);
         let bytes = serde_json::to_vec(doubt).unwrap_or_default();
         let kept =
@@ -73,12 +76,14 @@ impl DoubtMemory {
                 |()| write_whole(&MachineDisk, &path, &bytes).map_err(|error| error.to_string()),
             );
         if let Err(error) = kept {
-            tracing::warn!("the doubt about this Qube ends with this program: {error}");
+            tracing::warn!(
+                "the doubt about this Qube cannot be stored and ends with this program: {error}"
+            );
         }
     }
 
     /// Removes the doubt about a board.
-    pub fn forget(&self, board: &str) {
+    pub fn remove(&self, board: &str) {
         let path = self.path(board);
         if MachineDisk.exists(&path)
             && let Err(error) = MachineDisk.remove(&path)
@@ -101,26 +106,26 @@ mod tests {
     #[test]
     fn a_doubt_is_kept_for_its_board_alone_until_it_is_forgotten() {
         let directory = tempfile::tempdir().unwrap();
-        let memory = DoubtMemory::new(directory.path().join("state/doubts"));
-        assert_eq!(memory.recall("17"), None);
+        let memory = DoubtStore::new(directory.path().join("state/doubts"));
+        assert_eq!(memory.load("17"), None);
         let doubt =
             Doubt { fault: Some(Fault::Stall), board: "17".into(), unix_s: Some(1_700_000_000) };
-        memory.keep(&doubt);
-        assert_eq!(memory.recall("17"), Some(doubt));
-        assert_eq!(memory.recall("18"), None);
-        memory.forget("17");
-        assert_eq!(memory.recall("17"), None);
-        memory.keep(&Doubt { fault: Some(Fault::TooLate), board: "19".into(), unix_s: None });
-        assert_eq!(memory.recall("19"), None);
+        memory.store(&doubt);
+        assert_eq!(memory.load("17"), Some(doubt));
+        assert_eq!(memory.load("18"), None);
+        memory.remove("17");
+        assert_eq!(memory.load("17"), None);
+        memory.store(&Doubt { fault: Some(Fault::TooLate), board: "19".into(), unix_s: None });
+        assert_eq!(memory.load("19"), None);
     }
 
     #[test]
     fn a_record_that_cannot_be_read_is_a_doubt_and_no_board_names_another_folder() {
         let directory = tempfile::tempdir().unwrap();
-        let memory = DoubtMemory::new(directory.path().to_owned());
+        let memory = DoubtStore::new(directory.path().to_owned());
         for bytes in [&b"{"[..], b"{\"fault\":\"of another version\",\"board\":\"a\"}"] {
             std::fs::write(memory.path("a"), bytes).unwrap();
-            assert_eq!(memory.recall("a").unwrap().fault, None);
+            assert_eq!(memory.load("a").unwrap().fault, None);
         }
         assert_eq!(memory.path("../../a"), memory.path("a"));
     }

@@ -163,8 +163,8 @@ impl From<ControlError> for RigError {
 /// The failed checks with their remedies, one check a line.
 fn listed(results: &[CheckResult]) -> String {
     let line = |result: &CheckResult| {
-        let cure = result.cure.as_deref().unwrap_or_default();
-        format!("\n  {}: {}\n    cure: {cure}", result.name, result.value)
+        let remedy = result.remedy.as_deref().unwrap_or_default();
+        format!("\n  {}: {}\n    remedy: {remedy}", result.name, result.value)
     };
     results.iter().filter(|result| result.failed()).map(line).collect()
 }
@@ -240,7 +240,7 @@ impl RigError {
 }
 
 /// The fault that corresponds to a failed link or a restarted board; `None` for other errors, which
-/// waiting does not cure.
+/// waiting does not remedy.
 pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
     match error {
         DeviceError::Link { fault: LinkFault::Gone, .. } => Some(Fault::LinkGone),

@@ -13,7 +13,7 @@ mod opened;
 mod rollout;
 mod settings;
 
-pub use doubt::{Doubt, DoubtMemory};
+pub use doubt::{Doubt, DoubtStore};
 pub use error::RigError;
 pub use opened::{Pressed, Rig};
 pub use rollout::Recorded;

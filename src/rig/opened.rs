@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::connection::connect;
-use super::{ClockChoice, Doubt, DoubtMemory, RigError, RigSettings};
+use super::{ClockChoice, Doubt, DoubtStore, RigError, RigSettings};
 use crate::clock::RealtimeReport;
 use crate::control::{
     ControlError, ControlThread, HomingSettings, Patience, PressOutcome, StopPress, drive_warm,
@@ -42,7 +42,7 @@ pub struct Rig {
     pub(super) limits: HardwareLimits,
     stop: Arc<AtomicBool>,
     link_patience_s: f64,
-    memory: Option<DoubtMemory>,
+    memory: Option<DoubtStore>,
     /// Time that foresight's longest prediction takes on this processor, us; 0 for an emulated
     /// Qube.
     pub(super) foresight_time_us: f64,
@@ -72,7 +72,7 @@ impl Rig {
     /// A doubt is not acknowledged, or a step fails; the motor is off after any error.
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let mut rig = Self::connect(settings, stop)?;
-        let remembered = rig.memory.as_ref().and_then(|memory| memory.recall(&rig.identity.serial));
+        let remembered = rig.memory.as_ref().and_then(|memory| memory.load(&rig.identity.serial));
         let doubt = remembered.or_else(|| settings.recovery.doubt.clone());
         if let Some(doubt) = doubt.clone().filter(|_| !settings.recovery.acknowledged) {
             return Err(RigError::InDoubt(Box::new(doubt)));
@@ -99,7 +99,7 @@ impl Rig {
             rig.home()?;
         }
         if let Some(memory) = rig.memory.as_ref().filter(|_| doubt.is_some()) {
-            memory.forget(&rig.identity.serial);
+            memory.remove(&rig.identity.serial);
         }
         Ok(rig)
     }
@@ -287,9 +287,7 @@ impl Rig {
             });
         }
         if identity.boot_id != self.identity.boot_id {
-            tracing::warn!(
-                "the board has restarted: its counters begin anew, and the arm is homed"
-            );
+            tracing::warn!("the board has restarted: its counters restart, and the arm is homed");
         }
         self.identity = identity;
         Ok(())
@@ -310,7 +308,7 @@ impl Rig {
         let Ending::Fault(fault) = ending else { return };
         self.last_fault.set(Some(fault));
         if let Some(memory) = self.memory.as_ref().filter(|_| fault.leaves_doubt()) {
-            memory.keep(&self.doubt(fault));
+            memory.store(&self.doubt(fault));
         }
     }
 
@@ -320,7 +318,7 @@ impl Rig {
         for pause_ns in HOMING_PAUSES_NS {
             match self.home_once() {
                 Err(error) if error.passing_fault().is_some() => {
-                    tracing::warn!("homing begins again: {error}");
+                    tracing::warn!("homing is repeated: {error}");
                     self.greet_again(pause_ns).map_err(|lost| lost.with_ticks_of(error))?;
                 }
                 homed_or_not => return homed_or_not,

@@ -178,8 +178,8 @@ impl Rig {
         self.latch(report.outcome.ending);
         if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
             tracing::warn!(
-                "the Qube does not move as its profile says: from now on it is guarded as an unknown one. Is \
-                 the pendulum another one, or the supply weak?"
+                "the Qube does not move as its profile predicts, so it is guarded as an unknown one. Is the pendulum \
+                 another one, or is the supply weak?"
             );
             self.identified.set(None);
         }

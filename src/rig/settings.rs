@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use super::{Doubt, DoubtMemory};
+use super::{Doubt, DoubtStore};
 use crate::clock::Clock;
 use crate::control::HomingSettings;
 use crate::device::emulator::EmulatorSettings;
@@ -131,7 +131,7 @@ pub struct Recovery {
     /// Time for which the program tries to reach a lost link again, s.
     pub link_patience_s: f64,
     /// Store of doubts that outlive the program; `None` for a device that ends with the program.
-    pub memory: Option<DoubtMemory>,
+    pub memory: Option<DoubtStore>,
     /// Doubt that is known before the device is opened, because a session's ledger ends with it.
     pub doubt: Option<Doubt>,
 }

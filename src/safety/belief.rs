@@ -284,7 +284,7 @@ impl Belief {
             model.set(quantity, between(low, high, *place));
         }
         for step in &self.steps {
-            go(&mut model, step, place, widths);
+            take_step(&mut model, step, place, widths);
         }
         let [.., positive, negative] = *place;
         Particle {
@@ -318,7 +318,7 @@ fn unknown_widths() -> Step {
 }
 
 /// Moves a Qube by one step, forwards or backwards: to the side on which the coordinates lie.
-fn go(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths: &Step) {
+fn take_step(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths: &Step) {
     let parts = step.iter().zip(widths).zip(place);
     let along: f64 = parts.map(|((step, width), place)| step / width * place).sum();
     for (quantity, step) in Quantity::all().zip(step) {

@@ -3,7 +3,9 @@ use thiserror::Error;
 
 use super::belief::MODEL_ERROR;
 use super::foresight::Prediction;
-use super::{Belief, BeliefError, CentringBrake, Ends, Foresight, Reach, TrustedForesight};
+use super::{
+    Belief, BeliefError, CentringBrake, Ends, Foresight, PredictionHorizon, TrustedForesight,
+};
 use crate::estimation::MeasuredStops;
 use crate::qube::{PlantModel, Profile};
 
@@ -163,9 +165,10 @@ impl ForesightSettings {
         let end_rad = (nearer_rad.min(described_rad) - self.margin_rad).max(NEAREST_END_RAD) as f32;
         let ends = Ends { low_rad: -end_rad, high_rad: end_rad };
         let of = |belief: Belief, held| {
-            let reach = Reach { held, horizon: self.horizon_periods };
+            let horizon =
+                PredictionHorizon { held_periods: held, horizon_periods: self.horizon_periods };
             let particles = belief.particles(plant.encoders);
-            Foresight::new(&particles, CentringBrake::of_plant(plant), ends, reach)
+            Foresight::new(&particles, CentringBrake::of_plant(plant), ends, horizon)
         };
         let identified = self.identified.map(|known| {
             let foresight = of(known.belief, known.held_periods);
@@ -218,7 +221,7 @@ mod tests {
             serde_json::from_value::<ForesightSettings>(json.clone()).map_err(|it| it.to_string())
         };
         assert_eq!(read(&json), Ok(settings));
-        for (pointer, value, told) in [
+        for (pointer, value, part) in [
             ("/version", 2.into(), "version = 2: this program knows 1"),
             ("/margin_rad", (-0.1).into(), "margin_rad = -0.1"),
             ("/held_periods", 0.into(), "held_periods = 0"),
@@ -235,7 +238,7 @@ mod tests {
             let mut other = json.clone();
             *other.pointer_mut(pointer).unwrap() = value;
             let message = read(&other).unwrap_err();
-            assert!(message.contains(told), "{pointer}: {message}");
+            assert!(message.contains(part), "{pointer}: {message}");
         }
     }
 }

@@ -73,8 +73,8 @@ pub enum TooWide {
         /// Entry of the plant file.
         entry: &'static str,
     },
-    /// The guard serves only to replay old recordings.
-    #[error("guard = \"envelope\" serves only to replay old recordings")]
+    /// The guard is only for replays of old recordings.
+    #[error("guard = \"envelope\" is only for replays of old recordings")]
     EnvelopeGone,
 }
 
@@ -210,8 +210,8 @@ mod tests {
                 let consent = GuardConsent::given(Some(Guard::Box), true);
                 for consent in [None, consent] {
                     let refused = HardwareLimits::of(safety_box, consent).unwrap_err();
-                    let told = refused.to_string();
-                    assert!(told.contains("at most"), "{told}");
+                    let message = refused.to_string();
+                    assert!(message.contains("at most"), "{message}");
                 }
             }
         }

@@ -27,7 +27,7 @@ pub use belief::{Belief, BeliefError};
 pub use brake_law::{BrakeLaw, CentringBrake};
 pub use braking::{Brake, brake_voltage};
 pub use foreseen::{Foreseen, ForeseenAngle};
-pub use foresight::{Ends, Foresight, Outlook, Prediction, Reach};
+pub use foresight::{Ends, Foresight, Outlook, Prediction, PredictionHorizon};
 pub use foresight_settings::{ForesightError, ForesightSettings, IdentifiedQube};
 pub use guard::Guard;
 pub use hardware_limits::{GuardConsent, HardwareLimits, PlantConsent, TooWide};

@@ -57,8 +57,8 @@ impl std::fmt::Display for Limit {
             Self::ThetaDot => "theta_dot",
             Self::AlphaDot => "alpha_dot",
             Self::Envelope => "the speed envelope",
-            Self::Foresight => "what the brake can still stop",
-            Self::Unpredicted => "what its profile says of the Qube",
+            Self::Foresight => "the limit of the brake",
+            Self::Unpredicted => "the motion that its profile predicts",
         })
     }
 }

@@ -102,7 +102,7 @@ impl TrustedForesight {
     }
 
     /// The particle of the deciding belief that the brake would stop too late after this voltage,
-    /// `None` if there is none; [`Foresight::look`] explains the arguments.
+    /// `None` if there is none; [`Foresight::predict`] explains the arguments.
     #[must_use]
     pub fn too_late_for(
         &mut self,
@@ -114,12 +114,12 @@ impl TrustedForesight {
             Some(Identified { foresight, trust: Trust::Earned, .. }) => (foresight, true),
             _ => (&mut self.any, false),
         };
-        let outlook = foresight.look(state, sent_v, voltage_v);
+        let outlook = foresight.predict(state, sent_v, voltage_v);
         let end_rad = foresight.nearer_end_rad();
-        let largest_rad = end_rad - outlook.room_rad;
+        let largest_rad = end_rad - outlook.clearance_rad;
         let largest_rad = if largest_rad.is_nan() { f32::INFINITY } else { largest_rad };
         self.angle = Some(ForeseenAngle { largest_rad, end_rad });
-        let beyond_rad = Some(-outlook.room_rad).filter(|beyond| beyond.is_finite());
+        let beyond_rad = Some(-outlook.clearance_rad).filter(|beyond| beyond.is_finite());
         let particle = outlook.particle;
         (!outlook.holds).then_some(Foreseen { identified, particle, beyond_rad })
     }

@@ -97,7 +97,7 @@ impl BayRn {
         let observed = process;
         let mut believed = Cow::Borrowed(observed);
         for point in pending {
-            believed = Cow::Owned(believed.with_fantasies(point, believed.mean(point))?);
+            believed = Cow::Owned(believed.conditioned_on_fantasy(point, believed.mean(point))?);
         }
         let process = believed.as_ref();
         let means = means_at_data(process);

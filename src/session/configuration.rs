@@ -5,7 +5,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 use super::retired::rename_entries;
-use super::settings_check::BEGIN_ANEW;
+use super::settings_check::NEW_SESSION_ADVICE;
 use super::{ConfigurationError, SessionSettings, take_retired};
 use crate::learning::Preset;
 use crate::safety::Guard;
@@ -29,13 +29,13 @@ impl SessionSettings {
         let out_of_range =
             |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };
         if let Some(entry) = retired.iter().find(|entry| entry.changed_something()) {
-            return Err(out_of_range(format!("{entry}: {BEGIN_ANEW}")));
+            return Err(out_of_range(format!("{entry}: {NEW_SESSION_ADVICE}")));
         }
         if !retired.is_empty() {
             text = toml::to_string(&table)?;
         }
         let oldest = Self { preset: None, ..Self::default() }.with_guard(Guard::Box);
-        let settings = oldest.laid_under(&text, path)?;
+        let settings = oldest.with_overrides(&text, path)?;
         settings.check_resumable().map_err(out_of_range)?;
         Ok(settings)
     }
@@ -81,13 +81,13 @@ impl SessionSettings {
         if let Some(entry) = take_retired(&mut parsed(text, path)?).first() {
             return Err(out_of_range(format!("{entry}: leave it out")));
         }
-        let mut settings = self.laid_under(text, path)?;
+        let mut settings = self.with_overrides(text, path)?;
         settings.preset = Some(Preset::of(&settings.training));
         settings.check_begun().map_err(out_of_range)?;
         Ok(settings)
     }
 
-    fn laid_under(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
+    fn with_overrides(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
         let invalid = |source| ConfigurationError::Invalid {
             path: path.to_owned(),
             source: Box::new(source),
@@ -101,7 +101,7 @@ impl SessionSettings {
         let mut table: Table = Table::try_from(below)?;
         let mut above: Table = toml::from_str(text).map_err(invalid)?;
         rename_entries(&mut above);
-        lay_over(&mut table, above);
+        merge_into(&mut table, above);
         let settings: Self = table.try_into().map_err(invalid)?;
         settings.checked(path)
     }
@@ -137,10 +137,10 @@ fn parsed(text: &str, path: &Path) -> Result<Table, ConfigurationError> {
     })
 }
 
-fn lay_over(below: &mut Table, above: Table) {
+fn merge_into(below: &mut Table, above: Table) {
     for (key, value) in above {
         match (below.get_mut(&key), value) {
-            (Some(Value::Table(below)), Value::Table(above)) => lay_over(below, above),
+            (Some(Value::Table(below)), Value::Table(above)) => merge_into(below, above),
             (_, value) => {
                 below.insert(key, value);
             }
@@ -165,11 +165,21 @@ mod tests {
     }
 
     #[test]
-    fn earlier_names_of_training_settings_override_the_preset_too() {
+    fn earlier_names_of_settings_override_the_preset_too() {
         let text = "[training]\npendulums = 32\ntrace_decay = 0.9\nenough = 450.0";
         let training = overridden(text).unwrap().training;
         assert_eq!((training.num_envs, training.gae_lambda), (32, 0.9));
         assert_eq!(training.target_return, Some(450.0));
+        let sensors = "[training.simulation.sensors]\ntype = \"encoders\"";
+        let observer = "estimator.observer]\nastray_rad = 0.2";
+        let text = format!("{sensors}\n[training.simulation.sensors.{observer}\n[{observer}");
+        let settings = overridden(&text).unwrap();
+        let SensorModel::Encoders { estimator } = settings.training.simulation.sensors else {
+            panic!("the sensors are encoders");
+        };
+        for estimator in [settings.estimator, estimator] {
+            assert_eq!(estimator.observer.unwrap().reset_error_rad, 0.2);
+        }
     }
 
     #[test]

@@ -79,7 +79,7 @@ impl Drift {
             let mut compared =
                 Compared::new(estimate.value, estimate.standard_error, profile, tolerance);
             // A cable without stiffness has no measurable rest angle.
-            compared.moved &= estimate.is_told();
+            compared.moved &= estimate.is_determined();
             compared
         };
         Ok(Self {

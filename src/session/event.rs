@@ -23,7 +23,7 @@ pub enum SessionEvent<'a> {
         doubts: &'a [String],
     },
     /// No recording can be fitted yet, for this reason; another excitation follows.
-    ExcitesAgain(&'a str),
+    ExcitationRepeated(&'a str),
     /// The Qube could not be identified from its recordings, for this reason; the search continues
     /// as for an unknown one.
     NotIdentified(&'a str),
@@ -37,7 +37,7 @@ pub enum SessionEvent<'a> {
     },
     /// The search continues after a verified policy, because one more candidate is expected to gain
     /// this return.
-    GoesOn {
+    SearchContinues {
         /// Expected gain.
         expected_gain: f64,
         /// Gain below which the search ends.

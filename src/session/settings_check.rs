@@ -15,7 +15,8 @@ use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
 pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 
 /// Advice when a session cannot be resumed, because its settings are of an earlier version.
-pub(super) const BEGIN_ANEW: &str = "a session cannot change its settings, so begin a new one";
+pub(super) const NEW_SESSION_ADVICE: &str =
+    "a session cannot change its settings, so begin a new one";
 
 impl SessionSettings {
     /// Checks the settings.
@@ -120,7 +121,7 @@ impl SessionSettings {
             [("safety_box", self.safety_box.guard), ("training.simulation.safety_box", simulated)]
         {
             if let Err(gone) = guard.check_driven() {
-                return Err(format!("{key}.{gone}: {BEGIN_ANEW}"));
+                return Err(format!("{key}.{gone}: {NEW_SESSION_ADVICE}"));
             }
         }
         Ok(())

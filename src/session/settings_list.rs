@@ -278,14 +278,14 @@ fn range(settings: &Table, path: &[String]) -> String {
         let mut asked = settings.clone();
         let Some(place) = at_mut(&mut asked, path) else { continue };
         *place = trial;
-        let told = match asked.try_into::<SessionSettings>() {
+        let range = match asked.try_into::<SessionSettings>() {
             Err(refused) => choices(refused.message()),
             Ok(settings) => settings.check().err().and_then(|refused| bound(&refused, &key)),
         };
-        if let Some(told) = told
-            && !ranges.contains(&told)
+        if let Some(range) = range
+            && !ranges.contains(&range)
         {
-            ranges.push(told);
+            ranges.push(range);
         }
     }
     if ranges.is_empty() { otherwise.into() } else { ranges.join("; ") }

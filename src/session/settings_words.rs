@@ -66,7 +66,7 @@ const WORDS: [Words; 108] = [
     of(
         "identification.excitation_v",
         "V",
-        "Largest voltage of an excitation; of another plant the one that moves its arm alike",
+        "Largest voltage of an excitation; for another plant, the voltage with the same effect on its arm",
     ),
     of("identification.candidates", "", "Largest number of candidates around the identified Qube"),
     of("identification.rollouts", "", "Number of rollouts of each of them"),
@@ -103,9 +103,9 @@ const WORDS: [Words; 108] = [
         "Standard deviation of the model's error in the pendulum's acceleration",
     ),
     of(
-        "observer.astray_rad",
+        "observer.reset_error_rad",
         "rad",
-        "Distance between encoder and prediction beyond which the observer begins anew",
+        "Largest prediction error of an angle; beyond it the observer restarts",
     ),
     of("safety_box.theta_rad", "rad", "Largest angle of the arm on either side"),
     of("safety_box.alpha_rad", "rad", "Largest angle of the pendulum on either side"),
@@ -114,9 +114,9 @@ const WORDS: [Words; 108] = [
     of(
         "safety_box.guard",
         "",
-        "Guard that ends a rollout: the brake tried in advance, or the box alone",
+        "Guard that ends a rollout: foresight, which simulates the brake in advance, or the box alone",
     ),
-    of("simulation.safety_box.guard", "", "Guard of simulations, which have the box alone"),
+    of("simulation.safety_box.guard", "", "Guard of simulations: the box alone"),
     of("homing.method", "", "How the arm's middle is found"),
     of("homing.theta_offset_rad", "rad", "Zero of theta beside the middle between the stops"),
     of("homing.travel_rad", "rad", "Distance between this rig's stops"),

@@ -76,8 +76,8 @@ mod tests {
             "[{\"training\":0,\"began_unix_ns\":-1,\"ended_unix_ns\":5}]",
         ] {
             std::fs::write(&path, bad).unwrap();
-            let told = TrainingTime::read_all(&MachineDisk, &path).unwrap_err();
-            assert!(told.contains("training-times.json"), "{told}");
+            let message = TrainingTime::read_all(&MachineDisk, &path).unwrap_err();
+            assert!(message.contains("training-times.json"), "{message}");
         }
     }
 }

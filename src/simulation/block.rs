@@ -19,7 +19,7 @@ use crate::safety::SafetyBox;
 pub(super) struct Block {
     qubes: QubeLanes,
     /// States as sensors and estimators show them.
-    sight: SeenLanes,
+    lanes: SeenLanes,
     /// Steps since the start of the trajectory.
     steps: [u32; BLOCK],
 }
@@ -31,7 +31,7 @@ impl Block {
         let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
         Self {
             qubes: QubeLanes::hanging_limited_to(largest_v),
-            sight: SeenLanes::both(&at_rest),
+            lanes: SeenLanes::both(&at_rest),
             steps: [0; BLOCK],
         }
     }
@@ -41,7 +41,7 @@ impl Block {
     }
 
     pub(super) fn seen(&self, lane: usize) -> State<f32> {
-        self.sight.seen.lane(lane)
+        self.lanes.seen.lane(lane)
     }
 
     /// The longest possible observation of a lane: the features of the state, then all remembered
@@ -63,7 +63,7 @@ impl Block {
         seen: &State<f32>,
     ) {
         self.qubes.restart(lane, model, state);
-        self.sight.restart(lane, seen);
+        self.lanes.restart(lane, seen);
         self.steps[lane] = 0;
     }
 }
@@ -71,7 +71,7 @@ impl Block {
 /// The parts of a simulation around the physics (sensors, observation, reward and box), in the
 /// lanes' number type.
 #[derive(Clone, Debug)]
-pub(super) struct Surroundings {
+pub(super) struct Environment {
     /// Sensors and estimators through which policy and guard see the states.
     pub(super) sensors: Sensors,
     /// Number of last commands in an observation.
@@ -86,7 +86,7 @@ pub(super) struct Step<'a> {
     /// Memory of the observers that estimate the policies' states, one entry for each block; empty
     /// if there are no observers.
     pub(super) observers: &'a mut [ObserverLanes],
-    pub(super) surroundings: &'a Surroundings,
+    pub(super) environment: &'a Environment,
     pub(super) voltages_v: &'a [Lanes],
     pub(super) rewards: &'a mut [Lanes],
     pub(super) statuses: &'a mut [[LaneStatus; BLOCK]],
@@ -99,11 +99,11 @@ impl VectorKernel for Step<'_> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) {
-        let Self { blocks, observers, surroundings, voltages_v, rewards, statuses, observations } =
+        let Self { blocks, observers, environment, voltages_v, rewards, statuses, observations } =
             self;
         let earned = blocks.iter().zip(voltages_v).zip(rewards);
         for ((block, voltages_v), rewards) in earned {
-            earn(block, &surroundings.reward, voltages_v, rewards);
+            write_rewards(block, &environment.reward, voltages_v, rewards);
         }
         // Each substep is computed for every block before the next substep. Blocks do not depend on
         // each other, so that the processor can work on several at once.
@@ -125,14 +125,14 @@ impl VectorKernel for Step<'_> {
         }
         let count = blocks.len();
         for (index, (block, statuses)) in blocks.iter_mut().zip(statuses).enumerate() {
-            let Block { qubes, sight, .. } = block;
+            let Block { qubes, lanes, .. } = block;
             let observers = observers.get_mut(index);
-            surroundings.sensors.look(&qubes.state, sight, observers, &voltages_v[index]);
-            update_statuses(block, surroundings, statuses);
-            if surroundings.history > 0 || !block.qubes.are_ideal() {
+            environment.sensors.update(&qubes.state, lanes, observers, &voltages_v[index]);
+            update_statuses(block, environment, statuses);
+            if environment.history > 0 || !block.qubes.are_ideal() {
                 block.qubes.end_period(&voltages_v[index]);
             }
-            write_observations(block, index, count, surroundings.history, observations);
+            write_observations(block, index, count, environment.history, observations);
         }
     }
 }
@@ -157,25 +157,30 @@ impl VectorKernel for Observe<'_> {
 }
 
 #[inline(always)]
-fn earn(block: &Block, reward: &RewardWeights<f32>, voltages_v: &Lanes, rewards: &mut Lanes) {
+fn write_rewards(
+    block: &Block,
+    reward: &RewardWeights<f32>,
+    voltages_v: &Lanes,
+    rewards: &mut Lanes,
+) {
     let largest_v = block.qubes.largest_v();
     for lane in 0..BLOCK {
         let voltage_v = limited_to(voltages_v[lane], largest_v);
-        rewards[lane] = reward.reward(&block.sight.seen.lane(lane), voltage_v);
+        rewards[lane] = reward.reward(&block.lanes.seen.lane(lane), voltage_v);
     }
 }
 
 #[inline(always)]
 fn update_statuses(
     block: &mut Block,
-    surroundings: &Surroundings,
+    environment: &Environment,
     statuses: &mut [LaneStatus; BLOCK],
 ) {
-    let safety_box = &surroundings.safety_box;
+    let safety_box = &environment.safety_box;
     for lane in 0..BLOCK {
         block.steps[lane] += 1;
         let time_is_up = block.steps[lane] >= MAX_STEPS as u32;
-        let inside = safety_box.contains(&block.sight.guarded.lane(lane));
+        let inside = safety_box.contains(&block.lanes.guarded.lane(lane));
         let in_the_box = if time_is_up { LaneStatus::TimeUp } else { LaneStatus::Running };
         statuses[lane] = if inside { in_the_box } else { LaneStatus::LeftBox };
     }
@@ -191,7 +196,7 @@ fn write_observations(
 ) {
     let mut own = [[0.0; BLOCK]; OBSERVATION_SIZE];
     for lane in 0..BLOCK {
-        let observed = observation(&block.sight.seen.lane(lane));
+        let observed = observation(&block.lanes.seen.lane(lane));
         for (feature, value) in observed.into_iter().enumerate() {
             own[feature][lane] = value;
         }

@@ -53,18 +53,18 @@ pub fn evaluate(
     seed: u64,
     starts: usize,
 ) -> Evaluation {
-    evaluate_and_tell(actor, distribution, settings, seed, starts, |_, _, _| {})
+    evaluate_with(actor, distribution, settings, seed, starts, |_, _, _| {})
 }
 
-/// Evaluates as [`evaluate`] does, and after each step calls `tell` for each running trajectory
+/// Evaluates as [`evaluate`] does, and after each step calls `on_step` for each running trajectory
 /// with its number, the reward of the step and the actor's voltage before clipping, V.
-pub fn evaluate_and_tell(
+pub fn evaluate_with(
     actor: &mut impl Actor,
     distribution: &DomainDistribution,
     settings: &SimulationSettings,
     seed: u64,
     starts: usize,
-    mut tell: impl FnMut(usize, f32, f32),
+    mut on_step: impl FnMut(usize, f32, f32),
 ) -> Evaluation {
     let mut pendulums = Pendulums::new(starts, settings);
     for lane in 0..starts {
@@ -85,7 +85,7 @@ pub fn evaluate_and_tell(
             if running[lane] {
                 evaluation.returns[lane] += f64::from(rewards[lane]);
                 evaluation.steps[lane] += 1;
-                tell(lane, rewards[lane], voltages_v[lane]);
+                on_step(lane, rewards[lane], voltages_v[lane]);
                 running[lane] = statuses[lane] == LaneStatus::Running;
             }
         }

@@ -41,7 +41,7 @@ mod trajectory;
 pub use direction::Direction;
 pub use distribution::{DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, reach};
 pub use domain_distribution::{DomainDistribution, Family};
-pub use evaluation::{Actor, Evaluation, evaluate, evaluate_and_tell};
+pub use evaluation::{Actor, Evaluation, evaluate, evaluate_with};
 pub use lane_status::LaneStatus;
 pub use model::{Model, ProfileSettings};
 pub use pendulums::{LANES_MULTIPLE, Pendulums};

@@ -1,4 +1,4 @@
-use super::block::{Block, Observe, Step, Surroundings};
+use super::block::{Block, Environment, Observe, Step};
 use super::lane_observer::ObserverLanes;
 use super::sensors::Sensors;
 use super::{LaneStatus, MAX_COMMAND_DELAY_S, SimulationSettings, Trajectory};
@@ -22,7 +22,7 @@ pub struct Pendulums {
     blocks: Vec<Block>,
     /// Memory of the observers, one entry for each block; empty if there are no observers.
     observers: Vec<ObserverLanes>,
-    surroundings: Surroundings,
+    environment: Environment,
     observation_size: usize,
     level: Level,
 }
@@ -42,7 +42,7 @@ impl Pendulums {
         Self {
             blocks: vec![Block::hanging(settings.plant.limits.largest_voltage_v as f32); blocks],
             observers: vec![ObserverLanes::HANGING; observers],
-            surroundings: Surroundings {
+            environment: Environment {
                 sensors,
                 history: settings.history,
                 reward: settings.reward.cast(),
@@ -91,7 +91,7 @@ impl Pendulums {
             theta_dot: f32::from_f64(start.theta_dot),
             alpha_dot: f32::from_f64(start.alpha_dot),
         };
-        let seen = self.surroundings.sensors.first(&state);
+        let seen = self.environment.sensors.first(&state);
         self.blocks[lane / BLOCK].restart(lane % BLOCK, model, &state, &seen);
         if let Some(observers) = self.observers.get_mut(lane / BLOCK) {
             observers.restart(lane % BLOCK, &seen);
@@ -105,7 +105,7 @@ impl Pendulums {
     pub fn observe(&self, observations: &mut [f32]) {
         self.check_length_of(observations);
         let (observations, _) = observations.as_chunks_mut();
-        let history = self.surroundings.history;
+        let history = self.environment.history;
         dispatch_at(self.level, Observe { blocks: &self.blocks, history, observations });
     }
 
@@ -153,7 +153,7 @@ impl Pendulums {
         let step = Step {
             blocks: &mut self.blocks,
             observers: &mut self.observers,
-            surroundings: &self.surroundings,
+            environment: &self.environment,
             voltages_v,
             rewards,
             statuses,

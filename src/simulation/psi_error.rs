@@ -90,7 +90,7 @@ pub enum PsiError {
         source: std::io::Error,
     },
     /// The file is not TOML, or contains something other than a psi.
-    #[error("{}: is no psi file, which has lines `name = value`: {}", path.display(), source.to_string().trim_end())]
+    #[error("{}: is not a psi file, which has lines `name = value`: {}", path.display(), source.to_string().trim_end())]
     NotPsi {
         /// Path of the file.
         path: PathBuf,

@@ -85,7 +85,7 @@ impl Sensors {
     /// the block's observers, if the policy has observers. `voltages_v` are the commands of the
     /// elapsed period, V.
     #[inline(always)]
-    pub(super) fn look(
+    pub(super) fn update(
         &self,
         state: &State<Lanes>,
         lanes: &mut SeenLanes,

@@ -104,7 +104,11 @@ impl GaussianProcess {
     /// # Errors
     /// The point lies outside the box, the value is not finite, or the covariance cannot be
     /// factored.
-    pub fn with_fantasies(&self, point: &[f64], value: f64) -> Result<Self, SurrogateError> {
+    pub fn conditioned_on_fantasy(
+        &self,
+        point: &[f64],
+        value: f64,
+    ) -> Result<Self, SurrogateError> {
         let search_box = self.data.search_box();
         search_box.check(self.data.len(), point)?;
         if !value.is_finite() {
@@ -327,14 +331,14 @@ mod tests {
         let process = process();
         let point = [0.9, 12.0];
         let before = process.posterior(&point);
-        let after = process.with_fantasies(&point, before.mean).unwrap();
+        let after = process.conditioned_on_fantasy(&point, before.mean).unwrap();
         assert!((after.posterior(&point).mean - before.mean).abs() < 1e-6);
         let noise = PriorSet::LEAST_NOISE_VARIANCE * process.data().scale().powi(2);
         assert!(after.posterior(&point).variance < noise, "{after:?}");
         assert!(noise < 0.5 * before.variance);
         assert!((after.mean(&[0.0, 20.0]) - process.mean(&[0.0, 20.0])).abs() < 1e-6);
-        assert!(process.with_fantasies(&[2.0, 12.0], 0.0).is_err());
-        assert!(process.with_fantasies(&point, f64::NAN).is_err());
+        assert!(process.conditioned_on_fantasy(&[2.0, 12.0], 0.0).is_err());
+        assert!(process.conditioned_on_fantasy(&point, f64::NAN).is_err());
     }
 
     #[test]

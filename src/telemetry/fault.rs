@@ -25,14 +25,16 @@ impl Consequence {
     #[must_use]
     pub fn sentence(self) -> &'static str {
         match self {
-            Self::TryAgain => "says hello, waits for rest, homes and tries again, at most 3 times",
+            Self::TryAgain => {
+                "sends a hello, waits for rest, homes and tries again, at most 3 times"
+            }
             Self::Reconnect => {
                 "opens the same port again for 30 s; the same board is then homed and the rollout \
                  repeated"
             }
             Self::Examine => {
-                "ends, and moves nothing before the operator has acknowledged the fault and the Qube \
-                 has passed an examination"
+                "ends; nothing moves until the operator has acknowledged the fault and the Qube has \
+                 passed an examination"
             }
             Self::End => "ends",
         }
@@ -87,94 +89,94 @@ faults! {
         "Switch the Qube off: its motor may still have its last voltage. Plug the cable in, then switch the Qube on.";
     BoardRestarted: Reconnect,
         "the board has restarted (a loss of power?)",
-        "Switch the Qube off: its motor may still have had its last voltage. Look at the board's supply and its USB cable.";
+        "Switch the Qube off: its motor may still have had its last voltage. Check the board's supply and its USB cable.";
     WatchdogTripped: TryAgain,
         "the device's watchdog switched the motor off",
         "Close programs that keep this computer busy.";
     NotArmed: TryAgain,
         "the device was disarmed in the middle of a motion",
-        "Look whether another program talks to the board.";
+        "Check whether another program uses the board.";
     EmergencyStop: Examine,
         "the emergency-stop switch was opened",
-        "See that nobody is near the arm, then close the switch. If nobody was at it, look at its wires.";
+        "Make sure that nobody is near the arm, then close the switch. If nobody has opened it, check its wires.";
     DeviceClock: TryAgain,
-        "the device's clock does not go with the computer's, or the same sample came twice",
-        "Close programs that keep this computer busy. If it stays: flash the firmware of this release, then check that the board keeps the protocol.";
+        "the device's clock disagrees with the computer's, or the same sample came twice",
+        "Close programs that keep this computer busy. If the fault persists: flash the firmware of this release, then check that the board conforms to the protocol.";
     CountsMoved: TryAgain,
-        "a count of arm or pendulum moved while nothing was driven (a hand, or an encoder's cable)",
-        "Keep hands off while a run lasts. If nobody was at it: look at the cables of both encoders.";
+        "a count of arm or pendulum moved while the motor was off (a hand, or an encoder's cable)",
+        "Keep hands off during a run. If nobody touched the Qube: check the cables of both encoders.";
     TooLate: TryAgain,
         "five ticks in a row were more than 10 ms late",
         "Close programs that keep this computer busy.";
     Amplifier: Examine,
         "the amplifier reports a fault",
-        "Switch the Qube off, let it cool down, look at its supply and at the motor.";
+        "Switch the Qube off, let it cool down, check its supply and the motor.";
     StallError: Examine,
         "the Qube reports a stall and has switched its motor off",
-        "Free the arm; look whether cables have wound around it.";
+        "Free the arm; check whether cables have wound around it.";
     MotorOverheated: End,
         "the motor's load has reached 90 % of its continuous rating",
         "Let the motor cool down for ten minutes; use a policy that pushes less.";
     NotANumber: End,
         "the policy asked for a voltage that is not a number",
-        "Use another policy: this one is broken.";
+        "Use another policy: this one is invalid.";
     EncoderJump: Examine,
         "the arm's encoder jumped by more than 200 counts in 10 ms (a hard hit?)",
-        "Look at the arm's encoder, its cable and the stops.";
+        "Check the arm's encoder, its cable and the stops.";
     PendulumJump: Examine,
         "the pendulum's encoder jumped by more than 200 counts in 10 ms (a loose cable?)",
-        "Look at the pendulum's encoder cable and its plug.";
+        "Check the pendulum's encoder cable and its plug.";
     EncoderFrozen: Examine,
-        "the arm's encoder stands still while the arm moves (a loose cable?)",
-        "Look at the arm's encoder, its cable and its plug.";
+        "the arm's count is constant while the arm moves (a loose cable?)",
+        "Check the arm's encoder, its cable and its plug.";
     PendulumFrozen: Examine,
-        "the pendulum's encoder stands still while the arm jerks (a loose cable?)",
-        "Look at the pendulum's encoder cable and its plug.";
+        "the pendulum's count is constant while the arm accelerates (a loose cable?)",
+        "Check the pendulum's encoder cable and its plug.";
     Stall: Examine,
         "the arm hardly turned for 500 ms against 2 V or more (is something in its way?)",
-        "Free the arm; look whether cables have wound around it.";
+        "Free the arm; check whether cables have wound around it.";
     TachometerDisagrees: Examine,
         "the arm's counter and its tachometer disagreed for 300 ms",
-        "Look at the arm's encoder and its cable.";
+        "Check the arm's encoder and its cable.";
     SettlingTimedOut: Examine,
         "arm and pendulum did not come to rest within 15 s",
-        "Look whether something moves or holds arm or pendulum.";
+        "Check whether something moves or holds arm or pendulum.";
     BrakingTimedOut: Examine,
         "the arm did not stop within 1 s of braking",
-        "Switch the Qube off; look at the motor and at the arm's encoder.";
+        "Switch the Qube off; check the motor and the arm's encoder.";
     HomingTimedOut: Examine,
         "the arm's stops were not found within 60 s",
-        "Clear the arm's way from stop to stop; look at the motor and at the arm's encoder.";
+        "Clear the arm's way from stop to stop; check the motor and the arm's encoder.";
     EncodersDisagree: Examine,
         "the encoders of arm and pendulum contradict each other",
-        "Look at both encoders' cables; see whether the pendulum sits firmly on its shaft, and keep hands off.";
+        "Check both encoders' cables; check whether the pendulum sits firmly on its shaft, and keep hands off.";
     WrongSignTheta: Examine,
         "the count of the arm runs against the arm: the sign of its encoder is wrong",
-        "Turn theta_inverted in qube.toml over, or let the check find the signs.";
+        "Reverse theta_inverted in qube.toml, or let the check find the signs.";
     WrongSignAlpha: Examine,
         "the count of the pendulum runs against the pendulum: the sign of its encoder is wrong",
-        "Turn alpha_inverted in qube.toml over, or let the check find the signs.";
+        "Reverse alpha_inverted in qube.toml, or let the check find the signs.";
     WrongSignMotor: Examine,
         "the arm moves against the voltage: the sign of the motor is wrong",
-        "Turn voltage_inverted in qube.toml over, or let the check find the signs.";
+        "Reverse voltage_inverted in qube.toml, or let the check find the signs.";
     ArmPushed: Examine,
         "something other than the motor moved the arm (a hand, a cable?)",
         "Keep hands and cables off arm and pendulum.";
     MotorDead: Examine,
-        "the motor takes no current (is it connected, is the Qube switched on?)",
-        "Look whether the Qube is switched on; look at its supply and at the motor's wires.";
+        "the motor draws no current (is it connected, is the Qube switched on?)",
+        "Check whether the Qube is switched on; check its supply and the motor's wires.";
     MotorWeak: Examine,
-        "the motor takes far less current than a Qube's does at the same voltage (a bad contact?)",
-        "Look at the motor's wires and plug and at the Qube's supply.";
+        "the motor draws far less current than a Qube's does at the same voltage (a bad contact?)",
+        "Check the motor's wires and plug and the Qube's supply.";
     ArmHeld: Examine,
-        "the arm's count stays although the motor pushes (is the arm held, or its encoder's cable loose?)",
-        "Free the arm; look whether cables have wound around it, and at its encoder.";
+        "the arm's count does not change although the motor pushes (is the arm held, or its encoder's cable loose?)",
+        "Free the arm; check whether cables have wound around it, and check its encoder.";
     TravelWrong: Examine,
         "the stops are not as far apart as those of a Qube (is something in the arm's way?)",
         "Clear the arm's way from stop to stop; if this rig's stops are where they should be, accept their travel with travel_rad under [homing] in qube.toml.";
     TravelBlocked: Examine,
         "the arm's stops are not as far apart as a Qube's (is something in its way?)",
-        "Clear the arm's way from stop to stop; look at the arm's encoder.";
+        "Clear the arm's way from stop to stop; check the arm's encoder.";
 }
 
 impl Fault {
@@ -218,7 +220,7 @@ impl Fault {
 #[must_use]
 pub fn fault_table() -> String {
     let mut text = String::from(
-        "| fault | cause | what the operator does | what the program does by itself |\n\
+        "| fault | cause | the operator's step | the program's reaction |\n\
          | --- | --- | --- | --- |\n",
     );
     for fault in Fault::ALL {

@@ -47,21 +47,24 @@ pub enum TickRules {
     First,
     /// The two encoders check each other, settling is gentle, and a braked arm may come to rest anywhere
     /// that is not near a stop.
-    Witnessed,
-    /// As [`Witnessed`](Self::Witnessed); in addition, an arm whose count is in doubt under a policy is
+    #[serde(rename = "witnessed")]
+    CrossChecked,
+    /// As [`CrossChecked`](Self::CrossChecked); in addition, an arm whose count is in doubt under a policy is
     /// damped before the motor goes off.
     Damped,
     /// As [`Damped`](Self::Damped); in addition, a brake that oscillates loses gain, and an arm
     /// whose count is in doubt is damped also while it settles.
-    Yielding,
-    /// As [`Yielding`](Self::Yielding); in addition, foresight simulates each voltage of the brake
+    #[serde(rename = "yielding")]
+    GainReducing,
+    /// As [`GainReducing`](Self::GainReducing); in addition, foresight simulates each voltage of the brake
     /// before it is sent, and takes into account how old a velocity is after lost samples.
-    Tried,
+    #[serde(rename = "tried")]
+    BrakeSimulating,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::Tried;
+    pub const NEWEST: Self = Self::BrakeSimulating;
 }
 
 /// The record that precedes a rollout.

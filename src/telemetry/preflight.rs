@@ -12,8 +12,8 @@ pub struct CheckResult {
     /// Figure or fact that was found, in words; for a skipped check, the reason.
     pub value: String,
     /// Advice to the operator on how to remedy a failure; `None` unless the check failed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub cure: Option<String>,
+    #[serde(rename = "cure", default, skip_serializing_if = "Option::is_none")]
+    pub remedy: Option<String>,
 }
 
 /// The verdict of a check.
@@ -57,22 +57,22 @@ pub enum Preflight {
 impl CheckResult {
     /// A check that passed.
     pub fn pass(name: &str, value: impl Into<String>) -> Self {
-        Self { name: name.into(), verdict: CheckVerdict::Pass, value: value.into(), cure: None }
+        Self { name: name.into(), verdict: CheckVerdict::Pass, value: value.into(), remedy: None }
     }
 
     /// A failed check with its remedy.
-    pub fn fail(name: &str, value: impl Into<String>, cure: impl Into<String>) -> Self {
+    pub fn fail(name: &str, value: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
             name: name.into(),
             verdict: CheckVerdict::Fail,
             value: value.into(),
-            cure: Some(cure.into()),
+            remedy: Some(remedy.into()),
         }
     }
 
     /// A check that was not done, with the reason `why`.
     pub fn skipped(name: &str, why: impl Into<String>) -> Self {
-        Self { name: name.into(), verdict: CheckVerdict::Skipped, value: why.into(), cure: None }
+        Self { name: name.into(), verdict: CheckVerdict::Skipped, value: why.into(), remedy: None }
     }
 
     /// Whether the check failed.

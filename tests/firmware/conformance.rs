@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use qube_hil::clock::MonotonicClock;
 use qube_hil::device::Tty;
-use qube_hil::preflight::conformance::{CHECKS, Speaker};
+use qube_hil::preflight::conformance::{CHECKS, TestHost};
 
 use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
@@ -17,11 +17,11 @@ fn conforms(chip: Chip) {
     let Some(toolchain) = toolchain() else { return };
     let board = SimulatedBoard::start(toolchain, chip, Qube::new(0));
     let mut tty = Tty::open(board.port(), Arc::new(MonotonicClock)).unwrap();
-    let mut speaker = Speaker::new(&mut tty, &MonotonicClock);
+    let mut host = TestHost::new(&mut tty, &MonotonicClock);
     for check in CHECKS {
         for attempt in 1.. {
             let given_up_us = board.given_up_us();
-            let Err(deviation) = check.run(&mut speaker) else { break };
+            let Err(deviation) = check.run(&mut host) else { break };
             let slow_us = board.given_up_us() - given_up_us;
             assert!(
                 slow_us > 0 && attempt < ATTEMPTS,

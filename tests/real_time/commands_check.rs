@@ -157,7 +157,7 @@ fn a_session_on_a_qube_that_is_not_fit_stops_before_anything_is_trained() {
             let output = qube_hil(directory.path(), arguments);
             assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
             let stderr = stderr(&output);
-            for word in ["pendulum", "cure: ", "encoder 1", "--skip-check"] {
+            for word in ["pendulum", "remedy: ", "encoder 1", "--skip-check"] {
                 assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
             }
         }

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use qube_hil::rig::{Doubt, DoubtMemory};
+use qube_hil::rig::{Doubt, DoubtStore};
 use qube_hil::telemetry::{Fault, Preflight};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -99,9 +99,9 @@ fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
         let directory = tempfile::tempdir().unwrap();
         let directory = directory.path();
         // State after an earlier run.
-        let memory = DoubtMemory::new(directory.join("qube-hil"));
+        let memory = DoubtStore::new(directory.join("qube-hil"));
         let board = format!("{SEED:016x}");
-        memory.keep(&Doubt { fault: Some(Fault::StallError), board: board.clone(), unix_s: None });
+        memory.store(&Doubt { fault: Some(Fault::StallError), board: board.clone(), unix_s: None });
         let _qube = Qube::with(directory, None);
 
         // Restarted without a word: refused before anything has moved.
@@ -114,7 +114,7 @@ fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
             assert_eq!(result["ended_by"]["consequence"], "examine", "{result}");
             assert_eq!(result["ended_by"]["exit_code"], 4, "{result}");
             assert!(!directory.join("two").exists());
-            assert!(memory.recall(&board).is_some());
+            assert!(memory.load(&board).is_some());
         }
         // With it, the Qube is examined; a busy computer may end that.
         let (_, result, told) = run(directory, "three", &["--skip-check", "--acknowledge"]);
@@ -124,7 +124,7 @@ fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
             let recording = qube_hil::recording::read(&rollout).unwrap();
             let preflight = recording.header.preflight;
             assert!(matches!(preflight, Preflight::Done(_)), "{preflight:?}");
-            assert!(memory.recall(&board).is_none());
+            assert!(memory.load(&board).is_none());
         } else {
             assert!(!result["ended_by"].is_null(), "{result} {told}");
         }

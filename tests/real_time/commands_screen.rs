@@ -187,7 +187,7 @@ fn a_run_shows_its_rollouts_reacts_to_keys_and_leaves_the_terminal_clean() {
         for part in [
             "rollout 0: return",
             "stopping: the arm is braked",
-            "stopped; the recordings are whole",
+            "stopped; the recordings are complete",
         ] {
             assert!(shown.contains(part), "{part} is missing:\n{shown}");
         }

@@ -166,7 +166,7 @@ fn the_first_ctrl_c_after_another_stop_lets_the_brake_end() {
             kill_process(process, Signal::INT).unwrap();
             assert_eq!(terminal.exit_code(), Some(exit_code), "{stop}: {}", terminal.shown);
             // A program that ends at once writes neither the end of its recording nor its results.
-            let told = "the recordings are whole";
+            let told = "the recordings are complete";
             assert!(terminal.shown.contains(told), "{stop}: {}", terminal.shown);
             let path = directory.path().join("out/rollout-0.mcap");
             let outcome = qube_hil::recording::read(&path).unwrap().outcome.unwrap();

@@ -145,7 +145,7 @@ fn a_port_without_a_qube_is_named() {
     let mut chatting = SerialLink::open(&port, Arc::new(MonotonicClock)).unwrap();
     master.write_all(b"login: \0 password: \0").unwrap();
     let error = chatting.hello().unwrap_err().to_string();
-    assert!(error.contains("bytes that are no answer"), "{error}");
+    assert!(error.contains("bytes that are not an answer"), "{error}");
     drop(chatting);
 
     let mut echoing = SerialLink::open(&port, Arc::new(MonotonicClock)).unwrap();

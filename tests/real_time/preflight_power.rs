@@ -120,7 +120,7 @@ fn a_board_that_dies_and_a_motor_that_goes_on_are_written_down_and_warned_of() {
         assert_eq!(result["passed"], true, "{result}");
         assert!(result["checks"].as_array().is_some_and(|checks| checks.len() > 10), "{result}");
         let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
-        assert_eq!(file.power.as_ref().unwrap().usb_lost, UsbLost::KeepsItsWord);
+        assert_eq!(file.power.as_ref().unwrap().usb_lost, UsbLost::KeepsVoltage);
         assert!(power_warning(file.power.as_ref()).unwrap().contains("keeps its last voltage"));
     });
 }

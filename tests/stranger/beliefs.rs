@@ -8,7 +8,7 @@ use super::genes::Genes;
 /// Knowledge about the Qube that is driven.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Known {
+pub enum BeliefKind {
     /// The Qube is not identified.
     Unknown,
     /// The Qube is identified: its parameters lie around those of `lab`.
@@ -23,7 +23,7 @@ pub struct DrawnQube {
     pub negative_share: f64,
 }
 
-impl Known {
+impl BeliefKind {
     /// Settings of the guard.
     pub fn settings(self) -> ForesightSettings {
         let identified = match self {

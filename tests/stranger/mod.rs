@@ -19,9 +19,9 @@ mod report;
 mod scenario;
 mod search;
 
-pub use beliefs::Known;
+pub use beliefs::BeliefKind;
 pub use optimiser::Method;
 pub use report::{SearchRecord, summary};
 #[allow(unused_imports, reason = "the example reads no scenario")]
 pub use scenario::Scenario;
-pub use search::{Effort, Hunt};
+pub use search::{AdversarySearch, Effort};

@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
-use super::beliefs::Known;
+use super::beliefs::BeliefKind;
 use super::genes::normal;
 use super::mishap::MishapKind;
 use super::moves::MovesKind;
@@ -34,7 +34,7 @@ pub enum Seen {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scenario {
     pub seed: u64,
-    pub known: Known,
+    pub known: BeliefKind,
     pub moves: MovesKind,
     pub strikes: bool,
     pub mishap: MishapKind,
@@ -55,7 +55,7 @@ pub const QUBE_GENES: usize = 17;
 
 impl Scenario {
     /// The attack of a seed.
-    pub fn new(seed: u64, known: Known) -> Self {
+    pub fn new(seed: u64, known: BeliefKind) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut one_of = |weights: &[u32]| {
             let mut left = random.random_range(0..weights.iter().sum::<u32>());

@@ -5,7 +5,7 @@ use qube_hil::telemetry::{TickRules, TickSettings};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-use super::beliefs::Known;
+use super::beliefs::BeliefKind;
 use super::episode::{Outcome, Trace, gene_count, play, settings, show};
 use super::optimiser::Method;
 use super::report::{Found, SearchRecord};
@@ -23,14 +23,14 @@ const KEPT_HITS: usize = 3;
 
 /// A search: seed, belief, optimiser and guard determine it completely.
 #[derive(Clone, Copy, Debug)]
-pub struct Hunt {
+pub struct AdversarySearch {
     pub seed: u64,
-    pub known: Known,
+    pub known: BeliefKind,
     pub method: Method,
     pub guard: Guard,
 }
 
-impl Hunt {
+impl AdversarySearch {
     /// Searches.
     pub fn run(&self, effort: Effort) -> SearchRecord {
         self.run_scenario(Scenario::new(self.seed, self.known), effort)

@@ -96,9 +96,14 @@ fn estimators_that_are_none() {
     run(&["--estimator-delay-ms", "5"], &["--estimator-delay-ms", "--estimator observer"]);
     run(&["--estimator", "observer", "--estimator-profile", "none.toml"], &["none.toml"]);
     let path = directory.path().join("my.toml");
-    std::fs::write(&path, "[estimator.observer]\nastray_rad = -1.0\n").unwrap();
+    std::fs::write(&path, "[estimator.observer]\nreset_error_rad = -1.0\n").unwrap();
     let arguments = ["session", "--clock", "virtual", "--config", "my.toml", "--out", "session"];
-    refused(directory.path(), &arguments, 2, &["my.toml", "estimator.observer.astray_rad = -1"]);
+    refused(
+        directory.path(),
+        &arguments,
+        2,
+        &["my.toml", "estimator.observer.reset_error_rad = -1"],
+    );
 }
 
 #[test]
@@ -323,7 +328,12 @@ fn a_moving_picture_replaces_no_file_unasked() {
     let animate = ["replay", "--animate", "r/rollout-1.mcap", "r/rollout-0.mcap"];
     refused(directory.path(), &animate, 2, &["--animate r/rollout-1.mcap", "--force"]);
     assert_eq!(std::fs::read(&other).unwrap(), before);
-    refused(directory.path(), &["replay", "--animate", "r", "r/rollout-0.mcap"], 2, &["no file"]);
+    refused(
+        directory.path(),
+        &["replay", "--animate", "r", "r/rollout-0.mcap"],
+        2,
+        &["not a file"],
+    );
     let animate = ["replay", "--animate", "moving.svg", "r/rollout-0.mcap"];
     assert!(qube_hil(directory.path(), &animate).status.success());
     refused(directory.path(), &animate, 2, &["exists already"]);

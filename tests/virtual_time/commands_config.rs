@@ -24,7 +24,7 @@ fn the_printed_settings_are_a_good_file_and_a_changed_one_is_listed() {
         let printed = succeeds(directory, &["config", "print", "--preset", preset]);
         fs::write(directory.join("printed.toml"), &printed).unwrap();
         let told = succeeds(directory, &["config", "check", "printed.toml", "--preset", preset]);
-        assert_eq!(told, "printed.toml: good; it changes nothing\n");
+        assert_eq!(told, "printed.toml: valid; it changes nothing\n");
         let changed = printed.replace("\nrollouts = ", "\nrollouts = 1");
         fs::write(directory.join("changed.toml"), changed).unwrap();
         let told = succeeds(directory, &["config", "check", "changed.toml", "--preset", preset]);

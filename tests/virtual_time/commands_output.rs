@@ -43,7 +43,7 @@ fn a_policy_or_a_profile_replaces_nothing_unless_asked() {
     }
     for command in [&["train", "--preset", "thesis"][..], &["identify", "no.mcap"]] {
         let device = [command, &["--out", "/dev/null", "--force"]].concat();
-        refused(&qube_hil(directory.path(), &device), 2, &["/dev/null", "no file"]);
+        refused(&qube_hil(directory.path(), &device), 2, &["/dev/null", "not a file"]);
     }
     assert_eq!(std::fs::read_to_string(&mine).unwrap(), "precious");
 }
@@ -70,12 +70,12 @@ fn a_place_that_cannot_be_written_is_bad_usage_of_every_command() {
     }
     for command in &commands[..2] {
         let missing = [command, &["--out", "missing/out"][..]].concat();
-        refused(&qube_hil(directory.path(), &missing), 2, &["missing", "make it first"]);
+        refused(&qube_hil(directory.path(), &missing), 2, &["missing", "create it first"]);
         let folder = [command, &["--out", "folder"][..]].concat();
-        refused(&qube_hil(directory.path(), &folder), 2, &["folder", "no file"]);
+        refused(&qube_hil(directory.path(), &folder), 2, &["folder", "not a file"]);
     }
     let checkpoint = ["train", "--preset", "thesis", "--checkpoint", "missing/half"];
-    refused(&qube_hil(directory.path(), &checkpoint), 2, &["missing", "make it first"]);
+    refused(&qube_hil(directory.path(), &checkpoint), 2, &["missing", "create it first"]);
     let soak = ["soak", "--device", PORT, "--keep", "file/out"];
     refused(&qube_hil(directory.path(), &soak), 2, &["file"]);
 }

@@ -22,7 +22,7 @@ fn found_after(
 ) -> Option<u32> {
     let dynamics = NonidealDynamics::new(&QubeModel { nonidealities, ..QubeModel::NOMINAL });
     let mut state = State { alpha, ..State::default() };
-    let mut watch = SensorWatch::witnessed(&PlantModel::QUBE, Calibration::IDENTITY);
+    let mut watch = SensorWatch::with_cross_check(&PlantModel::QUBE, Calibration::IDENTITY);
     let (mut theta_counts, mut voltage_v) = (0, 0.0);
     for tick in 0..400_u32 {
         let is_frozen = frozen_at.is_some_and(|at| tick > at);

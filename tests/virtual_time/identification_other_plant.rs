@@ -50,7 +50,7 @@ fn record(directory: &Path) {
         let run = ["run", "--plant", LARGER, "--profile", "specimen.toml", "--clock", "virtual"];
         let excited = ["--excite", shape, "--rollouts", rollouts, "--out", shape];
         let text = succeeds(directory, &[&run[..], &excited].concat());
-        assert!(text.contains("10.0 s recorded, fit for identify"), "{text}");
+        assert!(text.contains("10.0 s recorded, usable by identify"), "{text}");
     }
 }
 

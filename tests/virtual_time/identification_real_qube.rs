@@ -142,7 +142,7 @@ fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
             continue;
         }
         let log = MotionLog::read(&path).unwrap();
-        let mut watch = SensorWatch::witnessed(&PlantModel::QUBE, Calibration::IDENTITY);
+        let mut watch = SensorWatch::with_cross_check(&PlantModel::QUBE, Calibration::IDENTITY);
         let mut next_s = 0.0;
         for sample in &log.samples {
             if sample.time_s + 1e-9 < next_s {

@@ -39,7 +39,7 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
             &["run", "--excite", shape, "--profile", "lab", "--clock", "virtual", "--out", shape],
         );
         let text = String::from_utf8_lossy(&excited.stdout).into_owned();
-        assert!(text.contains("10.0 s recorded, fit for identify"), "{text}");
+        assert!(text.contains("10.0 s recorded, usable by identify"), "{text}");
     }
     let files = ["chirp/rollout-0.mcap", "steps/rollout-0.mcap"];
     // Excitations can be replayed like policies.

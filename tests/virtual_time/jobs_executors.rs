@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use qube_hil::jobs::folder::{JobFolder, Terms};
-use qube_hil::jobs::starter::{Census, StartError, Starter};
+use qube_hil::jobs::starter::{StartError, Starter, WorkerCount};
 use qube_hil::jobs::{Executor, FolderExecutor, JobEvent, TrainingJob};
 use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
@@ -122,8 +122,8 @@ impl Starter for FullQueue {
         Ok(())
     }
 
-    fn census(&mut self, _appeared: u32, _alive: u32) -> Result<Census, StartError> {
-        Ok(Census { expected: Some(1), ..Census::default() })
+    fn count_workers(&mut self, _appeared: u32, _alive: u32) -> Result<WorkerCount, StartError> {
+        Ok(WorkerCount { expected: Some(1), ..WorkerCount::default() })
     }
 
     fn cancel(&mut self) {

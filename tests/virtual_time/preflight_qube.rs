@@ -94,7 +94,7 @@ fn an_arm_that_lies_at_a_stop_is_judged_right() {
 }
 
 #[test]
-fn a_defect_is_named_with_a_cure_and_the_arm_is_not_homed() {
+fn a_defect_is_named_with_a_remedy_and_the_arm_is_not_homed() {
     for (fault, failed) in [
         ("flipped-theta", &["arm-sign"][..]),
         ("flipped-alpha", &["pendulum-sign"]),
@@ -112,7 +112,7 @@ fn a_defect_is_named_with_a_cure_and_the_arm_is_not_homed() {
         assert_eq!(names(&found, CheckVerdict::Fail), failed, "{fault}: {:#?}", found.results);
         assert!(names(&found, CheckVerdict::Skipped).contains(&"homing"), "{fault}");
         for result in found.results.iter().filter(|result| result.failed()) {
-            assert!(result.cure.as_ref().is_some_and(|cure| cure.len() > 10), "{result:?}");
+            assert!(result.remedy.as_ref().is_some_and(|remedy| remedy.len() > 10), "{result:?}");
         }
     }
 }

@@ -174,14 +174,15 @@ fn an_experiment_becomes_a_page_and_a_rollout_a_moving_picture() {
     succeeds(directory, &["report", "run/rollout-0.mcap"]);
     let single = directory.join("run/rollout-0.html");
     let page = fs::read_to_string(&single).unwrap();
-    for words in ["The guard was nearest at", "guard: foresaw", "angle that the guard foresaw"] {
+    for words in ["The guard was nearest at", "guard: predicted", "angle that the guard predicted"]
+    {
         assert!(page.contains(words), "{words}");
     }
     let boxed = ["run", "--policy", "classical", "--clock", "virtual", "--guard", "box", "--out"];
     succeeds(directory, &[&boxed[..], &["boxed"]].concat());
     succeeds(directory, &["report", "boxed/rollout-0.mcap"]);
     let page = fs::read_to_string(directory.join("boxed/rollout-0.html")).unwrap();
-    assert!(!page.contains("guard foresaw") && !page.contains("guard: foresaw"));
+    assert!(!page.contains("guard predicted") && !page.contains("guard: predicted"));
     look_at(&[&single]);
 }
 

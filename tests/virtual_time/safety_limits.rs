@@ -141,10 +141,10 @@ fn a_retired_guard_is_refused_with_its_replacement() {
     };
     for command in [&["run", "--policy", "classical"][..], &["session"], &["experiment"]] {
         let arguments = [command, &["--guard", "envelope"]].concat();
-        told(&arguments, &["--guard", "it serves only to replay old recordings; use foresight"]);
+        told(&arguments, &["--guard", "it is only for replays of old recordings; use foresight"]);
     }
     for command in ["train", "experiment"] {
-        told(&[command, "--preset", "machine"], &["--preset", "robust in its place"]);
+        told(&[command, "--preset", "machine"], &["--preset", "use robust instead"]);
     }
 
     let write = |name: &str, text: &str| std::fs::write(directory.path().join(name), text).unwrap();

@@ -8,7 +8,9 @@ use qube_hil::safety::Guard;
 use qube_hil::telemetry::TickRules;
 use serde::Deserialize;
 
-use crate::stranger::{Effort, Hunt, Known, Method, Scenario, SearchRecord, summary};
+use crate::stranger::{
+    AdversarySearch, BeliefKind, Effort, Method, Scenario, SearchRecord, summary,
+};
 
 /// Far fewer episodes than in the example.
 const EFFORT: Effort = Effort { generations: 3, population: 16 };
@@ -18,14 +20,14 @@ const EFFORT: Effort = Effort { generations: 3, population: 16 };
 const SEED: u64 = 7;
 
 /// The search of that seed on an identified Qube.
-fn hunt(method: Method, guard: Guard) -> Hunt {
-    Hunt { seed: SEED, known: Known::Identified, method, guard }
+fn search(method: Method, guard: Guard) -> AdversarySearch {
+    AdversarySearch { seed: SEED, known: BeliefKind::Identified, method, guard }
 }
 
 #[test]
 fn no_arm_of_an_identified_qube_reaches_its_stop() {
     for method in [Method::Ce, Method::Cma] {
-        let record = hunt(method, Guard::Foresight).run(EFFORT);
+        let record = search(method, Guard::Foresight).run(EFFORT);
         let told = serde_json::to_string(&record.kept_hits).unwrap();
         assert_eq!(record.hits, 0, "{method:?} reached {} rad: {told}", record.farthest_rad);
         assert!(record.farthest_rad > 0.5, "{method:?} only went to {} rad", record.farthest_rad);
@@ -35,20 +37,20 @@ fn no_arm_of_an_identified_qube_reaches_its_stop() {
 #[test]
 fn without_foresight_the_same_searches_reach_the_stop() {
     for method in [Method::Ce, Method::Cma] {
-        let record = hunt(method, Guard::Box).run(EFFORT);
+        let record = search(method, Guard::Box).run(EFFORT);
         assert!(record.hits > 0, "{method:?} only went to {} rad", record.farthest_rad);
     }
 }
 
 #[test]
 fn an_episode_repeats_bit_for_bit() {
-    let hunt = hunt(Method::Cma, Guard::Foresight);
-    let record = hunt.run(EFFORT);
+    let search = search(Method::Cma, Guard::Foresight);
+    let record = search.run(EFFORT);
     let text = serde_json::to_string(&record).unwrap();
-    assert_eq!(serde_json::to_string(&hunt.run(EFFORT)).unwrap(), text);
+    assert_eq!(serde_json::to_string(&search.run(EFFORT)).unwrap(), text);
     let read: SearchRecord = serde_json::from_str(&text).unwrap();
     let farthest = read.farthest.unwrap();
-    let trace = hunt.show(&read.scenario, &farthest.genes);
+    let trace = search.show(&read.scenario, &farthest.genes);
     assert_eq!(trace.outcome, farthest.outcome);
     assert!(trace.lines.len() > 30 && trace.told.contains("zero off by"));
     assert!(summary(&[record]).contains("48 episodes"));
@@ -66,10 +68,14 @@ struct Episode {
 fn samples_that_are_lost_twice_while_the_brake_rings_do_not_throw_the_arm_into_its_stop() {
     let text = include_str!("../fixtures/samples_lost_twice_while_the_brake_rings.json");
     let Episode { scenario, genes } = serde_json::from_str(text).unwrap();
-    let hunt =
-        Hunt { seed: 3076, known: Known::Unknown, method: Method::Ce, guard: Guard::Foresight };
-    let untried = hunt.play_by(TickRules::Yielding, &scenario, &genes);
+    let search = AdversarySearch {
+        seed: 3076,
+        known: BeliefKind::Unknown,
+        method: Method::Ce,
+        guard: Guard::Foresight,
+    };
+    let untried = search.play_by(TickRules::GainReducing, &scenario, &genes);
     assert!(untried.is_hit(), "a brake whose voltages are not tried: {untried:?}");
-    let tried = hunt.play_by(TickRules::NEWEST, &scenario, &genes);
+    let tried = search.play_by(TickRules::NEWEST, &scenario, &genes);
     assert!(!tried.is_hit() && tried.farthest_rad < 2.2, "{tried:?}");
 }

@@ -185,7 +185,7 @@ fn excited_again(stalling: u32) -> [u32; 4] {
     let mut session =
         Session::open(folder, settings, rig, Arc::new(AtomicBool::new(false))).unwrap();
     let ran = session.run(&mut |event| match event {
-        SessionEvent::ExcitesAgain(_) => told[0] += 1,
+        SessionEvent::ExcitationRepeated(_) => told[0] += 1,
         // The second one takes in the verification.
         SessionEvent::Identified { recordings, .. } if told[1] == 0 => {
             (told[1], told[3]) = (1, recordings);

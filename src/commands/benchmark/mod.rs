@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::exit::Failure;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use crate::charts::{noise_svg, regret_svg};
 use crate::search::benchmark::{
     Objective, RegretCurve, SearchVariant, TwoHumped, VariantResult, simple_regret,
@@ -26,7 +26,7 @@ use crate::storage::{MachineDisk, write_whole};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil benchmark regret\n  \
-    qube-hil benchmark regret --repetitions 5 --evaluations 20    # a first look, a minute\n  \
+    qube-hil benchmark regret --repetitions 5 --evaluations 20    # a quick comparison, one minute\n  \
     qube-hil benchmark noise --repetitions 400 --threads 8")]
 pub struct Arguments {
     /// Suite to run
@@ -91,7 +91,7 @@ impl Arguments {
     fn write(&self, name: &str, contents: &str) -> Result<(), Failure> {
         let path = self.out.join(name);
         write_whole(&MachineDisk, &path, contents.as_bytes()).map_err(Failure::failed)?;
-        tell(&format!("wrote {}", path.display()));
+        print_message(&format!("wrote {}", path.display()));
         Ok(())
     }
 }

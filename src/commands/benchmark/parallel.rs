@@ -1,6 +1,6 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::commands::printable::tell;
+use crate::commands::printable::print_message;
 
 /// Number of progress lines for all of the work.
 const LINES: usize = 10;
@@ -14,7 +14,7 @@ pub fn map<T: Send>(
     work: impl Fn(usize) -> T + Sync,
 ) -> Vec<T> {
     let (next, finished) = (AtomicUsize::new(0), AtomicUsize::new(0));
-    let labour = || {
+    let worker_loop = || {
         let mut done = Vec::new();
         loop {
             let index = next.fetch_add(1, Ordering::Relaxed);
@@ -24,13 +24,13 @@ pub fn map<T: Send>(
             done.push((index, work(index)));
             let finished = finished.fetch_add(1, Ordering::Relaxed) + 1;
             if finished * LINES % count < LINES {
-                tell(&format!("{title}: {finished} of {count}"));
+                print_message(&format!("{title}: {finished} of {count}"));
             }
         }
     };
     let mut results: Vec<(usize, T)> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (1..threads.max(1)).map(|_| scope.spawn(labour)).collect();
-        let mut all = labour();
+        let workers: Vec<_> = (1..threads.max(1)).map(|_| scope.spawn(worker_loop)).collect();
+        let mut all = worker_loop();
         for worker in workers {
             match worker.join() {
                 Ok(done) => all.extend(done),

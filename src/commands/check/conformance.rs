@@ -7,11 +7,11 @@ use crate::commands::check_table::{Row, checks_json, failed_names, table};
 use crate::commands::device_arguments::ChosenDevice;
 use crate::commands::exit::Failure;
 use crate::commands::output::Output;
-use crate::commands::printable::tell;
+use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
 use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{DeviceError, InProcessWire, LinkFault, Transport, Tty};
-use crate::preflight::conformance::{CHECKS, Deviation, Speaker};
+use crate::preflight::conformance::{CHECKS, Deviation, TestHost};
 use crate::rig::{ClockChoice, DeviceChoice, RigError};
 use crate::telemetry::CheckResult;
 
@@ -30,15 +30,15 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     let mut wire = open(device)?;
     let port = wire.transport.name().to_owned();
     let clock = Arc::clone(&wire.clock);
-    let mut speaker = Speaker::new(wire.transport.as_mut(), clock.as_ref());
-    tell(&format!("{} checks of the device at {port}", CHECKS.len()));
+    let mut host = TestHost::new(wire.transport.as_mut(), clock.as_ref());
+    print_message(&format!("{} checks of the device at {port}", CHECKS.len()));
 
     let mut results = Vec::new();
     for check in CHECKS {
         if stop.requested() {
             return Err(stop.failure("stopped; the motor is off"));
         }
-        let result = check.run(&mut speaker);
+        let result = check.run(&mut host);
         if results.is_empty() && matches!(result, Err(Deviation::Silent("Hello"))) {
             return Err(Failure::usage(DeviceError::NotAQube {
                 port,
@@ -62,7 +62,7 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     output.print(&text, &json!({ "port": port, "checks": checks_json(&results) }));
     if passed < results.len() {
         return Err(Failure::failed(format!(
-            "{port} does not keep PROTOCOL.md: {} failed",
+            "{port} does not conform to PROTOCOL.md: {} failed",
             failed_names(&results)
         )));
     }
@@ -71,7 +71,7 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
 
 /// The row of a check in the table. The remedy of a deviation is the requirement of the protocol.
 fn row(result: &CheckResult) -> Row {
-    let promise = result.cure.clone();
+    let promise = result.remedy.clone();
     Row { remedy: promise.map(|promise| ("must be:", promise)), ..Row::from(result) }
 }
 
@@ -97,7 +97,7 @@ fn open(device: &ChosenDevice) -> Result<Wire, Failure> {
             "--conformance tests a board's firmware, and {address} has the vendor's. Leave --conformance out"
         ))),
         (DeviceChoice::Other(_), _) => {
-            Err(Failure::usage("only a port or the emulated Qube can be put to this test"))
+            Err(Failure::usage("only a port or the emulated Qube can be tested in this way"))
         }
     }
 }

@@ -14,7 +14,7 @@ use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;
-use super::printable::tell;
+use super::printable::print_message;
 use super::stop::Stop;
 use super::warn_without_realtime;
 use crate::device::emulator::EmulatorSettings;
@@ -36,23 +36,23 @@ const WRITER: &str = "qube-hil check --write";
 #[command(after_help = "Examples:\n  \
     qube-hil check --device /dev/ttyACM0\n  \
     qube-hil check --device hil --write               # the USB panel, by the vendor's library\n  \
-    qube-hil check --device /dev/ttyACM0 --write      # find out the signs, write qube.toml\n  \
+    qube-hil check --device /dev/ttyACM0 --write      # find the signs, write qube.toml\n  \
     qube-hil check --qube qube.toml --home hand       # the arm was put into the middle\n  \
     qube-hil check --device /dev/ttyACM0 --power-test    # once a rig: the motor without its board\n  \
-    qube-hil check --device /dev/ttyACM0 --conformance   # does the firmware keep the protocol?")]
+    qube-hil check --device /dev/ttyACM0 --conformance   # does the firmware conform to the protocol?")]
 pub struct Arguments {
     /// Test the device's firmware against PROTOCOL.md instead. The motor gets at most 1 V for a few
     /// milliseconds, and 0.5 V until the watchdog trips: the arm hardly moves
     #[arg(long, conflicts_with_all = ["write", "home"])]
     conformance: bool,
 
-    /// Adopt the signs that are found, and write them to a file with the port's lasting name. Other entries
+    /// Use the signs that are found, and write them to a file with the port's lasting name. Other entries
     /// of the file are kept, its comments are not [FILE: qube.toml]
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = QUBE_FILE)]
     write: Option<PathBuf>,
 
     /// Afterwards test, with you at the Qube, the motor's behaviour when the board loses power, and write
-    /// the result to the file of --write or --qube [else: qube.toml]. Needed once a rig
+    /// the result to the file of --write or --qube [else: qube.toml]. Needed once for each rig
     #[arg(long, conflicts_with = "conformance")]
     power_test: bool,
 
@@ -88,7 +88,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     // The file that --write replaces may belong to another board, so its board is not checked.
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };
-    tell("checking the Qube: the arm is pushed a little, then homed");
+    print_message("checking the Qube: the arm is pushed a little, then homed");
     let failed = |error| failures::rig(error, &stop);
     let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
     warn_without_realtime(rig.realtime());
@@ -170,7 +170,7 @@ fn wants_power_test(path: &Path) -> bool {
     }
     let _ = write!(
         std::io::stderr(),
-        "Find out now what the motor does when its board loses power (3 minutes)? [y/N] "
+        "Test now how the motor behaves when its board loses power (3 minutes)? [y/N] "
     );
     let mut line = String::new();
     let read = std::io::stdin().read_line(&mut line);

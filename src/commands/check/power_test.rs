@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 
 use crate::commands::exit::Failure;
 use crate::commands::failures;
-use crate::commands::printable::tell;
+use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
 use crate::control::PressOutcome;
 use crate::rig::{Rig, RigError, RigSettings};
@@ -35,7 +35,7 @@ const STEP_TICKS: u32 = 6000;
 const REPLUG: Duration = Duration::from_secs(120);
 
 /// Largest number of repetitions in a rehearsal after a late computer or link ended the push.
-const DONE_AGAIN: u32 = 2;
+const MAX_REPETITIONS: u32 = 2;
 
 /// The result of the test, as text for people and as JSON for scripts.
 pub struct Tested {
@@ -61,7 +61,7 @@ pub fn run(
     )?;
     let push_v = rehearse(&mut rig, stop)?;
 
-    tell(
+    print_message(
         "Now pull the USB plug out of the computer, within 60 s. Leave the Qube's own power on and \
          the arm alone.",
     );
@@ -89,7 +89,7 @@ pub fn run(
         stop,
     )?;
     let usb_lost = match answer.trim().chars().next() {
-        Some('y' | 'Y') => UsbLost::KeepsItsWord,
+        Some('y' | 'Y') => UsbLost::KeepsVoltage,
         Some('n' | 'N') => UsbLost::MotorOff,
         _ => UsbLost::Unknown,
     };
@@ -116,7 +116,7 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     let mut push_v = STEP_V;
     let mut disturbed = 0;
     while push_v <= MOST_V {
-        tell(&format!(
+        print_message(&format!(
             "At {push_v:.2} V: with one finger push the arm a finger's breadth (1 cm) off its stop \
              and let go."
         ));
@@ -124,15 +124,19 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
             rig.press(push_v, STEP_TICKS, true).map_err(|error| failures::rig(error, stop))?;
         match (pressed.ending, pressed.outcome) {
             (Ending::Stopped, _) => return Err(stop.failure("stopped; the motor is off")),
-            (Ending::Fault(fault), _) if fault.is_timing_fault() && disturbed < DONE_AGAIN => {
+            (Ending::Fault(fault), _) if fault.is_timing_fault() && disturbed < MAX_REPETITIONS => {
                 disturbed += 1;
-                tell(&format!("The motor is off, and nothing is known yet: {fault}. Once more."));
+                print_message(&format!(
+                    "The motor is off, and nothing is known yet: {fault}. Try once more."
+                ));
             }
             (Ending::Fault(fault), _) => {
                 return Err(failures::rig(RigError::Ended { fault }, stop));
             }
             (_, PressOutcome::CameBack) => {
-                tell("It came back: so it feels while the motor has its voltage.");
+                print_message(
+                    "It came back: this is how the arm feels while the motor has its voltage.",
+                );
                 return Ok(push_v);
             }
             (_, PressOutcome::NotAtStop) => {
@@ -150,7 +154,7 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
         }
     }
     Err(Failure::failed(format!(
-        "not even {MOST_V} V bring the arm back to its stop: see whether it turns freely"
+        "not even {MOST_V} V bring the arm back to its stop: check whether it turns freely"
     )))
 }
 
@@ -169,7 +173,7 @@ fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
 
 /// Asks a question and returns the line that was typed.
 fn ask(question: &str, stop: &Stop) -> Result<String, Failure> {
-    tell(&format!("\n{question}"));
+    print_message(&format!("\n{question}"));
     let _ = std::io::stderr().flush();
     let mut line = String::new();
     let read = std::io::stdin().lock().read_line(&mut line);

@@ -43,8 +43,8 @@ impl RunController {
         let policy = policy(&name)?;
         let truth = trained_on_true_states(&policy).then(|| {
             format!(
-                "note: {name} was trained on true states, which no Qube shows: encoders and estimator may \
-                 make it fall at once. `train --preset robust` makes policies for a Qube"
+                "note: {name} was trained on true states, which no Qube measures: with encoders and estimator \
+                 the pendulum may fall at once. `train --preset robust` makes policies for a Qube"
             )
         });
         let known = randomisation(&policy)

@@ -50,15 +50,15 @@ pub struct RolloutRow {
     /// Reason why the rollout ended before its last step, or has no result.
     pub ended_early: Option<String>,
     /// Outcome in words.
-    told: String,
+    outcome: String,
 }
 
 impl RolloutRow {
     /// Return and outcome in words.
     pub fn in_words(&self) -> String {
         match self.return_ {
-            Some(return_) => format!("return {return_:.0}, {}", self.told),
-            None => self.told.clone(),
+            Some(return_) => format!("return {return_:.0}, {}", self.outcome),
+            None => self.outcome.clone(),
         }
     }
 }
@@ -95,12 +95,12 @@ impl Results {
             self.largest_motor_load = load;
         }
         (self.fault, self.void) = (None, None);
-        let without = |told: String| RolloutRow {
+        let without = |outcome: String| RolloutRow {
             recording: path.to_owned(),
             return_: None,
             success: false,
-            ended_early: Some(told.clone()),
-            told,
+            ended_early: Some(outcome.clone()),
+            outcome,
         };
         self.rollouts.push(match score_recording(&recording) {
             Verdict::Result { return_, success, outcome } => {
@@ -108,14 +108,14 @@ impl Results {
                     Ending::LeftBox(limit) => Some(format!("left the box: {limit}")),
                     _ => None,
                 };
-                let told = match &ended_early {
+                let outcome = match &ended_early {
                     _ if self.excited => fitness(&recording),
                     Some(reason) => format!("{reason} after {} steps", outcome.steps),
                     None if success => "success".into(),
                     None => "not balancing at the end".into(),
                 };
                 let recording = path.to_owned();
-                RolloutRow { recording, return_: Some(return_), success, ended_early, told }
+                RolloutRow { recording, return_: Some(return_), success, ended_early, outcome }
             }
             Verdict::Void { reason } => {
                 match outcome.map(|outcome| outcome.ending) {
@@ -157,10 +157,12 @@ impl Results {
         let Some(first) = self.rollouts.first() else { return "no rollout was run".into() };
         let directory = first.recording.parent().unwrap_or(Path::new(".")).display();
         let mut text = String::new();
-        for (number, RolloutRow { return_, told, .. }) in self.rollouts.iter().enumerate() {
+        for (number, RolloutRow { return_, outcome, .. }) in self.rollouts.iter().enumerate() {
             let _ = match return_.filter(|_| !self.excited) {
-                Some(return_) => writeln!(text, "rollout {number}: return {return_:6.1}  {told}"),
-                None => writeln!(text, "rollout {number}: {told}"),
+                Some(return_) => {
+                    writeln!(text, "rollout {number}: return {return_:6.1}  {outcome}")
+                }
+                None => writeln!(text, "rollout {number}: {outcome}"),
             };
         }
         text.push_str(&observer_resets_line(self.observer_resets));
@@ -169,14 +171,14 @@ impl Results {
         let _ = match &self.drift {
             Some(Ok(drift)) => writeln!(text, "{}", command_hints::drift(drift)),
             Some(Err(unfit)) => {
-                writeln!(text, "these rollouts say nothing of how the rig is today: {unfit}")
+                writeln!(text, "the rig's drift cannot be estimated from these rollouts: {unfit}")
             }
             None => Ok(()),
         };
         text.push_str(&timing_lines(&self.latencies));
         let _ = write!(text, "recordings in {directory}");
         if self.excited {
-            let _ = write!(text, "\nqube-hil identify {directory}/*.mcap says which Qube this is");
+            let _ = write!(text, "\nqube-hil identify {directory}/*.mcap identifies this Qube");
         }
         text
     }
@@ -209,7 +211,7 @@ fn fitness(recording: &Recording) -> String {
     };
     let duration_s = log.samples.last().map_or(0.0, |last| last.time_s);
     match check_recording(&log) {
-        Ok(()) => format!("{duration_s:.1} s recorded, fit for identify"),
-        Err(unfit) => format!("{duration_s:.1} s recorded, but not fit for identify: {unfit}"),
+        Ok(()) => format!("{duration_s:.1} s recorded, usable by identify"),
+        Err(unfit) => format!("{duration_s:.1} s recorded, but not usable by identify: {unfit}"),
     }
 }

@@ -6,7 +6,7 @@ use super::results::Results;
 use crate::commands::exit::Failure;
 use crate::commands::keyboard::Keyboard;
 use crate::commands::live::Live;
-use crate::commands::printable::tell;
+use crate::commands::printable::print_message;
 use crate::commands::screen::{Progress, time_left};
 use crate::commands::stop::Stop;
 use crate::commands::{command_hints, failures, warn_without_realtime};
@@ -54,7 +54,7 @@ impl Series<'_> {
             if let Ending::LeftBox(limit) = recorded.outcome.ending
                 && let Some(hint) = command_hints::after_limit(limit)
             {
-                tell(hint);
+                print_message(hint);
             }
             if self.stop.requested() {
                 break;
@@ -83,10 +83,10 @@ impl Series<'_> {
             }
         }
         if self.stop.requested() {
-            return Err(self.stop.failure("stopped; the recordings are whole up to here"));
+            return Err(self.stop.failure("stopped; the recordings are complete up to here"));
         }
         match results.fault {
-            Some(fault) => Err(Failure::fault(told(fault)).caused_by(Some(fault))),
+            Some(fault) => Err(Failure::fault(fault_message(fault)).caused_by(Some(fault))),
             None => results.check_not_void(),
         }
     }
@@ -112,7 +112,7 @@ impl Series<'_> {
             match rig.rollout(&MachineDisk, &path, plan.header(), self.controller.file(rollout)) {
                 Ok(recorded) => return Ok(recorded),
                 Err(error @ RigError::NotBegun { .. }) if tries < MAX_NOT_BEGUN => {
-                    tell(&format!("rollout {rollout} begins again: {error}"));
+                    print_message(&format!("rollout {rollout} is repeated: {error}"));
                     rig.start_again().map_err(|error| failures::rig(error, self.stop))?;
                     tries += 1;
                 }
@@ -147,7 +147,7 @@ impl Series<'_> {
 }
 
 /// The message for a fault that ended the last rollout, with the operator's step.
-fn told(fault: Fault) -> String {
+fn fault_message(fault: Fault) -> String {
     let then = if fault.leaves_doubt() {
         ". Then start again with --acknowledge: the Qube is examined first"
     } else {

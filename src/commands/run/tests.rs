@@ -10,7 +10,7 @@ use crate::control::HomingSettings;
 use crate::device::emulator::{EmulatorFault, EmulatorSettings};
 use crate::policy::{Policy, SimulatedSensors};
 use crate::recording::read;
-use crate::rig::{DoubtMemory, Recovery};
+use crate::rig::{DoubtStore, Recovery};
 use crate::telemetry::Preflight;
 
 /// An emulated Qube that is homed by hand and has this fault, if any.
@@ -68,7 +68,7 @@ fn recordings(directory: &Path) -> usize {
 fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     let directory = tempfile::tempdir().unwrap();
     let directory = directory.path();
-    let memory = Some(DoubtMemory::new(directory.join("state")));
+    let memory = Some(DoubtStore::new(directory.join("state")));
     let remembering = |fault, acknowledged| {
         let recovery = Recovery { memory: memory.clone(), acknowledged, ..Recovery::default() };
         RigSettings { recovery, skip_check: true, ..settings(fault) }

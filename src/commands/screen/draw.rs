@@ -87,7 +87,7 @@ pub fn draw(
         Overlay::Help => draw_box(frame, "Help", &help(state), styles),
         Overlay::Quit => {
             let text = format!(
-                "Stop now and quit? {}.\n\ny  yes     any other key  go on",
+                "Stop now and quit? {}.\n\ny  yes     any other key  continue",
                 capital(state.stop_effect)
             );
             draw_box(frame, "Quit", &text, styles);
@@ -132,18 +132,18 @@ fn draw_work(
     frame.render_widget(Line::from(state.work.as_str()), work);
     let phase_line = match (state.is_stopping, state.pause) {
         (true, _) => Line::styled(format!("stopping: {}", state.stop_effect), styles.alarm()),
-        (_, Pause::Now) => Line::styled("paused: the motor is off; p goes on", styles.near()),
+        (_, Pause::Now) => Line::styled("paused: the motor is off; p continues", styles.near()),
         (_, Pause::Asked) => {
             let which = if is_running { "this" } else { "the next" };
-            let told = format!("{}; a pause follows {which} rollout", state.phase);
-            Line::styled(told, styles.near())
+            let line = format!("{}; a pause follows {which} rollout", state.phase);
+            Line::styled(line, styles.near())
         }
         _ => Line::styled(state.phase.as_str(), styles.strong()),
     };
     frame.render_widget(phase_line, phase);
     if let Some((done, all)) = state.done {
         let (words, room) = if area.width < 60 { ("", 40) } else { (" done", 43) };
-        let [bar, told] =
+        let [bar, caption] =
             Layout::horizontal([Constraint::Fill(1), Constraint::Length(room)]).areas(progress);
         let part = (done as f64 / all.max(1) as f64).clamp(0.0, 1.0);
         let style = styles.colour(Color::Cyan);
@@ -156,7 +156,7 @@ fn draw_work(
             Some(ends) => format!("; {most}{} left", in_words(ends.saturating_duration_since(now))),
             None => String::new(),
         };
-        frame.render_widget(Line::from(format!("  {done} of {most}{all}{words}{left}")), told);
+        frame.render_widget(Line::from(format!("  {done} of {most}{all}{words}{left}")), caption);
     }
     frame.render_widget(Line::from(state.best.as_str()), best);
 }
@@ -395,7 +395,7 @@ fn draw_keys(frame: &mut Frame, area: Rect, state: &ScreenState, styles: Styles)
         (true, Pause::No) if area.width < 60 => Some(("p", "pause")),
         (true, Pause::No) => Some(("p", "pause after this rollout")),
         (true, Pause::Asked) => Some(("p", "no pause")),
-        (true, Pause::Now) => Some(("p", "go on")),
+        (true, Pause::Now) => Some(("p", "continue")),
     };
     let keys = [Some(("space", "stop now")), pause, Some(("q", "quit")), Some(("?", "help"))];
     let mut spans = vec![Span::raw(" ")];
@@ -409,13 +409,13 @@ fn draw_keys(frame: &mut Frame, area: Rect, state: &ScreenState, styles: Styles)
 fn help(state: &ScreenState) -> String {
     let mut text = format!("space  stop now: {}\n", state.stop_effect);
     if state.can_pause {
-        text += "p      pause after this rollout; p again goes on\n";
+        text += "p      pause after this rollout; p again continues\n";
     }
     text += "q      quit, after a question\n?      this help; any key closes it\n";
     text += "Ctrl-C like the space bar; twice: end at once\n\n";
     if state.has_rollouts {
         text +=
-            "θ arm, α pendulum (0 hangs, ±180 is upright), V voltage; ━ is what was used so far. ";
+            "θ arm, α pendulum (0 hangs, ±180 is upright), V voltage; ━ is the range used so far. ";
     }
     text += "A return is at most 600. Messages are printed again at the end; --plain writes lines instead of this screen.";
     text

@@ -30,7 +30,7 @@ pub use self::rollout::RolloutView;
 use self::state::{Overlay, Pause, STOP_EFFECT};
 pub use self::state::{ScreenState, in_words, time_left};
 use super::output::Output;
-use super::printable::{printable, tell};
+use super::printable::{print_message, printable};
 use super::stop::Stop;
 use super::terminal;
 use crate::recording::Viewer;
@@ -169,7 +169,7 @@ impl Progress {
         let text = printable(text);
         match &self.shared {
             Some(shared) => shared.state().add_message(&text),
-            None => tell(&text),
+            None => print_message(&text),
         }
     }
 

@@ -422,7 +422,7 @@ impl Board {
     }
 
     /// Stops the program; the Qube keeps its last command.
-    fn go_dark(&mut self, until_us: u64) {
+    fn stop_program(&mut self, until_us: u64) {
         self.dark_until_us = Some(until_us);
         self.state = DeviceState::Idle;
         self.decoder.reset();
@@ -512,15 +512,15 @@ impl Board {
                 true
             }
             Some(EmulatorFault::PowerLoss { .. }) => {
-                self.go_dark(u64::MAX);
+                self.stop_program(u64::MAX);
                 false
             }
             Some(EmulatorFault::BrownOut { .. }) => {
-                self.go_dark(self.now_us + BROWN_OUT_DARK_US);
+                self.stop_program(self.now_us + BROWN_OUT_DARK_US);
                 false
             }
             Some(EmulatorFault::BoardRestart { .. }) => {
-                self.go_dark(self.now_us + RESTART_DARK_US);
+                self.stop_program(self.now_us + RESTART_DARK_US);
                 false
             }
             _ => false,

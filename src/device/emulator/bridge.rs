@@ -74,7 +74,7 @@ impl FromStr for UsbBridge {
         [Self::Atmega16u2, Self::Slow]
             .into_iter()
             .find(|bridge| bridge.to_string() == text)
-            .ok_or_else(|| format!("there is no bridge {text}; there are 16u2 and slow"))
+            .ok_or_else(|| format!("unknown bridge {text}: give 16u2 or slow"))
     }
 }
 

@@ -178,18 +178,18 @@ pub enum EmulatorFault {
 const FORMS: [(&str, &str); 24] = [
     ("silent@S", "answers nothing from S on"),
     ("garble@N", "a bit of each N-th reply is flipped"),
-    ("wrong-version", "speaks the protocol's version before"),
+    ("wrong-version", "answers with the previous version of the protocol"),
     ("frozen-theta@S[+D]", "the arm's count stays [for D], its tachometer shows rest"),
     ("stuck-theta@S", "the arm's count stays, its tachometer too"),
     ("frozen-alpha@S[+D]", "the pendulum's count stays [for D]"),
     ("jump-theta@S[:N]", "the arm's count jumps by 300 or N"),
     ("jump-alpha@S[:N]", "the pendulum's count jumps by 300 or N"),
     ("scaled-theta@F", "the arm's encoder counts F times as many"),
-    ("flipped-theta", "the arm's encoder is wired the other way round"),
-    ("flipped-alpha", "the pendulum's encoder is wired the other way round"),
-    ("flipped-motor", "the motor is wired the other way round"),
+    ("flipped-theta", "the arm's encoder is wired in reverse"),
+    ("flipped-alpha", "the pendulum's encoder is wired in reverse"),
+    ("flipped-motor", "the motor is wired in reverse"),
     ("dead-motor@S", "no current flows"),
-    ("weak-motor@F", "the share F of the current flows"),
+    ("weak-motor@F", "only the fraction F of the current flows"),
     ("one-sided-motor@S:+|-", "only voltages of this sign drive"),
     ("blocked-arm@S", "something holds the arm"),
     ("pushed-arm@S+D:V", "a hand pushes the arm as V volts would"),
@@ -198,13 +198,13 @@ const FORMS: [(&str, &str); 24] = [
     ("stall@S", "the Qube reports a stall"),
     ("qube-absent@S", "the Qube does not answer its board"),
     ("unplug@S[+D]", "the USB cable is pulled [for D]"),
-    ("power-loss@S, brown-out@S, board-restart@S", "the board dies, or starts again"),
+    ("power-loss@S, brown-out@S, board-restart@S", "the board loses power, or restarts"),
     ("emergency-stop@S", "the stop switch is pressed for 2 s"),
 ];
 
 /// The error for a text that names no fault.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error("{text} is no fault. There are:\n{}", EmulatorFault::forms())]
+#[error("{text} is not a fault. The faults are:\n{}", EmulatorFault::forms())]
 pub struct UnknownFault {
     /// Text given.
     pub text: String,
@@ -252,7 +252,7 @@ impl EmulatorFault {
     /// The text forms of all faults, one a line, each with its effect.
     #[must_use]
     pub fn forms() -> String {
-        let lines = FORMS.map(|(form, what)| format!("  {form:22} {what}"));
+        let lines = FORMS.map(|(form, effect)| format!("  {form:22} {effect}"));
         lines.join("\n")
     }
 }

@@ -8,7 +8,7 @@ mod board;
 mod bridge;
 mod effects;
 mod fault;
-mod mishap;
+mod fault_progress;
 mod plant;
 mod play;
 mod pty;

@@ -8,7 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::effects::{ActingEffects, EFFECTS_STEP_US};
-use super::mishap::{FaultProgress, TrueReadings};
+use super::fault_progress::{FaultProgress, TrueReadings};
 use super::play::Play;
 use super::{EmulatorSettings, Finger};
 use crate::qube::{Encoder, Encoders, NonidealDynamics, QubeModel, State, runge_kutta_4};
@@ -70,7 +70,7 @@ pub struct Plant {
     motor_is_open: bool,
     stops_rad: [f64; 2],
     encoders: Encoders,
-    mishap: FaultProgress,
+    fault_progress: FaultProgress,
 }
 
 impl Plant {
@@ -125,15 +125,17 @@ impl Plant {
             motor_is_open: false,
             stops_rad: settings.stops_rad,
             encoders: settings.encoders,
-            mishap: FaultProgress::new(settings.fault),
+            fault_progress: FaultProgress::new(settings.fault),
         };
-        plant.let_mishap_go_on();
+        plant.advance_fault();
         plant
     }
 
-    fn let_mishap_go_on(&mut self) {
-        while self.mishap.next_us().is_some_and(|next_us| next_us <= self.time_us) {
-            let Some(share) = self.mishap.go_on(self.true_readings()) else { continue };
+    fn advance_fault(&mut self) {
+        while self.fault_progress.next_us().is_some_and(|next_us| next_us <= self.time_us) {
+            let Some(share) = self.fault_progress.advance_stage(self.true_readings()) else {
+                continue;
+            };
             self.model.parameters.motor_resistance_ohm /= share;
             self.dynamics = NonidealDynamics::new(&self.model);
         }
@@ -151,9 +153,10 @@ impl Plant {
             self.push_by_finger();
             let until_us = self.under_way.front().map_or(time_us, |next| next.0.min(time_us));
             let until_us = until_us.min(self.next_finger_us);
-            self.let_mishap_go_on();
-            let until_us = self.mishap.next_us().map_or(until_us, |next_us| next_us.min(until_us));
-            let longest_us = if self.touches() || self.mishap.holds_pendulum() {
+            self.advance_fault();
+            let until_us =
+                self.fault_progress.next_us().map_or(until_us, |next_us| next_us.min(until_us));
+            let longest_us = if self.touches() || self.fault_progress.holds_pendulum() {
                 CONTACT_STEP_US.min(self.longest_step_us)
             } else {
                 self.longest_step_us
@@ -163,7 +166,8 @@ impl Plant {
                 self.model.nonidealities.cable_rest_after(self.time_us as f64 * 1e-6);
             let before = self.state;
             let step_s = step_us as f64 * 1e-6;
-            let push_v = self.mishap.driven_v(self.voltage_v) + self.mishap.pushed_like_v();
+            let push_v = self.fault_progress.driven_v(self.voltage_v)
+                + self.fault_progress.push_equivalent_v();
             self.warm(step_s);
             let equations = match &self.effects {
                 None => self.dynamics,
@@ -180,7 +184,7 @@ impl Plant {
                 }
             }
             self.time_us += step_us;
-            if self.mishap.holds_pendulum() {
+            if self.fault_progress.holds_pendulum() {
                 self.state = self.dynamics.ideal.with_pendulum_stopped(self.state, before.alpha);
                 if let Some(play) = &mut self.play {
                     play.follow(&self.state);
@@ -193,7 +197,7 @@ impl Plant {
                 self.stop_arm_at(stop_rad);
             }
         }
-        self.let_mishap_go_on();
+        self.advance_fault();
     }
 
     /// The current through the motor, (V - k_m theta') / R_m, A. The push of a hand counts as a
@@ -204,7 +208,7 @@ impl Plant {
         }
         let motor_rad_s = self.play.map_or(self.state.theta_dot, |play| play.motor_rad_s());
         let back_emf_v = self.model.parameters.motor_back_emf_v_s * motor_rad_s;
-        let driven_v = self.mishap.driven_v(self.voltage_v);
+        let driven_v = self.fault_progress.driven_v(self.voltage_v);
         (driven_v - back_emf_v) / self.model.parameters.motor_resistance_ohm
     }
 
@@ -311,20 +315,20 @@ impl Plant {
     /// Count of the arm's encoder.
     #[must_use]
     pub fn theta_counts(&self) -> i32 {
-        self.mishap.readings(self.true_readings()).theta_counts
+        self.fault_progress.readings(self.true_readings()).theta_counts
     }
 
     /// Count of the pendulum's encoder.
     #[must_use]
     pub fn alpha_counts(&self) -> i32 {
-        self.mishap.readings(self.true_readings()).alpha_counts
+        self.fault_progress.readings(self.true_readings()).alpha_counts
     }
 
     /// The 24-bit register of the tachometer: ticks of 25 ns between edges of the arm's encoder,
     /// and the direction.
     #[must_use]
     pub fn tachometer_raw(&self) -> u32 {
-        self.mishap.readings(self.true_readings()).tachometer_raw
+        self.fault_progress.readings(self.true_readings()).tachometer_raw
     }
 
     /// The readings of intact encoders.

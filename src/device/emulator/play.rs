@@ -62,7 +62,7 @@ impl Play {
         }
         let after = runge_kutta_4(&arm, before, 0.0, step_s);
         self.turn_motor(whole, rotor_inertia, voltage_v, step_s);
-        self.meet(&arm, rotor_inertia, after)
+        self.apply_impact(&arm, rotor_inertia, after)
     }
 
     /// Moves a motor in contact along with the arm, after something else has moved the arm.
@@ -93,7 +93,7 @@ impl Play {
     }
 
     /// Applies the impact when the motor has reached an end of the gap; returns the state after it.
-    fn meet(&mut self, arm: &NonidealDynamics, rotor_inertia: f64, state: State) -> State {
+    fn apply_impact(&mut self, arm: &NonidealDynamics, rotor_inertia: f64, state: State) -> State {
         let ahead_rad = self.motor_rad - state.theta;
         if ahead_rad.abs() < self.half_gap_rad {
             return state;

@@ -43,7 +43,7 @@ impl Link {
     }
 
     /// Removes the second name when the port is gone, unless another process has taken the name.
-    fn take_away(&self) {
+    fn remove_name(&self) {
         if let Some(path) = &self.path
             && std::fs::read_link(path).is_ok_and(|target| target == self.port)
         {
@@ -52,7 +52,7 @@ impl Link {
     }
 
     /// Points the second name to the port that has come back, possibly under another path.
-    fn lead_to(&mut self, port: PathBuf) -> io::Result<()> {
+    fn point_to(&mut self, port: PathBuf) -> io::Result<()> {
         self.port = port;
         match &self.path {
             Some(path) => std::os::unix::fs::symlink(&self.port, path),
@@ -121,13 +121,13 @@ impl EmulatedQube {
                 // The kernel hangs the port up when its master is closed.
                 let name = ReservedName { _port_side: pty.port_side };
                 drop(pty.master);
-                Link::lock(&linked).take_away();
+                Link::lock(&linked).remove_name();
                 if server.wait_for_plug()? == Served::Stopped {
                     return Ok(Some(name));
                 }
                 drop(name);
                 pty = Pty::open()?;
-                Link::lock(&linked).lead_to(pty.port.clone())?;
+                Link::lock(&linked).point_to(pty.port.clone())?;
             }
         })?;
         Ok(Self { port, link, stop, server: Some(server) })
@@ -177,7 +177,7 @@ impl Drop for EmulatedQube {
         if let Some(server) = self.server.take() {
             let _ = server.join();
         }
-        Link::lock(&self.link).take_away();
+        Link::lock(&self.link).remove_name();
     }
 }
 
@@ -187,12 +187,12 @@ const ON_THE_LINE_US: u64 = 1_000;
 
 /// Replies that a bridge holds back, each with its time of arrival at the host, us.
 #[derive(Debug, Default)]
-struct UnderWay {
+struct HeldReplies {
     bridge: Option<UsbBridge>,
     replies: VecDeque<(u64, Vec<u8>)>,
 }
 
-impl UnderWay {
+impl HeldReplies {
     fn take(&mut self, bridge: UsbBridge, now_us: u64, bytes: &[u8]) {
         let arrival_ns = bridge.leaves_bridge_ns(now_us * 1000) + ON_THE_LINE_US * 1000;
         self.replies.push_back((bridge.reaches_host_ns(arrival_ns) / 1000, bytes.to_vec()));
@@ -230,7 +230,7 @@ enum Served {
 struct Server<'a> {
     stop: &'a OwnedFd,
     board: Board,
-    under_way: UnderWay,
+    under_way: HeldReplies,
     start_ns: Nanoseconds,
 }
 
@@ -239,7 +239,7 @@ impl<'a> Server<'a> {
         Self {
             stop,
             board: Board::new(settings),
-            under_way: UnderWay { bridge: settings.bridge, ..UnderWay::default() },
+            under_way: HeldReplies { bridge: settings.bridge, ..HeldReplies::default() },
             start_ns: MonotonicClock.now_ns(),
         }
     }

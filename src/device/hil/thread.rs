@@ -39,22 +39,22 @@ mod tests {
 
     #[test]
     fn all_work_is_done_by_one_thread_and_a_panic_does_not_end_that() {
-        let (told, heard) = crossbeam_channel::unbounded();
-        let tell = || {
-            let told = told.clone();
-            give(Box::new(move || told.send(std::thread::current().id()).unwrap())).unwrap();
+        let (sender, receiver) = crossbeam_channel::unbounded();
+        let send_thread_id = || {
+            let sender = sender.clone();
+            give(Box::new(move || sender.send(std::thread::current().id()).unwrap())).unwrap();
         };
-        tell();
-        tell();
-        let (first, second) = (heard.recv().unwrap(), heard.recv().unwrap());
+        send_thread_id();
+        send_thread_id();
+        let (first, second) = (receiver.recv().unwrap(), receiver.recv().unwrap());
         assert_eq!(first, second);
         assert_ne!(first, std::thread::current().id());
         give(Box::new(|| panic!("as planned"))).unwrap();
         // Work that is given before the thread has ended is lost with the thread.
         let next = std::iter::repeat_with(|| {
-            tell();
-            heard.recv_timeout(std::time::Duration::from_millis(200))
+            send_thread_id();
+            receiver.recv_timeout(std::time::Duration::from_millis(200))
         });
-        assert!(next.take(20).any(|told| told.is_ok()));
+        assert!(next.take(20).any(|received| received.is_ok()));
     }
 }

@@ -62,8 +62,8 @@ impl Experiment {
         let mut results: Vec<(usize, PolicyResult)> = Vec::new();
         let mut scored: Option<u32> = None;
         let not_scored = || {
-            if let Access::Work(tell) = access {
-                tell(ExperimentEvent::NotScored);
+            if let Access::Work(on_event) = access {
+                on_event(ExperimentEvent::NotScored);
             }
         };
         for (index, &budget) in strategies.budgets.iter().enumerate() {
@@ -90,10 +90,10 @@ impl Experiment {
             else {
                 break;
             };
-            if let Access::Work(tell) = access {
+            if let Access::Work(on_event) = access {
                 let (recipe, results) = (&row_name(method, budget), &result.rollouts);
                 let (policy, plant) = (number, &plant.name);
-                tell(ExperimentEvent::Ran { recipe, policy, plant, results });
+                on_event(ExperimentEvent::Ran { recipe, policy, plant, results });
             }
             scored = Some(steps);
             results.push((index, result));

@@ -107,8 +107,8 @@ impl MethodRun<'_> {
                 }
             };
             repetition.recommendations.push(result.clone());
-            if let Access::Work(tell) = self.access {
-                tell(ExperimentEvent::Scored { repetition, recommendation: &result });
+            if let Access::Work(on_event) = self.access {
+                on_event(ExperimentEvent::Scored { repetition, recommendation: &result });
             }
             if repetition.succeeded_after().is_some() {
                 break;

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use crate::experiment::folder::PolicyFolders;
 use crate::experiment::series::Series;
-use crate::experiment::work::Tell;
+use crate::experiment::work::OnEvent;
 use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
 use crate::simulation::{DomainDistribution, Model, Psi};
 
@@ -58,7 +58,7 @@ pub(super) trait Recommendations {
 #[derive(Clone, Copy)]
 pub(in crate::experiment) enum Access<'a> {
     /// Missing results are made, and the receiver gets an event for each.
-    Work(&'a Tell<'a>),
+    Work(&'a OnEvent<'a>),
     /// The run ends at the first missing result.
     ReadOnly,
 }

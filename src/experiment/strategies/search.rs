@@ -37,7 +37,7 @@ impl<'a> FromSearch<'a> {
 
     /// Continues the search until this many candidates are evaluated.
     fn search_to(&mut self, candidates: u32) -> Result<(), ExperimentError> {
-        let Access::Work(tell) = self.run.access else { return Ok(()) };
+        let Access::Work(on_event) = self.run.access else { return Ok(()) };
         let folder = self.run.folder.join("search");
         let session = match self.session.take() {
             Some(session) => session,
@@ -50,9 +50,10 @@ impl<'a> FromSearch<'a> {
             }
         };
         let name = &self.run.name;
-        let mut tell =
-            |progress: SessionEvent| tell(ExperimentEvent::Search { name, progress: &progress });
-        self.session.insert(session).run_to(candidates, &mut tell).map_err(|source| {
+        let mut on_event = |progress: SessionEvent| {
+            on_event(ExperimentEvent::Search { name, progress: &progress })
+        };
+        self.session.insert(session).run_to(candidates, &mut on_event).map_err(|source| {
             ExperimentError::Search { name: name.clone(), source: Box::new(source) }
         })
     }

@@ -342,7 +342,7 @@ impl JobFolder {
     }
 
     /// Writes down why a worker refuses to work in this folder. A failure to write is ignored.
-    pub fn leave_refusal(disk: &dyn Disk, root: &Path, worker: &Holder, reason: &str) {
+    pub fn write_refusal(disk: &dyn Disk, root: &Path, worker: &Holder, reason: &str) {
         let path = root.join("workers").join(worker.file_name() + ".refused");
         let _ = write_whole_beside(disk, &path, &sealed("refusal", reason.as_bytes()));
     }

@@ -14,7 +14,7 @@ const LONGEST_WAIT: Duration = Duration::from_secs(5);
 
 /// Time between two looks at the stop flag. It is also the first wait for work, and the least time
 /// between two readings of the other workers' claims.
-const GLANCE: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Number of times that a worker tries to write a result before it gives up.
 const WRITES: u32 = 3;
@@ -137,7 +137,7 @@ impl Worker {
     pub fn run(
         &self,
         stop: &AtomicBool,
-        tell: &mut dyn FnMut(WorkerEvent),
+        on_event: &mut dyn FnMut(WorkerEvent),
     ) -> Result<WorkReport, JobFolderError> {
         let worker = self.folder.register(&self.holder)?;
         let alive = Mutex::new(Some(Alive { worker, claim: None }));
@@ -145,7 +145,7 @@ impl Worker {
         std::thread::scope(|scope| {
             let heart = scope.spawn(|| self.beat(&alive, stop, &halt));
             let _end = HeartbeatEnd(&alive);
-            let outcome = self.work(&alive, &halt, tell);
+            let outcome = self.work(&alive, &halt, on_event);
             let ended = lock(&alive).take();
             if let Some(Alive { worker, .. }) = ended {
                 let ending = match &outcome {
@@ -165,7 +165,7 @@ impl Worker {
     fn beat(&self, alive: &Mutex<Option<Alive>>, stop: &AtomicBool, halt: &AtomicBool) {
         let mut beaten = Instant::now();
         loop {
-            std::thread::park_timeout(GLANCE);
+            std::thread::park_timeout(POLL_INTERVAL);
             let is_due = beaten.elapsed() >= self.folder.terms().beat();
             if stop.load(Ordering::Relaxed) || (is_due && self.folder.is_closed()) {
                 halt.store(true, Ordering::Relaxed);
@@ -186,13 +186,13 @@ impl Worker {
         &self,
         alive: &Mutex<Option<Alive>>,
         halt: &AtomicBool,
-        tell: &mut dyn FnMut(WorkerEvent),
+        on_event: &mut dyn FnMut(WorkerEvent),
     ) -> Result<WorkReport, JobFolderError> {
         let mut report = WorkReport::default();
         let stale = self.folder.terms().stale();
         let mut watch = HeartbeatWatch::new(self.holder.clone(), stale);
         let begun = Instant::now();
-        let (mut last_work, mut wait) = (Instant::now(), GLANCE);
+        let (mut last_work, mut wait) = (Instant::now(), POLL_INTERVAL);
         let mut waits = false;
         loop {
             if halt.load(Ordering::Relaxed) || self.folder.is_closed() {
@@ -231,14 +231,15 @@ impl Worker {
                 let path = self.folder.claim(job, number);
                 match Heartbeat::create(self.folder.disk(), &path, &self.holder) {
                     Ok(Some(claim)) => {
-                        did |= self.do_job(job, number, claim, alive, halt, &mut report, tell)?;
-                        (last_work, wait, waits) = (Instant::now(), GLANCE, false);
+                        did |=
+                            self.do_job(job, number, claim, alive, halt, &mut report, on_event)?;
+                        (last_work, wait, waits) = (Instant::now(), POLL_INTERVAL, false);
                     }
                     // Another worker has claimed this job since the last reading of the folder. A
                     // new reading of claims and results skips the other jobs that are taken.
                     Ok(None) => {
                         others = true;
-                        if looked.elapsed() >= GLANCE {
+                        if looked.elapsed() >= POLL_INTERVAL {
                             claims = self.folder.claims()?;
                             results = self.folder.results()?;
                             looked = Instant::now();
@@ -255,12 +256,12 @@ impl Worker {
                 return Ok(report);
             }
             if !waits {
-                tell(WorkerEvent::Waiting);
+                on_event(WorkerEvent::Waiting);
                 waits = true;
             }
             let until = Instant::now() + wait;
             while Instant::now() < until && !halt.load(Ordering::Relaxed) {
-                std::thread::sleep(GLANCE.min(wait));
+                std::thread::sleep(POLL_INTERVAL.min(wait));
             }
             wait = (wait * 2).min(LONGEST_WAIT).min(stale / 2);
         }
@@ -285,7 +286,7 @@ impl Worker {
         alive: &Mutex<Option<Alive>>,
         halt: &AtomicBool,
         report: &mut WorkReport,
-        tell: &mut dyn FnMut(WorkerEvent),
+        on_event: &mut dyn FnMut(WorkerEvent),
     ) -> Result<bool, JobFolderError> {
         let read = match self.folder.read_job(job) {
             Ok(Some(read)) => read,
@@ -297,14 +298,14 @@ impl Worker {
             Err(error) => {
                 let reason = error.to_string();
                 let _ = claim.end(&ClaimEnding::Failed(reason.clone()));
-                tell(WorkerEvent::Unreadable { job, reason });
+                on_event(WorkerEvent::Unreadable { job, reason });
                 return Ok(false);
             }
         };
         if let Some(alive) = lock(alive).as_mut() {
             alive.claim = Some(claim);
         }
-        tell(WorkerEvent::Began { job, number });
+        on_event(WorkerEvent::Began { job, number });
         let started = Instant::now();
         let outcome = train_on_one_thread(read, halt);
         let written = match &outcome {
@@ -329,7 +330,7 @@ impl Worker {
             Ok(_) => report.trained += 1,
             Err(_) => report.failed += 1,
         }
-        tell(WorkerEvent::Finished { job, outcome, took: started.elapsed() });
+        on_event(WorkerEvent::Finished { job, outcome, took: started.elapsed() });
         Ok(true)
     }
 

@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 use rustix::process::{Pid, Signal, kill_process_group};
 use thiserror::Error;
 
-use super::{Census, StartError, Starter};
+use super::{StartError, Starter, WorkerCount};
 use crate::jobs::folder::JobFolder;
 
 /// A starter that runs a shell command of the user's, such as GNU parallel over ssh.
@@ -87,7 +87,7 @@ impl Starter for CommandStarter {
         Ok(())
     }
 
-    fn census(&mut self, appeared: u32, alive: u32) -> Result<Census, StartError> {
+    fn count_workers(&mut self, appeared: u32, alive: u32) -> Result<WorkerCount, StartError> {
         let mut note = None;
         for start in self.starts.iter_mut().filter(|start| !start.has_failed) {
             // A command that ends with success counts on: it may have handed its workers to a
@@ -102,7 +102,7 @@ impl Starter for CommandStarter {
         let expected = |start: &Start| if start.has_failed { 0 } else { start.workers };
         let to_appear: u32 = self.starts.iter().map(expected).sum();
         let expected = alive + to_appear.saturating_sub(appeared);
-        Ok(Census { expected: Some(expected), running: alive, note })
+        Ok(WorkerCount { expected: Some(expected), running: alive, note })
     }
 
     fn cancel(&mut self) {

@@ -27,7 +27,7 @@ pub trait Starter: Send + fmt::Debug {
     /// # Errors
     /// The workers cannot be counted at all. A scheduler that fails to answer only for the moment
     /// is no error: then [`Census::expected`] is `None`.
-    fn census(&mut self, appeared: u32, alive: u32) -> Result<Census, StartError>;
+    fn count_workers(&mut self, appeared: u32, alive: u32) -> Result<WorkerCount, StartError>;
 
     /// Ends all workers that the starter can reach.
     fn cancel(&mut self);
@@ -35,7 +35,7 @@ pub trait Starter: Send + fmt::Debug {
 
 /// The numbers of workers that a starter knows of.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Census {
+pub struct WorkerCount {
     /// Number of workers that run or wait to run; `None` while the scheduler does not answer.
     pub expected: Option<u32>,
     /// Number of workers that run, as far as the starter knows.
@@ -77,7 +77,7 @@ pub enum StartError {
         "workers were started {starts} times, and none has appeared in {folder}: is it the same folder on all computers, \
          and the program there? {last}"
     )]
-    Fruitless {
+    NoWorkerAppeared {
         /// Number of starts.
         starts: u32,
         /// Folder of the jobs.
@@ -90,7 +90,7 @@ pub enum StartError {
         "workers were started {starts} times since the last finished training, and each was ended early: give them more time \
          or memory"
     )]
-    InVain {
+    NoResult {
         /// Number of starts.
         starts: u32,
     },

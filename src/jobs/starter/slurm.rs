@@ -1,7 +1,7 @@
 use std::io::{self, Write};
 use std::process::{Command, Output, Stdio};
 
-use super::{Census, StartError, Starter};
+use super::{StartError, Starter, WorkerCount};
 use crate::jobs::checksum::checksum;
 use crate::jobs::folder::JobFolder;
 
@@ -104,7 +104,7 @@ impl Starter for SlurmStarter {
         })
     }
 
-    fn census(&mut self, _appeared: u32, _alive: u32) -> Result<Census, StartError> {
+    fn count_workers(&mut self, _appeared: u32, _alive: u32) -> Result<WorkerCount, StartError> {
         let own = flag("me");
         let options = ["-r", "-h", &own, "-n", &self.name, "-o", "%i %T %r"].map(str::to_owned);
         let output = run_command("squeue", &options, "")?;
@@ -112,7 +112,10 @@ impl Starter for SlurmStarter {
             let reason = first_line(&output.stderr);
             // The failure may pass, and workers may be running, so it is a note and not an error.
             let what = if is_silence(&reason) { "Slurm does not answer" } else { "squeue fails" };
-            return Ok(Census { note: Some(format!("{what}: {reason}")), ..Census::default() });
+            return Ok(WorkerCount {
+                note: Some(format!("{what}: {reason}")),
+                ..WorkerCount::default()
+            });
         }
         Ok(of_queue(&String::from_utf8_lossy(&output.stdout)))
     }
@@ -125,8 +128,8 @@ impl Starter for SlurmStarter {
 
 /// Counts the workers in the lines of `squeue`, each of which gives a task's number, state and
 /// reason.
-fn of_queue(lines: &str) -> Census {
-    let mut census = Census { expected: Some(0), ..Census::default() };
+fn of_queue(lines: &str) -> WorkerCount {
+    let mut count = WorkerCount { expected: Some(0), ..WorkerCount::default() };
     for line in lines.lines() {
         let mut words = line.splitn(3, ' ');
         let (task, state) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
@@ -135,16 +138,16 @@ fn of_queue(lines: &str) -> Census {
             // The worker is ending, or has ended.
             "COMPLETING" | "COMPLETED" | "CANCELLED" | "FAILED" | "TIMEOUT" | "NODE_FAIL"
             | "PREEMPTED" | "OUT_OF_MEMORY" | "BOOT_FAIL" | "DEADLINE" | "" => continue,
-            "RUNNING" => census.running += 1,
+            "RUNNING" => count.running += 1,
             _ => {}
         }
-        census.expected = census.expected.map(|expected| expected + 1);
+        count.expected = count.expected.map(|expected| expected + 1);
         let is_held = ["held", "Held", "BadConstraints", "Limit", "PartitionDown", "Invalid"];
         if is_held.iter().any(|word| reason.contains(word)) {
-            census.note = Some(format!("Slurm does not start the worker {task}: {reason}"));
+            count.note = Some(format!("Slurm does not start the worker {task}: {reason}"));
         }
     }
-    census
+    count
 }
 
 /// Runs a command of Slurm and waits for its output.
@@ -209,8 +212,8 @@ mod tests {
     #[test]
     fn a_queue_is_counted_and_a_held_worker_is_named() {
         let queue = "7_0 RUNNING None\n7_1 PENDING Resources\n7_2 COMPLETING None\n";
-        let census = of_queue(queue);
-        assert_eq!((census.expected, census.running, census.note), (Some(2), 1, None));
+        let count = of_queue(queue);
+        assert_eq!((count.expected, count.running, count.note), (Some(2), 1, None));
         let held = of_queue("7_0 PENDING launch failed requeued held\n");
         assert_eq!(held.expected, Some(1));
         assert!(held.note.unwrap().contains("7_0: launch failed requeued held"));

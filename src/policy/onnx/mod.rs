@@ -10,15 +10,15 @@ mod graph;
 mod input;
 mod message;
 mod model;
+mod observation_layout;
 mod protobuf;
-mod sight;
 #[cfg(test)]
 mod tests;
 mod write;
 
 use thiserror::Error;
 
-pub use sight::Sight;
+pub use observation_layout::ObservationLayout;
 pub use write::{OPSET, to_onnx};
 
 use super::file::network_of_metadata;
@@ -152,7 +152,7 @@ impl From<PolicyFault> for ImportError {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ForeignConventions {
     /// Observation that the network sees.
-    pub sight: Sight,
+    pub layout: ObservationLayout,
     /// Voltage for an output of 1, V; negative if a positive output means a negative voltage here.
     pub action_scale_v: f32,
     /// Corner frequency of the velocity filter in training, rad/s, for the policy's record.
@@ -184,7 +184,7 @@ pub fn from_onnx(
     let policy = network_of_metadata(json, layers.layers.clone())?;
     let inputs = policy.network.sizes()[0];
     let history = policy.network.history();
-    let of_graph = layers.network(&Sight::own(history), 1.0)?;
+    let of_graph = layers.network(&ObservationLayout::own(history), 1.0)?;
     if of_graph.sizes()[0] != inputs || of_graph != policy.network {
         return Err(ImportError::Changed);
     }
@@ -237,13 +237,13 @@ impl Layers {
     /// # Errors
     /// The conventions do not fit the layers, or the network is outside of the limits.
     pub fn policy(self, conventions: &ForeignConventions) -> Result<NetworkPolicy, ImportError> {
-        let ForeignConventions { sight, action_scale_v, corner_rad_s, clip_observation } =
+        let ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation } =
             conventions;
         let clipped = match clip_observation {
             Some(limit) => self.clipped(*limit)?,
             None => self,
         };
-        let network = clipped.network(sight, *action_scale_v)?;
+        let network = clipped.network(layout, *action_scale_v)?;
         Ok(NetworkPolicy { network, training: TrainingRecord::imported(*corner_rad_s) })
     }
 
@@ -261,7 +261,7 @@ impl Layers {
         Ok(self)
     }
 
-    /// Converts these layers to a network of this program. `sight` says which entry of the
+    /// Converts these layers to a network of this program. `layout` says which entry of the
     /// observation each input is. The scaled output times `action_scale_v`, V, is the voltage; a
     /// negative scale turns the sign of the last layer.
     ///
@@ -269,10 +269,14 @@ impl Layers {
     /// The observation has another length than the first layer, the output is limited below the
     /// motor's range, one entry of the observation has two different bounds, or the network is
     /// outside of the limits.
-    pub fn network(self, sight: &Sight, action_scale_v: f32) -> Result<Network, ImportError> {
+    pub fn network(
+        self,
+        layout: &ObservationLayout,
+        action_scale_v: f32,
+    ) -> Result<Network, ImportError> {
         let Self { mut layers, inputs, bounds, activation, output, scale, limits } = self;
-        if inputs != sight.len() {
-            return Err(ImportError::Inputs { inputs, named: sight.len() });
+        if inputs != layout.len() {
+            return Err(ImportError::Inputs { inputs, named: layout.len() });
         }
         let [one, other] = limits.map(|limit| limit * action_scale_v);
         let (lower_v, upper_v) = (one.min(other), one.max(other));
@@ -281,10 +285,10 @@ impl Layers {
             return Err(ImportError::OutputLimits { lower_v, upper_v });
         }
         let action_scale_v = action_scale_v * scale;
-        let mut sizes = vec![sight.inputs()];
+        let mut sizes = vec![layout.inputs()];
         sizes.extend(layers.iter().map(|layer| layer.bias.len()));
         if let Some(first) = layers.first_mut() {
-            first.weight = sight.arranged(&first.weight);
+            first.weight = layout.arranged(&first.weight);
         }
         if action_scale_v < 0.0
             && let Some(last) = layers.last_mut()
@@ -295,7 +299,7 @@ impl Layers {
         let bounds = if bounds.is_empty() {
             bounds
         } else {
-            sight.arranged_bounds(&bounds).ok_or(ImportError::TwoBounds)?
+            layout.arranged_bounds(&bounds).ok_or(ImportError::TwoBounds)?
         };
         Ok(Network::new(&sizes, &layers, action_scale_v.abs())?
             .with_functions(activation, output)

@@ -22,9 +22,9 @@ fn imported_networks_give_the_outputs_of_onnxruntime() {
     let outputs: Value = serde_json::from_str(OUTPUTS).unwrap();
     for (name, bytes) in MODELS {
         let layers = Layers::from_onnx(bytes).unwrap();
-        let sight = Sight::own(layers.inputs - 6);
-        let mut network = layers.clone().network(&sight, 5.0).unwrap();
-        let mut turned = layers.network(&sight, -5.0).unwrap();
+        let layout = ObservationLayout::own(layers.inputs - 6);
+        let mut network = layers.clone().network(&layout, 5.0).unwrap();
+        let mut turned = layers.network(&layout, -5.0).unwrap();
         let observations = outputs[name]["observations"].as_array().unwrap();
         let actions = numbers(&outputs[name]["actions"]);
         assert_eq!(observations.len(), actions.len());
@@ -61,22 +61,23 @@ fn the_functions_of_a_network_are_recognised() {
 fn an_observation_in_another_order_is_rearranged() {
     let (_, bytes) = MODELS[0];
     let own = [0.1, 0.9, -0.3, 0.5, 1.5, -0.7];
-    let mut network = Layers::from_onnx(bytes).unwrap().network(&Sight::own(0), 5.0).unwrap();
+    let mut network =
+        Layers::from_onnx(bytes).unwrap().network(&ObservationLayout::own(0), 5.0).unwrap();
     let expected = {
         // The model sees alpha_dot in rad/s, the cosine from upright, and the arm's angle last.
         let seen = [own[5] * 20.0, -own[3], own[2], own[4], own[0], own[1]];
         network.voltage_of_observation_v(&seen)
     };
-    let sight = "alpha_dot, -1*cos_alpha, sin_alpha, 0.1*theta_dot, sin_theta, cos_theta";
-    let sight = Sight::parse(sight).unwrap();
-    let mut arranged = Layers::from_onnx(bytes).unwrap().network(&sight, 5.0).unwrap();
+    let layout = "alpha_dot, -1*cos_alpha, sin_alpha, 0.1*theta_dot, sin_theta, cos_theta";
+    let layout = ObservationLayout::parse(layout).unwrap();
+    let mut arranged = Layers::from_onnx(bytes).unwrap().network(&layout, 5.0).unwrap();
     let voltage_v = arranged.voltage_of_observation_v(&own);
     assert!((voltage_v - expected).abs() < 1e-4, "{voltage_v} {expected}");
 }
 
 fn foreign(action_scale_v: f32, clip_observation: Option<f32>) -> ForeignConventions {
-    let (sight, corner_rad_s) = (Sight::own(0), 200.0);
-    ForeignConventions { sight, action_scale_v, corner_rad_s, clip_observation }
+    let (layout, corner_rad_s) = (ObservationLayout::own(0), 200.0);
+    ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation }
 }
 
 /// Policies that cover each activation and output function, each number of last commands, bounds,
@@ -162,15 +163,15 @@ fn a_clip_of_the_observation_is_kept_or_asked_for() {
 #[test]
 fn a_limit_of_the_output_below_the_motors_is_refused() {
     let layers = Layers { limits: [-1.0, 1.0], ..Layers::from_onnx(MODELS[0].1).unwrap() };
-    assert!(layers.clone().network(&Sight::own(0), 5.0).is_ok());
-    assert!(layers.clone().network(&Sight::own(0), -5.0).is_ok());
-    let refused = layers.network(&Sight::own(0), 3.0).unwrap_err();
+    assert!(layers.clone().network(&ObservationLayout::own(0), 5.0).is_ok());
+    assert!(layers.clone().network(&ObservationLayout::own(0), -5.0).is_ok());
+    let refused = layers.network(&ObservationLayout::own(0), 3.0).unwrap_err();
     assert_eq!(refused, ImportError::OutputLimits { lower_v: -3.0, upper_v: 3.0 });
 }
 
 #[test]
 fn what_this_program_does_not_know_is_refused_by_name() {
-    for (bytes, told) in [
+    for (bytes, message) in [
         (&include_bytes!("../../../tests/fixtures/onnx/refused-softmax.onnx")[..], "Softmax"),
         (include_bytes!("../../../tests/fixtures/onnx/refused-leakyrelu.onnx"), "LeakyRelu"),
         (
@@ -181,10 +182,10 @@ fn what_this_program_does_not_know_is_refused_by_name() {
         (b"no model at all", "not an ONNX model"),
     ] {
         let refused = Layers::from_onnx(bytes).unwrap_err().to_string();
-        assert!(refused.contains(told), "{refused}");
+        assert!(refused.contains(message), "{refused}");
     }
     let layers = Layers::from_onnx(MODELS[0].1).unwrap();
-    let refused = layers.network(&Sight::own(2), 5.0).unwrap_err();
+    let refused = layers.network(&ObservationLayout::own(2), 5.0).unwrap_err();
     assert_eq!(refused, ImportError::Inputs { inputs: 6, named: 8 });
 }
 
@@ -202,7 +203,7 @@ fn no_damage_of_a_file_panics() {
                 let _ = from_onnx(&changed, None);
                 if let Ok(layers) = Layers::from_onnx(&changed) {
                     let inputs = layers.inputs;
-                    let _ = layers.network(&Sight::own(inputs.saturating_sub(6)), 5.0);
+                    let _ = layers.network(&ObservationLayout::own(inputs.saturating_sub(6)), 5.0);
                 }
             }
         }

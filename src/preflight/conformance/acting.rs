@@ -1,32 +1,32 @@
 use firmware_protocol::scaling::{MAX_VOLTAGE_MV, motor_counts, motor_voltage_mv};
 use firmware_protocol::{NO_ACT_US, RefusalReason};
 
-use super::{Deviation, Speaker, ensure};
+use super::{Deviation, TestHost, ensure};
 
 /// Voltages of up to 1 V, mV. 12 and 13 mV lie on both sides of half a step of the motor's
 /// resolution (24 mV), so they show how the device rounds.
 const VOLTAGES_MV: [i16; 8] = [1000, -1000, 12, 13, -13, 500, -500, 0];
 
-pub(super) fn unarmed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    speaker.greet()?;
-    speaker.sample()?;
-    speaker.refused(speaker.act_request(500), RefusalReason::NotArmed)?;
-    let sample = speaker.sample()?;
+pub(super) fn unarmed(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    test_host.greet()?;
+    test_host.sample()?;
+    test_host.refused(test_host.act_request(500), RefusalReason::NotArmed)?;
+    let sample = test_host.sample()?;
     ensure!(sample.applied_mv == 0, "{} mV at a motor that is off", sample.applied_mv);
     ensure!(sample.sample_to_act_us == NO_ACT_US, "a refused act counts as one");
     Ok(())
 }
 
-pub(super) fn act(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    speaker.arm()?;
-    let mut before = speaker.sample_armed()?;
+pub(super) fn act(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    test_host.arm()?;
+    let mut before = test_host.sample_armed()?;
     ensure!(before.sample_to_act_us == NO_ACT_US, "it reports an act although there was none");
     for voltage_mv in VOLTAGES_MV {
-        let sequence = speaker.act(voltage_mv)?;
+        let sequence = test_host.act(voltage_mv)?;
         // A second act on the same sample must not change the reported time from the sample to the
         // first act.
-        let newer = speaker.act(voltage_mv)?;
-        let after = speaker.sample_armed()?;
+        let newer = test_host.act(voltage_mv)?;
+        let after = test_host.sample_armed()?;
         let expected_mv = motor_voltage_mv(motor_counts(voltage_mv));
         ensure!(
             after.applied_mv == expected_mv,
@@ -46,19 +46,19 @@ pub(super) fn act(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
         );
         before = after;
     }
-    let idle = speaker.sample_armed()?;
+    let idle = test_host.sample_armed()?;
     ensure!(idle.sample_to_act_us == NO_ACT_US, "it reports an act although there was none");
     Ok(())
 }
 
-pub(super) fn out_of_range(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    speaker.arm()?;
-    speaker.sample_armed()?;
-    let valid = speaker.act(500)?;
+pub(super) fn out_of_range(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    test_host.arm()?;
+    test_host.sample_armed()?;
+    let valid = test_host.act(500)?;
     for voltage_mv in [MAX_VOLTAGE_MV + 1, -MAX_VOLTAGE_MV - 1, i16::MAX, i16::MIN] {
-        speaker.refused(speaker.act_request(voltage_mv), RefusalReason::VoltageOutOfRange)?;
+        test_host.refused(test_host.act_request(voltage_mv), RefusalReason::VoltageOutOfRange)?;
     }
-    let sample = speaker.sample_armed()?;
+    let sample = test_host.sample_armed()?;
     ensure!(
         sample.applied_mv == motor_voltage_mv(motor_counts(500))
             && sample.last_act_sequence == valid,
@@ -67,22 +67,22 @@ pub(super) fn out_of_range(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     Ok(())
 }
 
-pub(super) fn replayed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    speaker.arm()?;
-    speaker.sample_armed()?;
-    let old = speaker.act(500)?;
-    let newest = speaker.act(250)?;
-    let replay = speaker.act_request(500);
+pub(super) fn replayed(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    test_host.arm()?;
+    test_host.sample_armed()?;
+    let old = test_host.act(500)?;
+    let newest = test_host.act(250)?;
+    let replay = test_host.act_request(500);
     for sequence in [old, newest, old.wrapping_sub(1), newest.wrapping_add(0x8000)] {
-        speaker.send_bytes(replay.encode(sequence).as_bytes())?;
-        speaker.refusal_of(
+        test_host.send_bytes(replay.encode(sequence).as_bytes())?;
+        test_host.refusal_of(
             sequence,
             replay.message_type(),
             "a replayed Act",
             RefusalReason::StaleSequence,
         )?;
     }
-    let sample = speaker.sample_armed()?;
+    let sample = test_host.sample_armed()?;
     ensure!(
         sample.applied_mv == motor_voltage_mv(motor_counts(250))
             && sample.last_act_sequence == newest,
@@ -91,13 +91,13 @@ pub(super) fn replayed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     Ok(())
 }
 
-pub(super) fn sequence_wrap(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    speaker.set_sequence(u16::MAX - 5);
-    speaker.arm()?;
-    speaker.sample_armed()?;
+pub(super) fn sequence_wrap(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    test_host.set_sequence(u16::MAX - 5);
+    test_host.arm()?;
+    test_host.sample_armed()?;
     for _ in 0..4 {
-        let sequence = speaker.act(0)?;
-        let sample = speaker.sample_armed()?;
+        let sequence = test_host.act(0)?;
+        let sample = test_host.sample_armed()?;
         ensure!(
             sample.last_act_sequence == sequence,
             "act {sequence} was not accepted after {}",

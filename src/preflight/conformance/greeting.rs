@@ -1,13 +1,13 @@
 use firmware_protocol::{PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason, Request, StatusBits};
 
-use super::{Deviation, Speaker, ensure};
+use super::{Deviation, TestHost, ensure};
 
 /// Tolerance between the device's and the computer's clock, us: the age of a sample and the time on
 /// the wire.
 const SLACK_US: u64 = 6_000;
 
-pub(super) fn hello(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    let reply = speaker.greet()?;
+pub(super) fn hello(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    let reply = test_host.greet()?;
     ensure!(reply.protocol_version == PROTOCOL_VERSION, "it speaks {reply:?}");
     ensure!(
         reply.module_id == QUBE_MODULE_ID,
@@ -18,36 +18,36 @@ pub(super) fn hello(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     Ok(())
 }
 
-pub(super) fn fresh_nonce(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    let mut last = speaker.greet()?.nonce;
+pub(super) fn fresh_nonce(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    let mut last = test_host.greet()?.nonce;
     for _ in 0..20 {
-        let nonce = speaker.greet()?.nonce;
+        let nonce = test_host.greet()?.nonce;
         ensure!(nonce != 0 && nonce != last, "the nonce {nonce} came after {last}");
         last = nonce;
     }
     Ok(())
 }
 
-pub(super) fn version_mismatch(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    let valid = speaker.greet()?.nonce;
+pub(super) fn version_mismatch(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    let valid = test_host.greet()?.nonce;
     for version in [0, PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1, u16::MAX] {
-        let reply = speaker.greet_as(version)?;
+        let reply = test_host.greet_as(version)?;
         ensure!(reply.protocol_version == PROTOCOL_VERSION, "it says it speaks {reply:?}");
         ensure!(reply.nonce == 0, "it gave a nonce to a host of version {version}");
-        for request in [Request::Sample, Request::Arm { nonce: valid }, speaker.act_request(0)] {
-            speaker.refused(request, RefusalReason::NotGreeted)?;
+        for request in [Request::Sample, Request::Arm { nonce: valid }, test_host.act_request(0)] {
+            test_host.refused(request, RefusalReason::NotGreeted)?;
         }
     }
     Ok(())
 }
 
-pub(super) fn sample(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    speaker.greet()?;
-    let mut last = speaker.sample()?;
+pub(super) fn sample(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    test_host.greet()?;
+    let mut last = test_host.sample()?;
     ensure!(!last.status.has(StatusBits::ARMED), "it is armed by a hello");
     ensure!(last.applied_mv == 0, "{} mV at a motor that is off", last.applied_mv);
     for _ in 0..20 {
-        let sample = speaker.sample()?;
+        let sample = test_host.sample()?;
         let elapsed_us = sample.device_time_us.wrapping_sub(last.device_time_us);
         ensure!(elapsed_us != 0, "it gave the same sample twice, of {} us", last.device_time_us);
         ensure!(elapsed_us < 1 << 31, "its clock went back by {} us", elapsed_us.wrapping_neg());
@@ -62,15 +62,15 @@ pub(super) fn sample(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
     Ok(())
 }
 
-pub(super) fn device_clock(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    speaker.greet()?;
-    let first_asked_ns = speaker.now_ns();
-    let first = speaker.sample()?;
-    let first_answered_ns = speaker.now_ns();
-    speaker.wait_ns(500_000_000);
-    let second_asked_ns = speaker.now_ns();
-    let second = speaker.sample()?;
-    let second_answered_ns = speaker.now_ns();
+pub(super) fn device_clock(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    test_host.greet()?;
+    let first_asked_ns = test_host.now_ns();
+    let first = test_host.sample()?;
+    let first_answered_ns = test_host.now_ns();
+    test_host.wait_ns(500_000_000);
+    let second_asked_ns = test_host.now_ns();
+    let second = test_host.sample()?;
+    let second_answered_ns = test_host.now_ns();
 
     let elapsed_us = u64::from(second.device_time_us.wrapping_sub(first.device_time_us));
     let least_us = (second_asked_ns - first_answered_ns) / 1000 * 99 / 100 - SLACK_US;

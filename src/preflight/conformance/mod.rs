@@ -5,21 +5,21 @@
 //! The checks use the protocol crate and a transport, but not the host's side of the link, because
 //! a fault there could hide a fault of the device. The motor gets at most 1 V, and that for a few
 //! milliseconds; the checks of the watchdog leave 0.5 V on until the watchdog switches it off after
-//! 50 ms, and the check of flipped bits holds 0.25 V while it sends its frames. The checks judge a
+//! 50 ms, and the check of flipped bits holds 0.25 V while it sends its frames. The checks test a
 //! device's deadlines by the device's own clock, so that a busy computer fails no device.
 
 mod acting;
 mod arming;
 mod framing;
 mod greeting;
-mod speaker;
 mod staleness;
 mod starts;
+mod test_host;
 mod watchdog;
 
 use thiserror::Error;
 
-pub use speaker::Speaker;
+pub use test_host::TestHost;
 
 use crate::device::LinkFault;
 
@@ -30,7 +30,7 @@ pub struct ConformanceCheck {
     pub name: &'static str,
     /// The promise of the protocol, in a sentence.
     pub promise: &'static str,
-    run: fn(&mut Speaker<'_>) -> Result<(), Deviation>,
+    run: fn(&mut TestHost<'_>) -> Result<(), Deviation>,
 }
 
 /// A deviation of a device from the protocol.
@@ -75,12 +75,12 @@ impl ConformanceCheck {
     /// # Errors
     /// The deviation that the check found; or [`Deviation::Disturbed`] if the computer disturbed
     /// every attempt.
-    pub fn run(&self, speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
+    pub fn run(&self, test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
         let mut result = Err(Deviation::Disturbed);
         let mut fresh_refusals = 0;
         for _ in 0..ATTEMPTS {
-            speaker.fence()?;
-            result = (self.run)(speaker);
+            test_host.resynchronise()?;
+            result = (self.run)(test_host);
             match result {
                 Err(Deviation::Disturbed) => {}
                 Err(Deviation::FreshRefused { .. }) if fresh_refusals < FRESH_REFUSALS => {
@@ -89,7 +89,7 @@ impl ConformanceCheck {
                 _ => break,
             }
         }
-        let left_off = speaker.fence();
+        let left_off = test_host.resynchronise();
         result.and(left_off)
     }
 }

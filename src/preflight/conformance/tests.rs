@@ -9,10 +9,10 @@ fn failures(fault: Option<EmulatorFault>) -> Vec<&'static str> {
     let clock = VirtualClock::default();
     let settings = EmulatorSettings { fault, ..EmulatorSettings::default() };
     let mut wire = InProcessWire::new(settings, clock.clone());
-    let mut speaker = Speaker::new(&mut wire, &clock);
+    let mut test_host = TestHost::new(&mut wire, &clock);
     CHECKS
         .iter()
-        .filter_map(|check| match check.run(&mut speaker) {
+        .filter_map(|check| match check.run(&mut test_host) {
             Ok(()) => None,
             Err(deviation) => {
                 println!("{}: {deviation}", check.name);
@@ -173,9 +173,9 @@ fn each_wrong_answer_is_found_by_the_check_for_it() {
         let clock = VirtualClock::default();
         let wire = InProcessWire::new(EmulatorSettings::default(), clock.clone());
         let mut mutant = Mutant { wire, decoder: Decoder::new(), distort: *distort };
-        let mut speaker = Speaker::new(&mut mutant, &clock);
+        let mut test_host = TestHost::new(&mut mutant, &clock);
         let check = CHECKS.iter().find(|check| check.name == *name).unwrap();
-        let result = check.run(&mut speaker);
+        let result = check.run(&mut test_host);
         assert!(
             result.is_err() && result != Err(Deviation::Disturbed),
             "distortion {index} passed {name}: {result:?}"

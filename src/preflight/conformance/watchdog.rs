@@ -3,7 +3,7 @@ use firmware_protocol::{
     WATCHDOG_POLL_MS,
 };
 
-use super::{Deviation, Speaker, ensure};
+use super::{Deviation, TestHost, ensure};
 
 const WATCHDOG_US: u32 = WATCHDOG_MS as u32 * 1000;
 const LATEST_US: u32 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u32 * 1000;
@@ -14,12 +14,12 @@ const PAUSE_NS: u64 = 1_000_000;
 /// Repeats an action until the watchdog has tripped, and fails unless that happens 50 ms after
 /// `fed_us` and at most one poll of the watchdog later. All times are by the device's clock.
 pub(super) fn trips_while(
-    speaker: &mut Speaker<'_>,
+    test_host: &mut TestHost<'_>,
     fed_us: u32,
-    mut meanwhile: impl FnMut(&mut Speaker<'_>) -> Result<(), Deviation>,
+    mut meanwhile: impl FnMut(&mut TestHost<'_>) -> Result<(), Deviation>,
 ) -> Result<(), Deviation> {
     loop {
-        let sample = speaker.sample()?;
+        let sample = test_host.sample()?;
         let elapsed_us = sample.device_time_us.wrapping_sub(fed_us);
         if sample.status.has(StatusBits::WATCHDOG_TRIPPED) {
             ensure!(elapsed_us >= WATCHDOG_US, "it tripped after {elapsed_us} us already");
@@ -35,36 +35,36 @@ pub(super) fn trips_while(
             elapsed_us <= LATEST_US || elapsed_us > u32::MAX / 2,
             "it has not tripped after {elapsed_us} us"
         );
-        meanwhile(speaker)?;
-        speaker.wait_ns(PAUSE_NS);
+        meanwhile(test_host)?;
+        test_host.wait_ns(PAUSE_NS);
     }
 }
 
 /// Acts, and returns the time of the act by the device's clock, us.
-pub(super) fn act_timed(speaker: &mut Speaker<'_>, voltage_mv: i16) -> Result<u32, Deviation> {
-    let before: SampleReply = speaker.sample_armed()?;
-    speaker.act(voltage_mv)?;
-    let after = speaker.sample_armed()?;
+pub(super) fn act_timed(test_host: &mut TestHost<'_>, voltage_mv: i16) -> Result<u32, Deviation> {
+    let before: SampleReply = test_host.sample_armed()?;
+    test_host.act(voltage_mv)?;
+    let after = test_host.sample_armed()?;
     ensure!(after.sample_to_act_us != NO_ACT_US, "an act did not show in the next sample");
     Ok(before.device_time_us.wrapping_add(u32::from(after.sample_to_act_us)))
 }
 
-pub(super) fn on_time(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    speaker.arm()?;
-    let acted_us = act_timed(speaker, 500)?;
-    trips_while(speaker, acted_us, |_| Ok(()))
+pub(super) fn on_time(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    test_host.arm()?;
+    let acted_us = act_timed(test_host, 500)?;
+    trips_while(test_host, acted_us, |_| Ok(()))
 }
 
-pub(super) fn after_arm(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    let (armed_us, _) = speaker.arm()?;
-    trips_while(speaker, armed_us, |_| Ok(()))
+pub(super) fn after_arm(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    let (armed_us, _) = test_host.arm()?;
+    trips_while(test_host, armed_us, |_| Ok(()))
 }
 
-pub(super) fn not_fed_by_refused(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    speaker.arm()?;
-    let acted_us = act_timed(speaker, 500)?;
-    trips_while(speaker, acted_us, |speaker| {
-        match speaker.ask(speaker.act_request(6000))? {
+pub(super) fn not_fed_by_refused(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    test_host.arm()?;
+    let acted_us = act_timed(test_host, 500)?;
+    trips_while(test_host, acted_us, |test_host| {
+        match test_host.ask(test_host.act_request(6000))? {
             // Once the watchdog has tripped, the device refuses for that reason instead; both
             // reasons are right here.
             Reply::Refusal {
@@ -78,42 +78,42 @@ pub(super) fn not_fed_by_refused(speaker: &mut Speaker<'_>) -> Result<(), Deviat
     })
 }
 
-pub(super) fn fed(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    let (armed_us, _) = speaker.arm()?;
-    speaker.sample_armed()?;
+pub(super) fn fed(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    let (armed_us, _) = test_host.arm()?;
+    test_host.sample_armed()?;
     loop {
-        speaker.act(0)?;
-        let sample = speaker.sample_armed()?;
+        test_host.act(0)?;
+        let sample = test_host.sample_armed()?;
         if sample.device_time_us.wrapping_sub(armed_us) > 4 * WATCHDOG_US
             && sample.device_time_us.wrapping_sub(armed_us) < u32::MAX / 2
         {
             return Ok(());
         }
-        speaker.wait_ns(10 * PAUSE_NS);
+        test_host.wait_ns(10 * PAUSE_NS);
     }
 }
 
-pub(super) fn latch(speaker: &mut Speaker<'_>) -> Result<(), Deviation> {
-    let (armed_us, nonce) = speaker.arm()?;
-    trips_while(speaker, armed_us, |_| Ok(()))?;
+pub(super) fn latch(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    let (armed_us, nonce) = test_host.arm()?;
+    trips_while(test_host, armed_us, |_| Ok(()))?;
     let tripped = "after its watchdog";
-    for request in [speaker.act_request(500), Request::Arm { nonce }] {
-        match speaker.ask(request)? {
+    for request in [test_host.act_request(500), Request::Arm { nonce }] {
+        match test_host.ask(request)? {
             Reply::Refusal { reason: RefusalReason::WatchdogTripped, .. } => {}
             other => ensure!(false, "{request:?} {tripped} was answered with {other:?}"),
         }
     }
-    match speaker.ask(Request::Disarm)? {
+    match test_host.ask(Request::Disarm)? {
         Reply::Disarm(reply) if reply.state == DeviceState::Tripped && reply.nonce == 0 => {}
         other => ensure!(false, "Disarm {tripped} was answered with {other:?}"),
     }
-    let nonce = speaker.greet()?.nonce;
-    let greeted = speaker.sample()?;
+    let nonce = test_host.greet()?.nonce;
+    let greeted = test_host.sample()?;
     ensure!(
         greeted.status.has(StatusBits::WATCHDOG_TRIPPED) && greeted.applied_mv == 0,
         "a hello alone already hides that the watchdog tripped"
     );
-    speaker.arm_with(nonce)?;
-    speaker.sample_armed()?;
+    test_host.arm_with(nonce)?;
+    test_host.sample_armed()?;
     Ok(())
 }

@@ -19,17 +19,17 @@ pub struct Diagnosis {
     /// Name of the test.
     pub name: String,
     /// Verdict of the test.
-    pub verdict: Fitness,
+    pub verdict: Suitability,
     /// Finding, in a few words.
     pub value: String,
     /// Command or action that helps; `None` if all is well.
-    pub cure: Option<String>,
+    pub remedy: Option<String>,
 }
 
 /// The verdict about one property of the computer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Fitness {
+pub enum Suitability {
     /// The property is as it should be.
     Well,
     /// The property is sufficient, but could be better.
@@ -40,16 +40,16 @@ pub enum Fitness {
 
 impl Diagnosis {
     fn well(name: &str, value: impl Into<String>) -> Self {
-        Self { name: name.into(), verdict: Fitness::Well, value: value.into(), cure: None }
+        Self { name: name.into(), verdict: Suitability::Well, value: value.into(), remedy: None }
     }
 
-    fn advice(name: &str, value: impl Into<String>, cure: impl Into<String>) -> Self {
-        let cure = Some(cure.into());
-        Self { name: name.into(), verdict: Fitness::Advice, value: value.into(), cure }
+    fn advice(name: &str, value: impl Into<String>, remedy: impl Into<String>) -> Self {
+        let remedy = Some(remedy.into());
+        Self { name: name.into(), verdict: Suitability::Advice, value: value.into(), remedy }
     }
 
-    fn unfit(name: &str, value: impl Into<String>, cure: impl Into<String>) -> Self {
-        Self { verdict: Fitness::Unfit, ..Self::advice(name, value, cure) }
+    fn unfit(name: &str, value: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self { verdict: Suitability::Unfit, ..Self::advice(name, value, remedy) }
     }
 }
 
@@ -73,15 +73,15 @@ pub fn diagnose(
     let (cards, serial): (Vec<_>, Vec<_>) =
         ports.iter().cloned().partition(|port| HilAddress::is_meant(port));
     if cards.is_empty() || !serial.is_empty() {
-        found.extend(ports::look(&serial));
+        found.extend(ports::diagnose(&serial));
     }
-    found.extend(panel::look(&cards, stop));
+    found.extend(panel::diagnose(&cards, stop));
     Ok(found)
 }
 
 /// The command that gives an ordinary user the real-time rights, once: the group `realtime` and its
 /// limits.
-const RIGHTS_CURE: &str = "sudo scripts/install (then log out and in)";
+const RIGHTS_REMEDY: &str = "sudo scripts/install (then log out and in)";
 
 fn rights(realtime: &RealtimeReport) -> Vec<Diagnosis> {
     let scheduling = match &realtime.scheduling {
@@ -89,7 +89,7 @@ fn rights(realtime: &RealtimeReport) -> Vec<Diagnosis> {
         Some(_) => Diagnosis::advice(
             "scheduling",
             "no right to real-time priority: on a busy computer ticks will be late",
-            RIGHTS_CURE,
+            RIGHTS_REMEDY,
         ),
     };
     let memory = match &realtime.memory {
@@ -97,7 +97,7 @@ fn rights(realtime: &RealtimeReport) -> Vec<Diagnosis> {
         Some(_) => Diagnosis::advice(
             "memory",
             "memory cannot be locked: a page fault may delay a tick",
-            RIGHTS_CURE,
+            RIGHTS_REMEDY,
         ),
     };
     let awake = match &realtime.awake {
@@ -105,14 +105,14 @@ fn rights(realtime: &RealtimeReport) -> Vec<Diagnosis> {
         Some(_) => Diagnosis::advice(
             "sleep",
             format!("{CPU_DMA_LATENCY} may not be written: processors may sleep between ticks"),
-            RIGHTS_CURE,
+            RIGHTS_REMEDY,
         ),
     };
     let timer_slack = realtime.timer_slack.as_ref().map(|_| {
         Diagnosis::advice(
             "timer slack",
             "cannot be set: without real-time priority ticks are 0.05 ms late",
-            RIGHTS_CURE,
+            RIGHTS_REMEDY,
         )
     });
     [scheduling, memory, awake].into_iter().chain(timer_slack).collect()
@@ -133,11 +133,11 @@ mod tests {
         };
         assert_eq!(rights(&refused).len(), refused.refusals().count());
         for diagnosis in rights(&refused) {
-            assert_eq!(diagnosis.verdict, Fitness::Advice);
-            assert!(diagnosis.cure.unwrap().contains("sudo"));
+            assert_eq!(diagnosis.verdict, Suitability::Advice);
+            assert!(diagnosis.remedy.unwrap().contains("sudo"));
         }
         for diagnosis in rights(&RealtimeReport::default()) {
-            assert_eq!((diagnosis.verdict, diagnosis.cure), (Fitness::Well, None));
+            assert_eq!((diagnosis.verdict, diagnosis.remedy), (Suitability::Well, None));
         }
     }
 }

@@ -14,11 +14,11 @@ const INSTALL: &str =
     "install the vendor's package quanser-sdk, or name its libhil.so in QUBE_HIL_LIBHIL";
 
 /// Tests whether the vendor's library is here; if it is, greets and samples each of these cards.
-pub(super) fn look(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
+pub(super) fn diagnose(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
     let library = match find_library() {
         Ok(name) => Diagnosis::well(LIBRARY, format!("{name}, for a Qube with the USB panel")),
         Err(HilError::NoLibrary { .. }) if cards.is_empty() => {
-            Diagnosis::well(LIBRARY, "not here; only a Qube with the USB panel needs it")
+            Diagnosis::well(LIBRARY, "not installed; only a Qube with the USB panel needs it")
         }
         Err(HilError::NoLibrary { tried }) => {
             Diagnosis::unfit(LIBRARY, format!("not here (tried {tried})"), INSTALL)
@@ -28,7 +28,7 @@ pub(super) fn look(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
         }
         Err(error) => Diagnosis::unfit(LIBRARY, error.to_string(), INSTALL),
     };
-    let is_here = library.cure.is_none();
+    let is_here = library.remedy.is_none();
     let each = cards.iter().filter(|_| is_here).map(|card| of_card(card, measured(card, stop)));
     std::iter::once(library).chain(each).collect()
 }
@@ -49,9 +49,9 @@ fn of_card(card: &str, measured: Result<Option<MeasuredLink>, String>) -> Diagno
         }
         Ok(None) => Diagnosis::advice(&name, "not measured: stopped", "look again"),
         Err(reason) => {
-            let (value, cure) =
+            let (value, remedy) =
                 reason.split_once(". ").unwrap_or((&reason, "see that it is there"));
-            Diagnosis::unfit(&name, value, cure)
+            Diagnosis::unfit(&name, value, remedy)
         }
     }
 }
@@ -71,14 +71,14 @@ fn measured(card: &str, stop: &AtomicBool) -> Result<Option<MeasuredLink>, Strin
 
 #[cfg(test)]
 mod tests {
-    use super::super::Fitness;
+    use super::super::Suitability;
     use super::*;
 
     #[test]
-    fn a_card_that_is_not_there_is_said_with_its_cure() {
+    fn a_card_that_is_not_there_is_named_with_its_remedy() {
         let failed = of_card("hil", Err("hil is not there: no board. Plug it in. Now".into()));
-        assert_eq!(failed.verdict, Fitness::Unfit);
+        assert_eq!(failed.verdict, Suitability::Unfit);
         assert_eq!(failed.value, "hil is not there: no board");
-        assert_eq!(failed.cure.unwrap(), "Plug it in. Now");
+        assert_eq!(failed.remedy.unwrap(), "Plug it in. Now");
     }
 }

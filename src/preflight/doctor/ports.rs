@@ -6,13 +6,13 @@ use rustix::fs::{Access, access};
 
 use super::Diagnosis;
 use crate::device::available_ports;
-use crate::preflight::latency_timer::{latency_timer_cure, latency_timer_ms};
+use crate::preflight::latency_timer::{latency_timer_ms, latency_timer_remedy};
 
 /// Names of USB serial ports without their numbers. A Qube is at no other port.
 const USB: [&str; 2] = ["ttyUSB", "ttyACM"];
 
 /// Tests these ports, or all USB serial ports if none is given.
-pub(super) fn look(ports: &[String]) -> Vec<Diagnosis> {
+pub(super) fn diagnose(ports: &[String]) -> Vec<Diagnosis> {
     let found: Vec<String> = if ports.is_empty() {
         available_ports()
             .into_iter()
@@ -23,8 +23,8 @@ pub(super) fn look(ports: &[String]) -> Vec<Diagnosis> {
     };
     if found.is_empty() {
         let value = "no USB serial port here";
-        let cure = "plug the board in; a cable without data wires shows nothing";
-        return vec![Diagnosis::advice("ports", value, cure)];
+        let remedy = "plug the board in; a cable without data wires shows nothing";
+        return vec![Diagnosis::advice("ports", value, remedy)];
     }
     found.iter().flat_map(|port| [Some(permission(port)), timer(port)]).flatten().collect()
 }
@@ -64,14 +64,14 @@ fn refused(name: &str, owner: &Owner) -> Diagnosis {
     let group = &owner.group;
     let value = format!("may not be opened: it belongs to the group {group}");
     if owner.is_listed {
-        return Diagnosis::unfit(name, value, "you are in that group since: log out and in again");
+        return Diagnosis::unfit(name, value, "you have joined that group: log out and in again");
     }
     if group == "root" {
-        let cure = "let scripts/install put its udev rules in place, or give the port to the group dialout";
-        return Diagnosis::unfit(name, value, cure);
+        let remedy = "let scripts/install put its udev rules in place, or give the port to the group dialout";
+        return Diagnosis::unfit(name, value, remedy);
     }
-    let cure = format!("sudo usermod -aG {group} $USER (then log out and in)");
-    Diagnosis::unfit(name, value, cure)
+    let remedy = format!("sudo usermod -aG {group} $USER (then log out and in)");
+    Diagnosis::unfit(name, value, remedy)
 }
 
 /// Reads the group with the number `gid` from lines such as `dialout:x:20:ada,grace`.
@@ -98,37 +98,37 @@ fn timer(port: &str) -> Option<Diagnosis> {
             &name,
             format!(
                 "{timer_ms} ms by default; this program asks for 1 ms when it opens the port, but \
-                 not every driver obeys"
+                 not every driver supports this"
             ),
-            latency_timer_cure(port),
+            latency_timer_remedy(port),
         ),
     })
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::Fitness;
+    use super::super::Suitability;
     use super::*;
 
     const GROUPS: &str = "root:x:0:\ndialout:x:20:ada,grace\nplugdev:x:46:\n";
 
     #[test]
     fn a_refused_port_names_its_group() {
-        let cure = |gid, user| refused("port", &owner(GROUPS, gid, user)).cure.unwrap();
-        assert!(cure(20, "alan").contains("usermod -aG dialout"));
-        assert!(cure(20, "grace").contains("log out"));
-        assert!(cure(46, "").contains("usermod -aG plugdev"));
-        let of_root = cure(0, "alan");
+        let remedy = |gid, user| refused("port", &owner(GROUPS, gid, user)).remedy.unwrap();
+        assert!(remedy(20, "alan").contains("usermod -aG dialout"));
+        assert!(remedy(20, "grace").contains("log out"));
+        assert!(remedy(46, "").contains("usermod -aG plugdev"));
+        let of_root = remedy(0, "alan");
         assert!(!of_root.contains("usermod") && of_root.contains("udev rules"), "{of_root}");
-        assert!(cure(999, "alan").contains("999"));
+        assert!(remedy(999, "alan").contains("999"));
     }
 
     #[test]
     fn a_port_that_is_not_there_is_said_so() {
         for port in ["/dev/no-such-port", "/dev/null", "/etc/passwd"] {
-            let found = look(&[port.to_owned()]);
+            let found = diagnose(&[port.to_owned()]);
             assert_eq!(found.len(), 1);
-            assert_eq!(found[0].verdict, Fitness::Unfit, "{port}");
+            assert_eq!(found[0].verdict, Suitability::Unfit, "{port}");
         }
     }
 }

@@ -25,12 +25,12 @@ pub(super) fn foresight(longest_us: f64) -> Diagnosis {
     if longest_us <= SLOW_US {
         return Diagnosis::well(FORESIGHT, value);
     }
-    let cure = "a processor with AVX2 or AVX-512, and nothing else running on it";
+    let remedy = "a processor with AVX2 or AVX-512, and nothing else running on it";
     if longest_us <= TOO_SLOW_US {
-        return Diagnosis::advice(FORESIGHT, value, cure);
+        return Diagnosis::advice(FORESIGHT, value, remedy);
     }
     let refused = format!("{value}: more than {TOO_SLOW_US:.0} us is refused on a real Qube");
-    Diagnosis::unfit(FORESIGHT, refused, cure)
+    Diagnosis::unfit(FORESIGHT, refused, remedy)
 }
 
 fn governors(processors: &Path) -> BTreeSet<String> {
@@ -45,7 +45,7 @@ fn governors(processors: &Path) -> BTreeSet<String> {
 fn diagnosis(governors: &BTreeSet<String>) -> Diagnosis {
     let named = governors.iter().cloned().collect::<Vec<_>>().join(", ");
     if governors.is_empty() {
-        return Diagnosis::well(NAME, "its governor cannot be seen here (a virtual machine?)");
+        return Diagnosis::well(NAME, "its governor cannot be read here (a virtual machine?)");
     }
     if named == "performance" {
         return Diagnosis::well(NAME, "governor performance");
@@ -59,29 +59,29 @@ fn diagnosis(governors: &BTreeSet<String>) -> Diagnosis {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Fitness;
+    use super::super::Suitability;
     use super::*;
 
     #[test]
     fn a_processor_that_predicts_slowly_is_named() {
         for (longest_us, verdict) in
-            [(90.0, Fitness::Well), (900.0, Fitness::Advice), (4500.0, Fitness::Unfit)]
+            [(90.0, Suitability::Well), (900.0, Suitability::Advice), (4500.0, Suitability::Unfit)]
         {
             let diagnosis = foresight(longest_us);
             assert_eq!(diagnosis.verdict, verdict);
             assert!(diagnosis.value.contains(&format!("{longest_us:.0} us")));
-            assert_eq!(diagnosis.cure.is_none(), verdict == Fitness::Well);
+            assert_eq!(diagnosis.remedy.is_none(), verdict == Suitability::Well);
         }
     }
 
     #[test]
     fn each_processor_counts() {
         let folder = tempfile::tempdir().unwrap();
-        assert_eq!(diagnosis(&governors(folder.path())).verdict, Fitness::Well);
+        assert_eq!(diagnosis(&governors(folder.path())).verdict, Suitability::Well);
         for (processor, governor, verdict) in [
-            ("cpu0", "performance", Fitness::Well),
-            ("cpu1", "performance", Fitness::Well),
-            ("cpu2", "powersave", Fitness::Advice),
+            ("cpu0", "performance", Suitability::Well),
+            ("cpu1", "performance", Suitability::Well),
+            ("cpu2", "powersave", Suitability::Advice),
         ] {
             let place = folder.path().join(processor).join("cpufreq");
             fs::create_dir_all(&place).unwrap();

@@ -9,7 +9,7 @@ use crate::telemetry::LatencySummary;
 const NAME: &str = "timer";
 
 /// Lateness that 99 of 100 ticks of a quiet computer do not exceed, us. Beyond it, the diagnosis is
-/// [`Advice`](super::Fitness::Advice).
+/// [`Advice`](super::Suitability::Advice).
 const GOOD_P99_US: f64 = 1_000.0;
 
 /// Lateness from which a tick counts as missed, us. With 1 missed tick in 100, rollouts become
@@ -53,12 +53,12 @@ fn diagnosis(ticks: u64, lateness_us: &LatencySummary) -> Diagnosis {
         "late by p50 {p50:.0}, p99 {p99:.0}, p99.9 {p999:.0}, max {max:.0} us in {ticks} ticks at \
          100 Hz"
     );
-    let cure = "close programs that keep this computer busy (uptime shows its load; in a virtual machine: \
+    let remedy = "close programs that keep this computer busy (uptime shows its load; in a virtual machine: \
                 the host's too)";
     if p99 > PERIOD_US {
-        Diagnosis::unfit(NAME, value, cure)
+        Diagnosis::unfit(NAME, value, remedy)
     } else if p99 > GOOD_P99_US || max > PERIOD_US {
-        Diagnosis::advice(NAME, value, cure)
+        Diagnosis::advice(NAME, value, remedy)
     } else {
         Diagnosis::well(NAME, value)
     }
@@ -66,17 +66,17 @@ fn diagnosis(ticks: u64, lateness_us: &LatencySummary) -> Diagnosis {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Fitness;
+    use super::super::Suitability;
     use super::*;
 
     #[test]
     fn the_worst_of_a_hundred_ticks_decides() {
         let summary = |p99, max| LatencySummary { p50: 50.0, p99, p999: max, max };
         for (p99, max, verdict) in [
-            (200.0, 900.0, Fitness::Well),
-            (2_000.0, 3_000.0, Fitness::Advice),
-            (200.0, 14_000.0, Fitness::Advice),
-            (11_000.0, 14_000.0, Fitness::Unfit),
+            (200.0, 900.0, Suitability::Well),
+            (2_000.0, 3_000.0, Suitability::Advice),
+            (200.0, 14_000.0, Suitability::Advice),
+            (11_000.0, 14_000.0, Suitability::Unfit),
         ] {
             assert_eq!(diagnosis(1000, &summary(p99, max)).verdict, verdict);
         }

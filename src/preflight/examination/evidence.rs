@@ -1,7 +1,7 @@
 //! Collects evidence from a series of pushes, and decides when it suffices for a verdict.
 
 use super::swing_fit::{Lag, fit};
-use crate::control::{ArmResponse, ProbeTrace, STOOD_COUNTS, WEAK_A_V};
+use crate::control::{AT_REST_COUNTS, ArmResponse, ProbeTrace, WEAK_A_V};
 
 /// Largest range of the count of a dead encoder, which may flicker, counts.
 const DEAD_COUNTS: f64 = 2.0;
@@ -92,14 +92,14 @@ impl Evidence {
             ((high - low) / trace.encoders().theta.rad_per_count()).max(0.0)
         };
         let arm_counts = width_counts(|sample| sample.theta_rad);
-        let swing = fit(samples, STOOD_COUNTS, trace.encoders());
+        let swing = fit(samples, AT_REST_COUNTS, trace.encoders());
         let is_driven = swing.driven_counts >= DRIVEN_COUNTS;
         let push_v = trace.push_v().abs();
         if push_v >= self.strongest_v {
             (self.strongest_v, self.current_a) = (push_v, trace.current_a());
         }
         let arm_is_still = arm_counts < DEAD_COUNTS + 0.5;
-        let anything = arm_counts > STOOD_COUNTS + 0.5 || is_driven;
+        let anything = arm_counts > AT_REST_COUNTS + 0.5 || is_driven;
         self.moved |= anything;
         self.arm = self.arm.or_else(|| trace.arm_response());
 

@@ -4,7 +4,7 @@ use super::{Interruption, ensure_going};
 use crate::clock::{Clock, Nanoseconds};
 use crate::control::{LONGEST_SAMPLE_TIMEOUT_NS, LatencyHistogram, SAMPLE_TIMEOUT_NS};
 use crate::device::{Device, DeviceError, Identity, LinkFault};
-use crate::preflight::latency_timer::{latency_timer_cure, latency_timer_ms};
+use crate::preflight::latency_timer::{latency_timer_ms, latency_timer_remedy};
 use crate::telemetry::{CheckResult, LatencySummary, MeasuredLink};
 
 /// Number of samples for the check of the link in an examination.
@@ -136,7 +136,7 @@ pub(super) fn latency_timer(port: &str, round_trips: &RoundTrips) -> CheckResult
         Some(timer_ms) => CheckResult::fail(
             NAME,
             format!("{timer_ms} ms: the adapter holds each answer back that long"),
-            latency_timer_cure(port),
+            latency_timer_remedy(port),
         ),
     }
 }
@@ -166,15 +166,15 @@ pub(super) fn latency(port: &str, round_trips: &RoundTrips) -> CheckResult {
         }
         return CheckResult::pass(NAME, value);
     }
-    let cure = match latency_timer_ms(port) {
-        Some(timer_ms) if timer_ms > 1 => latency_timer_cure(port),
+    let remedy = match latency_timer_ms(port) {
+        Some(timer_ms) if timer_ms > 1 => latency_timer_remedy(port),
         _ => format!(
             "99 of 100 samples must take less than {:.1} ms. Close other programs that keep this computer \
              busy, and plug the board in without a hub",
             LONGEST_SAMPLE_TIMEOUT_NS as f64 * 1e-6
         ),
     };
-    CheckResult::fail(NAME, value, cure)
+    CheckResult::fail(NAME, value, remedy)
 }
 
 #[cfg(test)]
@@ -197,13 +197,13 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_misses_one_of_a_hundred_fails_with_a_cure() {
+    fn a_link_that_misses_one_of_a_hundred_fails_with_a_remedy() {
         for (p99_ms, lost, passes) in
             [(1.0, 0, true), (8.4, 6, true), (8.6, 0, false), (1.0, 7, false)]
         {
             let result = latency("/dev/ttyNOWHERE", &measured(p99_ms, lost));
             assert_eq!(!result.failed(), passes, "{result:?}");
-            assert_eq!(result.cure.is_none(), passes);
+            assert_eq!(result.remedy.is_none(), passes);
         }
         let slow = latency("/dev/ttyNOWHERE", &measured(6.6, 0));
         assert!(

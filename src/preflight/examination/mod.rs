@@ -128,14 +128,14 @@ fn look_at_everything(
     let may_move = !watchdog.failed();
     found.results.push(watchdog);
     if !may_move {
-        motion::skip(found, "not before the watchdog works");
+        motion::skip(found, "needs a working watchdog");
         return Ok(());
     }
     let rest = rest::wait(device, clock, stop, &identity.port, settings.plant.encoders.alpha)?;
     let may_move = !rest.failed();
     found.results.push(rest);
     if !may_move {
-        motion::skip(found, "not before the pendulum hangs still");
+        motion::skip(found, "needs a pendulum at rest");
         return Ok(());
     }
     if !device.has_device_clock() {
@@ -143,7 +143,7 @@ fn look_at_everything(
         let may_move = !motor.failed();
         found.results.push(motor);
         if !may_move {
-            motion::skip(found, "not before the watchdog works");
+            motion::skip(found, "needs a working watchdog");
             return Ok(());
         }
         found.library_watchdog_ms = expired_ms;
@@ -194,10 +194,10 @@ pub fn homed(zeros: &Calibration) -> CheckResult {
 /// The result of the check of homing that failed, because this fault ended the homing.
 #[must_use]
 pub fn not_homed(fault: Fault) -> CheckResult {
-    // The cure is never homing by hand, which would rely on the encoder or the motor that is in
+    // The remedy is never homing by hand, which would rely on the encoder or the motor that is in
     // doubt.
-    let cure = format!("{} Then check again", fault.operator_step());
-    CheckResult::fail(HOMING, fault.to_string(), cure)
+    let remedy = format!("{} Then check again", fault.operator_step());
+    CheckResult::fail(HOMING, fault.to_string(), remedy)
 }
 
 /// The result of the check of homing that was skipped, because an earlier check failed.
@@ -214,9 +214,12 @@ mod tests {
     fn no_fault_of_homing_is_answered_with_homing_by_hand() {
         for fault in Fault::ALL {
             let result = not_homed(*fault);
-            let cure = result.cure.unwrap();
-            assert!(!cure.contains("hand and") && !cure.contains("--home"), "{fault}: {cure}");
-            assert!(cure.ends_with("check again") && cure.len() > 30, "{fault}: {cure}");
+            let remedy = result.remedy.unwrap();
+            assert!(
+                !remedy.contains("hand and") && !remedy.contains("--home"),
+                "{fault}: {remedy}"
+            );
+            assert!(remedy.ends_with("check again") && remedy.len() > 30, "{fault}: {remedy}");
         }
     }
 }

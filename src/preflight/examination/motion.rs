@@ -20,7 +20,7 @@ const STEPS: u32 = 11;
 
 /// Largest number of repetitions of a push that a late computer or link has ended; such an end is
 /// no fault of the Qube.
-const DONE_AGAIN: u32 = 2;
+const MAX_REPETITIONS: u32 = 2;
 
 const MOTOR: &str = "motor";
 const STALL: &str = "stall";
@@ -46,11 +46,11 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
 /// the arm as skipped.
 fn give_up(found: &mut Examination, fault: Fault) {
     let value = format!("a fault ended the push: {fault}");
-    let cure = format!("{} Then check again", fault.operator_step());
+    let remedy = format!("{} Then check again", fault.operator_step());
     let name = if fault.is_timing_fault() { MOTOR } else { STALL };
     for each in ALL {
         found.results.push(if each == name {
-            CheckResult::fail(name, value.clone(), cure.clone())
+            CheckResult::fail(name, value.clone(), remedy.clone())
         } else {
             CheckResult::skipped(each, "not after a fault")
         });
@@ -123,7 +123,9 @@ fn probe(
                 let report = drive_warm(device, clock, &mut probe, heat, None, stop)?;
                 match report.outcome.ending {
                     Ending::Fault(Fault::LinkGone) => return Err(super::link::gone(port)),
-                    Ending::Fault(fault) if fault.is_timing_fault() && disturbed < DONE_AGAIN => {
+                    Ending::Fault(fault)
+                        if fault.is_timing_fault() && disturbed < MAX_REPETITIONS =>
+                    {
                         disturbed += 1;
                         rest::wait_for_the_arm(device, clock, stop, port)?;
                         continue;
@@ -172,7 +174,7 @@ fn right_signs(signs: Calibration, seen: &Evidence) -> Option<Calibration> {
 fn verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<CheckResult> {
     let mut results = vec![motor(seen)];
     if results[0].failed() {
-        let why = "not before the motor has its current";
+        let why = "needs a motor that draws current";
         results.extend(ALL[1..].iter().map(|name| CheckResult::skipped(name, why)));
         return results;
     }
@@ -210,7 +212,7 @@ fn stall(seen: &Evidence) -> CheckResult {
             seen.current_a * 1e3,
             seen.strongest_v
         ),
-        "switch the Qube off and turn the arm by hand: something holds it, clear its way",
+        "switch the Qube off and turn the arm by hand: something holds it, so clear its way",
     )
 }
 
@@ -225,13 +227,13 @@ fn arm(seen: &Evidence) -> CheckResult {
     if seen.arm_is_dead() {
         return CheckResult::fail(
             ARM,
-            "the pendulum was swung by the arm, and the arm's count stayed where it was",
+            "the arm swung the pendulum, and the arm's count did not change",
             "plug in the arm encoder's cable (encoder 0)",
         );
     }
     match seen.arm {
         Some(response) => {
-            CheckResult::pass(ARM, format!("its encoder lives: {:+.3} rad", response.theta_rad))
+            CheckResult::pass(ARM, format!("its encoder works: {:+.3} rad", response.theta_rad))
         }
         None => CheckResult::skipped(ARM, "nothing moved far enough"),
     }
@@ -241,19 +243,21 @@ fn pendulum(seen: &Evidence) -> CheckResult {
     match seen.pendulum {
         Pendulum::Alive(lag) => CheckResult::pass(
             PENDULUM,
-            format!("its encoder lives: it swings by {:.2} of the arm's motion", lag.value.abs()),
+            format!("its encoder works: it swings by {:.2} of the arm's motion", lag.value.abs()),
         ),
         Pendulum::Dead => {
             let theta_rad = seen.arm.map_or(0.0, |response| response.theta_rad);
             CheckResult::fail(
                 PENDULUM,
-                format!("the arm went {theta_rad:+.3} rad and its count did not follow"),
-                "see that the pendulum is on its shaft and swings freely; then plug in its \
+                format!(
+                    "the arm turned by {theta_rad:+.3} rad and the pendulum's count did not change"
+                ),
+                "make sure that the pendulum is on its shaft and swings freely; then plug in its \
                  encoder's cable (encoder 1)",
             )
         }
         Pendulum::Unknown if seen.arm_is_dead() => {
-            CheckResult::pass(PENDULUM, "its encoder lives: the push swung it")
+            CheckResult::pass(PENDULUM, "its encoder works: the push swung the pendulum")
         }
         Pendulum::Unknown if seen.turns_unseen() => CheckResult::fail(
             PENDULUM,
@@ -263,7 +267,7 @@ fn pendulum(seen: &Evidence) -> CheckResult {
         Pendulum::Unknown if seen.arm.is_some() => CheckResult::fail(
             PENDULUM,
             "its count moves, but not as a pendulum on this arm",
-            "see that the pendulum swings freely and nobody touches the Qube, then check again",
+            "make sure that the pendulum swings freely and nobody touches the Qube, then check again",
         ),
         Pendulum::Unknown => CheckResult::skipped(PENDULUM, "nothing moved far enough"),
     }
@@ -288,7 +292,7 @@ fn sign_verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<Chec
         }
         CheckResult::fail(
             name,
-            format!("{of} = {is} is wrong: {follows} of it"),
+            format!("{of} = {is} is wrong: {follows} of the arm's motion"),
             format!("in qube.toml: {of} = {should}"),
         )
     };

@@ -134,12 +134,12 @@ pub(super) fn wait(
         if waited_ns > LONGEST_NS {
             let value = match width_rad {
                 Some(width_rad) => {
-                    format!("arm or pendulum still moves, the latter over {width_rad:.2} rad")
+                    format!("arm or pendulum still moves, the pendulum by {width_rad:.2} rad")
                 }
                 None => "hardly any sample came".to_owned(),
             };
-            let cure = "hold the pendulum until it hangs still, then check again";
-            return Ok(CheckResult::fail(NAME, value, cure));
+            let remedy = "hold the pendulum until it hangs still, then check again";
+            return Ok(CheckResult::fail(NAME, value, remedy));
         }
     }
 }

@@ -52,7 +52,7 @@ const MAX_ATTEMPTS: u32 = 5;
 /// Time after which a sample counts as lost, ns.
 const PATIENCE_NS: Nanoseconds = 8_000_000;
 
-const CURE: &str = "do not run anything with it: this motor stays on if the program dies. Install the vendor's \
+const REMEDY: &str = "do not run anything with it: this motor stays on if the program dies. Install the vendor's \
                     present package, then check again";
 
 /// Pushes the arm under the program's control and with the watchdog alone, and compares how far the
@@ -85,8 +85,8 @@ pub(super) fn check(
     let most_v = STEP_V * f64::from(STEPS);
     Ok(CheckResult::fail(
         NAME,
-        format!("{most_v} V for 0.05 s do not move the arm, so nobody knows whether it works"),
-        "see that the Qube is switched on and the arm turns freely, then check again",
+        format!("{most_v} V for 0.05 s do not move the arm, so the watchdog could not be tested"),
+        "make sure that the Qube is switched on and the arm turns freely, then check again",
     ))
 }
 
@@ -94,14 +94,14 @@ fn verdict(push_v: f64, pushed: [u32; 2], silent: [u32; 2]) -> CheckResult {
     let [forth, back] = silent;
     let [pushed_forth, pushed_back] = pushed;
     let value = format!(
-        "{push_v:.2} V for 0.05 s turn the arm by {pushed_forth} and {pushed_back} counts; without a word after \
-         it, by {forth} and {back} in 0.3 s"
+        "{push_v:.2} V for 0.05 s turn the arm by {pushed_forth} and {pushed_back} counts; without a further command, \
+         by {forth} and {back} in 0.3 s"
     );
     let longest = |counts: u32| LONGEST_FACTOR * counts + LONGEST_MORE_COUNTS;
     if silent.iter().zip(pushed).all(|(counts, pushed)| *counts <= longest(pushed)) {
         CheckResult::pass(NAME, format!("the motor goes off: {value}"))
     } else {
-        CheckResult::fail(NAME, format!("the motor stays on: {value}"), CURE)
+        CheckResult::fail(NAME, format!("the motor stays on: {value}"), REMEDY)
     }
 }
 
@@ -213,7 +213,7 @@ mod tests {
         assert!(!verdict(0.5, [24, 26], [58, 62]).failed());
         for silent in [[59, 30], [30, 63], [90, 95]] {
             let result = verdict(0.5, [24, 26], silent);
-            assert!(result.failed() && result.cure.unwrap().contains("do not run anything"));
+            assert!(result.failed() && result.remedy.unwrap().contains("do not run anything"));
         }
     }
 }

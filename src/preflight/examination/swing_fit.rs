@@ -134,7 +134,7 @@ fn least_squares(rows: &[([f64; TERMS], f64)], used: [bool; TERMS]) -> Option<So
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::STOOD_COUNTS;
+    use crate::control::AT_REST_COUNTS;
     use crate::qube::RAD_PER_COUNT;
     use crate::qube::counts;
 
@@ -180,7 +180,7 @@ mod tests {
             for square_rad_s2 in [100.0, 117.0, 135.0] {
                 for alpha_dot in [0.0, 0.5, -1.0] {
                     let seen = samples(pushed(0.05), alpha_dot, (lag, square_rad_s2));
-                    let found = fit(&seen, STOOD_COUNTS, Encoders::QUBE).lag.unwrap();
+                    let found = fit(&seen, AT_REST_COUNTS, Encoders::QUBE).lag.unwrap();
                     assert!((found.value - lag).abs() < 0.15, "{found:?} of {lag}");
                     assert!(found.standard_error < 0.1, "{found:?}");
                 }
@@ -192,7 +192,7 @@ mod tests {
     fn a_count_that_stays_has_no_lag() {
         let mut seen = samples(pushed(0.05), 0.0, (1.0, 117.0));
         seen.iter_mut().for_each(|sample| sample.alpha_rad = 0.3);
-        let found = fit(&seen, STOOD_COUNTS, Encoders::QUBE).lag.unwrap();
+        let found = fit(&seen, AT_REST_COUNTS, Encoders::QUBE).lag.unwrap();
         assert!(found.value.abs() < 1e-9 && found.standard_error < 0.1, "{found:?}");
     }
 
@@ -200,11 +200,11 @@ mod tests {
     fn a_swing_on_an_arm_at_rest_is_not_driven_and_behind_a_dead_encoder_it_is() {
         for alpha_dot in [0.0, 0.3, 1.0] {
             let still =
-                fit(&samples(|_| 0.0, alpha_dot, (1.0, 117.0)), STOOD_COUNTS, Encoders::QUBE);
+                fit(&samples(|_| 0.0, alpha_dot, (1.0, 117.0)), AT_REST_COUNTS, Encoders::QUBE);
             assert!(still.lag.is_none() && still.driven_counts < 0.7, "{still:?}");
             let mut seen = samples(pushed(0.05), alpha_dot, (1.0, 117.0));
             seen.iter_mut().for_each(|sample| sample.theta_rad = 1.0);
-            let driven = fit(&seen, STOOD_COUNTS, Encoders::QUBE);
+            let driven = fit(&seen, AT_REST_COUNTS, Encoders::QUBE);
             assert!(driven.lag.is_none() && driven.driven_counts > 1.5, "{driven:?}");
         }
     }
@@ -212,10 +212,10 @@ mod tests {
     #[test]
     fn nothing_to_fit_is_no_lag() {
         assert_eq!(
-            fit(&[], STOOD_COUNTS, Encoders::QUBE),
+            fit(&[], AT_REST_COUNTS, Encoders::QUBE),
             SwingFit { lag: None, driven_counts: 0.0 }
         );
         let one = [ProbeSample::default()];
-        assert_eq!(fit(&one, STOOD_COUNTS, Encoders::QUBE).lag, None);
+        assert_eq!(fit(&one, AT_REST_COUNTS, Encoders::QUBE).lag, None);
     }
 }

@@ -31,10 +31,10 @@ const LATEST_US: u64 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u64 * 1000;
 /// Latest expiry of the vendor library's watchdog, us; the vendor does not publish its resolution.
 const LIBRARY_LATEST_US: u64 = 100_000;
 
-const LIBRARY_CURE: &str =
+const LIBRARY_REMEDY: &str =
     "do not run anything with it: install the vendor's present package, then check again";
 
-const CURE: &str = "do not run anything with it: flash the firmware of this release, then check that the board keeps the protocol";
+const REMEDY: &str = "do not run anything with it: flash the firmware of this release, then check that the board conforms to the protocol";
 
 /// Largest age of a sample when it is requested, us.
 const SAMPLE_AGE_US: u64 = 5_000;
@@ -53,13 +53,13 @@ pub(super) fn check(
         match device.arm() {
             Ok(()) => {}
             Err(DeviceError::Refused { reason, .. }) => {
-                let cure = if reason == RefusalReason::EmergencyStop.describe() {
-                    "see that nobody is near the arm and close the switch, then check again"
+                let remedy = if reason == RefusalReason::EmergencyStop.describe() {
+                    "make sure that nobody is near the arm and close the switch, then check again"
                 } else {
                     "switch the Qube's power off and on, then check again"
                 };
                 let value = format!("the device refuses to be armed: {reason}");
-                return Ok((CheckResult::fail(NAME, value, cure), None));
+                return Ok((CheckResult::fail(NAME, value, remedy), None));
             }
             Err(error) => return Err(error.into()),
         }
@@ -87,7 +87,7 @@ fn try_once(
 ) -> Result<Option<(CheckResult, Option<f64>)>, LinkFault> {
     let is_board = device.has_device_clock();
     let (latest_us, remedy) =
-        if is_board { (LATEST_US, CURE) } else { (LIBRARY_LATEST_US, LIBRARY_CURE) };
+        if is_board { (LATEST_US, REMEDY) } else { (LIBRARY_LATEST_US, LIBRARY_REMEDY) };
     let failed = |value: String| Ok(Some((CheckResult::fail(NAME, value, remedy), None)));
     let Some(before) = sampled(device, clock)? else { return Ok(None) };
     let voltage_mv = clamp_to_mv(VOLTAGE_V, VOLTAGE_V).unwrap_or(0);

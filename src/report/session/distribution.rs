@@ -29,7 +29,7 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     let whose =
         if verified.is_some() { "the best verified policy" } else { "the best policy so far" };
     page.paragraph(&format!(
-        "{whose} is that of candidate {trained_as}. In its training, each simulated Qube draws its properties from \
+        "{whose} is from candidate {trained_as}. In its training, each simulated Qube draws its properties from \
          these distributions; the dashed line marks the nominal Qube, as its maker describes it.",
         whose = crate::report::rollout::first_upper(whose)
     ));

@@ -46,8 +46,8 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
             if let Some((of, profile)) = source.profile_before_end() {
                 if of != recordings {
                     page.paragraph(&format!(
-                        "What follows is predicted with the profile as it was before the verification, \
-                         profile-{of}.toml, so that the verification tests it."
+                        "The following predictions use the profile as it was before the verification, profile-{of}.toml, \
+                         so that the verification tests it."
                     ));
                 }
                 add_predictions(page, &source.motions, &profile.model());
@@ -82,7 +82,7 @@ fn add_correlations(page: &mut Page, profile: &Profile) {
     let names: Vec<String> = quantities.iter().map(|quantity| words(*quantity)).collect();
     page.matrix(
         "Correlations of the errors",
-        "Near 1 or −1 two errors go together: the recordings determine a combination of the two quantities better than \
+        "Near 1 or −1 two errors are strongly correlated: the recordings determine a combination of the two quantities better than \
          each of them.",
         &names,
         |row, column| correlations.of(quantities[row], quantities[column]),
@@ -123,8 +123,8 @@ fn add_predictions(page: &mut Page, motions: &[ComparedMotion], model: &QubeMode
         ];
         for phase in Phase::ALL {
             let error = phase_error(logs, model, phase);
-            let told = |value: f64| Cell::number((error.predictions > 0).then_some(value), 3);
-            row.extend([told(error.rms.theta_rad), told(error.rms.alpha_rad)]);
+            let figure = |value: f64| Cell::number((error.predictions > 0).then_some(value), 3);
+            row.extend([figure(error.rms.theta_rad), figure(error.rms.alpha_rad)]);
         }
         rows.push(row);
     }

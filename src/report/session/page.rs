@@ -54,7 +54,7 @@ fn outcome(source: &SessionSource) -> Vec<String> {
                 _ => "the search's recommendation".into(),
             };
             sentences.push(format!(
-                "The best policy, that of {whose}, balanced the pendulum in {} of {} verifying rollouts on the Qube, with a \
+                "The best policy, from {whose}, balanced the pendulum in {} of {} verifying rollouts on the Qube, with a \
                  mean return of {mean:.1} of at most {largest}.",
                 best.successes(),
                 best.verdicts.len(),
@@ -74,8 +74,7 @@ fn outcome(source: &SessionSource) -> Vec<String> {
         }
     }
     if !finished {
-        sentences
-            .push("The session is not finished: this page shows it as far as it has come.".into());
+        sentences.push("The session is not finished: this page shows the results so far.".into());
     }
     let used = source.candidates.iter().filter(|it| it.candidate.purpose.informs());
     let used: usize = used.map(|it| it.verdicts.len()).sum();
@@ -112,11 +111,11 @@ fn add_rollouts(page: &mut Page, source: &SessionSource) {
         let purpose = source.purpose_words(candidate);
         let group = format!("candidate {number}: {purpose}");
         let rollout = view.header.rollout;
-        let told = match candidate.purpose {
+        let outcome = match candidate.purpose {
             Purpose::Excitation => "excitation".into(),
             _ => view.result(),
         };
-        let name = format!("candidate {number}, rollout {rollout}: {told}");
+        let name = format!("candidate {number}, rollout {rollout}: {outcome}");
         motions.push(view.motion.clone().named(group, name, sentence(candidate.purpose, view)));
         let mut row = vec![Cell::Number(number.to_string()), Cell::Number(rollout.to_string())];
         let mut cells = rollout_cells(view);
@@ -143,7 +142,7 @@ fn sentence(purpose: Purpose, view: &RolloutView) -> String {
     match purpose {
         Purpose::Excitation => {
             let rest = sentence.split_once(". ").map_or("", |(_, rest)| rest);
-            format!("An excitation, which shows what the Qube is like. {rest}")
+            format!("An excitation, from which the Qube is identified. {rest}")
         }
         _ => sentence,
     }
@@ -182,7 +181,7 @@ fn add_curves(page: &mut Page, source: &SessionSource) {
     };
     page.chart(
         "Mean return in the simulations that each policy trains in",
-        "Evaluated without exploration after each update. A dive at the end is no harm: the best policy is kept.",
+        "Evaluated without exploration after each update. A fall at the end does no harm: the best policy is kept.",
         chart,
     );
 }

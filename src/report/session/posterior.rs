@@ -11,7 +11,7 @@ use crate::simulation::PsiDimension;
 use crate::surrogate::GaussianProcess;
 
 /// Smallest number of candidates to which a surrogate is fitted.
-const ENOUGH: usize = 3;
+const FEWEST_CANDIDATES: usize = 3;
 
 /// Number of points along a slice.
 const PLACES: usize = 61;
@@ -37,7 +37,7 @@ pub struct SessionSurrogate {
 pub enum NoSurrogate {
     /// There are too few candidates.
     #[error(
-        "A surrogate of the return over psi needs {ENOUGH} candidates; the session has {0} with rollouts."
+        "A surrogate of the return over psi needs {FEWEST_CANDIDATES} candidates; the session has {0} with rollouts."
     )]
     TooFew(usize),
     /// The strategy of the session fits no surrogate.
@@ -57,7 +57,7 @@ impl SessionSource {
         let searched = self.candidates.iter().filter(|it| it.candidate.purpose.is_searched());
         let scored = searched.filter(|it| !it.verdicts.is_empty());
         let data: Vec<Observation> = scored.map(|it| it.observation()).collect();
-        if data.len() < ENOUGH {
+        if data.len() < FEWEST_CANDIDATES {
             return Err(NoSurrogate::TooFew(data.len()));
         }
         let settings = self.search_settings(None);

@@ -86,9 +86,9 @@ fn add_table(page: &mut Page, source: &SessionSource) {
         page.table(&["candidate", "purpose", "mean return", "successes", "psi"], &rows, best);
         page.paragraph(
             "Purpose: an excitation identifies the Qube; initial candidates are where the search starts; searched ones \
-             follow from the returns so far; the recommended one is the search's best guess; \"N again\" is candidate N's \
-             own policy, run once more; nominal is a policy of the nominal Qube. Psi says in which simulations a \
-             policy trains.",
+             follow from the returns so far; the recommended one has the highest expected return; \"N again\" is candidate N's \
+             own policy, run once more; nominal is a policy of the nominal Qube. Psi determines the simulations in which \
+             a policy trains.",
         );
     }
     add_rigs(page, source);

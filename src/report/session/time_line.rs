@@ -127,7 +127,7 @@ pub(super) fn add_time_line(page: &mut Page, source: &SessionSource) {
     page.chart(
         "Trainings and rollouts under way",
         "Where the lines overlap, the Qube ran while the next policies were trained. A training on another computer counts \
-         from its order to its result.",
+         from its request to its result.",
         chart,
     );
 }

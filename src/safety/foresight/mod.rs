@@ -37,7 +37,7 @@ const GROUP: usize = 4;
 pub struct Foresight<B> {
     brake: B,
     ends: Ends,
-    reach: Reach,
+    horizon: PredictionHorizon,
     filter: FilterGains<f32>,
     /// Age of the estimated velocities, s.
     lag_s: f32,
@@ -50,13 +50,13 @@ pub struct Foresight<B> {
     level: Level,
 }
 
-/// The length of a simulation.
+/// The numbers of control periods of a prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reach {
+pub struct PredictionHorizon {
     /// Control periods for which the voltage is held before the brake begins.
-    pub held: u32,
+    pub held_periods: u32,
     /// Largest number of control periods that are simulated.
-    pub horizon: u32,
+    pub horizon_periods: u32,
 }
 
 /// The angles that the arm must not reach, rad.
@@ -75,7 +75,7 @@ pub struct Outlook {
     pub holds: bool,
     /// Smallest distance of any arm from an end, rad: negative beyond the end, NaN if the
     /// simulation diverged.
-    pub room_rad: f32,
+    pub clearance_rad: f32,
     /// Index of the particle whose arm came closest.
     pub particle: usize,
     /// Number of control periods that were simulated.
@@ -104,7 +104,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     /// Panics if there is no particle, if an end lies on the wrong side of 0, if a share of the
     /// voltage is outside 0 to 1, or if a delay is longer than [`MAX_HISTORY`] control periods.
     #[must_use]
-    pub fn new(particles: &[Particle], brake: B, ends: Ends, reach: Reach) -> Self {
+    pub fn new(particles: &[Particle], brake: B, ends: Ends, horizon: PredictionHorizon) -> Self {
         assert!(!particles.is_empty(), "no particles");
         assert!(ends.low_rad < 0.0 && ends.high_rad > 0.0, "{ends:?}");
         let count = particles.len();
@@ -126,12 +126,12 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
             let particles = std::array::from_fn(|lane| of_lane(block * BLOCK + lane));
             ParticleLanes::new(&particles, qubes, &brake, &ends)
         });
-        let particles = lanes.map(|particles| particles.holding(reach.held)).collect();
+        let particles = lanes.map(|particles| particles.holding(horizon.held_periods)).collect();
         let seen = vec![State::all(&at_rest); qubes.len()];
         let filter = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S).cast();
         let level = Level::best();
         let lag_s = lag_s(&filter, 1);
-        Self { brake, ends, reach, filter, lag_s, count, particles, qubes, seen, level }
+        Self { brake, ends, horizon, filter, lag_s, count, particles, qubes, seen, level }
     }
 
     /// Uses this instruction set instead of the best one, for comparisons.
@@ -166,7 +166,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     /// Simulates this voltage and the brake after it, from the estimated state and with the last
     /// commands (V, newest first) still on their way.
     #[must_use]
-    pub fn look(
+    pub fn predict(
         &mut self,
         state: &State<f32>,
         sent_v: &[f32; MAX_HISTORY],
@@ -174,12 +174,12 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     ) -> Outlook {
         // The simulated motor reads NaN as 0 V; a guard must refuse it instead.
         if voltage_v.is_nan() || sent_v.iter().any(|sent_v| sent_v.is_nan()) {
-            return Outlook { holds: false, room_rad: f32::NAN, particle: 0, periods: 0 };
+            return Outlook { holds: false, clearance_rad: f32::NAN, particle: 0, periods: 0 };
         }
         let trial = Trial {
             brake: &self.brake,
             ends: self.ends,
-            reach: self.reach,
+            horizon: self.horizon,
             filter: &self.filter,
             lag_s: self.lag_s,
             count: self.count,
@@ -244,7 +244,7 @@ impl ParticleLanes {
 struct Trial<'a, B> {
     brake: &'a B,
     ends: Ends,
-    reach: Reach,
+    horizon: PredictionHorizon,
     filter: &'a FilterGains<f32>,
     lag_s: f32,
     count: usize,
@@ -261,29 +261,30 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> Outlook {
-        let Self { brake, ends, reach, filter, count, particles, qubes, seen, .. } = self;
+        let Self { brake, ends, horizon, filter, count, particles, qubes, seen, .. } = self;
         let Self { lag_s, state, sent_v, voltage_v, .. } = self;
         let (groups, _) = qubes.as_chunks_mut::<GROUP>();
         let (seen_groups, _) = seen.as_chunks_mut::<GROUP>();
         let (particle_groups, _) = particles.as_chunks::<GROUP>();
-        let mut outlook = Outlook { holds: true, room_rad: f32::INFINITY, particle: 0, periods: 0 };
+        let mut outlook =
+            Outlook { holds: true, clearance_rad: f32::INFINITY, particle: 0, periods: 0 };
         let all = groups.iter_mut().zip(seen_groups).zip(particle_groups);
         for (group, ((qubes, seen), particles)) in all.enumerate() {
-            let mut rooms = [[f32::INFINITY; BLOCK]; GROUP];
+            let mut clearances = [[f32::INFINITY; BLOCK]; GROUP];
             for block in 0..GROUP {
                 let first_v = particles[block].arriving(&[voltage_v; BLOCK]);
                 seen[block] = State::all(&state);
                 resume(&mut qubes[block], &particles[block], &state, &sent_v, &first_v, lag_s);
-                narrow(&mut rooms[block], &qubes[block], &ends);
+                narrow(&mut clearances[block], &qubes[block], &ends);
             }
             let mut over = [false; GROUP];
             let mut holds = true;
-            for period in 0..reach.horizon {
+            for period in 0..horizon.horizon_periods {
                 outlook.periods += 1;
                 let mut commands_v = [[voltage_v; BLOCK]; GROUP];
                 for block in 0..GROUP {
                     if !over[block] {
-                        if period >= reach.held {
+                        if period >= horizon.held_periods {
                             commands_v[block] = brakes(brake, &seen[block]);
                         }
                         commands_v[block] = particles[block].arriving(&commands_v[block]);
@@ -294,7 +295,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
                     for block in 0..GROUP {
                         if !over[block] {
                             qubes[block].advance(piece);
-                            narrow(&mut rooms[block], &qubes[block], &ends);
+                            narrow(&mut clearances[block], &qubes[block], &ends);
                         }
                     }
                 }
@@ -302,7 +303,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
                     if !over[block] {
                         qubes[block].end_period(&commands_v[block]);
                         observe(&mut seen[block], &qubes[block], &particles[block], filter);
-                        holds &= all_positive(&rooms[block]);
+                        holds &= all_positive(&clearances[block]);
                         over[block] = period >= particles[block].settled
                             && particles[block].calm.holds(&qubes[block], brake);
                     }
@@ -311,11 +312,12 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
                     break;
                 }
             }
-            for (index, &room_rad) in rooms.as_flattened().iter().enumerate() {
+            for (index, &clearance_rad) in clearances.as_flattened().iter().enumerate() {
                 // NaN counts as the smallest distance.
-                if room_rad < outlook.room_rad || room_rad.is_nan() {
+                if clearance_rad < outlook.clearance_rad || clearance_rad.is_nan() {
                     let particle = group * GROUP * BLOCK + index;
-                    (outlook.room_rad, outlook.particle) = (room_rad, particle.min(count - 1));
+                    (outlook.clearance_rad, outlook.particle) =
+                        (clearance_rad, particle.min(count - 1));
                 }
             }
             if !holds {
@@ -400,21 +402,21 @@ fn brakes(brake: &impl BrakeLaw, seen: &State<Lanes>) -> Lanes {
 
 /// Updates the smallest distance of each arm from an end.
 #[inline(always)]
-fn narrow(rooms: &mut Lanes, qubes: &QubeLanes, ends: &Ends) {
+fn narrow(clearances: &mut Lanes, qubes: &QubeLanes, ends: &Ends) {
     for lane in 0..BLOCK {
         let theta = qubes.state.theta[lane];
         let (above, below) = (ends.high_rad - theta, theta - ends.low_rad);
         let room = if above < below { above } else { below };
         // A distance that is NaN stays NaN, because the state that caused it stays NaN.
-        rooms[lane] = if room >= rooms[lane] { rooms[lane] } else { room };
+        clearances[lane] = if room >= clearances[lane] { clearances[lane] } else { room };
     }
 }
 
 #[inline(always)]
-fn all_positive(rooms: &Lanes) -> bool {
+fn all_positive(clearances: &Lanes) -> bool {
     let mut short = 0;
     for lane in 0..BLOCK {
-        short += u32::from(rooms[lane] > 0.0);
+        short += u32::from(clearances[lane] > 0.0);
     }
     short == BLOCK as u32
 }

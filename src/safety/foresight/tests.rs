@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Ends, Foresight, Outlook, Reach};
+use super::{Ends, Foresight, Outlook, PredictionHorizon};
 use crate::elementary::Level;
 use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use crate::qube::{
@@ -16,7 +16,8 @@ use crate::safety::{BrakeLaw as _, CentringBrake, Particle};
 
 const ENDS: Ends = Ends { low_rad: -2.2, high_rad: 2.1 };
 const HORIZON: u32 = 75;
-const REACH: Reach = Reach { held: 1, horizon: HORIZON };
+const PREDICTION_HORIZON: PredictionHorizon =
+    PredictionHorizon { held_periods: 1, horizon_periods: HORIZON };
 
 /// Steps of the reference in a control period.
 const FINE_STEPS: u32 = 20;
@@ -80,12 +81,12 @@ impl Draw {
     }
 }
 
-fn look(foresight: &mut Foresight<CentringBrake>, case: &Case) -> Outlook {
-    foresight.look(&case.state, &case.sent_v, case.voltage_v)
+fn predict(foresight: &mut Foresight<CentringBrake>, case: &Case) -> Outlook {
+    foresight.predict(&case.state, &case.sent_v, case.voltage_v)
 }
 
 /// Smallest distance of a particle's arm from an end within these periods, rad.
-fn room_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
+fn clearance_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
     let (brake, error) = (CentringBrake::default(), particle.error);
     let dynamics = NonidealDynamics::<f64>::new(&particle.model);
     let arriving = |command_v: f64| {
@@ -146,17 +147,18 @@ fn it_agrees_with_a_simulation_of_each_particle_alone() {
     let (mut held, mut reached, mut worst) = (0, 0, 0.0_f64);
     for _ in 0..1500 {
         let (particle, case) = (draw.particle(), draw.case());
-        let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, REACH);
-        let outlook = look(&mut foresight, &case);
-        let reference = room_rad(&particle, &case, outlook.periods);
+        let mut foresight =
+            Foresight::new(&[particle], CentringBrake::default(), ENDS, PREDICTION_HORIZON);
+        let outlook = predict(&mut foresight, &case);
+        let reference = clearance_rad(&particle, &case, outlook.periods);
         assert_eq!(outlook.particle, 0);
-        assert_eq!(outlook.holds, outlook.room_rad > 0.0);
+        assert_eq!(outlook.holds, outlook.clearance_rad > 0.0);
         if outlook.holds {
             held += 1;
         } else {
             reached += 1;
         }
-        worst = worst.max((f64::from(outlook.room_rad) - reference).abs());
+        worst = worst.max((f64::from(outlook.clearance_rad) - reference).abs());
     }
     println!("{held} held, {reached} reached, room off by {worst:e} rad at most");
     assert!(held > 300 && reached > 150);
@@ -187,14 +189,15 @@ fn a_velocity_is_brought_up_to_date_after_lost_samples() {
     let four_periods = FilterGains::new(GUARD_CORNER_RAD_S, 4.0 * CONTROL_PERIOD_S);
     let after_loss = through_filters(&before_loss, state.theta, state.alpha, &four_periods);
     assert!(after_loss.theta_dot < shown.theta_dot - 1.0, "{after_loss:?}, {shown:?}");
-    let mut foresight = Foresight::new(&[particle], CentringBrake::default(), ENDS, REACH);
-    let mut room_rad = |shown: &State, periods| {
+    let mut foresight =
+        Foresight::new(&[particle], CentringBrake::default(), ENDS, PREDICTION_HORIZON);
+    let mut clearance_rad = |shown: &State, periods| {
         foresight.sampled_after(periods);
         let sent_v = [pushed_v as f32; MAX_HISTORY];
-        f64::from(foresight.look(&shown.cast(), &sent_v, 5.0).room_rad)
+        f64::from(foresight.predict(&shown.cast(), &sent_v, 5.0).clearance_rad)
     };
-    let true_rad = room_rad(&shown, 1);
-    let (stale_rad, mended_rad) = (room_rad(&after_loss, 1), room_rad(&after_loss, 4));
+    let true_rad = clearance_rad(&shown, 1);
+    let (stale_rad, mended_rad) = (clearance_rad(&after_loss, 1), clearance_rad(&after_loss, 4));
     assert!((stale_rad - true_rad).abs() > 0.03, "{stale_rad} and {true_rad} rad");
     assert!((mended_rad - true_rad).abs() < 0.01, "{mended_rad} and {true_rad} rad");
 }
@@ -216,16 +219,20 @@ fn search_for_hasty_acceptance(seed: u64, particles: u32) -> u32 {
             }
         }
         let brake = CentringBrake::default();
-        let mut foresight = Foresight::new(&[particle], brake, ENDS, REACH);
-        let mut simulation =
-            Foresight::new(&[particle], brake, ENDS, Reach { held: 1, horizon: 150 })
-                .without_calm();
+        let mut foresight = Foresight::new(&[particle], brake, ENDS, PREDICTION_HORIZON);
+        let mut simulation = Foresight::new(
+            &[particle],
+            brake,
+            ENDS,
+            PredictionHorizon { held_periods: 1, horizon_periods: 150 },
+        )
+        .without_calm();
         for _ in 0..20 {
             let case = draw.case();
-            let outlook = look(&mut foresight, &case);
+            let outlook = predict(&mut foresight, &case);
             if outlook.holds && outlook.periods < HORIZON {
                 early += 1;
-                let later = look(&mut simulation, &case);
+                let later = predict(&mut simulation, &case);
                 assert!(later.holds, "{outlook:?}, {later:?}: {particle:?} {case:?}");
             }
         }
@@ -254,17 +261,19 @@ fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
     let particles: Vec<Particle> = (0..70).map(|_| draw.particle()).collect();
     let mut alone: Vec<_> = particles
         .iter()
-        .map(|particle| Foresight::new(&[*particle], CentringBrake::default(), ENDS, REACH))
+        .map(|particle| {
+            Foresight::new(&[*particle], CentringBrake::default(), ENDS, PREDICTION_HORIZON)
+        })
         .collect();
-    let all = Foresight::new(&particles, CentringBrake::default(), ENDS, REACH);
+    let all = Foresight::new(&particles, CentringBrake::default(), ENDS, PREDICTION_HORIZON);
     let mut all = Level::ALL.map(|level| all.clone().at_level(level));
     let (mut held, mut reached) = (0, 0);
     for _ in 0..60 {
         let mut case = draw.case();
         case.state.theta *= 0.7;
-        let outlooks = all.each_mut().map(|foresight| look(foresight, &case));
+        let outlooks = all.each_mut().map(|foresight| predict(foresight, &case));
         assert!(outlooks.iter().all(|outlook| *outlook == outlooks[0]), "{outlooks:?}");
-        let alone: Vec<Outlook> = alone.iter_mut().map(|one| look(one, &case)).collect();
+        let alone: Vec<Outlook> = alone.iter_mut().map(|one| predict(one, &case)).collect();
         let holds = alone.iter().all(|outlook| outlook.holds);
         assert_eq!(outlooks[0].holds, holds);
         if holds {
@@ -280,10 +289,11 @@ fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
 #[test]
 fn a_state_that_is_not_a_number_does_not_hold() {
     let particles = [Particle::exact(QubeModel::NOMINAL); 3];
-    let mut foresight = Foresight::new(&particles, CentringBrake::default(), ENDS, REACH);
+    let mut foresight =
+        Foresight::new(&particles, CentringBrake::default(), ENDS, PREDICTION_HORIZON);
     let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
     let case = Case { state: at_rest, sent_v: [0.0; MAX_HISTORY], voltage_v: 1.0 };
-    let outlook = look(&mut foresight, &case);
+    let outlook = predict(&mut foresight, &case);
     assert!(outlook.holds && outlook.periods < 10, "{outlook:?}");
     for bad in [f32::NAN, f32::INFINITY] {
         for state in [
@@ -292,10 +302,10 @@ fn a_state_that_is_not_a_number_does_not_hold() {
             State { theta_dot: bad, ..at_rest },
             State { alpha_dot: bad, ..at_rest },
         ] {
-            let outlook = look(&mut foresight, &Case { state, ..case });
+            let outlook = predict(&mut foresight, &Case { state, ..case });
             assert!(!outlook.holds && outlook.particle < 3, "{state:?}: {outlook:?}");
         }
-        let outlook = look(&mut foresight, &Case { voltage_v: f32::NAN, ..case });
+        let outlook = predict(&mut foresight, &Case { voltage_v: f32::NAN, ..case });
         assert!(!outlook.holds, "{outlook:?}");
     }
 }

@@ -56,19 +56,19 @@ impl Session {
     /// the verification too.
     pub(super) fn identify(
         &mut self,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         if self.ledger.state().settled().is_some() {
-            return self.take_in_verification(tell);
+            return self.take_in_verification(on_event);
         }
         match self.fitted()? {
-            Fitted::Found(found) => self.append_profile(*found, tell),
+            Fitted::Found(found) => self.append_profile(*found, on_event),
             Fitted::Unfit(reason) if self.may_excite_again() => {
-                tell(SessionEvent::ExcitesAgain(&reason));
-                self.append_proposal(Purpose::Excitation, Vec::new(), tell)
+                on_event(SessionEvent::ExcitationRepeated(&reason));
+                self.append_proposal(Purpose::Excitation, Vec::new(), on_event)
             }
             Fitted::Unfit(reason) | Fitted::Refused(reason) => {
-                tell(SessionEvent::NotIdentified(&reason));
+                on_event(SessionEvent::NotIdentified(&reason));
                 Ok(self.ledger.append(Entry::NotIdentified { reason })?)
             }
         }
@@ -79,16 +79,16 @@ impl Session {
     /// influence the search.
     fn take_in_verification(
         &mut self,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let reason = match self.fitted()? {
             Fitted::Found(found) if found.recordings > self.fitted_recordings() => {
-                return self.append_profile(*found, tell);
+                return self.append_profile(*found, on_event);
             }
             Fitted::Found(_) => "none of its recordings can be fitted".to_owned(),
             Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
         };
-        tell(SessionEvent::NotUpdated(&reason));
+        on_event(SessionEvent::NotUpdated(&reason));
         Ok(self.ledger.append(Entry::NotUpdated { reason })?)
     }
 
@@ -111,30 +111,30 @@ impl Session {
     /// Appends the next proposal around the identified Qube, or the end of the search.
     pub(super) fn decide(
         &mut self,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let plan = self.settings.identification.unwrap_or_default();
         let scored = self.scored_candidates()?;
         match decide(&scored, plan.candidates) {
-            Decision::Propose => self.propose_around(tell),
+            Decision::Propose => self.propose_around(on_event),
             Decision::Verify { candidate } => {
                 let psi = self.ledger.state().candidates()[candidate as usize].psi.clone();
-                self.append_proposal(Purpose::Incumbent, psi, tell)
+                self.append_proposal(Purpose::Incumbent, psi, on_event)
             }
             Decision::EndBelow { verified, smallest_gain } => {
                 let expected_gain = self.expected_gain(&scored, verified)?;
                 if expected_gain < smallest_gain {
-                    return self.end_search(expected_gain, tell);
+                    return self.end_search(expected_gain, on_event);
                 }
-                tell(SessionEvent::GoesOn { expected_gain, smallest_gain });
-                self.propose_around(tell)
+                on_event(SessionEvent::SearchContinues { expected_gain, smallest_gain });
+                self.propose_around(on_event)
             }
             Decision::End => {
                 let verified = ScoredCandidate::best_verified(&scored)
                     .and_then(|index| scored[index].mean_return())
                     .unwrap_or(0.0);
                 let expected_gain = self.expected_gain(&scored, verified)?;
-                self.end_search(expected_gain, tell)
+                self.end_search(expected_gain, on_event)
             }
         }
     }
@@ -142,32 +142,35 @@ impl Session {
     fn end_search(
         &mut self,
         expected_gain: f64,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         self.ledger.append(Entry::SearchEnded { expected_gain })?;
-        tell(SessionEvent::SearchEnded { expected_gain });
+        on_event(SessionEvent::SearchEnded { expected_gain });
         Ok(())
     }
 
     /// Updates the profile with the recordings so far and proposes a candidate: first the
     /// distribution exactly as identified, then points of the search around the identified Qube.
-    fn propose_around(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
+    fn propose_around(
+        &mut self,
+        on_event: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
         let searched = self.ledger.state().searched().count() as u32;
         if searched == 0 {
             let psi = self.settings.psi.as_identified();
-            return self.append_proposal(Purpose::Initial, psi, tell);
+            return self.append_proposal(Purpose::Initial, psi, on_event);
         }
         let used = self.fitted_recordings();
         if self.used_recordings().len() > used as usize
             && let Fitted::Found(found) = self.fitted()?
             && found.recordings > used
         {
-            self.append_profile(*found, tell)?;
+            self.append_profile(*found, on_event)?;
         }
         let purpose = if searched < INITIAL_AROUND { Purpose::Initial } else { Purpose::Search };
         let mut strategy = self.settings.search()?;
         let psi = strategy.propose(&self.observations()?, &[], 1)?.remove(0);
-        self.append_proposal(purpose, psi, tell)
+        self.append_proposal(purpose, psi, on_event)
     }
 
     /// The return that one more candidate is expected to gain over the verified policy, at least 0.
@@ -233,7 +236,7 @@ impl Session {
     fn append_profile(
         &mut self,
         found: Found,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let Found { recordings, profile, found, doubts } = found;
         let path = self.folder.paths().profile(recordings);
@@ -244,7 +247,7 @@ impl Session {
         let text = toml::to_string_pretty(&profile).map_err(io)?;
         write_whole(self.folder.disk(), &path, text.as_bytes())?;
         let verdict = found.assessment.verdict.name().to_owned();
-        tell(SessionEvent::Identified { recordings, doubts: &doubts });
+        on_event(SessionEvent::Identified { recordings, doubts: &doubts });
         let checksum = file_checksum(text.as_bytes());
         self.ledger.append(Entry::Identified { recordings, verdict, doubts, checksum })?;
         self.search_around_identified()

@@ -155,8 +155,8 @@ impl Session {
     ///
     /// # Errors
     /// The session ends early; finished work is on disk.
-    pub fn run(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
-        self.run_while(|_| true, tell)
+    pub fn run(&mut self, on_event: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
+        self.run_while(|_| true, on_event)
     }
 
     /// Runs until this many candidates of the search have all their rollouts; the session can be
@@ -167,20 +167,20 @@ impl Session {
     pub fn run_to(
         &mut self,
         evaluated: u32,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let rollouts = self.settings.extent.rollouts as usize;
         let is_evaluated = |it: &&Candidate| it.finished.len() == rollouts;
         let count = |state: &SessionState| state.searched().filter(is_evaluated).count();
-        self.run_while(|state| count(state) < evaluated as usize, tell)
+        self.run_while(|state| count(state) < evaluated as usize, on_event)
     }
 
     fn run_while(
         &mut self,
         goes_on: impl Fn(&SessionState) -> bool,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let ended = self.perform_while(goes_on, tell);
+        let ended = self.perform_while(goes_on, on_event);
         if ended.is_err() {
             // An error ends the trainings that run ahead; they begin again when the session is
             // resumed.
@@ -192,30 +192,30 @@ impl Session {
     fn perform_while(
         &mut self,
         goes_on: impl Fn(&SessionState) -> bool,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        self.heed_doubt(tell)?;
+        self.pass_doubt_to_rig(on_event)?;
         // Reads every recording before anything moves or is trained, because the search needs every
         // return.
         self.scored_candidates()?;
-        self.connect_early(tell)?;
+        self.connect_early(on_event)?;
         while goes_on(self.ledger.state()) {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped);
             }
-            self.train_ahead(tell)?;
+            self.train_ahead(on_event)?;
             match self.next_step() {
-                Step::Propose { count, purpose } => self.propose(count, purpose, tell)?,
-                Step::Identify => self.identify(tell)?,
-                Step::Decide => self.decide(tell)?,
-                Step::Train { candidates } => self.train(&candidates, tell)?,
+                Step::Propose { count, purpose } => self.propose(count, purpose, on_event)?,
+                Step::Identify => self.identify(on_event)?,
+                Step::Decide => self.decide(on_event)?,
+                Step::Train { candidates } => self.train(&candidates, on_event)?,
                 Step::Rollout { candidate, rollout, attempt } => {
-                    self.roll_out(candidate, rollout, attempt, tell)?;
+                    self.roll_out(candidate, rollout, attempt, on_event)?;
                 }
                 Step::GiveUp { candidate, rollout } => {
                     let given_up = self.given_up(candidate, rollout);
                     let index = self.index_of(rollout);
-                    self.take_out(index, given_up, tell)?;
+                    self.take_out(index, given_up, on_event)?;
                 }
                 Step::Done => break,
             }
@@ -239,7 +239,10 @@ impl Session {
 
     /// Passes a doubt from the last entry of the ledger to its rig, so that nothing moves without
     /// the operator's acknowledgement, even if the session continues on another computer.
-    fn heed_doubt(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
+    fn pass_doubt_to_rig(
+        &mut self,
+        on_event: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
         let Some(&Entry::RolloutVoid { candidate, rollout, attempt, rig }) =
             self.ledger.entries().last()
         else {
@@ -254,7 +257,7 @@ impl Session {
         let recovery = &mut self.rigs[index].settings.recovery;
         if !recovery.acknowledged {
             let in_doubt = SessionError::InDoubt { candidate, rollout, doubt: Box::new(doubt) };
-            return self.take_out(index, in_doubt, tell);
+            return self.take_out(index, in_doubt, on_event);
         }
         recovery.doubt = Some(doubt);
         Ok(())
@@ -262,12 +265,15 @@ impl Session {
 
     /// Connects, checks and homes every real Qube before any training, so that a defect shows at
     /// once and not after hours.
-    fn connect_early(&mut self, tell: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
+    fn connect_early(
+        &mut self,
+        on_event: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
         let is_over = self.next_step() == Step::Done;
         for index in 0..self.rigs.len() {
             if !is_over && !self.is_out(index) && self.rigs[index].settings.is_hardware() {
                 let first = SeedFor::Emulator { candidate: 0, rollout: 0, attempt: 0 };
-                self.ready_rig(index, first, tell)?;
+                self.ready_rig(index, first, on_event)?;
             }
         }
         Ok(())

@@ -21,18 +21,18 @@ impl Session {
     pub(super) fn train(
         &mut self,
         numbers: &[u32],
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         if let Some(ahead) = &mut self.ahead {
             for &candidate in numbers {
-                ahead.wait_for(candidate, &self.stop, tell)?;
+                ahead.wait_for(candidate, &self.stop, on_event)?;
             }
         } else {
             let mut due = Vec::new();
             for &number in numbers {
                 due.extend(self.prepare(number)?);
             }
-            self.trainer().train(due, &self.stop, tell)?;
+            self.trainer().train(due, &self.stop, on_event)?;
         }
         // The entries are in the order of the candidates' numbers, whichever was trained first.
         for &candidate in numbers {
@@ -45,14 +45,14 @@ impl Session {
     /// pending.
     pub(super) fn train_ahead(
         &mut self,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let SessionSettings { extent, identification, .. } = &self.settings;
         if !trains_ahead(self.ledger.state(), extent, identification.as_ref()) {
             return Ok(());
         }
         let mut ahead = self.ahead.take().unwrap_or_else(|| TrainingAhead::new(self.trainer()));
-        ahead.tell_news(tell);
+        ahead.report_events(on_event);
         let candidates = self.ledger.state().candidates().iter();
         let untrained: Vec<u32> = candidates
             .filter(|it| !it.trained && ahead.note(it.number))

@@ -9,7 +9,7 @@ impl Session {
         &mut self,
         count: u32,
         purpose: Purpose,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let mut strategy = self.settings.search()?;
         let mut pending = Vec::new();
@@ -34,7 +34,7 @@ impl Session {
             Purpose::Incumbent => vec![self.incumbent()?.psi],
         };
         for psi in chosen {
-            self.append_proposal_beside(pending.clone(), purpose, psi, tell)?;
+            self.append_proposal_beside(pending.clone(), purpose, psi, on_event)?;
         }
         Ok(())
     }
@@ -43,9 +43,9 @@ impl Session {
         &mut self,
         purpose: Purpose,
         psi: Vec<f64>,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        self.append_proposal_beside(Vec::new(), purpose, psi, tell)
+        self.append_proposal_beside(Vec::new(), purpose, psi, on_event)
     }
 
     fn append_proposal_beside(
@@ -53,14 +53,14 @@ impl Session {
         pending: Vec<u32>,
         purpose: Purpose,
         psi: Vec<f64>,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let candidate = self.ledger.state().candidates().len() as u32;
         self.ledger.append(Entry::Proposed { candidate, purpose, psi, pending })?;
         let settings = &self.settings;
         let outlook =
             self.ledger.state().outlook(&settings.extent, settings.identification.as_ref());
-        tell(SessionEvent::Proposed { candidate, purpose, outlook });
+        on_event(SessionEvent::Proposed { candidate, purpose, outlook });
         Ok(())
     }
 

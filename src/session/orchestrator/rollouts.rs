@@ -76,7 +76,7 @@ impl Session {
         &mut self,
         index: usize,
         fault: SessionError,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let left = (0..self.rigs.len()).filter(|&it| !self.is_out(it)).count();
         if left < 2 || !fault.is_of_rig() || self.stop.load(Ordering::Relaxed) {
@@ -84,7 +84,7 @@ impl Session {
         }
         let (rig, reason) = (index as u32 + 1, fault.to_string());
         self.rigs[index].opened = None;
-        tell(SessionEvent::RigTakenOut { rig, reason: &reason });
+        on_event(SessionEvent::RigTakenOut { rig, reason: &reason });
         Ok(self.ledger.append(Entry::RigTakenOut { rig, reason })?)
     }
 
@@ -95,7 +95,7 @@ impl Session {
         candidate: u32,
         rollout: u32,
         attempt: u32,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let turns = self.turns(candidate, rollout, attempt);
         let mut missing = Vec::new();
@@ -105,15 +105,15 @@ impl Session {
             }
         }
         for turn in &missing {
-            if let Err(error) = self.ready_for(turn, tell) {
-                return self.take_out(turn.index, error, tell);
+            if let Err(error) = self.ready_for(turn, on_event) {
+                return self.take_out(turn.index, error, on_event);
             }
         }
         let mut failed = self.record(&missing)?;
         for turn in turns {
             let failure = failed.iter().position(|(index, _)| *index == turn.index);
             let goes_on = match failure.map(|place| failed.swap_remove(place).1) {
-                None => self.enter(&turn, tell),
+                None => self.enter(&turn, on_event),
                 Some(error @ RigError::NotBegun { .. }) => {
                     self.try_again(&turn, error).map(|()| false)
                 }
@@ -123,7 +123,7 @@ impl Session {
                 Ok(true) => {}
                 // The other recordings are on disk and are taken over when they are due.
                 Ok(false) => return Ok(()),
-                Err(error) => return self.take_out(turn.index, error, tell),
+                Err(error) => return self.take_out(turn.index, error, on_event),
             }
         }
         Ok(())
@@ -178,10 +178,10 @@ impl Session {
     fn ready_for(
         &mut self,
         turn: &Turn,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let Turn { candidate, rollout, attempt, index } = *turn;
-        self.ready_rig(index, SeedFor::Emulator { candidate, rollout, attempt }, tell)?;
+        self.ready_rig(index, SeedFor::Emulator { candidate, rollout, attempt }, on_event)?;
         // The rig's last rollout may have ended with a fault that is not in the ledger, because
         // another rig's fault ended the round first.
         match self.rigs[index].opened.as_ref().and_then(Rig::last_fault) {
@@ -196,7 +196,7 @@ impl Session {
         &mut self,
         index: usize,
         emulator: SeedFor,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let number = self.number_of(index);
         let SessionRig { settings, opened, .. } = &mut self.rigs[index];
@@ -209,7 +209,7 @@ impl Session {
             // An acknowledgement holds for one doubt only.
             settings.recovery.acknowledged = false;
             settings.recovery.doubt = None;
-            tell(SessionEvent::Connected { rig: number, opened: &rig });
+            on_event(SessionEvent::Connected { rig: number, opened: &rig });
             *opened = Some(rig);
         }
         Ok(())
@@ -290,14 +290,14 @@ impl Session {
     fn enter(
         &mut self,
         turn: &Turn,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<bool, SessionError> {
         let Turn { candidate, rollout, attempt, index } = *turn;
         let rig = self.number_of(index);
         let path = self.recording(candidate, rollout, attempt);
         let recording = read_on(self.folder.disk(), &path)?;
         let verdict = score_recording(&recording);
-        tell(SessionEvent::Rollout { candidate, rollout, attempt, rig, verdict: &verdict });
+        on_event(SessionEvent::Rollout { candidate, rollout, attempt, rig, verdict: &verdict });
         match &verdict {
             Verdict::Result { .. } => {
                 self.ledger.append(Entry::RolloutFinished { candidate, rollout, attempt, rig })?;
@@ -319,7 +319,7 @@ impl Session {
         }
         let has_result = matches!(verdict, Verdict::Result { .. });
         if has_result {
-            self.watch_drift(index, recording, tell);
+            self.watch_drift(index, recording, on_event);
         }
         self.verdicts.insert((candidate, rollout, attempt), verdict);
         Ok(has_result)
@@ -357,7 +357,7 @@ impl Session {
         &mut self,
         index: usize,
         recording: Recording,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) {
         let rig = self.number_of(index);
         let its = &mut self.rigs[index];
@@ -366,7 +366,7 @@ impl Session {
         if its.first_recordings.len() == DRIFT_ROLLOUTS {
             let drift = Drift::of(&std::mem::take(&mut its.first_recordings), &profile);
             its.profile = None;
-            tell(SessionEvent::Drift { rig, drift: &drift });
+            on_event(SessionEvent::Drift { rig, drift: &drift });
         }
     }
 }

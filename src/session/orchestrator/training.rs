@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use crate::jobs::{
     CHOSEN_OF_STARTS, Executor, JobEvent, ROUNDS, SUCCEEDED, TrainingJob, worst_return,
 };
-use crate::learning::{Origin, Preset, TrainSettings, Trained, curve_csv, evaluate_afresh};
+use crate::learning::{Origin, Preset, TrainSettings, Trained, curve_csv, evaluate_on_new_starts};
 use crate::policy::Network;
 use crate::session::seeds::{SeedFor, derived_seed};
 use crate::session::training_time::unix_ns;
@@ -63,14 +63,14 @@ impl Trainer {
         &self,
         candidates: Vec<Candidate>,
         stop: &AtomicBool,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let mut due: Vec<Due> = candidates.into_iter().map(|it| (it, Vec::new())).collect();
         for round in 0..ROUNDS {
             if due.is_empty() {
                 break;
             }
-            due = self.train_round(due, round, stop, tell)?;
+            due = self.train_round(due, round, stop, on_event)?;
         }
         Ok(())
     }
@@ -104,7 +104,7 @@ impl Trainer {
         due: Vec<Due>,
         round: u32,
         stop: &AtomicBool,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<Vec<Due>, SessionError> {
         let is_last = round + 1 == ROUNDS;
         let (mut jobs, mut of_job) = (Vec::new(), Vec::new());
@@ -129,7 +129,7 @@ impl Trainer {
             JobEvent::Update { job, update } => {
                 let (index, training, _) = of_job[job];
                 let candidate = candidates[index].number;
-                tell(SessionEvent::Training { candidate, training, update: &update });
+                on_event(SessionEvent::Training { candidate, training, update: &update });
             }
             JobEvent::Finished { job, result } => {
                 let (index, training, trained_for) = of_job[job];
@@ -146,7 +146,7 @@ impl Trainer {
                 match kept {
                     Ok(Some(best_return)) => {
                         let (candidate, best_return) = (candidate.number, Some(best_return));
-                        tell(SessionEvent::Trained { candidate, best_return });
+                        on_event(SessionEvent::Trained { candidate, best_return });
                     }
                     Ok(None) => {}
                     Err(error) => failed = Some(error),
@@ -248,7 +248,7 @@ impl Trainer {
         let seed = derived_seed(settings.seed, SeedFor::Evaluation { candidate });
         let simulation = &settings.training.simulation;
         let distribution = settings.base_distribution()?;
-        Ok(evaluate_afresh(network, &distribution, simulation, seed, CHOSEN_OF_STARTS))
+        Ok(evaluate_on_new_starts(network, &distribution, simulation, seed, CHOSEN_OF_STARTS))
     }
 
     fn save(&self, candidate: u32, trained: Trained, origin: Origin) -> Result<(), SessionError> {

@@ -13,7 +13,7 @@ use crate::learning::TrainUpdate;
 use crate::session::{Candidate, SessionError, SessionEvent};
 
 /// Longest wait for a message between two looks at the stop flag.
-const GLANCE: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The trainings that run beside the session's thread. At most as many run at a time as the
 /// executor carries out.
@@ -26,8 +26,8 @@ pub(super) struct TrainingAhead {
     dropped: Arc<AtomicBool>,
     queue: Option<Sender<Candidate>>,
     queued: Receiver<Candidate>,
-    news: Receiver<News>,
-    reporter: Sender<News>,
+    events: Receiver<TrainingEvent>,
+    sender: Sender<TrainingEvent>,
     threads: Vec<JoinHandle<()>>,
     /// Candidates that [`Self::note`] has seen.
     known: BTreeSet<u32>,
@@ -37,7 +37,7 @@ pub(super) struct TrainingAhead {
 }
 
 /// A message of a training to the session's thread.
-enum News {
+enum TrainingEvent {
     Update { candidate: u32, training: u32, update: TrainUpdate },
     Trained { candidate: u32, best_return: Option<f64> },
     Ended { candidate: u32, result: Result<(), SessionError> },
@@ -46,14 +46,14 @@ enum News {
 impl TrainingAhead {
     pub(super) fn new(trainer: Trainer) -> Self {
         let (queue, queued) = unbounded();
-        let (reporter, news) = unbounded();
+        let (sender, events) = unbounded();
         Self {
             trainer: Arc::new(trainer),
             dropped: Arc::default(),
             queue: Some(queue),
             queued,
-            news,
-            reporter,
+            events,
+            sender,
             threads: Vec::new(),
             known: BTreeSet::new(),
             under_way: BTreeSet::new(),
@@ -77,19 +77,19 @@ impl TrainingAhead {
         }
         if self.threads.len() < self.under_way.len().min(self.trainer.executor.concurrency()) {
             let (trainer, dropped) = (Arc::clone(&self.trainer), Arc::clone(&self.dropped));
-            let (queued, reporter) = (self.queued.clone(), self.reporter.clone());
+            let (queued, sender) = (self.queued.clone(), self.sender.clone());
             self.threads.push(std::thread::spawn(move || {
                 for candidate in &queued {
-                    train_one(&trainer, candidate, &dropped, &reporter);
+                    train_one(&trainer, candidate, &dropped, &sender);
                 }
             }));
         }
     }
 
     /// Passes on the messages of the trainings since the last call.
-    pub(super) fn tell_news(&mut self, tell: &mut dyn FnMut(SessionEvent)) {
-        while let Ok(news) = self.news.try_recv() {
-            self.hear(news, tell);
+    pub(super) fn report_events(&mut self, on_event: &mut dyn FnMut(SessionEvent)) {
+        while let Ok(event) = self.events.try_recv() {
+            self.report(event, on_event);
         }
     }
 
@@ -101,29 +101,29 @@ impl TrainingAhead {
         &mut self,
         candidate: u32,
         stop: &AtomicBool,
-        tell: &mut dyn FnMut(SessionEvent),
+        on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         while self.under_way.contains(&candidate) {
             if stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped);
             }
-            match self.news.recv_timeout(GLANCE) {
-                Ok(news) => self.hear(news, tell),
+            match self.events.recv_timeout(POLL_INTERVAL) {
+                Ok(event) => self.report(event, on_event),
                 Err(_) => self.pass_panic_on(),
             }
         }
         self.failed.remove(&candidate).map_or(Ok(()), Err)
     }
 
-    fn hear(&mut self, news: News, tell: &mut dyn FnMut(SessionEvent)) {
-        match news {
-            News::Update { candidate, training, update } => {
-                tell(SessionEvent::Training { candidate, training, update: &update });
+    fn report(&mut self, event: TrainingEvent, on_event: &mut dyn FnMut(SessionEvent)) {
+        match event {
+            TrainingEvent::Update { candidate, training, update } => {
+                on_event(SessionEvent::Training { candidate, training, update: &update });
             }
-            News::Trained { candidate, best_return } => {
-                tell(SessionEvent::Trained { candidate, best_return });
+            TrainingEvent::Trained { candidate, best_return } => {
+                on_event(SessionEvent::Trained { candidate, best_return });
             }
-            News::Ended { candidate, result } => {
+            TrainingEvent::Ended { candidate, result } => {
                 self.under_way.remove(&candidate);
                 if let Err(error) = result {
                     self.failed.insert(candidate, error);
@@ -157,22 +157,22 @@ fn train_one(
     trainer: &Trainer,
     candidate: Candidate,
     dropped: &AtomicBool,
-    reporter: &Sender<News>,
+    sender: &Sender<TrainingEvent>,
 ) {
     // The receiver may be dropped already, and then nobody needs the message.
-    let report = |news| drop(reporter.send(news));
+    let report = |event| drop(sender.send(event));
     if dropped.load(Ordering::Relaxed) {
         return;
     }
     let number = candidate.number;
     let result = trainer.train(vec![candidate], dropped, &mut |event| match event {
         SessionEvent::Training { candidate, training, update } => {
-            report(News::Update { candidate, training, update: *update });
+            report(TrainingEvent::Update { candidate, training, update: *update });
         }
         SessionEvent::Trained { candidate, best_return } => {
-            report(News::Trained { candidate, best_return });
+            report(TrainingEvent::Trained { candidate, best_return });
         }
         _ => {}
     });
-    report(News::Ended { candidate: number, result });
+    report(TrainingEvent::Ended { candidate: number, result });
 }

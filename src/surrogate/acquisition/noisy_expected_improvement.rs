@@ -54,7 +54,7 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
     ) -> Result<Self, SurrogateError> {
         let mut all = Cow::Borrowed(process);
         for point in pending {
-            all = Cow::Owned(all.with_fantasies(point, process.mean(point))?);
+            all = Cow::Owned(all.conditioned_on_fantasy(point, process.mean(point))?);
         }
         let noiseless = all.noiseless_factor()?;
         let (mean, root) = posterior_at_data(process)?;
@@ -265,7 +265,8 @@ mod tests {
             for step in -40..=40 {
                 let z = f64::from(step) / 10.0;
                 let value = there.mean + z * there.deviation();
-                let given = process.with_fantasies(&pending, value).unwrap().posterior(&point);
+                let given =
+                    process.conditioned_on_fantasy(&pending, value).unwrap().posterior(&point);
                 let improvement = LogExpectedImprovement { incumbent: incumbent.max(value) }
                     .score(given.mean, given.deviation());
                 let weight = (-0.5 * z * z).exp();

@@ -3,7 +3,7 @@ use nalgebra::DVector;
 use super::belief::Belief;
 use super::discriminator::Discriminator;
 use super::gaussian::standard_normal;
-use super::rival::{Data, Given, Rival};
+use super::rival::{Data, Rival, RivalInput};
 use super::simulator::{Demonstration, simulate};
 use super::space::{Space, distribution_of};
 use super::stages::Stages;
@@ -44,17 +44,17 @@ impl Rival for ActiveRandomisation {
         Data::None
     }
 
-    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
         Ok(given.before.clone())
     }
 
-    fn trained(&self, given: &Given) -> Result<Option<Trained>, TrainError> {
+    fn trained(&self, given: &RivalInput) -> Result<Option<Trained>, TrainError> {
         let mut random = given.random();
         let mut particles = given.space.draws(PARTICLES, &mut random);
         let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
         for stage in 0..STAGES {
             let Some(distribution) = distribution_of(given.space, &particles) else { break };
-            stages.go_on(&distribution)?;
+            stages.train_stage(&distribution)?;
             let Some(network) = stages.network() else { break };
             if stage + 1 == STAGES {
                 break;
@@ -74,7 +74,7 @@ impl Rival for ActiveRandomisation {
                         for _ in 0..PAIRS {
                             let direction = standard_normal(particle.len(), &mut random);
                             let sides = [1.0, -1.0].map(|side| {
-                                given.space.held(&(particle + side * DISTANCE * &direction))
+                                given.space.clamped(&(particle + side * DISTANCE * &direction))
                             });
                             let rewards = behaviour.of(&sides, 0.0);
                             let [one, other] = [0, 1]
@@ -87,7 +87,7 @@ impl Rival for ActiveRandomisation {
                     .collect();
                 particles = stein_step(&particles, &gradients, RATE)
                     .iter()
-                    .map(|particle| given.space.held(particle))
+                    .map(|particle| given.space.clamped(particle))
                     .collect();
             }
         }
@@ -98,7 +98,7 @@ impl Rival for ActiveRandomisation {
 /// A policy whose motion in simulated Qubes is described by features.
 struct Behaviour<'a> {
     network: &'a Network,
-    given: &'a Given<'a>,
+    given: &'a RivalInput<'a>,
 }
 
 impl Behaviour<'_> {

@@ -1,6 +1,6 @@
 use super::belief::Belief;
 use super::mixture_density::MixtureDensity;
-use super::rival::{Data, Given, POINTS, Rival};
+use super::rival::{Data, POINTS, Rival, RivalInput};
 use super::simulator::{Motion, simulate};
 use super::summary::{features, parts_of, statistics};
 use crate::learning::TrainError;
@@ -21,7 +21,7 @@ impl Rival for BayesSim {
         Data::Excitations
     }
 
-    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
         let mut random = given.random();
         let targets = given.space.draws(SAMPLES, &mut random);
         let models: Vec<_> = targets.iter().map(|point| given.space.model(point)).collect();
@@ -47,6 +47,6 @@ impl Rival for BayesSim {
         let network = MixtureDensity::fit(&inputs, &targets, &weights, PASSES, given.seed);
         let posterior = network.given(&features(&real, shortest));
         let points = posterior.draws(POINTS, &mut random);
-        Ok(Belief::Points(points.iter().map(|point| given.space.held(point)).collect()))
+        Ok(Belief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))
     }
 }

@@ -32,12 +32,12 @@ impl Belief {
         match self {
             Self::Unknown => space.draws(count, random),
             Self::Gaussian(gaussian) => {
-                gaussian.draws(count, random).iter().map(|point| space.held(point)).collect()
+                gaussian.draws(count, random).iter().map(|point| space.clamped(point)).collect()
             }
             Self::Points(points) => {
                 let evenly = |number: usize| &points[number * points.len() / count];
                 let count = if points.is_empty() { 0 } else { count };
-                (0..count).map(|number| space.held(evenly(number))).collect()
+                (0..count).map(|number| space.clamped(evenly(number))).collect()
             }
         }
     }

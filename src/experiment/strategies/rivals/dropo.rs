@@ -1,10 +1,10 @@
 use nalgebra::DVector;
 
 use super::belief::Belief;
-use super::evolution::least;
+use super::evolution::minimise;
 use super::gaussian::{Gaussian, standard_normal};
 use super::offline_likelihood::log_likelihood;
-use super::rival::{Data, Given, Rival};
+use super::rival::{Data, Rival, RivalInput};
 use super::transitions::{NOISE, Transition};
 use crate::learning::TrainError;
 use crate::replay::MotionLog;
@@ -34,7 +34,7 @@ impl Rival for Dropo {
         Data::Excitations
     }
 
-    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
         let logs: Vec<&MotionLog> = given.recorded.iter().map(|it| &it.log).collect();
         let transitions = Transition::of_logs(&logs, TRANSITIONS);
         let real: Vec<[f64; 4]> = transitions.iter().map(|it| it.end).collect();
@@ -61,7 +61,7 @@ impl Rival for Dropo {
         let bounds = |end: usize| {
             [vec![MEANS[end]; dimensions], vec![LOG_DEVIATIONS[end]; dimensions]].concat()
         };
-        Ok(match least(&bounds(0), &bounds(1), EVALUATIONS, given.seed, cost) {
+        Ok(match minimise(&bounds(0), &bounds(1), EVALUATIONS, given.seed, cost) {
             Ok(found) if !transitions.is_empty() => {
                 let (mean, deviation) = parts(&found);
                 let variances = deviation.component_mul(&deviation);

@@ -1,5 +1,5 @@
 use super::belief::Belief;
-use super::rival::{Data, Given, Rival};
+use super::rival::{Data, Rival, RivalInput};
 use super::tempering::{log_student, posterior_particles};
 use super::transitions::{NOISE, Transition};
 use crate::learning::{TrainError, TrainSettings};
@@ -26,7 +26,7 @@ impl Rival for EpOpt {
         Data::Rollouts
     }
 
-    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
         let mut random = given.random();
         let logs: Vec<&MotionLog> = given.latest().iter().map(|it| &it.log).collect();
         let transitions = Transition::of_logs(&logs, TRANSITIONS);
@@ -45,8 +45,8 @@ impl Rival for EpOpt {
             transitions.iter().map(of).sum()
         };
         let particles = given.before.draws(given.space, PARTICLES, &mut random);
-        let held = |point: &nalgebra::DVector<f64>| given.space.held(point);
-        Ok(Belief::Points(posterior_particles(particles, log_likelihood, held, &mut random)))
+        let clamped = |point: &nalgebra::DVector<f64>| given.space.clamped(point);
+        Ok(Belief::Points(posterior_particles(particles, log_likelihood, clamped, &mut random)))
     }
 
     fn shape_training(&self, training: &mut TrainSettings) {

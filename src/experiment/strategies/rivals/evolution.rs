@@ -6,7 +6,7 @@ use crate::search::{CmaEs, Observation, SearchError, Strategy as _};
 ///
 /// # Errors
 /// The box is empty, or a cost is not finite.
-pub fn least(
+pub fn minimise(
     lower: &[f64],
     upper: &[f64],
     evaluations: usize,

@@ -3,7 +3,7 @@ use rand::RngExt as _;
 
 use super::belief::Belief;
 use super::gaussian::standard_normal;
-use super::rival::{Data, Given, POINTS, Rival};
+use super::rival::{Data, POINTS, Rival, RivalInput};
 use super::simulator::{Demonstration, simulate};
 use super::space::distribution_of;
 use super::stages::{Stages, scored};
@@ -45,18 +45,18 @@ impl Rival for FingerprintOptimisation {
         Data::None
     }
 
-    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
         Ok(given.before.clone())
     }
 
-    fn trained(&self, given: &Given) -> Result<Option<Trained>, TrainError> {
+    fn trained(&self, given: &RivalInput) -> Result<Option<Trained>, TrainError> {
         let mut random = given.random();
         let dimensions = given.space.dimensions();
         // Three directions, fixed for the whole training, in which all quantities may shift
         // together.
         let directions: Vec<DVector<f64>> =
             (0..3).map(|_| standard_normal(dimensions, &mut random)).collect();
-        let judged_in = given.space.draws(POINTS, &mut random);
+        let scoring_points = given.space.draws(POINTS, &mut random);
         let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
         let mut data: Vec<Observation> = Vec::new();
         let mut print = [0.0; FINGERPRINT];
@@ -72,7 +72,7 @@ impl Rival for FingerprintOptimisation {
             let choices: Vec<Vec<f64>> = (0..CHOICES).map(|_| random_psi()).collect();
             let psi = match stage < RANDOM_STAGES {
                 true => choices[0].clone(),
-                false => promising(&data, &choices, &print, given.seed),
+                false => highest_ucb(&data, &choices, &print, given.seed),
             };
             let mut shift = DVector::zeros(dimensions);
             for (direction, by) in directions.iter().zip(&psi[1..]) {
@@ -82,16 +82,17 @@ impl Rival for FingerprintOptimisation {
                 .space
                 .draws(POINTS, &mut random)
                 .iter()
-                .map(|point| given.space.held(&(psi[0].exp() * point + &shift)))
+                .map(|point| given.space.clamped(&(psi[0].exp() * point + &shift)))
                 .collect();
             let Some(distribution) = distribution_of(given.space, &points) else { break };
-            stages.go_on(&distribution)?;
+            stages.train_stage(&distribution)?;
             let Some(trained) = &stages.trained else { break };
             let network = &trained.network;
-            let (_, scores) = scored(network, given.training, given.space, &judged_in, given.seed);
+            let (_, scores) =
+                scored(network, given.training, given.space, &scoring_points, given.seed);
             let return_ = scores.iter().sum::<f64>() / scores.len().max(1) as f64;
             data.push(Observation { point: [&psi[..], &print].concat(), returns: vec![return_] });
-            print = fingerprint(network, given, &judged_in[..32]);
+            print = fingerprint(network, given, &scoring_points[..32]);
             if best.as_ref().is_none_or(|(most, _)| return_ > *most) {
                 best = Some((return_, trained.clone()));
             }
@@ -102,7 +103,7 @@ impl Rival for FingerprintOptimisation {
 
 /// The choice with the highest upper confidence bound of the return after the next stage, for a
 /// policy with this fingerprint; the first choice where the data cannot be fitted.
-fn promising(data: &[Observation], choices: &[Vec<f64>], print: &[f64], seed: u64) -> Vec<f64> {
+fn highest_ucb(data: &[Observation], choices: &[Vec<f64>], print: &[f64], seed: u64) -> Vec<f64> {
     let [least, most] = FINGERPRINT_RANGE;
     let lower = [&LOWER[..], &[least; FINGERPRINT]].concat();
     let upper = [&UPPER[..], &[most; FINGERPRINT]].concat();
@@ -120,7 +121,11 @@ fn promising(data: &[Observation], choices: &[Vec<f64>], print: &[f64], seed: u6
 /// The fingerprint of a policy, numbers that tell policies apart by their behaviour: mean and
 /// standard deviation of the voltage, mean height of the pendulum, and standard deviation of the
 /// arm's angle, over the Qubes of `points`.
-fn fingerprint(network: &Network, given: &Given, points: &[DVector<f64>]) -> [f64; FINGERPRINT] {
+fn fingerprint(
+    network: &Network,
+    given: &RivalInput,
+    points: &[DVector<f64>],
+) -> [f64; FINGERPRINT] {
     let models: Vec<_> = points.iter().map(|point| given.space.model(point)).collect();
     let demonstration = Demonstration::of_policy(network, &given.simulation.plant, 0.05);
     let motions = simulate(&demonstration, given.simulation, &models);
@@ -163,7 +168,7 @@ mod tests {
         let choices: Vec<Vec<f64>> =
             (0..40).map(|it| vec![-1.45 + 0.045 * f64::from(it), 0.0, 0.0, 0.0]).collect();
         for print in [-1.6, -0.6, 0.4] {
-            let chosen = promising(&data, &choices, &[print, 0.0, 0.0, 0.0], 1);
+            let chosen = highest_ucb(&data, &choices, &[print, 0.0, 0.0, 0.0], 1);
             assert!((chosen[0] - 0.5 * print).abs() < 0.3, "{print}: {chosen:?}");
         }
     }

@@ -1,5 +1,5 @@
 use super::belief::Belief;
-use super::rival::{Data, Given, Rival};
+use super::rival::{Data, Rival, RivalInput};
 use crate::learning::{TrainError, TrainSettings};
 use crate::qube::MAX_HISTORY;
 
@@ -13,7 +13,7 @@ impl Rival for LongHistory {
         Data::None
     }
 
-    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
         Ok(given.before.clone())
     }
 

@@ -3,7 +3,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::belief::Belief;
 use super::kind::RivalKind;
-use super::rival::{Data, Given, POINTS, Rival};
+use super::rival::{Data, POINTS, Rival, RivalInput};
 use super::simulator::Demonstration;
 use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
@@ -142,7 +142,7 @@ impl<'a> FromRival<'a> {
         };
         let recorded = self.demonstrations(recordings)?;
         let recipe = self.recipe();
-        let given = Given {
+        let given = RivalInput {
             space: &self.space,
             before: &before,
             first_latest: self.demonstrations(earlier)?.len(),
@@ -159,7 +159,7 @@ impl<'a> FromRival<'a> {
 impl FromRival<'_> {
     /// Trains and stores the policy of a rival whose training is its own ([`Rival::trained`]),
     /// unless the policy is on disk.
-    fn train_itself(
+    fn train_own_policy(
         &self,
         recommendation: &Recommendation,
         steps: u32,
@@ -169,7 +169,7 @@ impl FromRival<'_> {
             return Ok(());
         }
         let recipe = self.recipe();
-        let given = Given {
+        let given = RivalInput {
             space: &self.space,
             before: &Belief::Unknown,
             first_latest: 0,
@@ -219,7 +219,7 @@ impl Recommendations for FromRival<'_> {
             None => Recommended::NotOnDisk,
             Some(belief) => {
                 let recommendation = self.recommendation(&belief, steps);
-                self.train_itself(&recommendation, asked)?;
+                self.train_own_policy(&recommendation, asked)?;
                 Recommended::Found(Box::new(recommendation))
             }
         })

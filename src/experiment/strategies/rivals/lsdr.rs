@@ -1,6 +1,6 @@
 use super::belief::Belief;
 use super::entropy_trade_off::Independent;
-use super::rival::{Data, Given, Rival};
+use super::rival::{Data, Rival, RivalInput};
 use super::space::distribution_of;
 use super::stages::{Stages, scored};
 use crate::learning::TrainError;
@@ -31,14 +31,14 @@ impl Rival for Lsdr {
         Data::None
     }
 
-    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
         let mut random = given.random();
         let mut own = Independent::narrowed(given.space.dimensions(), FIRST_WIDTH);
         let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
         for stage in 0..u64::from(STAGES) {
             let points = own.draws(SAMPLES, &mut random);
             let Some(distribution) = distribution_of(given.space, &points) else { break };
-            stages.go_on(&distribution)?;
+            stages.train_stage(&distribution)?;
             let Some(network) = stages.network() else { break };
             for step in 0..STEPS {
                 let points = own.draws(SAMPLES, &mut random);

@@ -3,7 +3,7 @@ use nalgebra::DVector;
 use super::belief::Belief;
 use super::gaussian::Gaussian;
 use super::mixture_density::MixtureDensity;
-use super::rival::{Data, Given, POINTS, Rival};
+use super::rival::{Data, POINTS, Rival, RivalInput};
 use super::simulator::{Motion, simulate};
 use super::summary::{parts_of, statistics};
 use crate::learning::TrainError;
@@ -30,7 +30,7 @@ impl Rival for Npdr {
         Data::Rollouts
     }
 
-    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
         let mut random = given.random();
         let latest = given.recorded.len().saturating_sub(LATEST);
         let demonstrations = &given.recorded[latest..];
@@ -43,7 +43,7 @@ impl Rival for Npdr {
         // Half of the Qubes come from the prior, so that no weight exceeds 2.
         let mut targets = given.space.draws(SAMPLES / 2, &mut random);
         let proposed = proposal.draws(SAMPLES - targets.len(), &mut random);
-        targets.extend(proposed.iter().map(|point| given.space.held(point)));
+        targets.extend(proposed.iter().map(|point| given.space.clamped(point)));
         let weights = importance(&prior, &proposal, &targets);
         let models: Vec<_> = targets.iter().map(|point| given.space.model(point)).collect();
         let mut real: Vec<f64> = Vec::new();
@@ -60,7 +60,7 @@ impl Rival for Npdr {
         let inputs: Vec<_> = inputs.into_iter().map(DVector::from_vec).collect();
         let network = MixtureDensity::fit(&inputs, &targets, &weights, PASSES, given.seed);
         let points = network.given(&DVector::from_vec(real)).draws(POINTS, &mut random);
-        Ok(Belief::Points(points.iter().map(|point| given.space.held(point)).collect()))
+        Ok(Belief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))
     }
 }
 

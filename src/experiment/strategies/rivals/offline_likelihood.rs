@@ -49,7 +49,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::experiment::strategies::rivals::evolution::least;
+    use crate::experiment::strategies::rivals::evolution::minimise;
     use crate::experiment::strategies::rivals::gaussian::standard_normal;
 
     /// The end of each transition is slope times input, and every transition had a slope of its
@@ -70,7 +70,7 @@ mod tests {
             let simulated: Vec<Vec<[f64; 1]>> = inputs.iter().map(ends).collect();
             -log_likelihood(&real, &simulated, &[0.05])
         };
-        let found = least(&[-5.0, -4.0], &[5.0, 1.0], 300, 1, cost).unwrap();
+        let found = minimise(&[-5.0, -4.0], &[5.0, 1.0], 300, 1, cost).unwrap();
         assert!((found[0] - 2.0).abs() < 0.15, "{found}");
         assert!((found[1].exp() - 0.5).abs() < 0.1, "{found}");
     }

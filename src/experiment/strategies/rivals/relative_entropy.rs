@@ -29,7 +29,7 @@ pub fn weights(costs: &[f64], bound: f64) -> Vec<f64> {
         let temperature = spread * log_temperature.exp();
         temperature * (bound + (exponentials(temperature).sum::<f64>() / count).ln())
     };
-    let temperature = spread * least_point(dual, LOG_TEMPERATURES).exp();
+    let temperature = spread * golden_section(dual, LOG_TEMPERATURES).exp();
     let total: f64 = exponentials(temperature).sum();
     exponentials(temperature).map(|weight| weight / total).collect()
 }
@@ -61,7 +61,7 @@ pub fn bounded_update(
 }
 
 /// The argument at which a function with one minimum is least, by golden section.
-fn least_point(function: impl Fn(f64) -> f64, [mut lower, mut upper]: [f64; 2]) -> f64 {
+fn golden_section(function: impl Fn(f64) -> f64, [mut lower, mut upper]: [f64; 2]) -> f64 {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     for _ in 0..SECTIONS {
         let (left, right) = (upper - GOLDEN * (upper - lower), lower + GOLDEN * (upper - lower));

@@ -24,7 +24,7 @@ pub enum Data {
 }
 
 /// The data and settings from which a rival learns.
-pub struct Given<'a> {
+pub struct RivalInput<'a> {
     /// Space in whose coordinates beliefs are.
     pub space: &'a Space,
     /// Belief before the latest recordings.
@@ -43,7 +43,7 @@ pub struct Given<'a> {
     pub seed: u64,
 }
 
-impl<'a> Given<'a> {
+impl<'a> RivalInput<'a> {
     /// The recordings that `before` does not contain.
     pub fn latest(&self) -> &'a [Demonstration] {
         self.recorded.get(self.first_latest..).unwrap_or_default()
@@ -64,14 +64,14 @@ pub trait Rival {
     ///
     /// # Errors
     /// A training that the method needs is stopped or fails.
-    fn update(&self, given: &Given) -> Result<Belief, TrainError>;
+    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError>;
 
     /// The policy of a rival whose training is its own; `None` for a rival whose policies are
     /// trained in its belief.
     ///
     /// # Errors
     /// The training is stopped or fails.
-    fn trained(&self, _given: &Given) -> Result<Option<Trained>, TrainError> {
+    fn trained(&self, _given: &RivalInput) -> Result<Option<Trained>, TrainError> {
         Ok(None)
     }
 

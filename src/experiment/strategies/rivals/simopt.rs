@@ -1,7 +1,7 @@
 use super::belief::Belief;
 use super::discrepancy::discrepancy;
 use super::relative_entropy::bounded_update;
-use super::rival::{Data, Given, Rival};
+use super::rival::{Data, Rival, RivalInput};
 use super::simulator::{Motion, simulate};
 use crate::learning::TrainError;
 
@@ -23,7 +23,7 @@ impl Rival for SimOpt {
         Data::Rollouts
     }
 
-    fn update(&self, given: &Given) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
         let mut gaussian = given.before.gaussian(given.space);
         let mut random = given.random();
         let demonstrations = given.latest();
@@ -34,7 +34,7 @@ impl Rival for SimOpt {
             let points: Vec<_> = gaussian
                 .draws(SAMPLES, &mut random)
                 .iter()
-                .map(|point| given.space.held(point))
+                .map(|point| given.space.clamped(point))
                 .collect();
             let models: Vec<_> = points.iter().map(|point| given.space.model(point)).collect();
             let mut costs = vec![0.0; points.len()];

@@ -71,7 +71,7 @@ impl Space {
 
     /// The nearest point whose Qube can be simulated: an entry beyond its range becomes the end of
     /// the range.
-    pub fn held(&self, point: &DVector<f64>) -> DVector<f64> {
+    pub fn clamped(&self, point: &DVector<f64>) -> DVector<f64> {
         DVector::from_iterator(
             point.len(),
             self.coordinates.iter().zip(point.iter()).map(|(coordinate, entry)| {
@@ -84,7 +84,7 @@ impl Space {
     /// The Qube at a point, or at the nearest point that can be simulated.
     pub fn model(&self, point: &DVector<f64>) -> QubeModel {
         let mut model = self.nominal;
-        for (coordinate, entry) in self.coordinates.iter().zip(self.held(point).iter()) {
+        for (coordinate, entry) in self.coordinates.iter().zip(self.clamped(point).iter()) {
             model.set(coordinate.quantity, coordinate.value(*entry));
         }
         model
@@ -109,7 +109,7 @@ impl Space {
                 let mut point = standard_normal(self.dimensions(), random);
                 // An entry beyond its range is drawn again: cut off, all such entries would gather
                 // at the end.
-                while self.held(&point) != point {
+                while self.clamped(&point) != point {
                     let again = standard_normal(self.dimensions(), random);
                     for (index, coordinate) in self.coordinates.iter().enumerate() {
                         let (lower, upper) = coordinate.range();
@@ -174,7 +174,7 @@ mod tests {
         assert!(distribution_of(&space, &wild).is_some());
         for point in &wild {
             let there = space.point(&space.model(point));
-            assert!((there - space.held(point)).norm() < 1e-9);
+            assert!((there - space.clamped(point)).norm() < 1e-9);
         }
     }
 

@@ -3,7 +3,9 @@ use std::sync::atomic::AtomicBool;
 use nalgebra::DVector;
 
 use super::space::{Space, distribution_of};
-use crate::learning::{TrainError, TrainSettings, Trained, evaluate_afresh, train, train_from};
+use crate::learning::{
+    TrainError, TrainSettings, Trained, evaluate_on_new_starts, train, train_from,
+};
 use crate::policy::Network;
 use crate::qube::MAX_STEPS;
 use crate::simulation::{DomainDistribution, Trajectory};
@@ -30,7 +32,7 @@ impl<'a> Stages<'a> {
     ///
     /// # Errors
     /// The training is stopped or fails.
-    pub fn go_on(&mut self, distribution: &DomainDistribution) -> Result<(), TrainError> {
+    pub fn train_stage(&mut self, distribution: &DomainDistribution) -> Result<(), TrainError> {
         let (settings, seed) = (&self.settings, self.seed.wrapping_add(self.done));
         self.done += 1;
         let trained = match &self.trained {
@@ -61,7 +63,8 @@ pub fn scored(
     let Some(distribution) = distribution_of(space, points) else { return Default::default() };
     let models: Vec<_> = points.iter().map(|point| space.model(point)).collect();
     let count = points.len();
-    let evaluation = evaluate_afresh(network, &distribution, &settings.simulation, seed, count);
+    let evaluation =
+        evaluate_on_new_starts(network, &distribution, &settings.simulation, seed, count);
     evaluation
         .returns
         .iter()

@@ -21,7 +21,7 @@ const STAGES: usize = 40;
 pub fn posterior_particles(
     mut particles: Vec<DVector<f64>>,
     log_likelihood: impl Fn(&DVector<f64>) -> f64,
-    held: impl Fn(&DVector<f64>) -> DVector<f64>,
+    clamped: impl Fn(&DVector<f64>) -> DVector<f64>,
     random: &mut ChaCha8Rng,
 ) -> Vec<DVector<f64>> {
     let mut taken = 0.0;
@@ -31,7 +31,7 @@ pub fn posterior_particles(
         let part = if stage + 1 == STAGES { rest } else { effective_part(&logs, rest) };
         let weights = weights_of(&logs, part);
         taken += part;
-        let chosen = drawn_by(&weights, random);
+        let chosen = resampled(&weights, random);
         let moments = Gaussian::of_points(&particles, &weights);
         let noises = Gaussian { mean: DVector::zeros(moments.mean.len()), ..moments.clone() }
             .draws(chosen.len(), random);
@@ -41,7 +41,7 @@ pub fn posterior_particles(
             .zip(noises)
             .map(|(index, noise)| {
                 let kept = &moments.mean + SHRINKAGE * (&particles[index] - &moments.mean);
-                held(&(kept + spread * noise))
+                clamped(&(kept + spread * noise))
             })
             .collect();
         if taken >= 1.0 {
@@ -87,7 +87,7 @@ fn weights_of(logs: &[f64], part: f64) -> Vec<f64> {
 
 /// Draws as many indices as there are weights, each about as often as its weight demands, by one
 /// random number (systematic resampling).
-fn drawn_by(weights: &[f64], random: &mut ChaCha8Rng) -> Vec<usize> {
+fn resampled(weights: &[f64], random: &mut ChaCha8Rng) -> Vec<usize> {
     let offset: f64 = random.random();
     let count = weights.len() as f64;
     let (mut sum, mut index) = (weights.first().copied().unwrap_or_default(), 0);

@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use super::RivalKind;
 use super::belief::Belief;
 use super::discrepancy::discrepancy;
-use super::rival::{Data, Given};
+use super::rival::{Data, RivalInput};
 use super::simulator::{Demonstration, Motion, simulate};
 use super::space::Space;
 use crate::learning::TrainSettings;
@@ -93,7 +93,7 @@ fn learnt_by(kind: RivalKind) -> [f64; 2] {
         ),
     };
     let before = Belief::Unknown;
-    let given = Given {
+    let given = RivalInput {
         space: &space,
         before: &before,
         recorded: &recorded,

@@ -61,7 +61,7 @@ impl FaultProgress {
 
     /// Enters the next stage, with the readings of intact encoders at this time; returns the
     /// fraction of the current that the motor draws from here on, if the fault changes it.
-    pub fn go_on(&mut self, truly: TrueReadings) -> Option<f64> {
+    pub fn advance_stage(&mut self, truly: TrueReadings) -> Option<f64> {
         match (self.stage, self.fault?) {
             (Stage::Before, fault) => {
                 self.stage = Stage::During;
@@ -135,7 +135,7 @@ impl FaultProgress {
     }
 
     /// The push of a hand on the arm as an equivalent voltage, V.
-    pub fn pushed_like_v(&self) -> f64 {
+    pub fn push_equivalent_v(&self) -> f64 {
         match self.fault {
             Some(EmulatorFault::PushedArm { like_v, .. }) if self.stage == Stage::During => like_v,
             _ => 0.0,
@@ -171,23 +171,24 @@ mod tests {
     #[test]
     fn an_encoder_of_half_or_twice_as_many_lines_counts_so_and_its_tachometer_too() {
         for (factor, counts, ticks) in [(0.5, 400, 2000), (2.0, 100, 500)] {
-            let mut mishap = FaultProgress::new(Some(EmulatorFault::ScaledTheta { factor }));
-            mishap.go_on(START);
-            let seen = mishap.readings(TrueReadings { theta_counts: 300, ..START });
+            let mut fault_progress =
+                FaultProgress::new(Some(EmulatorFault::ScaledTheta { factor }));
+            fault_progress.advance_stage(START);
+            let seen = fault_progress.readings(TrueReadings { theta_counts: 300, ..START });
             assert_eq!((seen.theta_counts, seen.tachometer_raw), (counts, ticks));
             let still = TrueReadings { tachometer_raw: TACHOMETER_STILL, ..START };
-            assert_eq!(mishap.readings(still).tachometer_raw, TACHOMETER_STILL);
+            assert_eq!(fault_progress.readings(still).tachometer_raw, TACHOMETER_STILL);
             let back = TrueReadings { tachometer_raw: TACHOMETER_NEGATIVE | 1000, ..START };
-            assert_eq!(mishap.readings(back).tachometer_raw, TACHOMETER_NEGATIVE | ticks);
+            assert_eq!(fault_progress.readings(back).tachometer_raw, TACHOMETER_NEGATIVE | ticks);
         }
     }
 
     #[test]
     fn a_one_sided_amplifier_gives_nothing_the_other_way() {
         let fault = EmulatorFault::OneSidedMotor { after_s: 1.0, positive: false };
-        let mut mishap = FaultProgress::new(Some(fault));
-        assert_eq!(mishap.driven_v(2.0), 2.0);
-        mishap.go_on(START);
-        assert_eq!((mishap.driven_v(2.0), mishap.driven_v(-2.0)), (0.0, -2.0));
+        let mut fault_progress = FaultProgress::new(Some(fault));
+        assert_eq!(fault_progress.driven_v(2.0), 2.0);
+        fault_progress.advance_stage(START);
+        assert_eq!((fault_progress.driven_v(2.0), fault_progress.driven_v(-2.0)), (0.0, -2.0));
     }
 }

@@ -38,7 +38,7 @@ pub const WHOLE_DOMAIN_SHARE: f64 = 0.9;
 pub const RIG_SHARE: f64 = 0.2;
 
 /// Ticks within one count after which a count counts as constant.
-const STANDS_TICKS: u32 = 4;
+const CONSTANT_TICKS: u32 = 4;
 
 /// Consecutive ticks for which the encoders must contradict each other before the cross-check
 /// reports it.
@@ -57,7 +57,7 @@ const HOLE_US: u64 = 15_000;
 
 /// Sum of squared changes of the arm's velocity from which on the relative sign of the two encoders
 /// is known, (rad/s)^2.
-const ENOUGH: f64 = 2.0;
+const SIGN_KNOWN_FROM: f64 = 2.0;
 
 /// Change of the arm's velocity below which it may be rounding, rad/s; a long and slow motion
 /// accumulates such changes.
@@ -65,18 +65,18 @@ const ROUNDING_RAD_S: f64 = 0.15;
 
 /// Least negative correlation, as a fraction of the expected one, that proves a wrong sign: with
 /// less, the pendulum's encoder may be frozen.
-const LEADS: f64 = 0.4;
+const LEAD_CORRELATION: f64 = 0.4;
 
 /// Largest uncertain fraction of a change of velocity that takes part in the comparison of scales.
 const UNKNOWN_SHARE: f64 = 0.35;
 
 /// Sum of squared changes of velocity, of arm and pendulum each, from which on the arm encoder's
 /// scale is known, (rad/s)^2.
-const ENOUGH_FOR_SCALE: f64 = 1.0;
+const SCALE_KNOWN_FROM: f64 = 1.0;
 
 /// Least squared correlation between the changes of velocity that arm and pendulum show, for a
 /// verdict about the scale.
-const ALIKE: f64 = 0.85;
+const LEAST_SQUARED_CORRELATION: f64 = 0.85;
 
 /// Ratio of scales that proves an arm encoder with a wrong number of lines: lengths that are 10 %
 /// off give a ratio of 1.2, an encoder with half or twice the lines a ratio of 2.
@@ -116,9 +116,9 @@ impl Coefficients {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Contradiction {
     /// The arm's count is constant, but the pendulum's motion shows that the arm moves.
-    ArmStands,
+    ArmFrozen,
     /// The pendulum's count is constant where a real pendulum would move.
-    PendulumStands,
+    PendulumFrozen,
 }
 
 /// Cross-check of the two encoders: compares changes of the arm's velocity, as the arm's encoder
@@ -137,7 +137,7 @@ pub enum Contradiction {
 /// both encoders are right, the two changes are equal, also for an arm that is held, that meets its
 /// stop, or that the pendulum carries along.
 #[derive(Clone, Copy, Debug)]
-pub struct Witness {
+pub struct CrossCheck {
     coefficients: Coefficients,
     ring: [Entry; KEPT],
     filled: usize,
@@ -150,8 +150,8 @@ pub struct Witness {
     last_step_counts: i32,
     /// Integral of the equation's weight and centrifugal terms, rad/s.
     pull_rad_s: f64,
-    arm_stands_ticks: u32,
-    pendulum_stands_ticks: u32,
+    arm_constant_ticks: u32,
+    pendulum_constant_ticks: u32,
     streak: u32,
     /// Sums of products of the arm's counted and implied changes of velocity, and of squares of the
     /// counted ones.
@@ -169,28 +169,28 @@ pub struct Witness {
 struct Scale {
     together: f64,
     arm_squares: f64,
-    felt_squares: f64,
+    implied_squares: f64,
 }
 
 impl Scale {
     fn take(&mut self, change: &Change) {
-        let size_rad_s = 0.5 * (change.arm_rad_s.abs() + change.felt_rad_s.abs());
+        let size_rad_s = 0.5 * (change.arm_rad_s.abs() + change.implied_rad_s.abs());
         if change.unknown_rad_s > UNKNOWN_SHARE * size_rad_s {
             return;
         }
-        self.together += change.arm_rad_s * change.felt_rad_s;
+        self.together += change.arm_rad_s * change.implied_rad_s;
         self.arm_squares += change.arm_rad_s * change.arm_rad_s;
-        self.felt_squares += change.felt_rad_s * change.felt_rad_s;
+        self.implied_squares += change.implied_rad_s * change.implied_rad_s;
     }
 
     fn is_known(&self) -> bool {
-        self.arm_squares.min(self.felt_squares) > ENOUGH_FOR_SCALE
+        self.arm_squares.min(self.implied_squares) > SCALE_KNOWN_FROM
     }
 
     fn is_wrong(&self) -> bool {
-        let Self { together, arm_squares, felt_squares } = *self;
-        let agree = together * together > ALIKE * arm_squares * felt_squares;
-        let (less, more) = (arm_squares.min(felt_squares), arm_squares.max(felt_squares));
+        let Self { together, arm_squares, implied_squares } = *self;
+        let agree = together * together > LEAST_SQUARED_CORRELATION * arm_squares * implied_squares;
+        let (less, more) = (arm_squares.min(implied_squares), arm_squares.max(implied_squares));
         self.is_known() && agree && more > WRONG_SCALE * WRONG_SCALE * less
     }
 }
@@ -224,11 +224,11 @@ struct Previous {
 #[derive(Clone, Copy, Debug, Default)]
 struct Change {
     arm_rad_s: f64,
-    felt_rad_s: f64,
+    implied_rad_s: f64,
     unknown_rad_s: f64,
 }
 
-impl Witness {
+impl CrossCheck {
     /// A cross-check of a plant whose pendulum's zero is known as exactly as after homing.
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
@@ -253,8 +253,8 @@ impl Witness {
             unknown_share,
             last_step_counts: 0,
             pull_rad_s: 0.0,
-            arm_stands_ticks: 0,
-            pendulum_stands_ticks: 0,
+            arm_constant_ticks: 0,
+            pendulum_constant_ticks: 0,
             streak: 0,
             together: 0.0,
             squares: 0.0,
@@ -269,8 +269,8 @@ impl Witness {
         self.unknown_share = unknown_share;
     }
 
-    /// Restarts the sums from which [`Self::pendulum_rather_leads`] and
-    /// [`Self::pendulum_seems_to_lead`] tell the relative sign.
+    /// Restarts the sums from which [`Self::lead_is_likelier`] and
+    /// [`Self::lead_is_evident`] tell the relative sign.
     pub fn forget_signs(&mut self) {
         (self.together, self.squares) = (0.0, 0.0);
     }
@@ -279,8 +279,8 @@ impl Witness {
     /// wrong; `None` until the motion suffices for a verdict.
     #[must_use]
     pub fn pendulum_leads(&self) -> Option<bool> {
-        let leads = self.sure_together < -LEADS * self.sure_squares;
-        (self.sure_squares > ENOUGH).then_some(leads)
+        let leads = self.sure_together < -LEAD_CORRELATION * self.sure_squares;
+        (self.sure_squares > SIGN_KNOWN_FROM).then_some(leads)
     }
 
     /// Whether the motion suffices to compare the arm encoder's scale.
@@ -297,23 +297,23 @@ impl Witness {
 
     /// Whether the evidence so far favours a pendulum that leads the arm.
     #[must_use]
-    pub fn pendulum_rather_leads(&self) -> bool {
+    pub fn lead_is_likelier(&self) -> bool {
         self.together < 0.0
     }
 
     /// Whether the evidence so far shows a pendulum that leads the arm, by the threshold of
     /// [`Self::pendulum_leads`] but however little has moved.
     #[must_use]
-    pub fn pendulum_seems_to_lead(&self) -> bool {
-        self.together < -LEADS * self.squares
+    pub fn lead_is_evident(&self) -> bool {
+        self.together < -LEAD_CORRELATION * self.squares
     }
 
     /// Largest change of the arm's velocity that the pendulum has implied within the current
     /// windows, rad/s.
     #[must_use]
-    pub fn felt_rad_s(&self) -> f64 {
-        let felt = |half| self.change(half).map_or(0.0, |change| change.felt_rad_s.abs());
-        felt(SHORT).max(felt(LONG))
+    pub fn implied_rad_s(&self) -> f64 {
+        let implied = |half| self.change(half).map_or(0.0, |change| change.implied_rad_s.abs());
+        implied(SHORT).max(implied(LONG))
     }
 
     /// Takes the next sample with its angles, rad, where `alpha` is 0 at hanging; returns a
@@ -347,25 +347,31 @@ impl Witness {
             self.previous = next(sample.theta_counts, sample.alpha_counts);
             return None;
         }
-        let theta_counts =
-            about(sample.theta_counts, previous.theta_counts, &mut self.arm_stands_ticks);
+        let theta_counts = constant_count(
+            sample.theta_counts,
+            previous.theta_counts,
+            &mut self.arm_constant_ticks,
+        );
         if previous.alpha_counts.wrapping_sub(sample.alpha_counts).wrapping_abs() > 1 {
             let step = previous.sample.alpha_counts.wrapping_sub(sample.alpha_counts);
             self.last_step_counts = step.wrapping_abs();
         }
-        let alpha_counts =
-            about(sample.alpha_counts, previous.alpha_counts, &mut self.pendulum_stands_ticks);
+        let alpha_counts = constant_count(
+            sample.alpha_counts,
+            previous.alpha_counts,
+            &mut self.pendulum_constant_ticks,
+        );
         self.previous = next(theta_counts, alpha_counts);
         self.push(elapsed_us as f64 * 1e-6, theta, alpha, &previous);
 
         let (short, long) = (self.change(SHORT), self.change(LONG));
-        let pendulum_stands = self.pendulum_stands_ticks >= STANDS_TICKS;
+        let pendulum_is_constant = self.pendulum_constant_ticks >= CONSTANT_TICKS;
         if let Some(long) = &long {
             let (together, square) =
-                (long.arm_rad_s * long.felt_rad_s, long.arm_rad_s * long.arm_rad_s);
+                (long.arm_rad_s * long.implied_rad_s, long.arm_rad_s * long.arm_rad_s);
             self.together += together;
             self.squares += square;
-            if !pendulum_stands && long.arm_rad_s.abs() >= ROUNDING_RAD_S {
+            if !pendulum_is_constant && long.arm_rad_s.abs() >= ROUNDING_RAD_S {
                 self.sure_together += together;
                 self.sure_squares += square;
             }
@@ -376,32 +382,33 @@ impl Witness {
         let contradicts = |change: &Option<Change>, least_rad_s: f64| {
             change.is_some_and(|change| {
                 // Only sizes are compared, because a wrong sign has a test of its own.
-                let differ_rad_s = (change.arm_rad_s.abs() - change.felt_rad_s.abs()).abs();
+                let differ_rad_s = (change.arm_rad_s.abs() - change.implied_rad_s.abs()).abs();
                 differ_rad_s > least_rad_s + change.unknown_rad_s + zero_rad_s
             })
         };
         let contradict =
             contradicts(&short, SHORT_RAD_S) || contradicts(&long, LONG_RAD_S) || self.drifts();
-        let arm_stands = self.arm_stands_ticks >= STANDS_TICKS;
-        let stands = arm_stands || pendulum_stands;
-        self.streak = if contradict && stands { self.streak + 1 } else { 0 };
+        let arm_is_constant = self.arm_constant_ticks >= CONSTANT_TICKS;
+        let is_constant = arm_is_constant || pendulum_is_constant;
+        self.streak = if contradict && is_constant { self.streak + 1 } else { 0 };
         // If both counts are constant, a pendulum that stopped in full swing is the frozen one;
         // otherwise the frozen one is the count that has been constant for longer, because it
         // explains why the other count rests.
-        let is_the_arm = !pendulum_stands
-            || self.arm_stands_ticks > self.pendulum_stands_ticks
+        let is_the_arm = !pendulum_is_constant
+            || self.arm_constant_ticks > self.pendulum_constant_ticks
                 && self.last_step_counts < SWINGING_COUNTS;
         (self.streak >= STREAK).then_some(if is_the_arm {
-            Contradiction::ArmStands
+            Contradiction::ArmFrozen
         } else {
-            Contradiction::PendulumStands
+            Contradiction::PendulumFrozen
         })
     }
 
     /// Whether the pendulum implies that the arm has gained velocity while the arm's count was
     /// constant.
     fn drifts(&self) -> bool {
-        let stood = (self.arm_stands_ticks as usize).min(self.filled.saturating_sub(1)).min(DRIFT);
+        let stood =
+            (self.arm_constant_ticks as usize).min(self.filled.saturating_sub(1)).min(DRIFT);
         self.drifts_over(stood.min(DRIFT / 2)) || self.drifts_over(stood)
     }
 
@@ -421,9 +428,9 @@ impl Witness {
         let (swung_rad_s, pulled_rad_s) = (now.0 - before.0, now.1 - before.1);
         let stood_s = at(0).time_s - at(stood - SHORT).time_s;
         let unknown_rad_s = self.unknown_share * 0.5 * (swung_rad_s.abs() + pulled_rad_s.abs());
-        let felt_rad_s = (swung_rad_s + pulled_rad_s).abs();
+        let implied_rad_s = (swung_rad_s + pulled_rad_s).abs();
         let zero_rad_s = self.coefficients.weight * self.zero_within_rad * stood_s;
-        felt_rad_s > DRIFT_RAD_S + zero_rad_s + unknown_rad_s
+        implied_rad_s > DRIFT_RAD_S + zero_rad_s + unknown_rad_s
     }
 
     fn push(&mut self, elapsed_s: f64, theta: f64, alpha: f64, previous: &Previous) {
@@ -464,7 +471,7 @@ impl Witness {
         let strain_rad_s = 0.5 * (end.strain_rad_s - start.strain_rad_s);
         Some(Change {
             arm_rad_s: change(|entry| entry.arm_rad),
-            felt_rad_s: -swing_rad_s - change(|entry| entry.pull_rad),
+            implied_rad_s: -swing_rad_s - change(|entry| entry.pull_rad),
             unknown_rad_s: self.unknown_share * 0.5 * (swing_rad_s.abs() + strain_rad_s),
         })
     }
@@ -472,7 +479,7 @@ impl Witness {
 
 /// Returns the count about which an encoder is constant; `ticks` becomes the number of ticks for
 /// which it has been.
-fn about(now: i32, stood: i32, ticks: &mut u32) -> i32 {
+fn constant_count(now: i32, stood: i32, ticks: &mut u32) -> i32 {
     if now.wrapping_sub(stood).wrapping_abs() <= 1 {
         *ticks = ticks.saturating_add(1);
         stood

@@ -7,14 +7,14 @@ use crate::qube::limited_to;
 /// The penalty is a factor rather than a cost: a swing-up, which earns nearly nothing, loses nearly
 /// nothing by a voltage that jumps, and no step becomes worse than leaving the box.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Calm {
+pub(super) struct SmoothnessFactor {
     /// Voltage of the previous step, V; 0 at the start of a trajectory, where the motor is off.
     last_v: f32,
     /// Largest voltage of the plant, V.
     largest_v: f32,
 }
 
-impl Calm {
+impl SmoothnessFactor {
     /// The state at the beginning of a trajectory of a plant with this largest voltage, V.
     pub fn limited_to(largest_v: f32) -> Self {
         Self { last_v: 0.0, largest_v }

@@ -24,14 +24,14 @@ const NAMES: [(&str, f64); OBSERVATION_SIZE + MAX_HISTORY] = [
 /// factor of -1 reverses a sign: `-1*cos_alpha` is the cosine of an angle that is 0 where the
 /// pendulum is upright.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sight {
+pub struct ObservationLayout {
     /// For each entry, the index in this program's observation, and the factor on this program's
     /// entry there.
     entries: Vec<(usize, f64)>,
     inputs: usize,
 }
 
-impl Sight {
+impl ObservationLayout {
     /// This program's own observation with this many last commands, at most [`MAX_HISTORY`].
     #[must_use]
     pub fn own(history: usize) -> Self {
@@ -56,7 +56,7 @@ impl Sight {
                 None => {
                     let names = NAMES.map(|(name, _)| name).join(", ");
                     return Err(format!(
-                        "{entry:?} is no entry of an observation: give some of {names}, each with or without a factor, \
+                        "{entry:?} is not an entry of an observation: give some of {names}, each with or without a factor, \
                          as 0.1*theta_dot"
                     ));
                 }
@@ -119,24 +119,24 @@ mod tests {
 
     #[test]
     fn entries_are_put_where_this_program_has_them() {
-        let sight = Sight::parse("theta_dot, -1*cos_alpha, command_1").unwrap();
-        assert_eq!((sight.len(), sight.inputs()), (3, 7));
-        let arranged = sight.arranged(&[2.0, 3.0, 4.0]);
+        let layout = ObservationLayout::parse("theta_dot, -1*cos_alpha, command_1").unwrap();
+        assert_eq!((layout.len(), layout.inputs()), (3, 7));
+        let arranged = layout.arranged(&[2.0, 3.0, 4.0]);
         assert_eq!(arranged, [0.0, 0.0, 0.0, -3.0, 20.0, 0.0, 4.0]);
-        assert_eq!(Sight::own(1).arranged(&[1.0; 7]), [1.0; 7]);
-        let bounds = sight.arranged_bounds(&[[-5.0, 4.0], [-1.0, 0.5], [0.0, 1.0]]).unwrap();
+        assert_eq!(ObservationLayout::own(1).arranged(&[1.0; 7]), [1.0; 7]);
+        let bounds = layout.arranged_bounds(&[[-5.0, 4.0], [-1.0, 0.5], [0.0, 1.0]]).unwrap();
         assert_eq!((bounds[4], bounds[3], bounds[6]), ([-0.5, 0.4], [-0.5, 1.0], [0.0, 1.0]));
         assert_eq!(bounds[0], [f32::NEG_INFINITY, f32::INFINITY]);
-        let twice = Sight::parse("theta_dot, theta_dot").unwrap();
+        let twice = ObservationLayout::parse("theta_dot, theta_dot").unwrap();
         assert!(twice.arranged_bounds(&[[-1.0, 1.0], [-2.0, 2.0]]).is_none());
     }
 
     #[test]
     fn an_unknown_entry_is_named() {
-        for (wrong, told) in
+        for (wrong, message) in
             [("sin_beta", "sin_beta"), ("0*theta_dot", "0*theta_dot"), ("", "\"\"")]
         {
-            assert!(Sight::parse(wrong).unwrap_err().contains(told), "{wrong}");
+            assert!(ObservationLayout::parse(wrong).unwrap_err().contains(message), "{wrong}");
         }
     }
 }

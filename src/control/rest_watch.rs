@@ -45,14 +45,14 @@ pub struct RestingCounts {
 pub enum Moved {
     /// The arm's count has changed since the last motion.
     #[error(
-        "the arm's count moved by {0:.2} rad while nothing was driven (a hand, or its encoder's cable)"
+        "the arm's count moved by {0:.2} rad while the motor was off (a hand, or its encoder's cable)"
     )]
     Arm(f64),
     /// The pendulum rests at a count at which it did not hang before.
     #[error("the pendulum rests {0:.2} rad from where it hung (a hand, or its encoder's cable)")]
     Pendulum(f64),
     /// Arm and pendulum were not seen at rest, either after the last motion or before this one.
-    #[error("arm and pendulum were not seen at rest since the last motion")]
+    #[error("arm and pendulum have not come to rest since the last motion")]
     Unseen,
 }
 

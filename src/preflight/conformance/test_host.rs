@@ -14,7 +14,7 @@ const PATIENCE_NS: Nanoseconds = 1_000_000_000;
 
 /// A host for the checks: it sends exactly what a check asks for, and accepts only the expected
 /// answer.
-pub struct Speaker<'a> {
+pub struct TestHost<'a> {
     transport: &'a mut dyn Transport,
     clock: &'a dyn Clock,
     decoder: Decoder,
@@ -32,7 +32,7 @@ pub struct Speaker<'a> {
 /// reaches the device in time on any line: within 20 ms of the sample.
 const SURELY_FRESH_NS: Nanoseconds = 8_000_000;
 
-impl<'a> Speaker<'a> {
+impl<'a> TestHost<'a> {
     /// A host that talks over this wire and measures its deadlines by this clock.
     pub fn new(transport: &'a mut dyn Transport, clock: &'a dyn Clock) -> Self {
         let received = VecDeque::new();
@@ -60,7 +60,7 @@ impl<'a> Speaker<'a> {
 
     /// Brings the device from any state into the state Greeted, and drops replies to earlier
     /// requests. Waits for a device that is still booting.
-    pub(super) fn fence(&mut self) -> Result<(), Deviation> {
+    pub(super) fn resynchronise(&mut self) -> Result<(), Deviation> {
         let end_ns = self.clock.now_ns() + self.transport.boot_time_ns();
         loop {
             self.send_bytes(&[0])?;

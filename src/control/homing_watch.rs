@@ -15,7 +15,7 @@ const HELD_TICKS: u32 = 200;
 
 /// Ticks without motion after which an arm is held at any voltage, because the swinging pendulum
 /// would move a free arm: 10 s.
-const STOOD_TICKS: u32 = 1000;
+const MOTIONLESS_TICKS: u32 = 1000;
 
 /// Velocity that a healthy arm does not reach during homing, rad/s.
 const RUNAWAY_RAD_S: f64 = 4.0;
@@ -27,7 +27,7 @@ const RUNAWAY_TICKS: u32 = 4;
 const THROWING_SWING: f64 = 0.5;
 
 /// Travel after which the arm has left the stop, rad.
-const CAME_OFF_RAD: f64 = 0.05;
+const OFF_STOP_RAD: f64 = 0.05;
 
 /// Shortest way off a stop, rad.
 const LEAST_WAY_RAD: f64 = 0.3;
@@ -39,7 +39,7 @@ const BACK_RAD: f64 = 0.15;
 const SLOW_RAD_S: f64 = 0.5;
 
 /// Most ticks for leaving a stop.
-const MOST_COME_OFF_TICKS: u32 = 600;
+const MAX_LEAVING_TICKS: u32 = 600;
 
 /// Counts the ticks for which the arm has not moved although the motor drives it to its target.
 #[derive(Clone, Copy, Debug, Default)]
@@ -65,12 +65,12 @@ impl Held {
 
 /// Counts the ticks for which the arm has not moved, whatever its voltage.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Stood {
+pub struct Motionless {
     counts: i32,
     ticks: u32,
 }
 
-impl Stood {
+impl Motionless {
     /// Takes the arm's next count.
     pub fn update(&mut self, counts: i32) {
         let stays = counts.wrapping_sub(self.counts).wrapping_abs() <= HELD_COUNTS;
@@ -80,7 +80,7 @@ impl Stood {
 
     /// Whether the arm has not moved for so long, while its pendulum swung, that it must be held.
     pub fn is_held(&self) -> bool {
-        self.ticks >= STOOD_TICKS
+        self.ticks >= MOTIONLESS_TICKS
     }
 }
 
@@ -106,14 +106,14 @@ impl Runaway {
 /// The way off a stop after a fault that leaves the motor usable. An arm released at the stop would
 /// be thrown across to the other one by a stiff cable.
 #[derive(Clone, Copy, Debug)]
-pub struct ComingOff {
+pub struct LeavingStop {
     fault: Fault,
     from_rad: f64,
     place_rad: f64,
     ticks: u32,
 }
 
-impl ComingOff {
+impl LeavingStop {
     /// The way from `from_rad`, where the fault was found, to `place_rad`, where homing first
     /// pushed the arm. After a wrong distance between the stops, the way is at least
     /// `LEAST_WAY_RAD` long.
@@ -134,13 +134,13 @@ impl ComingOff {
     /// a wrong distance between the stops, an arm that does not leave the stop counts as held.
     pub fn update(&mut self, state: &State) -> Option<Fault> {
         self.ticks += 1;
-        let came_off = (state.theta - self.from_rad).abs() > CAME_OFF_RAD;
+        let came_off = (state.theta - self.from_rad).abs() > OFF_STOP_RAD;
         if !came_off && self.fault == Fault::TravelWrong {
             return (self.ticks > HELD_TICKS).then_some(Fault::ArmHeld);
         }
         let off_rad = (state.theta - self.place_rad).abs();
         let is_back = off_rad < BACK_RAD && state.theta_dot.abs() < SLOW_RAD_S;
-        (is_back || self.ticks > MOST_COME_OFF_TICKS).then_some(self.fault)
+        (is_back || self.ticks > MAX_LEAVING_TICKS).then_some(self.fault)
     }
 }
 

@@ -5,7 +5,10 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 /// A parser of the names of an enum, which also recognises the retired word `gone`: it refuses the
 /// word with the message `why`, which names a replacement.
-pub fn names_but<T>(gone: &'static str, why: &'static str) -> impl TypedValueParser<Value = T>
+pub fn names_and_retired<T>(
+    gone: &'static str,
+    why: &'static str,
+) -> impl TypedValueParser<Value = T>
 where
     T: ValueEnum + Clone + Send + Sync + 'static,
 {

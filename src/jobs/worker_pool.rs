@@ -20,51 +20,51 @@ const CLOCK_DIFFERENCE_S: u64 = 120;
 
 /// The workers that a starter keeps running: one for each open job, up to a largest number.
 #[derive(Debug)]
-pub(super) struct Workforce {
+pub(super) struct WorkerPool {
     starter: Box<dyn Starter>,
     workers: u32,
     watch: HeartbeatWatch,
     begun: Instant,
     /// Worker files seen so far, with whether the worker lived.
     seen: HashMap<String, bool>,
-    has_looked: bool,
+    has_counted: bool,
     /// Number of workers whose files have appeared.
     appeared: u32,
     /// Number of starts in a row after which no worker has appeared.
-    fruitless: u32,
+    starts_without_worker: u32,
     /// Number of workers that had appeared at the last start.
     appeared_at_start: u32,
     /// Number of starts since the last result.
-    in_vain: u32,
+    starts_without_result: u32,
     results: u64,
     started: Option<Instant>,
     silent_since: Option<Instant>,
     running_since: Option<Instant>,
-    told: Vec<String>,
+    warned: Vec<String>,
 }
 
 /// The reason why no worker can carry out jobs.
 #[derive(Debug)]
-pub(super) enum NoWorkforce {
+pub(super) enum NoWorkers {
     /// No workers can be started.
     Start(StartError),
     /// The folder cannot be used.
     Folder(JobFolderError),
 }
 
-impl From<StartError> for NoWorkforce {
+impl From<StartError> for NoWorkers {
     fn from(error: StartError) -> Self {
         Self::Start(error)
     }
 }
 
-impl From<JobFolderError> for NoWorkforce {
+impl From<JobFolderError> for NoWorkers {
     fn from(error: JobFolderError) -> Self {
         Self::Folder(error)
     }
 }
 
-impl Workforce {
+impl WorkerPool {
     pub fn new(starter: Box<dyn Starter>, workers: u32, folder: &JobFolder) -> Self {
         Self {
             starter,
@@ -72,51 +72,51 @@ impl Workforce {
             watch: HeartbeatWatch::new(Holder::this_process(), folder.terms().stale()),
             begun: Instant::now(),
             seen: HashMap::new(),
-            has_looked: false,
+            has_counted: false,
             appeared: 0,
-            fruitless: 0,
+            starts_without_worker: 0,
             appeared_at_start: 0,
-            in_vain: 0,
+            starts_without_result: 0,
             results: 0,
             started: None,
             silent_since: None,
             running_since: None,
-            told: Vec::new(),
+            warned: Vec::new(),
         }
     }
 
     /// Starts workers if there are fewer than the open jobs need. `results` is the number of results so far.
-    pub fn tend(
+    pub fn start_missing(
         &mut self,
         folder: &JobFolder,
         open_jobs: usize,
         results: u64,
-    ) -> Result<(), NoWorkforce> {
+    ) -> Result<(), NoWorkers> {
         if open_jobs == 0 {
             return Ok(());
         }
         if results > self.results {
-            (self.results, self.in_vain) = (results, 0);
+            (self.results, self.starts_without_result) = (results, 0);
         }
-        let alive = self.look(folder)?;
-        let census = self.starter.census(self.appeared, alive)?;
-        if let Some(note) = &census.note {
-            self.tell(note.clone());
+        let alive = self.count_alive(folder)?;
+        let workers = self.starter.count_workers(self.appeared, alive)?;
+        if let Some(note) = &workers.note {
+            self.warn_once(note.clone());
         }
-        let Some(expected) = census.expected else {
+        let Some(expected) = workers.expected else {
             if self.silent_since.get_or_insert_with(Instant::now).elapsed() >= PATIENCE {
-                let note = census.note.unwrap_or_default();
+                let note = workers.note.unwrap_or_default();
                 let reason = format!("ten minutes have passed ({note})");
                 return Err(StartError::Silent { reason }.into());
             }
             return Ok(());
         };
         self.silent_since = None;
-        self.probe(folder, census.running, alive)?;
+        self.probe(folder, workers.running, alive)?;
         if self.appeared == self.appeared_at_start
             && self.started.is_some_and(|started| started.elapsed() >= folder.terms().stale())
         {
-            self.tell("workers were started, and none has appeared yet: waiting".to_owned());
+            self.warn_once("workers were started, and none has appeared yet: waiting".to_owned());
         }
         // Workers that the operator has started by hand count, too.
         let expected = expected.max(alive);
@@ -128,24 +128,24 @@ impl Workforce {
             if expected > 0 {
                 return Ok(());
             }
-            self.fruitless += 1;
+            self.starts_without_worker += 1;
         } else {
-            self.fruitless = 0;
+            self.starts_without_worker = 0;
         }
-        if self.fruitless >= MAX_STARTS_WITHOUT_WORKER {
+        if self.starts_without_worker >= MAX_STARTS_WITHOUT_WORKER {
             return Err(self.no_worker(folder).into());
         }
-        if self.in_vain >= MAX_STARTS_WITHOUT_RESULT {
-            return Err(StartError::InVain { starts: self.in_vain }.into());
+        if self.starts_without_result >= MAX_STARTS_WITHOUT_RESULT {
+            return Err(StartError::NoResult { starts: self.starts_without_result }.into());
         }
         self.appeared_at_start = self.appeared;
         match self.starter.start(folder, wanted - expected) {
             Ok(()) => {
                 self.started = Some(Instant::now());
-                self.in_vain += 1;
+                self.starts_without_result += 1;
             }
             Err(StartError::Silent { reason }) => {
-                self.tell(format!("Slurm does not answer: {reason}"))
+                self.warn_once(format!("Slurm does not answer: {reason}"))
             }
             Err(error) => return Err(error.into()),
         }
@@ -172,15 +172,15 @@ impl Workforce {
     }
 
     fn no_worker(&self, folder: &JobFolder) -> StartError {
-        StartError::Fruitless {
-            starts: self.fruitless.max(1),
+        StartError::NoWorkerAppeared {
+            starts: self.starts_without_worker.max(1),
             folder: folder.root().display().to_string(),
             last: last_log_line(folder).unwrap_or_else(|| "They have left no output".to_owned()),
         }
     }
 
     /// Reads the workers' files and returns how many workers live.
-    fn look(&mut self, folder: &JobFolder) -> Result<u32, NoWorkforce> {
+    fn count_alive(&mut self, folder: &JobFolder) -> Result<u32, NoWorkers> {
         let now = self.begun.elapsed();
         let (mut alive, mut refusal) = (0, None);
         for name in folder.worker_files()? {
@@ -191,7 +191,7 @@ impl Workforce {
                 self.seen.insert(name.clone(), false);
                 // A refusal that a worker left under an earlier coordinator says nothing about this
                 // one's workers.
-                if self.has_looked || self.started.is_some() {
+                if self.has_counted || self.started.is_some() {
                     self.appeared += 1;
                     refusal = folder.refusal(&name);
                 }
@@ -200,25 +200,25 @@ impl Workforce {
             let Some(state) = folder.worker(&name)? else { continue };
             let is_new = !self.seen.contains_key(&name);
             let lives = state.ending.is_none() && !self.watch.is_dead(&name, &state, now);
-            if is_new && (lives || self.has_looked) {
+            if is_new && (lives || self.has_counted) {
                 self.appeared += 1;
             }
-            if is_new && self.has_looked {
+            if is_new && self.has_counted {
                 self.compare_clocks(&state);
             }
             if let Some(ClaimEnding::Failed(reason)) = &state.ending {
                 let note = format!("{} has ended: {reason}", state.by());
-                self.tell(note);
+                self.warn_once(note);
             }
             alive += u32::from(lives);
             self.seen.insert(name, lives);
         }
-        self.has_looked = true;
+        self.has_counted = true;
         if let Some(reason) = refusal {
             if alive == 0 {
                 return Err(StartError::WorkersRefuse { reason }.into());
             }
-            self.tell(format!("a worker refuses: {reason}"));
+            self.warn_once(format!("a worker refuses: {reason}"));
         }
         Ok(alive)
     }
@@ -233,15 +233,15 @@ impl Workforce {
                  may refuse its work",
                 holder.host
             );
-            self.tell(note);
+            self.warn_once(note);
         }
     }
 
     /// Warns the operator, once for each text.
-    fn tell(&mut self, note: String) {
-        if !self.told.contains(&note) {
+    fn warn_once(&mut self, note: String) {
+        if !self.warned.contains(&note) {
             tracing::warn!("{note}");
-            self.told.push(note);
+            self.warned.push(note);
         }
     }
 
