@@ -34,11 +34,6 @@ struct Tick {
     voltage_v: f32,
 }
 
-fn profile() -> Profile {
-    let text = std::fs::read_to_string("profiles/lab.toml").expect("the shipped profile");
-    Profile::parse(&text).expect("the shipped profile")
-}
-
 fn rollout(model: &QubeModel, seed: u64) -> Vec<Tick> {
     let mut policy = Policy::load(Path::new("policies/robust.safetensors")).expect("the policy");
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -103,7 +98,7 @@ fn figures(mut times_us: Vec<f64>) -> String {
 fn foresight(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("foresight/rollout");
     group.throughput(Throughput::Elements(STEPS as u64));
-    let profile = profile();
+    let profile = Profile::lab();
     let rollouts: Vec<Vec<Tick>> =
         (0..ROLLOUTS).map(|seed| rollout(&profile.model(), seed)).collect();
     let any = ForesightSettings::default();

@@ -51,7 +51,7 @@ fn main() -> anyhow::Result<()> {
     let [mode, policies @ ..] = arguments.as_slice() else {
         anyhow::bail!("usage: estimator_study errors|delays|plants POLICY ...");
     };
-    let lab = Profile::parse(include_str!("../profiles/lab.toml"))?.model();
+    let lab = Profile::lab().model();
     match (mode.as_str(), policies) {
         ("errors", [policy, noises @ ..]) => {
             let noises = noises.iter().map(|text| text.parse()).collect::<Result<Vec<f64>, _>>()?;

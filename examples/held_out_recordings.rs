@@ -77,8 +77,7 @@ fn main() {
     let logs: Vec<MotionLog> =
         files.iter().map(|path| MotionLog::read(path).expect("a recording")).collect();
     println!("{:40} {:>20} {:>20} {:>20}", "model", "swing 0.5 s", "balance 0.1 s", "chirp 9.8 s");
-    let lab = std::fs::read_to_string("profiles/lab.toml").expect("profiles/lab.toml");
-    let lab = Profile::parse(&lab).expect("a profile").model();
+    let lab = Profile::lab().model();
     for (name, model) in [("nominal", QubeModel::NOMINAL), ("lab", lab)] {
         let mut scores = Scores::default();
         logs.iter().for_each(|log| score(&mut scores, log, &model));

@@ -1,7 +1,5 @@
 //! The possible faults of a start, and the Qubes.
 
-use std::path::Path;
-
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::qube::{DomainParameter, HARD_STOP_RAD, Profile, QubeModel, State};
 use qube_hil::telemetry::Fault;
@@ -241,9 +239,7 @@ impl Start {
 /// Nominal, `lab`, and 1.5 times its nonidealities, each exact or with parameters 10 % off, in
 /// turn.
 fn model(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
-    let text = std::fs::read_to_string(path).expect("the profile lab");
-    let lab = Profile::parse(&text).expect("the profile lab").model();
+    let lab = Profile::lab().model();
     let mut model = match seed % 3 {
         0 => QubeModel::NOMINAL,
         1 => lab,

@@ -145,8 +145,7 @@ pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<
 
 /// Qubes by name: nominal, like a real one, and farther from nominal.
 pub fn qubes() -> [(&'static str, EmulatorSettings); 5] {
-    let lab = Profile::parse(include_str!("../../profiles/lab.toml")).expect("the profile lab");
-    let lab = lab.model();
+    let lab = Profile::lab().model();
     let mut sticky = lab;
     sticky.nonidealities.coulomb_torque_n_m *= 3.0;
     let of = |model| EmulatorSettings { model, ..EmulatorSettings::default() };

@@ -1,5 +1,3 @@
-use std::path::Path;
-
 use qube_hil::qube::{Profile, Quantity, QubeModel};
 use qube_hil::safety::{Belief, ForesightSettings, IdentifiedQube};
 
@@ -28,7 +26,7 @@ impl BeliefKind {
     pub fn settings(self) -> ForesightSettings {
         let identified = match self {
             Self::Unknown => None,
-            Self::Identified => Some(IdentifiedQube::of(lab())),
+            Self::Identified => Some(IdentifiedQube::of(&Profile::lab())),
         };
         ForesightSettings { identified, ..ForesightSettings::default() }
     }
@@ -60,17 +58,7 @@ impl BeliefKind {
     pub fn observed(self) -> QubeModel {
         match self {
             Self::Unknown => QubeModel::NOMINAL,
-            Self::Identified => lab().model(),
+            Self::Identified => Profile::lab().model(),
         }
     }
-}
-
-/// The Qube whose recordings are public.
-fn lab() -> &'static Profile {
-    static LAB: std::sync::OnceLock<Profile> = std::sync::OnceLock::new();
-    LAB.get_or_init(|| {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
-        let text = std::fs::read_to_string(path).expect("the shipped profile");
-        Profile::parse(&text).expect("the shipped profile")
-    })
 }

@@ -68,8 +68,7 @@ impl Controller for BangBang {
 /// A Qube whose parameters lie within 10 % of the name plate's, with up to 1.5 times the friction, dead zones,
 /// cable and delay of `lab`.
 fn qube(seed: u64) -> EmulatorSettings {
-    let lab =
-        Profile::parse(include_str!("../../profiles/lab.toml")).expect("the profile lab").model();
+    let lab = Profile::lab().model();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut model = QubeModel {
         nonidealities: lab.scaled(1.5 * rng.random::<f64>()).nonidealities,

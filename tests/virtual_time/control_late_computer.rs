@@ -78,7 +78,7 @@ impl Connect for LateComputer {
 }
 
 fn settings(seed: u64) -> RigSettings {
-    let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap().model();
+    let lab = Profile::lab().model();
     let lab = EmulatorSettings { model: lab, ..EmulatorSettings::default() };
     let emulator = if seed.is_multiple_of(2) { EmulatorSettings::default() } else { lab };
     let method =

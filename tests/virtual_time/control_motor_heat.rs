@@ -83,8 +83,7 @@ fn policy(file: &str) -> Policy {
 
 /// The profile `lab`, scaled in its distance from the nominal Qube.
 fn lab(gap: f64) -> QubeModel {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
-    Profile::parse(&std::fs::read_to_string(path).unwrap()).unwrap().model().scaled(gap)
+    Profile::lab().model().scaled(gap)
 }
 
 /// Runs `rollouts` rollouts of the classical controller and of two trained policies on three Qubes;

@@ -26,10 +26,6 @@ fn lab_path() -> String {
     format!("{}/profiles/lab.toml", env!("CARGO_MANIFEST_DIR"))
 }
 
-fn lab() -> Profile {
-    Profile::parse(&std::fs::read_to_string(lab_path()).unwrap()).unwrap()
-}
-
 #[test]
 fn excitations_of_the_emulated_lab_give_its_profile_back() {
     let directory = tempfile::tempdir().unwrap();
@@ -47,7 +43,7 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
     let found = json(&qube_hil(directory.path(), &["identify", files[0], files[1], "--json"]));
     // Nothing of the emulated rig is taken for an effect outside the equations.
     assert_eq!(found["verdict"], "fits", "{found}");
-    let lab = lab();
+    let lab = Profile::lab();
     let expected = toml::Table::try_from(&lab).unwrap();
     let mut told = 0;
     for estimate in found["estimates"].as_array().unwrap() {
@@ -112,7 +108,7 @@ fn the_first_rollouts_say_whether_the_rig_is_as_its_profile() {
     let directory = tempfile::tempdir().unwrap();
     let qube = format!("profile = {:?}\n", lab_path());
     std::fs::write(directory.path().join("qube.toml"), qube).unwrap();
-    let mut shifted = lab();
+    let mut shifted = Profile::lab();
     shifted.nonidealities.cable_rest_rad += 0.4;
     let shifted = toml::to_string(&shifted).unwrap();
     std::fs::write(directory.path().join("shifted.toml"), shifted).unwrap();
@@ -149,7 +145,7 @@ fn the_first_rollouts_say_whether_the_rig_is_as_its_profile() {
     let moved = drift("moved", &["--profile", "shifted.toml"]);
     assert_eq!(moved["cable_rest_rad"]["moved"], true, "{moved}");
     let today = moved["cable_rest_rad"]["today"].as_f64().unwrap();
-    assert!((today - (lab().nonidealities.cable_rest_rad + 0.4)).abs() < 0.15, "{moved}");
+    assert!((today - (Profile::lab().nonidealities.cable_rest_rad + 0.4)).abs() < 0.15, "{moved}");
 }
 
 #[test]
@@ -158,7 +154,7 @@ fn a_session_says_that_its_rig_has_moved() {
     let qube = format!("profile = {:?}\n", lab_path());
     std::fs::write(directory.path().join("qube.toml"), qube).unwrap();
     // Three candidates without training: the session adopts the existing policies.
-    let mut emulated = lab();
+    let mut emulated = Profile::lab();
     emulated.nonidealities.command_delay_s = 0.017;
     let mut configuration = SessionSettings::quick();
     configuration.extent = Extent {

@@ -122,11 +122,6 @@ fn shipped(name: &str) -> Policy {
     Policy::load(&path).unwrap()
 }
 
-fn lab() -> QubeModel {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
-    Profile::parse(&std::fs::read_to_string(path).unwrap()).unwrap().model()
-}
-
 /// Error of the arm's angle at rest, by the rollout's zero, rad.
 fn theta_error_rad(bench: &Bench, recording: &Recording) -> f64 {
     let last = bench.last.lock().unwrap().unwrap();
@@ -201,9 +196,11 @@ fn a_healthy_qube_is_not_homed_again_for_nothing() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let policies = [shipped("robust.safetensors"), classical()];
-    for (name, model) in
-        [("nominal", QubeModel::NOMINAL), ("lab", lab()), ("gap 1.5", lab().scaled(1.5))]
-    {
+    for (name, model) in [
+        ("nominal", QubeModel::NOMINAL),
+        ("lab", Profile::lab().model()),
+        ("gap 1.5", Profile::lab().model().scaled(1.5)),
+    ] {
         let bench = Bench::default();
         let emulator = EmulatorSettings { model, seed: 5, ..EmulatorSettings::default() };
         let rig = bench.open(emulator, HomingSettings::default()).unwrap();

@@ -175,7 +175,7 @@ fn excited_again(stalling: u32) -> [u32; 4] {
     let folder =
         SessionFolder::create(&directory.path().join("s"), &settings.to_toml().unwrap()).unwrap();
     let computer = StallingComputer { connections: AtomicU32::new(0), stalling };
-    let lab = Profile::parse(include_str!("../../profiles/lab.toml")).unwrap().model();
+    let lab = Profile::lab().model();
     let rig = RigSettings {
         emulator: EmulatorSettings { model: lab, ..EmulatorSettings::default() },
         homing: settings.homing,

@@ -22,8 +22,7 @@ const MOST_PLAY_DEG: f64 = 1.0;
 
 /// One rig of the domain.
 pub fn rig(seed: u64) -> EmulatorSettings {
-    let text = include_str!("../../../profiles/lab.toml");
-    let lab = Profile::parse(text).unwrap().model();
+    let lab = Profile::lab().model();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let at_a_corner = random.random_range(0..2) == 0;
     let mut between = |low: f64, high: f64| {
