@@ -241,21 +241,20 @@ impl ChosenDevice {
 
     /// Checks that work which is resumed goes on with the guard and the homing that it began with,
     /// because its rollouts are compared. `work` names it as in "a session"; `homing` are the
-    /// settings that it recorded, and `began` its method of homing.
+    /// settings that it recorded.
     pub fn check_resumed(
         &self,
         work: &str,
         is_unidentified: bool,
         homing: HomingSettings,
-        began: HomingMethod,
     ) -> Result<(), Failure> {
         if self.unidentified && !is_unidentified {
             return Err(Failure::usage(format!(
                 "{work} goes on with the guard that it began with: leave --unidentified out"
             )));
         }
-        if self.homing(homing).method != began {
-            let method = match began {
+        if self.homing(homing).method != homing.method {
+            let method = match homing.method {
                 HomingMethod::Stops => "stops",
                 HomingMethod::Hand => "hand",
             };

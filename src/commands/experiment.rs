@@ -505,7 +505,7 @@ fn resumed(
     let unidentified = settings.plants.iter().any(|it| it.emulated.unidentified);
     if let Some(Recipe { settings: SessionSettings { homing, .. }, .. }) = settings.recipes.first()
     {
-        device.check_resumed("an experiment", unidentified, *homing, homing.method)?;
+        device.check_resumed("an experiment", unidentified, *homing)?;
     }
     Ok((folder, settings, check_places(arguments)?))
 }

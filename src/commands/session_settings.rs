@@ -137,7 +137,7 @@ pub fn resumed(
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     let (folder, settings) = reopened(directory, arguments, device)?;
     let SessionSettings { emulated, homing, .. } = &settings;
-    device.check_resumed("a session", emulated.unidentified, *homing, homing.method)?;
+    device.check_resumed("a session", emulated.unidentified, *homing)?;
     Ok((folder, on_this_qube(settings, device)))
 }
 

@@ -21,6 +21,7 @@ use super::session_progress::SessionProgress;
 use super::session_settings::{asked, begun, name_in, origin_of_guard, reopened};
 use super::several_rigs::{emulated_of, resume_command};
 use super::stop::Stop;
+use crate::control::HomingSettings;
 use crate::qube::{Profile, QubeModel};
 use crate::rig::RigSettings;
 use crate::safety::GuardConsent;
@@ -46,8 +47,8 @@ pub fn run(
         Some(directory) => {
             let (folder, settings) = reopened(directory, arguments, &devices[0])?;
             for (device, rig) in devices.iter().zip(&settings.rigs) {
-                let (unidentified, began) = (rig.emulated.unidentified, rig.homing_method);
-                device.check_resumed("a session", unidentified, settings.homing, began)?;
+                let homing = homing_of(rig, &settings);
+                device.check_resumed("a session", rig.emulated.unidentified, homing)?;
             }
             (folder, inside_all(settings, &devices))
         }
@@ -180,6 +181,11 @@ fn spread(
     Ok(settings)
 }
 
+/// The homing settings that the session recorded for a rig, without those of its own file.
+fn homing_of(rig: &SharedRig, settings: &SessionSettings) -> HomingSettings {
+    HomingSettings { method: rig.homing_method, ..settings.homing }
+}
+
 /// Narrows the safety box to the limits of all Qubes, because their rollouts are compared. Homing
 /// and signs stay those of each Qube.
 fn inside_all(settings: SessionSettings, devices: &[ChosenDevice]) -> SessionSettings {
@@ -201,7 +207,7 @@ fn opened(
     for (number, (mut device, rig)) in (1..).zip(devices.into_iter().zip(&settings.rigs)) {
         let of_rig = SessionSettings {
             emulated: rig.emulated,
-            homing: device.homing(settings.homing),
+            homing: device.homing(homing_of(rig, settings)),
             ..settings.clone()
         };
         let mut rig_settings =

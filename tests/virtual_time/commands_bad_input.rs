@@ -482,9 +482,9 @@ fn a_number_in_any_file_is_refused_by_file_key_value_and_range() {
             ),
             (
                 &recipe,
-                format!("{of_nominal}[settings.emulated]\nplay_rad = "),
-                "emulated.play_rad",
-                "from 0 to 0.0873",
+                format!("{of_nominal}[settings.bayrn]\nbeta = "),
+                "bayrn.beta",
+                "from 0 to 1000",
             ),
             (&qube, "[limits]\ntheta_rad = ".to_owned(), "theta_rad", "above 0, at most"),
             (&qube, "[homing]\ntheta_offset_rad = ".to_owned(), "theta_offset_rad", "0.3"),

@@ -106,6 +106,17 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     assert_eq!(output.status.code(), Some(2));
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(told.contains("--csv foreign.csv exists already"), "{told}");
+    // Its rollouts are compared, so all have the same guard and homing.
+    for (option, words) in [
+        (&["--unidentified"][..], "leave --unidentified out"),
+        (&["--home", "hand"], "give --home stops"),
+    ] {
+        let resume = [&["--resume", "one", "--table"], option].concat();
+        let output = experiment(whole.path(), &resume).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{told}");
+        assert!(told.contains(words), "{told}");
+    }
     assert_eq!(std::fs::read_to_string(&foreign).unwrap(), "mine");
     assert!(!whole.path().join("two").exists());
     let refused = ["--out", "two", "--models", "nominal", "--csv", "foreign.csv"];

@@ -267,8 +267,8 @@ fn a_session_goes_on_with_the_guard_and_the_homing_that_it_began_with() {
         ("stranger", &["--unidentified", "--home", "hand"], 0, ""),
         ("stranger", &[], 0, ""),
         ("shared", &["--unidentified"], 2, "leave --unidentified out"),
-        ("shared", &[], 2, "give --home hand"),
-        ("shared", &["--home", "hand"], 0, ""),
+        ("shared", &["--home", "stops"], 2, "give --home hand"),
+        ("shared", &[], 0, ""),
     ] {
         let (code, told) = ended(directory.path(), &[&["--resume", name], given].concat());
         assert_eq!(code, Some(expected), "{name} {given:?}: {told}");
