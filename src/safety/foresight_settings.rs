@@ -37,8 +37,8 @@ pub struct ForesightSettings {
 pub struct IdentifiedQube {
     /// Belief derived from the profile: the brake must hold for all of its Qubes.
     pub belief: Belief,
-    /// Fraction of each number by which the Qube may differ from this belief before its motion
-    /// contradicts the profile; 0 if the belief itself allows for that.
+    /// Least relative difference of each number from the profile before the Qube's motion
+    /// contradicts it. Recordings that do not name it have 0: their belief was that wide itself.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub tolerance: f64,
     /// Control periods for which a voltage is held before the brake begins.
@@ -54,15 +54,13 @@ impl IdentifiedQube {
     /// the three samples that a link may lose in a row.
     #[must_use]
     pub fn of(profile: &Profile) -> Self {
-        // Without correlations the belief is that wide itself.
-        let tolerance = if profile.correlations.is_some() { MODEL_ERROR } else { 0.0 };
-        Self { belief: Belief::of_profile(profile), tolerance, held_periods: 4 }
+        Self { belief: Belief::of_profile(profile), tolerance: MODEL_ERROR, held_periods: 4 }
     }
 
     /// The belief whose Qubes do not contradict the profile.
     #[must_use]
     pub fn tolerated(&self) -> Belief {
-        self.belief.widened(self.tolerance)
+        self.belief.at_least_within(self.tolerance)
     }
 }
 

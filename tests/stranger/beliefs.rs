@@ -31,8 +31,8 @@ impl BeliefKind {
         ForesightSettings { identified, ..ForesightSettings::default() }
     }
 
-    /// The belief from which the Qube is drawn: all that the identified Qube may be before its motion contradicts the
-    /// profile, or the one for any Qube.
+    /// The belief from whose box the Qube is drawn: the identified Qube's with at least 10 % of each number, or that of any
+    /// Qube.
     fn belief(self) -> Belief {
         let ForesightSettings { belief, identified, .. } = self.settings();
         identified.map_or(belief, |identified| identified.tolerated())

@@ -17,7 +17,7 @@ pub enum Start {
     Rest,
     /// Disturbed, as if pushed while settling.
     Disturbed,
-    /// Where the last rollout left them.
+    /// In the state in which the last rollout left arm and pendulum.
     AfterAnother,
 }
 
@@ -44,7 +44,8 @@ pub struct Scenario {
     pub jitters: bool,
     /// Steps of the policy.
     pub steps: u32,
-    /// Time ahead at which the optimiser aims the arm, s.
+    /// Time for which the optimiser extrapolates the arm's angle at its velocity, s; the attack
+    /// maximises the result.
     pub ahead_s: f64,
     /// The Qube of the whole search, as genes; `None` if the optimiser chooses it too.
     pub qube: Option<Vec<f64>>,
