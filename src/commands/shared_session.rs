@@ -168,10 +168,13 @@ fn spread(
              multiple of it"
         )));
     }
-    let rig = |(number, device): (u32, &ChosenDevice)| SharedRig {
-        device: name_of(device),
-        emulated: emulated_of(arguments, &settings, settings.seed, number),
-        homing_method: device.homing(settings.homing).method,
+    let rig = |(number, device): (u32, &ChosenDevice)| {
+        let method = device.homing(settings.homing).method;
+        SharedRig {
+            device: name_of(device),
+            emulated: emulated_of(arguments, &settings, settings.seed, number),
+            homing_method: (method != settings.homing.method).then_some(method),
+        }
     };
     settings.rigs = (1..).zip(devices).map(rig).collect();
     let settings = inside_all(settings, devices);
@@ -183,7 +186,10 @@ fn spread(
 
 /// The homing settings that the session recorded for a rig, without those of its own file.
 fn homing_of(rig: &SharedRig, settings: &SessionSettings) -> HomingSettings {
-    HomingSettings { method: rig.homing_method, ..settings.homing }
+    HomingSettings {
+        method: rig.homing_method.unwrap_or(settings.homing.method),
+        ..settings.homing
+    }
 }
 
 /// Narrows the safety box to the limits of all Qubes, because their rollouts are compared. Homing

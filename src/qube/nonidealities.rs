@@ -1,5 +1,4 @@
 use serde::{Deserialize, Serialize};
-
 use thiserror::Error;
 
 use super::{
@@ -119,15 +118,16 @@ impl QubeModel {
         Ok(())
     }
 
-    /// The Qube on the straight line from the nominal Qube through this one: `factor` 0 gives the
-    /// nominal Qube, and 1 gives this one. A parameter is interpolated in its logarithm, or
-    /// linearly if it is 0 here or in the nominal Qube. The rest angle of the cable stays as it is.
+    /// The Qube between the nominal Qube (`factor` 0) and this one (`factor` 1), or beyond it.
+    /// Domain parameters are interpolated in their logarithm, or linearly if one is 0 in either
+    /// Qube. Nonidealities are multiplied by `factor`, except the cable's rest angle, which stays
+    /// as it is.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         self.scaled_from(&DomainParameters::NOMINAL, factor)
     }
 
-    /// As [`Self::scaled`], but on the line from the nominal Qube with these parameters.
+    /// The Qube of [`Self::scaled`] with these parameters as the nominal ones.
     #[must_use]
     pub fn scaled_from(&self, nominal: &DomainParameters, factor: f64) -> Self {
         let mut parameters = *nominal;
@@ -210,7 +210,7 @@ impl<T: Scalar> NonidealDynamics<T> {
 }
 
 impl NonidealDynamics {
-    /// Slope of the friction torque at rest, N m s: the stiffest term of the equations.
+    /// Slope of the friction torque at rest, N m s/rad: the stiffest term of the equations.
     #[must_use]
     pub fn friction_slope(&self) -> f64 {
         3.0 * self.coulomb_torque / FRICTION_VELOCITY_RAD_S

@@ -327,7 +327,7 @@ mod tests {
         let rig = SharedRig {
             device: "emulated".into(),
             emulated: Default::default(),
-            homing_method: Default::default(),
+            homing_method: None,
         };
         let shared = SessionSettings { rigs: vec![rig], ..SessionSettings::thesis() };
         let text = shared.to_toml().unwrap();

@@ -51,7 +51,7 @@ impl EmulatedQubeSettings {
             ("play_rad", self.play_rad, largest_play_rad),
         ] {
             if !(0.0..=largest).contains(&value) {
-                return Err(format!("{name} = {value}: give a number from 0 to {largest:.4}"));
+                return Err(format!("{name} = {value}: give a number from 0 to {largest}"));
             }
         }
         self.effects.check().map_err(|error| format!("effects.{error}"))

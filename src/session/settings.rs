@@ -22,13 +22,9 @@ pub struct SharedRig {
     pub device: String,
     /// Settings of the emulated Qube, used if the device is one.
     pub emulated: EmulatedQubeSettings,
-    /// How the rig was homed when the session began.
-    #[serde(default, skip_serializing_if = "is_default")]
-    pub homing_method: HomingMethod,
-}
-
-fn is_default(method: &HomingMethod) -> bool {
-    *method == HomingMethod::default()
+    /// How the rig was homed when the session began; `None` for the method of the session's settings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub homing_method: Option<HomingMethod>,
 }
 
 /// Number of initial candidates of a search around an identified Qube. One has the simulations as

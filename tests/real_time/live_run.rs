@@ -82,7 +82,7 @@ fn the_page_stops_a_run_and_its_recording_is_whole() {
     rustix::process::kill_process(process, rustix::process::Signal::INT).unwrap();
     let (code, told) = watched.end();
     assert_eq!(code, Some(130), "{told}");
-    assert!(told.contains("as the live view at 127.0.0.1 asks"), "{told}");
+    assert!(told.contains("at the request of the live view at 127.0.0.1"), "{told}");
     assert!(told.contains("the recordings are complete"), "{told}");
     let mut recordings: Vec<_> = fs::read_dir(directory.path().join("run")).unwrap().collect();
     let last = recordings.pop().unwrap().unwrap().path();

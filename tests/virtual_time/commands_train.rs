@@ -98,6 +98,6 @@ fn a_training_that_is_stopped_names_a_checkpoint_only_if_there_is_one() {
         (output.status.code() == Some(143)).then_some(output)
     });
     let told = String::from_utf8(stopped.unwrap().stderr).unwrap();
-    assert_eq!(told.contains("goes on from"), checkpoint.exists(), "{told}");
+    assert_eq!(told.contains("continues from"), checkpoint.exists(), "{told}");
     assert_eq!(told.contains("nothing was written"), !checkpoint.exists(), "{told}");
 }

@@ -26,7 +26,7 @@ pub trait Starter: Send + fmt::Debug {
     ///
     /// # Errors
     /// The workers cannot be counted at all. A scheduler that fails to answer only for the moment
-    /// is no error: then [`Census::expected`] is `None`.
+    /// is no error: then [`WorkerCount::expected`] is `None`.
     fn count_workers(&mut self, appeared: u32, alive: u32) -> Result<WorkerCount, StartError>;
 
     /// Ends all workers that the starter can reach.

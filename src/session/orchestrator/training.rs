@@ -23,7 +23,7 @@ use crate::storage::{Disk, write_whole};
 enum TrainedFor {
     /// The distribution of the candidate's psi.
     Psi,
-    /// The distribution of Qubes that an unidentified Qube may belong to.
+    /// The model `robust`: the distribution of Qubes for an unidentified Qube.
     Unknown,
     /// The nominal Qube.
     Nominal,
@@ -52,8 +52,8 @@ pub(super) struct Trainer {
     pub(super) settings: SessionSettings,
     pub(super) identification: Identification,
     pub(super) executor: Arc<dyn Executor>,
-    /// Whether the times of trainings are kept. In virtual time they mean nothing and would keep
-    /// files from repeating byte for byte.
+    /// Whether the times of trainings are written. In virtual time they mean nothing, and the same
+    /// seed would give other bytes each time.
     pub(super) in_real_time: bool,
 }
 
@@ -174,6 +174,7 @@ impl Trainer {
         let score = if competes {
             worst_return(&self.simulated(candidate.number, &trained.network)?)
         } else {
+            // A candidate's only policy has no competitor: it is written without an evaluation.
             SUCCEEDED
         };
         competition.missing -= 1;
