@@ -35,7 +35,8 @@ use qube_hil::telemetry::{Ending, Phase, TickRecord, TickSettings};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Rollouts of each policy in each cell.
+/// Number of rollouts of each policy on a Qube that forms a column alone; on each of the [`PLANTS`]
+/// Qubes that share a column it runs once.
 const ROLLOUTS: u64 = 5;
 
 /// Number of Qubes around the profile, each parameter within 10 % of the profile's value.
@@ -188,6 +189,7 @@ fn velocity_errors(
         }
         f64::sqrt(sum / count)
     };
+    // Shifts of up to 30 ms in either direction.
     let reach = 60;
     let best = (-reach..=reach).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or_default();
     Errors {
@@ -320,9 +322,9 @@ impl Tally {
     }
 
     fn count(&mut self, states: &[State], return_: f64, completed: bool) {
-        let stands = states.len() == 600
+        let balanced = states.len() == 600
             && states[500..].iter().all(|state| wrap_angle(state.alpha - PI).abs() < 0.2);
-        self.successes += u32::from(completed && return_ >= 400.0 && stands);
+        self.successes += u32::from(completed && return_ >= 400.0 && balanced);
         self.return_sum += return_;
     }
 }

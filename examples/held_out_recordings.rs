@@ -6,9 +6,10 @@
 //! ```
 //!
 //! FOLDER holds chirps and swing-ups as CSV files; without FOLDER, `../shared/data/qube-recordings`
-//! is read. For each recording, a model is fitted to all others, and the cable's rest angle comes
-//! from the fitted recordings of the same series, whose names differ in the last number only. The
-//! table pools the errors by kind of recording.
+//! is read. For each recording, a model is fitted to the other chirps, or to all other recordings.
+//! The cable's rest angle comes from the fitted recordings of the same series, whose names differ
+//! in the last number only. Each entry of the table has the root mean square errors of theta and
+//! alpha in rad for one kind of recording, and the number of predictions in brackets.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;

@@ -8,7 +8,8 @@ use qube_hil::qube::{
     runge_kutta_4,
 };
 
-/// The Qube of a row of the table.
+/// A Qube to simulate: its model, and an effect that the library's equations leave out. The example
+/// prints a row for each.
 #[derive(Clone, Copy)]
 pub struct Kind {
     pub model: QubeModel,
@@ -44,7 +45,7 @@ const CONTACT_N_M_S_RAD: f64 = 2e-3;
 /// rad/s.
 const SLIDING_RAD_S: f64 = 0.05;
 
-/// A Qube whose commands arrive late.
+/// A simulated Qube with its command delay and the effect of its kind.
 pub struct Plant {
     kind: Kind,
     dynamics: NonidealDynamics,
@@ -87,6 +88,8 @@ impl Plant {
         let steps = if is_stiff { STIFF_STEPS } else { STEPS };
         let step_s = CONTROL_PERIOD_S / f64::from(steps);
         for step in 0..steps {
+            // The voltage that acts at this instant was sent `sent_s` after the begin of this
+            // period; before it if `sent_s` is negative.
             let sent_s =
                 (f64::from(step) + 0.5) * step_s - self.kind.model.nonidealities.command_delay_s;
             let age = (-sent_s / CONTROL_PERIOD_S).ceil().max(0.0) as usize;

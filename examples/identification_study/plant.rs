@@ -46,22 +46,27 @@ const STEPS: u32 = 400;
 /// Inertia of the motor's rotor with its hub, kg m^2: data sheet of the QUBE-Servo 2.
 const ROTOR_INERTIA_KG_M2: f64 = 4.6e-6;
 
-/// Stiffness and damping of the contact between rotor and arm: the rotor vibrates at 70 Hz and
-/// hardly bounces.
+/// Stiffness of the contact between rotor and arm, N m/rad: the rotor vibrates at 70 Hz.
 const CONTACT_N_M_RAD: f64 = 1.0;
+
+/// Damping of the contact between rotor and arm, N m s/rad: the rotor hardly bounces.
 const CONTACT_N_M_S_RAD: f64 = 2e-3;
 
 /// Velocity at which friction has reached three quarters of its torque, rad/s.
 const SLIDING_RAD_S: f64 = 0.05;
 
-/// A Qube whose commands arrive late.
+/// A simulated Qube with its command delay and at most one effect outside the model class.
 pub struct Plant {
     model: QubeModel,
     beyond: Beyond,
     dynamics: NonidealDynamics,
+    /// State of arm and pendulum.
     state: State,
+    /// The motor's angle, rad, and velocity, rad/s; used only with play.
     rotor: [f64; 2],
+    /// Angle by which the friction or the cable has yielded, rad.
     given_way_rad: f64,
+    /// Time since the begin, s; the motor warms with it.
     time_s: f64,
     /// Last commands, V, newest first.
     commands_v: VecDeque<f64>,

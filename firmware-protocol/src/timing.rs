@@ -5,7 +5,8 @@ pub const BAUD_RATE: u32 = 500_000;
 /// Bits on the line for each byte: start bit, eight data bits, stop bit.
 pub const BITS_PER_BYTE: u32 = 10;
 
-/// Time without an arm or an accepted act after which the device switches its amplifier off, ms.
+/// Time since the last accepted arm request or act after which the device switches its amplifier
+/// off, ms.
 pub const WATCHDOG_MS: u16 = 50;
 
 /// Longest interval between two checks of the watchdog, ms: the device switches its amplifier off

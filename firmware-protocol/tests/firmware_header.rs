@@ -151,7 +151,7 @@ fn the_firmware_has_the_constants_of_this_crate() {
     let committed = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         committed == expected,
-        "{} is not what this crate says; write it anew with \
+        "{} differs from this crate's constants; write it anew with \
          UPDATE_FIRMWARE_HEADER=1 cargo test -p firmware-protocol --test firmware_header",
         path.display()
     );

@@ -1,6 +1,6 @@
 use crate::qube::{MAX_HISTORY, OBSERVATION_SIZE};
 
-/// Neurons of each hidden layer and samples of a minibatch: the width of every kernel.
+/// Neurons of each hidden layer, and samples of a full block (a minibatch is one).
 pub(super) const WIDTH: usize = 64;
 
 /// Length of the longest observation.

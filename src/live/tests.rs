@@ -362,7 +362,7 @@ fn bad_clients_hurt_nobody_but_themselves() {
 
     viewer.ticked(&tick(5));
     assert_eq!(good.data().0, 2);
-    assert_eq!(garbage.data().0, 2, "what cannot be obeyed is ignored");
+    assert_eq!(garbage.data().0, 2, "invalid messages are ignored");
 }
 
 /// Whether the view ends the connection; messages that it still sends are ignored.

@@ -21,7 +21,7 @@ impl NotFinite {
         None
     }
 
-    /// Stores the bits of a number that is no `f64`, under its name.
+    /// Stores the bits of a number of another type, such as `f32`, under its name.
     pub(super) fn keep_bits(&mut self, name: &str, bits: u64) {
         let separator = if self.text.is_empty() { "" } else { " " };
         // Writing to a String cannot fail.

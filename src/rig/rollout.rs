@@ -39,7 +39,8 @@ const LEAST_AGE_S: f64 = 0.002;
 const LONGEST_AGE_S: f64 = 0.01;
 
 /// Age that the guard assumes for a sample without a device time, s: the 99th percentile of the
-/// link's round trip plus [`BUFFERED_S`].
+/// link's round trip plus [`BUFFERED_S`], from [`LEAST_AGE_S`] to [`LONGEST_AGE_S`]. Without a
+/// measured link it is [`LONGEST_AGE_S`].
 fn unknown_age_s(link: Option<&MeasuredLink>) -> f64 {
     let read_s = link.map_or(LONGEST_AGE_S, |link| link.round_trip_us.p99 * 1e-6);
     (read_s + BUFFERED_S).clamp(LEAST_AGE_S, LONGEST_AGE_S)

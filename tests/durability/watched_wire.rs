@@ -10,7 +10,8 @@ use qube_hil::device::{InProcessWire, LinkFault, Transport};
 
 /// Time without a valid command after which the amplifier goes off, us.
 const WATCHDOG_US: u64 = 50_000;
-/// Interval at which the device checks its watchdog, us, which adds to that.
+/// Interval at which the device checks its watchdog, us: the amplifier goes off up to this much
+/// later than [`WATCHDOG_US`].
 const POLL_US: u64 = 5_000;
 
 /// A board with its wire, shared between the link and the test.

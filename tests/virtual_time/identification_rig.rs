@@ -91,7 +91,7 @@ fn rollouts_of_a_policy_identify_the_emulated_lab() {
     let directory = tempfile::tempdir().unwrap();
     let policy = concat!(env!("CARGO_MANIFEST_DIR"), "/policies/robust.safetensors");
     let run = ["run", "--policy", policy, "--profile", "lab", "--clock", "virtual"];
-    // In the box, where rollouts last.
+    // Guarded by the box alone, so that foresight does not end the rollouts.
     let more = ["--guard", "box", "--seed", "2", "--rollouts", "2", "--out", "swing"];
     qube_hil(directory.path(), &[&run[..], &more].concat());
     let files = ["swing/rollout-0.mcap", "--holdout", "swing/rollout-1.mcap", "--json"];
@@ -118,7 +118,8 @@ fn the_first_rollouts_say_whether_the_rig_is_as_its_profile() {
         // converge elsewhere.
         let policy = concat!(env!("CARGO_MANIFEST_DIR"), "/policies/robust.safetensors");
         let common = ["run", "--policy", policy, "--qube", "qube.toml", "--device", "emulated"];
-        // In the box, where rollouts last. Of some seeds the fit of the delay is up to 3 ms too long.
+        // Guarded by the box alone, so that foresight does not end the rollouts. With some seeds
+        // the fitted delay is up to 3 ms too long.
         let rest = [
             "--seed",
             "2",
@@ -153,7 +154,8 @@ fn a_session_says_that_its_rig_has_moved() {
     let directory = tempfile::tempdir().unwrap();
     let qube = format!("profile = {:?}\n", lab_path());
     std::fs::write(directory.path().join("qube.toml"), qube).unwrap();
-    // Three candidates without training: the session adopts the existing policies.
+    // Three candidates and a verification without training: the session adopts the existing
+    // policies.
     let mut emulated = Profile::lab();
     emulated.nonidealities.command_delay_s = 0.017;
     let mut configuration = SessionSettings::quick();

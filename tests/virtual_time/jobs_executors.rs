@@ -1,4 +1,5 @@
-//! Workers that the coordinator starts itself, by a command: the same policies, and one sentence where they cannot work.
+//! Tests workers that the coordinator starts by a command: they train the same policies as the
+//! coordinator alone, and a command that cannot start them is refused with one sentence.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -40,7 +41,7 @@ fn bytes(root: &Path) -> BTreeMap<String, Vec<u8>> {
 }
 
 #[test]
-fn an_experiment_by_a_command_has_the_bytes_of_this_computer_alone() {
+fn workers_started_by_a_command_give_the_same_bytes_as_this_computer_alone() {
     let directory = tempfile::tempdir().unwrap();
     let directory = directory.path();
     for (out, options) in
@@ -78,7 +79,7 @@ fn refused(output: &Output, words: &[&str]) {
 }
 
 #[test]
-fn what_cannot_start_workers_is_refused_in_a_sentence() {
+fn a_command_that_cannot_start_workers_is_refused_in_a_sentence() {
     let directory = tempfile::tempdir().unwrap();
     let directory = directory.path();
     let run = |out: &str, executor: &str| {

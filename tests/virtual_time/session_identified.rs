@@ -1,4 +1,4 @@
-//! Tests sessions that identify their Qube first and search around what they found.
+//! Tests sessions that first identify their Qube and then search around the identified profile.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -35,7 +35,7 @@ fn list<'a>(told: &'a Value, key: &str) -> &'a [Value] {
 }
 
 #[test]
-fn a_qube_is_identified_and_its_errors_are_what_is_searched() {
+fn a_qube_is_identified_and_the_search_varies_the_errors_of_its_profile() {
     let directory = tempfile::tempdir().unwrap();
     let settings = format!("{SMALL}[identification]\ncandidates = 2\n");
     let arguments = ["--config", "small.toml", "--profile", "lab", "--out", "s"];
@@ -57,7 +57,8 @@ fn a_qube_is_identified_and_its_errors_are_what_is_searched() {
     assert!(psi(&candidates[0]).contains_key("log_width"), "{told}");
     assert!(psi(&candidates[0]).values().all(|value| value == 0.0), "{told}");
     assert!(psi(&candidates[1]).values().any(|value| value != 0.0), "{told}");
-    // The first one's recording identified the Qube anew before the second was proposed; at the end came the second's and
+    // The Qube is identified from the excitation, again with the first candidate's recording before
+    // the second candidate is proposed, and at the end with the second candidate's recording and
     // the two of the verification.
     assert_eq!(known["recordings"], 5);
     let profile = |number: u32| directory.path().join(format!("s/profile-{number}.toml")).exists();
@@ -162,8 +163,9 @@ impl Connect for StallingComputer {
     }
 }
 
-/// The numbers of repeated excitations, first identifications and refusals of a session whose computer stalls in this
-/// many connections, and the number of recordings that its first profile is said to be fitted to.
+/// Runs a session whose computer stalls in its first `stalling` connections. Returns the numbers of
+/// repeated excitations, first identifications and refused identifications, and the number of
+/// recordings that the first profile was fitted to.
 fn excited_again(stalling: u32) -> [u32; 4] {
     let directory = tempfile::tempdir().unwrap();
     let mut settings = SessionSettings::quick();
@@ -186,7 +188,7 @@ fn excited_again(stalling: u32) -> [u32; 4] {
         Session::open(folder, settings, rig, Arc::new(AtomicBool::new(false))).unwrap();
     let ran = session.run(&mut |event| match event {
         SessionEvent::ExcitationRepeated(_) => told[0] += 1,
-        // The second one takes in the verification.
+        // A later identification includes the recordings of the verification.
         SessionEvent::Identified { recordings, .. } if told[1] == 0 => {
             (told[1], told[3]) = (1, recordings);
         }

@@ -28,15 +28,17 @@ fn mean(candidate: &Value) -> f64 {
 }
 
 #[test]
-fn the_best_candidates_own_policy_is_verified_beside_the_answer_and_the_better_is_handed_on() {
+fn the_incumbents_policy_is_verified_beside_the_recommendation_and_the_better_is_returned() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::write(directory.path().join("small.toml"), SMALL).unwrap();
     let told = session(directory.path(), &["--config", "small.toml", "--out", "s"]);
     let (searched, verified) = (&told["candidates"], &told["verified"]);
     let searched = searched.as_array().unwrap();
-    let [answer, incumbent] = verified.as_array().unwrap().as_slice() else { panic!("{told}") };
+    let [recommended, incumbent] = verified.as_array().unwrap().as_slice() else {
+        panic!("{told}")
+    };
     assert_eq!(
-        (&answer["purpose"], &incumbent["purpose"]),
+        (&recommended["purpose"], &incumbent["purpose"]),
         (&"verification".into(), &"incumbent".into())
     );
     assert_eq!((searched.len(), incumbent["returns"].as_array().unwrap().len()), (4, 2));
@@ -45,7 +47,7 @@ fn the_best_candidates_own_policy_is_verified_beside_the_answer_and_the_better_i
     assert_eq!(policy(directory.path(), incumbent), policy(directory.path(), luckiest));
     assert_eq!(incumbent["psi"], luckiest["psi"]);
 
-    let better = if mean(incumbent) > mean(answer) { incumbent } else { answer };
+    let better = if mean(incumbent) > mean(recommended) { incumbent } else { recommended };
     assert_eq!(told["best"]["candidate"], better["candidate"]);
     assert!(Path::new(told["best"]["policy"].as_str().unwrap()).ends_with("policy.safetensors"));
     // A finished session is only read.

@@ -218,7 +218,8 @@ fn close(name: &str, what: &str, ours: f64, theirs: f64) {
     );
 }
 
-/// Checks that two logarithms are equal to 1e-9, or that their numbers are, relative.
+/// Checks that two logarithms differ by less than 1e-9, or by a relative 1e-9 if they exceed 1 in
+/// magnitude.
 fn close_logarithms(name: &str, what: &str, ours: f64, theirs: f64) {
     let error = (ours - theirs).abs() / theirs.abs().max(1.0);
     assert!(error < 1e-9, "{name}: {what} is {ours}, BoTorch has {theirs} (relative {error:e})");

@@ -9,14 +9,15 @@ pub struct StrategySettings {
     /// Methods that are compared.
     #[serde(alias = "contenders")]
     pub methods: Vec<Method>,
-    /// Number of repetitions of each method, 1 to 1,000. Methods share the seed of a repetition,
-    /// and so the random numbers of steps that they have in common.
+    /// Number of repetitions of each method, 1 to 1,000. All methods of a repetition have the same
+    /// seed: a step that several methods share, such as an excitation, draws the same random
+    /// numbers in each.
     pub repetitions: u32,
     /// Largest number of recordings of a method that learns from recordings, 1 to 1,000, if there
     /// are no budgets; an excitation lasts 10 s.
     pub recordings: u32,
-    /// Standard deviation of the training distribution around an identified Qube, as a part of each
-    /// value; 0 to 1.
+    /// Standard deviation of the training distribution around an identified Qube, as a fraction of
+    /// each value; 0 to 1.
     pub spread: f64,
     /// Numbers of real rollouts after which each method's recommendation is scored, in rising order
     /// and up to 1,000. If empty, recommendations are scored one after the other until the first
@@ -77,13 +78,13 @@ impl StrategySettings {
         if !self.budgets.is_sorted_by(|a, b| a < b) || self.budgets.last() > Some(&1000) {
             return Err("budgets: give numbers of real rollouts up to 1000, each larger than the one before".into());
         }
-        let idle = self.methods.iter().find(|method| method.needs_budgets());
-        if let (false, Some(idle)) = (self.has_budgets(), idle) {
-            let reason = match idle.needs_no_rollouts() {
+        let budgeted = self.methods.iter().find(|method| method.needs_budgets());
+        if let (false, Some(budgeted)) = (self.has_budgets(), budgeted) {
+            let reason = match budgeted.needs_no_rollouts() {
                 true => "takes no real rollouts",
                 false => "makes all its policies of one training",
             };
-            return Err(format!("{idle} {reason}: give budgets to compare it"));
+            return Err(format!("{budgeted} {reason}: give budgets to compare it"));
         }
         if !(1..=64).contains(&self.trainings) {
             return Err(format!("trainings = {}: give a number from 1 to 64", self.trainings));

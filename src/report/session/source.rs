@@ -217,9 +217,9 @@ impl SessionSource {
         next_step(&self.state, extent, identification.as_ref()) == Step::Done
     }
 
-    /// The settings of the search when this candidate was proposed, or the latest with `None`:
-    /// around the Qube as it was identified by then, or those of the session's beginning if it was
-    /// not identified.
+    /// The settings of the search at the proposal of this candidate; `None` gives the latest. They
+    /// vary the profile identified by then, or equal the session's settings if no profile was
+    /// identified.
     pub(super) fn search_settings(&self, candidate: Option<u32>) -> SessionSettings {
         let mut known = None;
         for entry in &self.entries {

@@ -74,13 +74,13 @@ mod tests {
     }
 
     #[test]
-    fn equal_motions_have_none_and_it_grows_with_what_differs() {
+    fn the_discrepancy_is_zero_for_equal_motions_and_grows_with_the_difference() {
         let real = swinging(0.0, 1.0);
         assert_eq!(discrepancy(&real, &real), 0.0);
         let costs = [0.9, 0.7, 0.2].map(|amplitude| discrepancy(&real, &swinging(0.0, amplitude)));
         assert!(0.0 < costs[0] && costs[0] < costs[1] && costs[1] < costs[2], "{costs:?}");
         assert!(discrepancy(&real, &swinging(1.0, 1.0)) < discrepancy(&real, &swinging(3.0, 1.0)));
-        // A motion that diverges has the largest discrepancy, not an unknown one.
+        // A state that is not finite counts with the largest difference, so the sum stays a number.
         let mut lost = swinging(0.0, 1.0);
         lost.states[10].theta = f64::NAN;
         assert!(discrepancy(&real, &lost) > 0.0);
