@@ -30,7 +30,7 @@ struct Arguments {
     /// ce, cma or both.
     #[arg(long, default_value = "both")]
     optimiser: String,
-    /// unknown or identified.
+    /// unknown, identified, or precise: identified with a tenth of the standard errors.
     #[arg(long, default_value = "unknown")]
     belief: String,
     /// Generations of a search.
@@ -55,7 +55,8 @@ fn main() -> anyhow::Result<()> {
     let known = match arguments.belief.as_str() {
         "unknown" => BeliefKind::Unknown,
         "identified" => BeliefKind::Identified,
-        _ => anyhow::bail!("--belief: give unknown or identified"),
+        "precise" => BeliefKind::Precise,
+        _ => anyhow::bail!("--belief: give unknown, identified or precise"),
     };
     let methods = match arguments.optimiser.as_str() {
         "ce" => vec![Method::Ce],

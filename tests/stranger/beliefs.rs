@@ -11,6 +11,8 @@ pub enum BeliefKind {
     Unknown,
     /// The Qube is identified: its parameters lie around those of `lab`.
     Identified,
+    /// The Qube is identified, and its profile has a tenth of the standard errors of `lab`.
+    Precise,
 }
 
 /// A Qube within a belief: its parameters, and the fractions of positive and negative voltages that reach its motor.
@@ -27,6 +29,11 @@ impl BeliefKind {
         let identified = match self {
             Self::Unknown => None,
             Self::Identified => Some(IdentifiedQube::of(&Profile::lab())),
+            Self::Precise => {
+                let mut profile = Profile::lab();
+                profile.standard_errors.values_mut().for_each(|error| *error /= 10.0);
+                Some(IdentifiedQube::of(&profile))
+            }
         };
         ForesightSettings { identified, ..ForesightSettings::default() }
     }
@@ -58,7 +65,7 @@ impl BeliefKind {
     pub fn observed(self) -> QubeModel {
         match self {
             Self::Unknown => QubeModel::NOMINAL,
-            Self::Identified => Profile::lab().model(),
+            Self::Identified | Self::Precise => Profile::lab().model(),
         }
     }
 }
