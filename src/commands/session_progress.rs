@@ -9,7 +9,7 @@ use super::stop::Stop;
 use super::training_pace::TrainingPace;
 use super::warn_without_realtime;
 use crate::scoring::Verdict;
-use crate::session::{Outlook, Purpose, SessionError, SessionEvent, SessionSettings};
+use crate::session::{CandidateCounts, Purpose, SessionError, SessionEvent, SessionSettings};
 use crate::telemetry::Ending;
 
 /// Phase of a session while it opens its rig, as the screen names it.
@@ -82,7 +82,7 @@ impl SessionProgress {
     /// Shows one event.
     pub fn update(&mut self, event: &SessionEvent) {
         match event {
-            SessionEvent::Proposed { candidate, purpose, outlook } => {
+            SessionEvent::Proposed { candidate, purpose, counts } => {
                 let why = match purpose {
                     Purpose::Excitation => "a recording that identifies the Qube",
                     Purpose::Baseline => "a policy trained on the nominal Qube, for comparison",
@@ -94,12 +94,12 @@ impl SessionProgress {
                 if *purpose == Purpose::Excitation {
                     self.excitations.push(*candidate);
                 }
-                let to_come = outlook.most_searched.saturating_sub(outlook.searched);
+                let to_come = counts.most_searched.saturating_sub(counts.searched);
                 let last = candidate + 1 + to_come + u32::from(self.has_baseline);
-                self.candidates = outlook.total.unwrap_or(last);
-                let text = proposed(*candidate, *purpose, why, outlook);
-                self.proposed(*candidate, *purpose, &text, outlook);
-                let left = self.time_left().filter(|_| outlook.total.is_some());
+                self.candidates = counts.total.unwrap_or(last);
+                let text = proposed(*candidate, *purpose, why, counts);
+                self.proposed(*candidate, *purpose, &text, counts);
+                let left = self.time_left().filter(|_| counts.total.is_some());
                 let left = left.map_or(String::new(), |left| {
                     format!("; about {} left in all", in_words(left))
                 });
@@ -209,10 +209,10 @@ impl SessionProgress {
     }
 
     /// Shows a new candidate on the screen.
-    fn proposed(&mut self, candidate: u32, purpose: Purpose, work: &str, outlook: &Outlook) {
-        let done = match outlook.total {
+    fn proposed(&mut self, candidate: u32, purpose: Purpose, work: &str, counts: &CandidateCounts) {
+        let done = match counts.total {
             Some(total) => (candidate, total),
-            None => (outlook.searched - u32::from(purpose.is_searched()), outlook.most_searched),
+            None => (counts.searched - u32::from(purpose.is_searched()), counts.most_searched),
         };
         self.progress.update(|state| {
             work.clone_into(&mut state.work);
@@ -221,7 +221,7 @@ impl SessionProgress {
                 (true, true) => ROLLOUTS.into(),
                 (false, _) => "preparing the training".into(),
             };
-            state.may_end_early = outlook.total.is_none();
+            state.may_end_early = counts.total.is_none();
             state.done = Some((done.0.into(), done.1.into()));
             state.expect_end(self.time_left());
         });
@@ -270,8 +270,8 @@ pub fn identified(recordings: u32, doubts: &[String]) -> String {
 
 /// The line for a new candidate. Its number counts from 0, as its folder's name does; its place
 /// among all candidates, or among those of a search that may end early, counts from 1.
-fn proposed(candidate: u32, purpose: Purpose, why: &str, outlook: &Outlook) -> String {
-    let Outlook { searched, most_searched, total } = outlook;
+fn proposed(candidate: u32, purpose: Purpose, why: &str, counts: &CandidateCounts) -> String {
+    let CandidateCounts { searched, most_searched, total } = counts;
     match total {
         Some(total) => format!("candidate {candidate} ({} of {total}): {why}", candidate + 1),
         None if purpose.is_searched() => {
@@ -305,15 +305,15 @@ mod tests {
         let settings = SessionSettings::quick();
         let progress = SessionProgress::new(&settings, &Progress::lines(), &Stop::default());
         assert_eq!(progress.candidates, 12);
-        let outlook = Outlook { searched: 10, most_searched: 10, total: Some(12) };
-        let told = proposed(11, Purpose::Incumbent, "the last", &outlook);
+        let counts = CandidateCounts { searched: 10, most_searched: 10, total: Some(12) };
+        let told = proposed(11, Purpose::Incumbent, "the last", &counts);
         assert_eq!(told, "candidate 11 (12 of 12): the last");
     }
 
     #[test]
     fn a_search_that_may_end_early_counts_its_own_candidates() {
-        let outlook = Outlook { searched: 10, most_searched: 10, total: None };
-        let told = |purpose| proposed(13, purpose, "why", &outlook);
+        let counts = CandidateCounts { searched: 10, most_searched: 10, total: None };
+        let told = |purpose| proposed(13, purpose, "why", &counts);
         assert_eq!(told(Purpose::Search), "candidate 13: why, 10 of at most 10");
         assert_eq!(told(Purpose::Incumbent), "candidate 13: why");
     }

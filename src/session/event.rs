@@ -1,4 +1,4 @@
-use super::{Drift, Outlook, Purpose, SessionError};
+use super::{CandidateCounts, Drift, Purpose, SessionError};
 use crate::identification::Unfit;
 use crate::learning::TrainUpdate;
 use crate::rig::Rig;
@@ -13,7 +13,7 @@ pub enum SessionEvent<'a> {
         /// Reason of the proposal.
         purpose: Purpose,
         /// Number of candidates with this one, and the largest number.
-        outlook: Outlook,
+        counts: CandidateCounts,
     },
     /// The Qube was identified from recordings, with these doubts.
     Identified {

@@ -54,7 +54,7 @@ pub use ledger::{
 pub use library_watchdog::LibraryWatchdog;
 pub use orchestrator::Session;
 pub use paths::{PolicyPaths, SessionPaths, recording_in};
-pub use plan::{Extent, Outlook, Step, next_step, trains_ahead};
+pub use plan::{CandidateCounts, Extent, Step, next_step, trains_ahead};
 pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use profiles::identified_profile;
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};

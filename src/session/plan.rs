@@ -68,7 +68,7 @@ impl Default for Extent {
 
 /// How many candidates a session has and can come to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Outlook {
+pub struct CandidateCounts {
     /// Number of candidates of the search so far: initial points, and points that it has proposed.
     pub searched: u32,
     /// Largest number of candidates of the search.
@@ -263,19 +263,19 @@ pub(super) fn wanted_rollouts(
 impl SessionState {
     /// How many candidates the session has and can come to.
     #[must_use]
-    pub fn outlook(
+    pub fn candidate_counts(
         &self,
         extent: &Extent,
         identification: Option<&IdentificationSettings>,
-    ) -> Outlook {
+    ) -> CandidateCounts {
         let searched = self.count_of(Purpose::Initial) + self.count_of(Purpose::Search);
         if let Some(plan) = identifying(self, identification) {
-            return Outlook { searched, most_searched: plan.candidates, total: None };
+            return CandidateCounts { searched, most_searched: plan.candidates, total: None };
         }
         let most_searched = extent.initial_candidates + extent.iterations;
         let last = 1 + u32::from(extent.verifies_incumbent) + u32::from(extent.baseline);
         let total = Some(self.count_of(Purpose::Excitation) + most_searched + last);
-        Outlook { searched, most_searched, total }
+        CandidateCounts { searched, most_searched, total }
     }
 
     /// The step that proposes the candidates of this purpose that are missing from `wanted`; `None`
@@ -561,22 +561,22 @@ mod tests {
     #[test]
     fn further_verifications_exceed_no_number_that_is_announced() {
         let of = |entries: &[Entry]| {
-            SessionState::of(entries).unwrap().outlook(&EXTENT, Some(&IDENTIFIED))
+            SessionState::of(entries).unwrap().candidate_counts(&EXTENT, Some(&IDENTIFIED))
         };
         let mut entries = finished(0, Purpose::Excitation, 1);
         for round in 0..IDENTIFIED.candidates {
             entries.extend(finished(1 + 2 * round, Purpose::Search, IDENTIFIED.rollouts));
             entries.extend(finished(2 + 2 * round, Purpose::Incumbent, 1));
             let most = IDENTIFIED.candidates;
-            let outlook = Outlook { searched: 1 + round, most_searched: most, total: None };
-            assert_eq!(of(&entries), outlook);
+            let counts = CandidateCounts { searched: 1 + round, most_searched: most, total: None };
+            assert_eq!(of(&entries), counts);
         }
         // A Qube that could not be identified is searched as an unknown one.
         let refused = Entry::NotIdentified { reason: "it does not fit".into() };
         let mut entries = finished(0, Purpose::Excitation, 1);
         entries.extend(finished(1, Purpose::Excitation, 1));
         entries.push(refused);
-        let outlook = Outlook { searched: 0, most_searched: 5, total: Some(2 + 5 + 2) };
-        assert_eq!(of(&entries), outlook);
+        let counts = CandidateCounts { searched: 0, most_searched: 5, total: Some(2 + 5 + 2) };
+        assert_eq!(of(&entries), counts);
     }
 }

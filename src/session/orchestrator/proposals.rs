@@ -58,9 +58,11 @@ impl Session {
         let candidate = self.ledger.state().candidates().len() as u32;
         self.ledger.append(Entry::Proposed { candidate, purpose, psi, pending })?;
         let settings = &self.settings;
-        let outlook =
-            self.ledger.state().outlook(&settings.extent, settings.identification.as_ref());
-        on_event(SessionEvent::Proposed { candidate, purpose, outlook });
+        let counts = self
+            .ledger
+            .state()
+            .candidate_counts(&settings.extent, settings.identification.as_ref());
+        on_event(SessionEvent::Proposed { candidate, purpose, counts });
         Ok(())
     }
 
