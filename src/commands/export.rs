@@ -6,6 +6,7 @@ use serde_json::json;
 use super::destination::OutputFile;
 use super::exit::Failure;
 use super::failures;
+use super::input_files::duplicate;
 use super::onnx_model::onnx_model;
 use super::output::Output;
 use super::parquet_table::parquet_table;
@@ -90,11 +91,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let extension = if *onnx { "onnx" } else { format.extension() };
     let written: Vec<PathBuf> =
         files.iter().map(|file| written_of(file, out.as_deref(), extension)).collect();
+    if let Some(file) = duplicate(files) {
+        let file = file.display();
+        return Err(Failure::usage(format!("{file} is named twice: name each file once")));
+    }
     for (index, place) in written.iter().enumerate() {
-        if files[..index].contains(&files[index]) {
-            let file = files[index].display();
-            return Err(Failure::usage(format!("{file} is named twice: name each file once")));
-        }
         if written[..index].contains(place) {
             return Err(Failure::usage(format!(
                 "two files would become {}: leave --out out, or name the files of one folder",

@@ -1,4 +1,3 @@
-use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -7,6 +6,7 @@ use serde_json::{Value, json};
 
 use super::destination::{OutputFile, OutputFolder};
 use super::exit::Failure;
+use super::input_files::duplicate;
 use super::output::Output;
 use super::plant_file::PlantArgument;
 use super::printable::print_message;
@@ -231,15 +231,6 @@ fn read(
         Ok(log)
     };
     files.iter().map(&mut read_one).collect()
-}
-
-/// The first file that is named twice, even if by different paths.
-fn duplicate<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Option<&'a PathBuf> {
-    let mut seen = BTreeSet::new();
-    files.into_iter().find(|path| {
-        let whole = path.canonicalize().unwrap_or_else(|_| PathBuf::from(path));
-        !seen.insert(whole)
-    })
 }
 
 fn file_name(path: &Path) -> String {

@@ -28,6 +28,7 @@ mod failures;
 mod guard_argument;
 mod identify;
 mod import;
+mod input_files;
 mod keyboard;
 #[cfg(feature = "live")]
 mod live;
