@@ -219,6 +219,10 @@ mod tests {
             serde_json::from_value::<ForesightSettings>(json.clone()).map_err(|it| it.to_string())
         };
         assert_eq!(read(&json), Ok(settings));
+        let mut earlier = json.clone();
+        earlier["identified"].as_object_mut().unwrap().remove("tolerance").unwrap();
+        let known = IdentifiedQube { tolerance: 0.0, ..settings.identified.unwrap() };
+        assert_eq!(read(&earlier), Ok(ForesightSettings { identified: Some(known), ..settings }));
         for (pointer, value, part) in [
             ("/version", 2.into(), "version = 2: this program knows 1"),
             ("/margin_rad", (-0.1).into(), "margin_rad = -0.1"),

@@ -142,9 +142,8 @@ mod tests {
 
     /// Simulates a Qube that is pushed to and fro and whose motor gets this fraction of the
     /// voltage; returns whether it contradicted the profile.
-    fn follow(plant: &QubeModel, share: f64) -> (TrustedForesight, bool) {
-        let lab = Profile::lab();
-        let identified = Some(IdentifiedQube::of(&Profile::exact("lab", &lab.model())));
+    fn follow(profile: &Profile, plant: &QubeModel, share: f64) -> (TrustedForesight, bool) {
+        let identified = Some(IdentifiedQube::of(profile));
         let settings = ForesightSettings { identified, ..ForesightSettings::default() };
         let mut foresight = settings.foresight(None, &PlantModel::QUBE);
         foresight.begin_policy();
@@ -179,22 +178,32 @@ mod tests {
 
     #[test]
     fn a_profile_is_trusted_while_it_predicts_and_no_longer() {
-        let lab = Profile::lab().model();
-        let (foresight, contradicted) = follow(&lab, 1.0);
-        assert!(!contradicted);
-        assert_eq!(foresight.identified.unwrap().trust, Trust::Earned);
-        let mut other_pendulum = lab;
+        let lab = Profile::lab();
+        let model = lab.model();
+        let mut other_pendulum = model;
         other_pendulum.parameters.pendulum_length_m *= 1.5;
-        let mut heavy_arm = lab;
+        let mut heavy_arm = model;
         heavy_arm.parameters.rotary_mass_kg *= 2.0;
-        for (name, plant, share) in [
-            ("another pendulum", other_pendulum, 1.0),
-            ("another arm", heavy_arm, 1.0),
-            ("a weak supply", lab, 0.5),
-        ] {
-            let (foresight, contradicted) = follow(&plant, share);
-            assert!(contradicted, "{name}");
-            assert_eq!(foresight.identified.unwrap().trust, Trust::Lost, "{name}");
+        let heavier = |factor: f64| {
+            let mut heavier = model;
+            heavier.parameters.pendulum_mass_kg *= factor;
+            heavier.parameters.rotary_mass_kg *= factor;
+            heavier
+        };
+        for profile in [&lab, &Profile::exact("lab", &model)] {
+            for (name, plant, share, kept) in [
+                ("the Qube itself", model, 1.0, true),
+                ("masses within the tolerance", heavier(1.08), 1.0, true),
+                ("other masses", heavier(1.5), 1.0, false),
+                ("another pendulum", other_pendulum, 1.0, false),
+                ("another arm", heavy_arm, 1.0, false),
+                ("a weak supply", model, 0.5, false),
+            ] {
+                let (foresight, contradicted) = follow(profile, &plant, share);
+                assert_eq!(contradicted, !kept, "{name}");
+                let trust = if kept { Trust::Earned } else { Trust::Lost };
+                assert_eq!(foresight.identified.unwrap().trust, trust, "{name}");
+            }
         }
     }
 }
