@@ -1,6 +1,9 @@
 //! Parses the command line. Every error names the option that it is about.
 
+use std::error::Error;
 use std::ffi::OsString;
+use std::io::ErrorKind as InputOutput;
+use std::num::{IntErrorKind, ParseIntError};
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, CommandFactory, FromArgMatches};
@@ -8,9 +11,9 @@ use clap::{Command, CommandFactory, FromArgMatches};
 use super::CommandLine;
 use super::exit::Failure;
 use super::output::Output;
+use super::printable::print_message;
 
-/// Parses these arguments. An error is printed, and its exit code is returned as `Err`; `--help`
-/// prints the help and ends the program.
+/// Parses these arguments. An error or the help is printed, and the exit code is returned as `Err`.
 pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     let mut command = command();
     let matches = command.try_get_matches_from_mut(&arguments);
@@ -20,9 +23,10 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
         Err(error) => error,
     };
     if !error.use_stderr() {
-        error.exit();
+        return Err(print_help(&error));
     }
-    let error = match value_with_a_dash(&error, &arguments) {
+    let better = value_with_a_dash(&error, &arguments).or_else(|| not_a_whole_number(&error));
+    let error = match better {
         Some(message) => command.error(ErrorKind::InvalidValue, message),
         None => error,
     };
@@ -32,6 +36,18 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     let output = Output::new(arguments.iter().any(|argument| argument == "--json"));
     let _ = output.finish(Err(Failure::usage(cause)));
     Err(2)
+}
+
+/// Prints the help or the version, which clap reports as an error; returns the exit code.
+fn print_help(help: &clap::Error) -> u8 {
+    match help.print() {
+        // A broken pipe is no error: the reader has closed it on purpose.
+        Err(error) if error.kind() != InputOutput::BrokenPipe => {
+            print_message(&format!("error: the help could not be printed: {error}"));
+            1
+        }
+        _ => 0,
+    }
 }
 
 /// The first paragraph of an error, which says what is wrong, on one line.
@@ -74,6 +90,17 @@ fn value_with_a_dash(error: &clap::Error, arguments: &[OsString]) -> Option<Stri
         format!(
             "{option}: a value that begins with '-' is taken for an option: write {option}={value}"
         )
+    })
+}
+
+/// The explanation for a value that is not digits where a whole number is expected; `None` for
+/// other errors.
+fn not_a_whole_number(error: &clap::Error) -> Option<String> {
+    let cause: &ParseIntError = error.source()?.downcast_ref()?;
+    let option = error.get(ContextKind::InvalidArg)?;
+    let value = error.get(ContextKind::InvalidValue)?;
+    (*cause.kind() == IntErrorKind::InvalidDigit).then(|| {
+        format!("invalid value '{value}' for '{option}': give a whole number that is not below 0")
     })
 }
 

@@ -142,7 +142,7 @@ impl OutputFolder {
             self.make_missing(above)?;
         }
         if path.exists() {
-            return Err(Failure::usage(format!("{} is no folder", path.display())));
+            return Err(Failure::usage(format!("{} is not a folder", path.display())));
         }
         match fs::create_dir(path) {
             Ok(()) => self.made.push(path.to_owned()),
@@ -210,7 +210,8 @@ fn folder_of(path: &Path) -> &Path {
 /// Checks that a file can be created in a folder, and that the disk has enough space.
 pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     if !folder.is_dir() {
-        let why = if folder.exists() { "is no folder" } else { "does not exist: create it first" };
+        let why =
+            if folder.exists() { "is not a folder" } else { "does not exist: create it first" };
         return Err(Failure::usage(format!("the folder {} {why}", folder.display())));
     }
     let trial = folder.join(format!(".qube-hil-{}", std::process::id()));

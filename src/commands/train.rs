@@ -208,7 +208,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         && !path.is_file()
     {
         let shown = path.display();
-        return Err(Failure::usage(format!("--checkpoint {shown}: it is no file: name a file")));
+        return Err(Failure::usage(format!("--checkpoint {shown}: it is not a file: name a file")));
     }
     let checkpointing =
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });

@@ -156,7 +156,7 @@ fn values_with_a_dash_are_told_by_their_option() {
     let directory = tempfile::tempdir().unwrap();
     let run: &[&str] = &["run", "--policy", "classical", "--clock", "virtual"];
     let cases: [(&[&str], &[&str]); 4] = [
-        (&["--seed", "-1"], &["'-1'", "--seed"]),
+        (&["--seed", "-1"], &["'-1'", "--seed", "a whole number that is not below 0"]),
         (&["--gap", "-1"], &["'-1'", "--gap", "from 0 to 5"]),
         (&["--out", "-foo"], &["--out: ", "--out=-foo"]),
         (&["--nonsense"], &["--nonsense"]),
@@ -203,7 +203,7 @@ fn a_result_that_cannot_be_printed_is_a_failure() {
         command.current_dir(directory.path()).args(arguments).stdout(full);
         command.output().unwrap()
     };
-    for arguments in [&["toy"][..], &["toy", "--json"]] {
+    for arguments in [&["toy"][..], &["toy", "--json"], &["--help"], &["train", "--help"]] {
         let output = run(arguments);
         let stderr = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{stderr}");
@@ -409,17 +409,17 @@ fn a_file_in_place_of_a_folder_is_refused_before_any_work() {
     std::fs::write(directory.path().join("taken"), "mine").unwrap();
     let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "chirp"];
     assert!(qube_hil(directory.path(), &run).status.success());
-    refused(directory.path(), &["manual", "--out", "taken"], 2, &["--out taken is no folder"]);
-    refused(directory.path(), &["toy", "--out", "taken"], 2, &["--out taken is no folder"]);
+    refused(directory.path(), &["manual", "--out", "taken"], 2, &["--out taken is not a folder"]);
+    refused(directory.path(), &["toy", "--out", "taken"], 2, &["--out taken is not a folder"]);
     let identify = ["identify", "chirp/rollout-0.mcap", "--plot", "taken"];
-    refused(directory.path(), &identify, 2, &["--plot taken is no folder"]);
+    refused(directory.path(), &identify, 2, &["--plot taken is not a folder"]);
     assert!(
         !directory.path().join("profile.toml").exists(),
         "the recordings were fitted all the same"
     );
     std::fs::create_dir(directory.path().join("folder")).unwrap();
     let train = ["train", "--preset", "quick", "--checkpoint", "folder"];
-    refused(directory.path(), &train, 2, &["--checkpoint folder: it is no file"]);
+    refused(directory.path(), &train, 2, &["--checkpoint folder: it is not a file"]);
 }
 
 #[test]
