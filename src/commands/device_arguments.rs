@@ -86,7 +86,7 @@ pub struct TreatmentArguments {
     home: Option<HomeArgument>,
 
     /// Guard the emulated Qube like one that is not identified [default: it counts as identified, known
-    /// within 10 %]
+    /// as well as `lab`]
     #[arg(long, conflicts_with = "qube")]
     unidentified: bool,
 }
@@ -107,6 +107,22 @@ enum HomeArgument {
     Stops,
     /// The arm's present position: put it into the middle before
     Hand,
+}
+
+impl HomeArgument {
+    fn of(method: HomingMethod) -> Self {
+        match method {
+            HomingMethod::Stops => Self::Stops,
+            HomingMethod::Hand => Self::Hand,
+        }
+    }
+
+    fn method(self) -> HomingMethod {
+        match self {
+            Self::Stops => HomingMethod::Stops,
+            Self::Hand => HomingMethod::Hand,
+        }
+    }
 }
 
 /// The Qube that the arguments select.
@@ -218,10 +234,7 @@ impl QubeArguments {
             unidentified: self.treatment.unidentified,
             path: path.map(Path::to_owned),
             file,
-            home: self.treatment.home.map(|home| match home {
-                HomeArgument::Stops => HomingMethod::Stops,
-                HomeArgument::Hand => HomingMethod::Hand,
-            }),
+            home: self.treatment.home.map(HomeArgument::method),
         })
     }
 }
@@ -239,7 +252,7 @@ impl ChosenDevice {
         self.unidentified
     }
 
-    /// Checks that work which is resumed goes on with the guard and the homing that it began with,
+    /// Checks that work which is resumed keeps the guard and the homing that it began with,
     /// because its rollouts are compared. `work` names it as in "a session"; `homing` are the
     /// settings that it recorded.
     pub fn check_resumed(
@@ -250,16 +263,15 @@ impl ChosenDevice {
     ) -> Result<(), Failure> {
         if self.unidentified && !is_unidentified {
             return Err(Failure::usage(format!(
-                "{work} goes on with the guard that it began with: leave --unidentified out"
+                "{work} keeps the guard that it began with: leave --unidentified out"
             )));
         }
         if self.homing(homing).method != homing.method {
-            let method = match homing.method {
-                HomingMethod::Stops => "stops",
-                HomingMethod::Hand => "hand",
-            };
+            let home = HomeArgument::of(homing.method);
+            let home = home.to_possible_value().expect("no method is skipped");
             return Err(Failure::usage(format!(
-                "{work} goes on with the homing that it began with: give --home {method}"
+                "{work} keeps the homing that it began with: give --home {}",
+                home.get_name()
             )));
         }
         Ok(())

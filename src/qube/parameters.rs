@@ -80,7 +80,7 @@ pub enum ParameterError {
     },
     /// The value is not a number, or larger than that of any pendulum.
     #[error("{symbol} = {value}: give a number up to {}", DomainParameter::LARGEST)]
-    NotANumber {
+    OutOfRange {
         /// The parameter's symbol.
         symbol: &'static str,
         /// Its value.
@@ -178,7 +178,7 @@ impl DomainParameters {
         for parameter in DomainParameter::ALL {
             let (symbol, value) = (parameter.symbol(), self.get(parameter));
             if value.is_nan() || value > DomainParameter::LARGEST {
-                return Err(ParameterError::NotANumber { symbol, value });
+                return Err(ParameterError::OutOfRange { symbol, value });
             }
             if value < 0.0 && parameter.may_be_zero() {
                 return Err(ParameterError::Negative { symbol, value });
@@ -230,7 +230,7 @@ mod tests {
         for wrong in [f64::NAN, f64::INFINITY, 1e300] {
             parameters.pendulum_mass_kg = wrong;
             let refused = parameters.check();
-            assert!(matches!(refused, Err(ParameterError::NotANumber { symbol: "M_p", .. })));
+            assert!(matches!(refused, Err(ParameterError::OutOfRange { symbol: "M_p", .. })));
         }
         parameters =
             DomainParameters { pendulum_damping_n_m_s: -1e-9, ..DomainParameters::NOMINAL };

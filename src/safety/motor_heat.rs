@@ -188,8 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rated_current_trips_within_the_motors_time_constant_and_what_the_amplifier_gives_never()
-    {
+    fn the_rated_current_trips_within_the_motors_time_constant_and_the_amplifiers_never() {
         let time_constant_s = MotorRating::NOMINAL.time_constant_s;
         for current_a in [0.5401_f32, 0.6, 0.7, 1.0, 1.4] {
             let tripped = trips_after_s(current_a, 5000, 0.0).unwrap();

@@ -175,7 +175,7 @@ faults! {
         "the stops are not as far apart as those of a Qube (is something in the arm's way?)",
         "Clear the arm's way from stop to stop; if this rig's stops are where they should be, accept their travel with travel_rad under [homing] in qube.toml.";
     TravelBlocked: Examine,
-        "the arm's stops are not as far apart as a Qube's (is something in its way?)",
+        "the homing of an earlier version found stops that are not as far apart as a Qube's (is something in the arm's way?)",
         "Clear the arm's way from stop to stop; check the arm's encoder.";
 }
 
