@@ -14,9 +14,12 @@ use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use anyhow::Context;
 use clap::Parser;
 use qube_hil::safety::Guard;
-use stranger::{AdversarySearch, BeliefKind, Effort, Method, SearchRecord, summary};
+use stranger::{
+    AdversarySearch, BeliefKind, Effort, Method, MishapKind, Scenario, SearchRecord, summary,
+};
 
 /// The adversary's command line.
 #[derive(Parser)]
@@ -33,6 +36,10 @@ struct Arguments {
     /// unknown, identified, or precise: identified with a tenth of the standard errors.
     #[arg(long, default_value = "unknown")]
     belief: String,
+    /// Searches only the seeds whose attack has this mishap: clean, lost, lost_twice, stalled,
+    /// lost_and_stalled, stop_asked or link_dead.
+    #[arg(long)]
+    mishap: Option<String>,
     /// Generations of a search.
     #[arg(long, default_value_t = 25)]
     generations: u32,
@@ -64,7 +71,14 @@ fn main() -> anyhow::Result<()> {
         "both" => vec![Method::Ce, Method::Cma],
         _ => anyhow::bail!("--optimiser: give ce, cma or both"),
     };
+    let mishap: Option<MishapKind> = arguments
+        .mishap
+        .map(|name| serde_json::from_value(name.into()).context("--mishap"))
+        .transpose()?;
+    let is_wanted =
+        |seed: &u64| mishap.is_none_or(|mishap| Scenario::new(*seed, known).mishap == mishap);
     let searches: Vec<AdversarySearch> = (arguments.first..arguments.first + arguments.searches)
+        .filter(is_wanted)
         .flat_map(|seed| methods.iter().map(move |&method| (seed, method)))
         .map(|(seed, method)| AdversarySearch { seed, known, method, guard: Guard::Foresight })
         .collect();

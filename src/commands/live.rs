@@ -148,7 +148,7 @@ impl Live {
     pub fn update(&mut self, event: &SessionEvent, left: Option<Duration>) {
         let Some(view) = &self.view else { return };
         match event {
-            SessionEvent::Proposed { candidate, purpose, outlook } => {
+            SessionEvent::Proposed { candidate, purpose, counts } => {
                 if *purpose == Purpose::Excitation {
                     self.excitations.push(*candidate);
                     return view.update_status(|status| {
@@ -157,7 +157,7 @@ impl Live {
                 }
                 view.update_status(|status| {
                     status.candidate = Some(*candidate);
-                    status.of = outlook.total;
+                    status.of = counts.total;
                     status.time_left_s = left.map(|left| left.as_secs_f64());
                     status.doing = match purpose {
                         Purpose::Verification => "verifying the recommendation".to_owned(),

@@ -254,13 +254,18 @@ impl<C: Controller> Tick<C> {
     /// The voltage of the brake, V, times the first of `BRAKE_SHARES` for which foresight finds
     /// that no simulated Qube's arm hits its stop.
     ///
-    /// A firm brake whose voltage is held while samples are lost may throw a light arm back. If no
+    /// A firm brake whose voltage is held while samples are lost may throw a light arm back. The
+    /// choice goes by the most likely velocity: if the doubt after lost samples counted here, no
+    /// share would pass when it matters most. If no
     /// share passes, the brake's full voltage is returned. It is also returned under the rules
     /// before [`TickRules::BrakeSimulating`] and while the arm's count is doubted.
     fn braking_voltage(&mut self) -> f64 {
         let wanted_v = self.brake.voltage_v(&self.estimates.guarded);
         if self.settings.rules < TickRules::BrakeSimulating || self.damps {
             return wanted_v;
+        }
+        if let Some(foresight) = &mut self.foresight {
+            foresight.trust_velocities();
         }
         let largest_v = self.settings.plant.limits.largest_voltage_v;
         let passes = |share: &f64| {

@@ -29,6 +29,11 @@ pub struct ForesightSettings {
     pub held_periods: u32,
     /// Largest number of control periods that are simulated.
     pub horizon_periods: u32,
+    /// Power of the number of control periods between two samples with which the assumed errors of
+    /// the estimated velocities grow. Recordings that do not name it have 0: their errors were the
+    /// same after lost samples.
+    #[serde(default, skip_serializing_if = "is_no_power")]
+    pub velocity_error_power: u32,
 }
 
 /// The belief about an identified Qube, and how long its simulation holds a voltage.
@@ -47,6 +52,10 @@ pub struct IdentifiedQube {
 
 fn is_zero(tolerance: &f64) -> bool {
     *tolerance == 0.0
+}
+
+fn is_no_power(power: &u32) -> bool {
+    *power == 0
 }
 
 impl IdentifiedQube {
@@ -75,6 +84,8 @@ struct Unchecked {
     margin_rad: f64,
     held_periods: u32,
     horizon_periods: u32,
+    #[serde(default)]
+    velocity_error_power: u32,
 }
 
 /// The reasons to refuse settings of foresight.
@@ -104,8 +115,8 @@ impl TryFrom<Unchecked> for ForesightSettings {
     type Error = ForesightError;
 
     fn try_from(unchecked: Unchecked) -> Result<Self, ForesightError> {
-        let Unchecked { version, belief, identified, margin_rad, held_periods, horizon_periods } =
-            unchecked;
+        let Unchecked { version, belief, identified, margin_rad, .. } = unchecked;
+        let Unchecked { held_periods, horizon_periods, velocity_error_power, .. } = unchecked;
         if version != Self::VERSION {
             return Err(ForesightError::Version(version));
         }
@@ -117,6 +128,7 @@ impl TryFrom<Unchecked> for ForesightSettings {
             ("identified.held_periods", f64::from(held), 1.0, 10.0),
             ("identified.tolerance", tolerance, 0.0, 1.0),
             ("horizon_periods", f64::from(horizon_periods), 1.0, 1000.0),
+            ("velocity_error_power", f64::from(velocity_error_power), 0.0, 4.0),
         ] {
             if !(least..=most).contains(&value) {
                 return Err(ForesightError::Number { name, value, least, most });
@@ -124,7 +136,15 @@ impl TryFrom<Unchecked> for ForesightSettings {
         }
         belief.check()?;
         identified.map_or(Ok(()), |identified| identified.belief.check())?;
-        Ok(Self { version, belief, identified, margin_rad, held_periods, horizon_periods })
+        Ok(Self {
+            version,
+            belief,
+            identified,
+            margin_rad,
+            held_periods,
+            horizon_periods,
+            velocity_error_power,
+        })
     }
 }
 
@@ -167,6 +187,7 @@ impl ForesightSettings {
                 PredictionHorizon { held_periods: held, horizon_periods: self.horizon_periods };
             let particles = belief.particles(plant.encoders);
             Foresight::new(&particles, CentringBrake::of_plant(plant), ends, horizon)
+                .with_velocity_error_power(self.velocity_error_power)
         };
         let identified = self.identified.map(|known| {
             let foresight = of(known.belief, known.held_periods);
@@ -184,6 +205,10 @@ impl Default for ForesightSettings {
     /// A voltage is held for four periods, so that a prediction also covers the loss of the next
     /// three samples, the largest number that is tolerated. The horizon is 0.75 s: in searches no
     /// arm that stayed short of its ends for 0.75 s reached one within 1.5 s.
+    ///
+    /// After lost samples the errors of the velocities grow with the square of the time between two
+    /// samples. A velocity is then the mean over that time, brought up to date by the present
+    /// acceleration; what is left is the change of the acceleration, which counts with the square.
     fn default() -> Self {
         Self {
             version: Self::VERSION,
@@ -192,6 +217,7 @@ impl Default for ForesightSettings {
             margin_rad: 0.1,
             held_periods: 4,
             horizon_periods: Self::HORIZON_PERIODS,
+            velocity_error_power: 2,
         }
     }
 }
@@ -221,8 +247,11 @@ mod tests {
         assert_eq!(read(&json), Ok(settings));
         let mut earlier = json.clone();
         earlier["identified"].as_object_mut().unwrap().remove("tolerance").unwrap();
+        earlier.as_object_mut().unwrap().remove("velocity_error_power").unwrap();
         let known = IdentifiedQube { tolerance: 0.0, ..settings.identified.unwrap() };
-        assert_eq!(read(&earlier), Ok(ForesightSettings { identified: Some(known), ..settings }));
+        let identified = Some(known);
+        let then = ForesightSettings { identified, velocity_error_power: 0, ..settings };
+        assert_eq!(read(&earlier), Ok(then));
         for (pointer, value, part) in [
             ("/version", 2.into(), "version = 2: this program knows 1"),
             ("/margin_rad", (-0.1).into(), "margin_rad = -0.1"),
@@ -230,6 +259,7 @@ mod tests {
             ("/horizon_periods", 4_000_000_000_u32.into(), "from 1 to 1000"),
             ("/belief/least_share", 1.5.into(), "least_share = 1.5"),
             ("/identified/belief/least_share", 1.5.into(), "least_share = 1.5"),
+            ("/velocity_error_power", 5.into(), "velocity_error_power = 5"),
             ("/identified/held_periods", 0.into(), "identified.held_periods = 0"),
             ("/identified/tolerance", (-0.1).into(), "identified.tolerance = -0.1"),
             ("/identified/belief/steps/3/3", 2.into(), "steps"),

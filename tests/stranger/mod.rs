@@ -20,6 +20,8 @@ mod scenario;
 mod search;
 
 pub use beliefs::BeliefKind;
+#[allow(unused_imports, reason = "the test chooses no mishap")]
+pub use mishap::MishapKind;
 pub use optimiser::Method;
 pub use report::{SearchRecord, summary};
 #[allow(unused_imports, reason = "the example reads no scenario")]

@@ -63,10 +63,16 @@ impl AdversarySearch {
         record
     }
 
-    /// Plays the episode of these genes by other rules of the tick.
-    #[allow(dead_code, reason = "the example plays by the newest rules alone")]
-    pub fn play_by(&self, rules: TickRules, scenario: &Scenario, genes: &[f64]) -> Outcome {
-        let settings = TickSettings { rules, ..settings(scenario, self.guard) };
+    /// Plays the episode of these genes by settings that `change` changes.
+    #[allow(dead_code, reason = "the example plays by the search's settings alone")]
+    pub fn play_by(
+        &self,
+        scenario: &Scenario,
+        genes: &[f64],
+        change: impl FnOnce(&mut TickSettings),
+    ) -> Outcome {
+        let mut settings = settings(scenario, self.guard);
+        change(&mut settings);
         play(scenario, &settings, genes)
     }
 

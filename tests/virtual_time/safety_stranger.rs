@@ -63,19 +63,38 @@ struct Episode {
     genes: Vec<f64>,
 }
 
+/// Reads an episode of the unknown or the identified Qube.
+fn episode(text: &str) -> (AdversarySearch, Episode) {
+    let episode: Episode = serde_json::from_str(text).unwrap();
+    let Scenario { seed, known, .. } = episode.scenario;
+    let guard = Guard::Foresight;
+    (AdversarySearch { seed, known, method: Method::Ce, guard }, episode)
+}
+
 /// Three samples are lost twice within 0.1 s while the brake rings on the strongest motor with the lightest arm.
 #[test]
 fn samples_that_are_lost_twice_while_the_brake_rings_do_not_throw_the_arm_into_its_stop() {
-    let text = include_str!("../fixtures/samples_lost_twice_while_the_brake_rings.json");
-    let Episode { scenario, genes } = serde_json::from_str(text).unwrap();
-    let search = AdversarySearch {
-        seed: 3076,
-        known: BeliefKind::Unknown,
-        method: Method::Ce,
-        guard: Guard::Foresight,
-    };
-    let untried = search.play_by(TickRules::GainReducing, &scenario, &genes);
+    let (search, Episode { scenario, genes }) =
+        episode(include_str!("../fixtures/samples_lost_twice_while_the_brake_rings.json"));
+    let untried = search.play_by(&scenario, &genes, |settings| {
+        settings.rules = TickRules::GainReducing;
+        settings.foresight.as_mut().unwrap().velocity_error_power = 0;
+    });
     assert!(untried.is_hit(), "a brake whose voltages are not tried: {untried:?}");
-    let tried = search.play_by(TickRules::NEWEST, &scenario, &genes);
+    let tried = search.play_by(&scenario, &genes, |_| ());
     assert!(!tried.is_hit() && tried.farthest_rad < 2.2, "{tried:?}");
+}
+
+/// Three samples are lost twice within 70 ms while the pendulum spins, so that the one velocity between is a mean over
+/// 40 ms in which the arm's changes by 9 rad/s.
+#[test]
+fn samples_that_are_lost_twice_while_the_pendulum_spins_do_not_throw_the_arm_into_its_stop() {
+    let (search, Episode { scenario, genes }) =
+        episode(include_str!("../fixtures/samples_lost_twice_while_the_pendulum_spins.json"));
+    let certain = search.play_by(&scenario, &genes, |settings| {
+        settings.foresight.as_mut().unwrap().velocity_error_power = 0;
+    });
+    assert!(certain.is_hit(), "a velocity that counts as certain as any: {certain:?}");
+    let uncertain = search.play_by(&scenario, &genes, |_| ());
+    assert!(!uncertain.is_hit() && uncertain.farthest_rad < 2.2, "{uncertain:?}");
 }

@@ -7,9 +7,11 @@ mod calm;
 mod prediction;
 #[cfg(test)]
 mod tests;
+mod velocity_age;
 
 use calm::CalmLanes;
 pub use prediction::Prediction;
+use velocity_age::VelocityAge;
 
 use super::{BrakeLaw, Particle};
 use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
@@ -39,8 +41,8 @@ pub struct Foresight<B> {
     ends: Ends,
     horizon: PredictionHorizon,
     filter: FilterGains<f32>,
-    /// Age of the estimated velocities, s.
-    lag_s: f32,
+    velocity_age: VelocityAge,
+    velocity_error_power: u32,
     /// Number of particles, without the copies that fill the last group.
     count: usize,
     particles: Vec<ParticleLanes>,
@@ -130,8 +132,27 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         let seen = vec![State::all(&at_rest); qubes.len()];
         let filter = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S).cast();
         let level = Level::best();
-        let lag_s = lag_s(&filter, 1);
-        Self { brake, ends, horizon, filter, lag_s, count, particles, qubes, seen, level }
+        let velocity_age = VelocityAge::after(1, &filter, 0);
+        Self {
+            brake,
+            ends,
+            horizon,
+            filter,
+            velocity_age,
+            velocity_error_power: 0,
+            count,
+            particles,
+            qubes,
+            seen,
+            level,
+        }
+    }
+
+    /// Lets the particles' velocity errors grow with this power of the number of control periods
+    /// between the last two samples; without it they are the same after lost samples.
+    #[must_use]
+    pub fn with_velocity_error_power(self, power: u32) -> Self {
+        Self { velocity_error_power: power, ..self }
     }
 
     /// Uses this instruction set instead of the best one, for comparisons.
@@ -142,10 +163,16 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     }
 
     /// Sets the number of control periods between the last two samples, which is 1 unless samples
-    /// were lost. Estimated velocities are differences of angles, so they are older where more
-    /// samples were lost.
+    /// were lost. Estimated velocities are differences of angles, so they are older and less exact
+    /// where more samples were lost.
     pub fn sampled_after(&mut self, periods: u32) {
-        self.lag_s = lag_s(&self.filter, periods);
+        self.velocity_age = VelocityAge::after(periods, &self.filter, self.velocity_error_power);
+    }
+
+    /// Takes the velocities of the last sample to be as exact as any, until the next
+    /// [`Self::sampled_after`].
+    pub fn trust_velocities(&mut self) {
+        self.velocity_age.error_factor = 1.0;
     }
 
     /// The nearer of the two ends, rad from the middle.
@@ -181,7 +208,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
             ends: self.ends,
             horizon: self.horizon,
             filter: &self.filter,
-            lag_s: self.lag_s,
+            velocity_age: self.velocity_age,
             count: self.count,
             particles: &self.particles,
             qubes: &mut self.qubes,
@@ -246,7 +273,7 @@ struct Trial<'a, B> {
     ends: Ends,
     horizon: PredictionHorizon,
     filter: &'a FilterGains<f32>,
-    lag_s: f32,
+    velocity_age: VelocityAge,
     count: usize,
     particles: &'a [ParticleLanes],
     qubes: &'a mut [QubeLanes],
@@ -262,7 +289,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> Outlook {
         let Self { brake, ends, horizon, filter, count, particles, qubes, seen, .. } = self;
-        let Self { lag_s, state, sent_v, voltage_v, .. } = self;
+        let Self { velocity_age, state, sent_v, voltage_v, .. } = self;
         let (groups, _) = qubes.as_chunks_mut::<GROUP>();
         let (seen_groups, _) = seen.as_chunks_mut::<GROUP>();
         let (particle_groups, _) = particles.as_chunks::<GROUP>();
@@ -274,7 +301,14 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
             for block in 0..GROUP {
                 let first_v = particles[block].arriving(&[voltage_v; BLOCK]);
                 seen[block] = State::all(&state);
-                resume(&mut qubes[block], &particles[block], &state, &sent_v, &first_v, lag_s);
+                resume(
+                    &mut qubes[block],
+                    &particles[block],
+                    &state,
+                    &sent_v,
+                    &first_v,
+                    velocity_age,
+                );
                 narrow(&mut clearances[block], &qubes[block], &ends);
             }
             let mut over = [false; GROUP];
@@ -332,8 +366,8 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
 /// Starts a block from the estimated state plus each particle's error, with the last commands still
 /// on their way.
 ///
-/// An estimated velocity is older than its angle by `lag_s`. The acceleration of each particle
-/// under the voltage that was at its motor brings the velocity up to date.
+/// An estimated velocity is older than its angle. The acceleration of each particle under the
+/// voltage that was at its motor brings the velocity up to date.
 #[inline(always)]
 fn resume(
     qubes: &mut QubeLanes,
@@ -341,14 +375,14 @@ fn resume(
     state: &State<f32>,
     sent_v: &[f32; MAX_HISTORY],
     first_v: &Lanes,
-    lag_s: f32,
+    VelocityAge { lag_s, error_factor }: VelocityAge,
 ) {
     let mut states = particles.error;
     for lane in 0..BLOCK {
         states.theta[lane] += state.theta;
         states.alpha[lane] += state.alpha;
-        states.theta_dot[lane] += state.theta_dot;
-        states.alpha_dot[lane] += state.alpha_dot;
+        states.theta_dot[lane] = state.theta_dot + error_factor * states.theta_dot[lane];
+        states.alpha_dot[lane] = state.alpha_dot + error_factor * states.alpha_dot[lane];
     }
     let arrived_v = sent_v.map(|sent_v| particles.arriving(&[sent_v; BLOCK]));
     qubes.resume(&states, &arrived_v);
@@ -358,20 +392,6 @@ fn resume(
         qubes.state.theta_dot[lane] += lag_s * theta_dot_dot[lane];
         qubes.state.alpha_dot[lane] += lag_s * alpha_dot_dot[lane];
     }
-}
-
-/// The age of an estimated velocity, s, when the last two samples are this many control periods
-/// apart and those before them one period.
-///
-/// A difference of two angles lags by half the time between them; the filter's memory of earlier
-/// differences adds the rest.
-fn lag_s(filter: &FilterGains<f32>, periods: u32) -> f32 {
-    let regular_s = CONTROL_PERIOD_S as f32 * (0.5 + filter.decay / (1.0 - filter.decay));
-    if periods <= 1 {
-        return regular_s;
-    }
-    let half_s = 0.5 * CONTROL_PERIOD_S as f32 * periods as f32;
-    half_s + filter.decay.powi(periods.min(100) as i32) * (half_s + regular_s)
 }
 
 /// Updates the estimated states of a block after a control period.

@@ -3,7 +3,7 @@
     reason = "a lane indexes many arrays at once, and plain index loops become vector code"
 )]
 
-use super::{Foresight, ParticleLanes, lag_s, resume};
+use super::{Foresight, ParticleLanes, VelocityAge, resume};
 use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
 use crate::estimation::FilterGains;
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, MAX_HISTORY, QubeLanes, SUBSTEPS, State};
@@ -32,8 +32,8 @@ pub struct Prediction {
     particles: Vec<ParticleLanes>,
     qubes: Vec<QubeLanes>,
     filter: FilterGains<f32>,
-    /// Age of the estimated velocities, s.
-    lag_s: f32,
+    velocity_age: VelocityAge,
+    velocity_error_power: u32,
     level: Level,
     /// The current run of the particles; `None` before the first sample.
     run: Option<Run>,
@@ -57,9 +57,15 @@ impl Prediction {
     /// A prediction with the particles of a foresight.
     #[must_use]
     pub fn of<B>(foresight: &Foresight<B>) -> Self {
-        let Foresight { particles, qubes, filter, lag_s, level, .. } = foresight;
-        let (particles, qubes) = (particles.clone(), qubes.clone());
-        Self { particles, qubes, filter: *filter, lag_s: *lag_s, level: *level, run: None }
+        Self {
+            particles: foresight.particles.clone(),
+            qubes: foresight.qubes.clone(),
+            filter: foresight.filter,
+            velocity_age: foresight.velocity_age,
+            velocity_error_power: foresight.velocity_error_power,
+            level: foresight.level,
+            run: None,
+        }
     }
 
     /// Uses this instruction set instead of the best one, for comparisons.
@@ -72,7 +78,7 @@ impl Prediction {
     /// Sets the number of control periods between the last two samples, as
     /// [`Foresight::sampled_after`] does.
     pub fn sampled_after(&mut self, periods: u32) {
-        self.lag_s = lag_s(&self.filter, periods);
+        self.velocity_age = VelocityAge::after(periods, &self.filter, self.velocity_error_power);
     }
 
     /// Restarts the particles at the next sample, because its angles may be counted from another
@@ -113,9 +119,9 @@ impl Prediction {
                 && lies(state.alpha, state.alpha_dot, spread.alpha)
         });
         if !kept || self.run.is_none_or(|run| run.periods >= WINDOW_PERIODS) {
-            let Self { particles, qubes, lag_s, level, .. } = &mut *self;
-            let begin = Begin { particles, qubes, lag_s: *lag_s, state: state.cast(), sent_v };
-            dispatch_at(*level, begin);
+            let Self { particles, qubes, velocity_age, level, .. } = &mut *self;
+            let (velocity_age, state) = (*velocity_age, state.cast());
+            dispatch_at(*level, Begin { particles, qubes, velocity_age, state, sent_v });
             self.run = Some(Run { since_us: device_time_us, periods: 0 });
         }
         kept
@@ -126,7 +132,7 @@ impl Prediction {
 struct Begin<'a> {
     particles: &'a [ParticleLanes],
     qubes: &'a mut [QubeLanes],
-    lag_s: f32,
+    velocity_age: VelocityAge,
     state: State<f32>,
     sent_v: &'a [f32; MAX_HISTORY],
 }
@@ -136,10 +142,10 @@ impl VectorKernel for Begin<'_> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) {
-        let Self { particles, qubes, lag_s, state, sent_v } = self;
+        let Self { particles, qubes, velocity_age, state, sent_v } = self;
         for (qubes, particles) in qubes.iter_mut().zip(particles) {
             let first_v = particles.arriving(&[sent_v[0]; BLOCK]);
-            resume(qubes, particles, &state, sent_v, &first_v, lag_s);
+            resume(qubes, particles, &state, sent_v, &first_v, velocity_age);
         }
     }
 }
