@@ -3,9 +3,9 @@
 //!
 //! `cargo bench --bench foresight`; pin it to one core for comparable figures. The rollouts are
 //! those of the shipped policy `robust` on `lab`. For each belief about the Qube (any Qube, or an
-//! identified one) and each instruction set it prints mean, 99th percentile and maximum over the
-//! ticks of fifty rollouts, where the time of a tick is the shortest of five tries; criterion
-//! measures whole rollouts.
+//! identified one), with AVX-512 and with AVX2 if the processor has them, it prints mean, 99th
+//! percentile and maximum over the ticks of fifty rollouts, where the time of a tick is the
+//! shortest of five tries; criterion measures whole rollouts.
 
 use std::path::Path;
 use std::time::Instant;
@@ -115,7 +115,7 @@ fn foresight(criterion: &mut Criterion) {
                 all_us.extend(rollout_us);
                 ending += ends;
             }
-            println!("{belief}, {level:?}: {} ({ending} end it)", figures(all_us));
+            println!("{belief}, {level:?}: {} ({ending} would end the rollout)", figures(all_us));
             group.bench_function(format!("{belief}/{level:?}"), |bencher| {
                 bencher.iter(|| {
                     let mut foresight = fresh.clone();

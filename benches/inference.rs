@@ -1,4 +1,5 @@
-//! Time of one inference of a deployed policy, which is the network's part of a tick.
+//! Time in which a deployed policy computes one voltage, which is the policy's part of a tick: a
+//! network, and the classical controller.
 //!
 //! `cargo bench --bench inference`; pin it to one core for comparable figures.
 

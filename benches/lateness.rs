@@ -46,8 +46,8 @@ fn lateness_us(rig: &mut Rig, path: &Path) -> LatencySummary {
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
     let mut latencies = Latencies::default();
     for _ in 0..ROLLOUTS {
-        // If the host takes the processors for long, the pendulum may move unseen between two
-        // rollouts, and the rig must start again.
+        // If the host of this virtual machine takes the processors for long, the pendulum may move
+        // unseen between two rollouts, and the rig must start again.
         while let Err(error) = rig.rollout(&MachineDisk, path, plan.header(), &policy) {
             assert!(matches!(error, RigError::NotBegun { .. }), "{error}");
             rig.start_again().unwrap();
@@ -114,7 +114,7 @@ fn measure(name: &str, executor: &LocalExecutor) {
         ratios.push(with.p99 / without.p99);
         println!(
             "pair {}: lateness p99 {:.2} us without, {:.2} us with trainings: {:.2} times; largest {:.0} and {:.0} us; \
-             the host took {:.0} ms",
+             the host of this virtual machine took {:.0} ms",
             pair + 1,
             without.p99,
             with.p99,

@@ -12,8 +12,8 @@ use qube_hil::simulation::{
     DomainDistribution, Family, LaneStatus, Pendulums, SensorModel, SimulationSettings, Trajectory,
 };
 
-/// Measures control steps of swing-ups. Voltages alternate slowly, so that the pendulums keep
-/// moving inside the box; a pendulum that leaves the box starts again.
+/// Measures control steps of moving pendulums. Voltages alternate slowly, so that the pendulums
+/// keep moving inside the box; a pendulum that leaves the box or ends its trajectory starts again.
 fn control_steps(criterion: &mut Criterion) {
     let encoders = SensorModel::Encoders { estimator: EstimatorSettings::default() };
     let handcrafted = DomainDistribution::handcrafted(Family::Normal);
@@ -73,8 +73,8 @@ fn bench_level(
     });
 }
 
-/// Measures the simulation of half a second of 64 different Qubes, which is the work of a guard
-/// that simulates its brake.
+/// Measures the simulation of half a second of 64 different Qubes, the kind of work that foresight
+/// does in each tick.
 fn qube_lanes(criterion: &mut Criterion) {
     const PERIODS: usize = 50;
     let blocks = 64 / BLOCK;

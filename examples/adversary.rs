@@ -7,7 +7,7 @@
 //! OPTIONS are, in this order, `SPREAD DELAY_MS CORNER foresight|box FIRST`; the last ones may be
 //! left out. SPREAD is the largest relative deviation of the Qubes' parameters, DELAY_MS the
 //! longest time from a sample to its act, CORNER the corner of the estimator's filter, rad/s, and
-//! FIRST the first seed.
+//! FIRST the first seed. The exit code is 1 if an arm reached its stop or a voltage was above 5 V.
 
 #[path = "../tests/adversary/mod.rs"]
 mod adversary;

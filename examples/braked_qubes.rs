@@ -1,8 +1,8 @@
 //! Counts the Qubes within 30 % of the nominal one that a brake brings to rest, for two brakes: one
 //! that loses gain when it rings, and one that keeps its gain.
 //!
-//! `cargo run --release --example braked_qubes -- 5000` draws 5000 Qubes. Every second of them has
-//! a strong motor and a light arm.
+//! `cargo run --release --example braked_qubes -- 5000` draws 5000 Qubes. Every second one has a
+//! strong motor, a short light arm and a light pendulum.
 
 use std::collections::VecDeque;
 
@@ -23,6 +23,7 @@ const PERIODS: usize = 1000;
 /// rest, rad.
 const REST_RANGE_RAD: f64 = 0.05;
 
+/// Control periods over which this range is taken: 0.6 s.
 const REST_PERIODS: usize = 60;
 
 /// A Qube, and the state in which its brake begins.

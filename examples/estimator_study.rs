@@ -8,9 +8,9 @@
 //! ```
 //!
 //! `errors`: the policy, which sees the true state at the instant at which its command acts, swings
-//! up the Qube of profiles/lab.toml; every estimator gets the same samples and commands. `delays`
-//! and `plants`: each policy, with each estimator, drives the emulated Qube over its wire in
-//! virtual time.
+//! up the Qube of profiles/lab.toml; every estimator gets the same samples and commands. Each NOISE
+//! adds two observers with this process noise, rad/s^2. `delays` and `plants`: each policy, with
+//! each estimator, drives the emulated Qube over its wire in virtual time.
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -35,14 +35,14 @@ use qube_hil::telemetry::{Ending, Phase, TickRecord, TickSettings};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Number of rollouts of each policy on a Qube that forms a column alone; on each of the [`PLANTS`]
-/// Qubes that share a column it runs once.
+/// Number of rollouts of a policy on a Qube. On the [`PLANTS`] Qubes that share a column, it is one
+/// rollout each.
 const ROLLOUTS: u64 = 5;
 
 /// Number of Qubes around the profile, each parameter within 10 % of the profile's value.
 const PLANTS: u64 = 20;
 
-/// Number of true states in a control period, which form a fine grid.
+/// Number of true states that are stored in a control period: a fine grid.
 const GRID: usize = 20;
 /// Time between two true states, us.
 const GRID_US: u64 = 500;
@@ -50,7 +50,9 @@ const GRID_US: u64 = 500;
 fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [mode, policies @ ..] = arguments.as_slice() else {
-        anyhow::bail!("usage: estimator_study errors|delays|plants POLICY ...");
+        anyhow::bail!(
+            "usage: estimator_study errors POLICY [NOISE ...]|delays POLICY ...|plants POLICY ..."
+        );
     };
     let lab = Profile::lab().model();
     match (mode.as_str(), policies) {
@@ -60,7 +62,9 @@ fn main() -> anyhow::Result<()> {
         }
         ("delays", [_, ..]) => delays(&lab, &all(policies)?),
         ("plants", [_, ..]) => plants(&lab, &all(policies)?),
-        _ => anyhow::bail!("usage: estimator_study errors|delays|plants POLICY ..."),
+        _ => anyhow::bail!(
+            "usage: estimator_study errors POLICY [NOISE ...]|delays POLICY ...|plants POLICY ..."
+        ),
     }
     Ok(())
 }

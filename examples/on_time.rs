@@ -1,5 +1,5 @@
 //! Wakes up 100 times a second like the control thread, with or without each of the measures for
-//! punctuality, and prints a summary of the lateness as one JSON object, microseconds.
+//! punctuality, and prints percentiles of the lateness in microseconds as one JSON object.
 //!
 //! `scripts/on-time` runs it beside cyclictest.
 
@@ -16,10 +16,10 @@ use rustix::thread::{
 
 #[derive(Parser)]
 struct Arguments {
-    /// How long to watch
+    /// Duration of the measurement, s
     #[arg(long, default_value_t = 10)]
     seconds: u64,
-    /// Leave SCHED_FIFO and locked memory out
+    /// Run without SCHED_FIFO and locked memory
     #[arg(long)]
     ordinary: bool,
     /// Keep the processors awake
@@ -28,10 +28,10 @@ struct Arguments {
     /// Stay on the processor where it starts
     #[arg(long)]
     pinned: bool,
-    /// The kernel's default timer slack of 50 us instead of 1 ns
+    /// Use the kernel's default timer slack of 50 us instead of 1 ns
     #[arg(long)]
     slack: bool,
-    /// Spin for so long before each deadline, at most 100
+    /// Duration of the spin before each deadline, us, at most 100
     #[arg(long, default_value_t = 0)]
     spin_us: u64,
 }

@@ -3,7 +3,8 @@
 //!
 //! `cargo run --release --example strangers_adversary -- --searches 20 --first 1 --optimiser both
 //! --belief unknown --out FILE`. Each finished search is a line of FILE and is not repeated.
-//! `--show SEED` prints the farthest episode of that seed in FILE tick by tick.
+//! `--show SEED` prints the farthest episode of that seed in FILE tick by tick. The program
+//! fails if the arm reached its stop in an episode for which foresight promises to prevent it.
 
 #[path = "../tests/stranger/mod.rs"]
 mod stranger;
@@ -49,10 +50,11 @@ struct Arguments {
     /// Searches at a time.
     #[arg(long, default_value_t = 2)]
     threads: usize,
-    /// Where the lines go.
+    /// File to which each finished search is appended as one line of JSON.
     #[arg(long)]
     out: PathBuf,
-    /// Tells the farthest episode of this seed tick by tick, and searches nothing.
+    /// Prints the stored episodes of this seed tick by tick (the farthest, and one for each kind of
+    /// false fault), and searches nothing.
     #[arg(long)]
     show: Option<u64>,
 }
@@ -138,8 +140,7 @@ fn is_of(record: &SearchRecord, search: &AdversarySearch) -> bool {
     scenario.seed == search.seed && scenario.known == search.known && record.method == search.method
 }
 
-/// The searches of a file, of which there are none if it does not exist; a truncated line is
-/// skipped.
+/// Reads the searches of a file: none if the file does not exist. A truncated line is skipped.
 fn read(path: &PathBuf) -> anyhow::Result<Vec<SearchRecord>> {
     if !path.exists() {
         return Ok(Vec::new());

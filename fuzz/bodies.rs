@@ -1,8 +1,9 @@
 //! The bodies of the fuzz targets, which process bytes of any origin. The fuzzer runs them on
 //! generated input and `tests/virtual_time/fuzz_corpus.rs` on the corpus.
 //!
-//! Depending on its first byte, a body takes the bytes as they are or corrects their checksums
-//! first: behind a wrong checksum a fuzzer reaches nothing.
+//! Depending on the first byte, the bodies of `wire`, `recording` and `ledger` take the bytes as
+//! they are or give them a correct checksum first: bytes with a wrong checksum are refused before
+//! any of their content is read.
 #![allow(dead_code)]
 
 use std::io::Write;
@@ -19,7 +20,7 @@ use qube_hil::session::{Extent, IdentificationSettings, SessionSettings, next_st
 
 const CRC_32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Decodes frames for a device, frames for a host, and other bytes.
+/// Decodes the bytes, or sends them to a device or to a host.
 pub fn wire(bytes: &[u8]) {
     let Some((&mode, bytes)) = bytes.split_first() else { return };
     match mode % 4 {
@@ -33,7 +34,8 @@ pub fn wire(bytes: &[u8]) {
     }
 }
 
-/// A frame that is accepted equals the one built from its content.
+/// A request that is accepted can be encoded again; a reply that is accepted is the same after it
+/// is encoded and decoded.
 fn decode(bytes: &[u8]) {
     let mut decoder = Decoder::new();
     for &byte in bytes {
@@ -141,7 +143,7 @@ pub fn policy(bytes: &[u8]) {
     }
 }
 
-/// A recording that is accepted has no more ticks than a rollout can have.
+/// A recording that is accepted is scored without a panic.
 pub fn recording(bytes: &[u8]) {
     let Some((&mode, rest)) = bytes.split_first() else { return };
     let parsed = match mode {

@@ -4,6 +4,8 @@ the ratios: a fit (gamma priors, constant mean, ARD Matérn 5/2, d = 8) and the 
 (10 starts, 512 raw points). One thread each.
 
 Needs `pip install botorch`. Pin it: taskset -c 1 scripts/compare-botorch.py [N ...]
+N are numbers of observations, from 25, 100, 500, 1000 and 2000 [25 100 500]. A ratio is the time of BoTorch
+divided by the time of this project.
 """
 import json
 import os
@@ -35,7 +37,7 @@ REPEATS = {25: 9, 100: 5}
 
 
 def botorch_seconds(n):
-    """Medians of fit and maximisation."""
+    """Median times of the fit and of the maximisation, s."""
     fits, maxima = [], []
     for repeat in range(REPEATS.get(n, 3) + 1):
         u = torch.rand(n, DIMENSIONS, generator=torch.Generator().manual_seed(repeat))
@@ -48,7 +50,7 @@ def botorch_seconds(n):
         fitted = time.perf_counter()
         box = torch.stack([torch.zeros(DIMENSIONS), torch.ones(DIMENSIONS)])
         optimize_acqf(LogExpectedImprovement(model, y.max()), box, q=1, num_restarts=10, raw_samples=512)
-        if repeat:    # the first one warms up
+        if repeat:    # the first repetition warms up and does not count
             fits.append(fitted - start)
             maxima.append(time.perf_counter() - fitted)
     return statistics.median(fits), statistics.median(maxima)

@@ -1,8 +1,11 @@
-/* Measures the shortest exchange of a control program and a board over a pty: 100 times a second the host
-   asks for a sample, the board answers, the host sends its act. The board measures the time from sample to
-   act. Frames are as long as those of PROTOCOL.md, without content. Prints one JSON object, microseconds.
+/* Measures how fast a control program and a board can at best exchange frames over a pty: 100 times a second
+   the host asks for a sample, the board answers, the host sends its act. The board measures the time from
+   sample to act. Frames are as long as those of PROTOCOL.md, without content. Prints percentiles of this
+   time in microseconds as one JSON object.
 
-   usage: echo-over-pty SECONDS [PRIORITY [REQUEST REPLY ACT]]    (priority 0: not real time) */
+   usage: echo-over-pty SECONDS [PRIORITY [REQUEST REPLY ACT]]
+   PRIORITY is that of SCHED_FIFO, or 0 for not real time [40]; REQUEST, REPLY and ACT are the lengths of the
+   frames in bytes [7 32 13]. */
 #define _GNU_SOURCE
 #include <fcntl.h>
 #include <pthread.h>

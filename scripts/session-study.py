@@ -1,16 +1,20 @@
 #!/usr/bin/env python3
-"""Runs sessions on several emulated Qubes in virtual time and prints how many real rollouts each needed, how its
-verified policy fared and how long it moved: the table of docs/results.md. Needs Python 3.11 and a release build.
+"""Runs sessions on several emulated Qubes in virtual time and prints a row for each plant, which docs/results.md
+quotes. Needs Python 3.11 and a release build.
 
-usage: scripts/session-study.py [--plants lab,gap,delay,drawn,play] [--seeds N] [--first S] [--method M] [--out FOLDER]
+usage: scripts/session-study.py [--plants lab,gap,delay,drawn,play] [--seeds N] [--first S] [--method M]
+                                [--parallel P] [--out FOLDER]
 
   lab     profiles/lab.toml, whose delay is 10 ms
-  gap     with 1.5 times lab's friction, dead zones, cable and delay
+  gap     with 1.5 times lab's friction, dead zones, cable and delay, and parameters 1.5 times as far from nominal
   delay   with a delay of 16 ms
-  drawn   each number of lab within 15 %, another one for each session
+  drawn   each number of lab within 15 per cent except gravity, with other numbers for each session
   play    with a backlash of 1 degree between motor and arm, which no simulation of the program has
 
-A session that FOLDER has is not run again.
+The columns: sessions that ended with a verified policy; those among them whose policy balanced in all of its
+verification rollouts; mean return; real rollouts (median and most); sessions whose identification doubted the model
+or failed; mean return of the nominal policy in one rollout. A session whose result is in FOLDER is not run again.
+Defaults: all plants, N = 10, S = 3000, M = identified, P = all processors, FOLDER session-study.
 """
 import argparse
 import json
@@ -28,7 +32,7 @@ LAB = tomllib.loads((ROOT / "profiles/lab.toml").read_text())
 
 
 def drawn(folder, seed):
-    """Writes a profile each of whose numbers is within 15 % of lab's."""
+    """Writes a profile with each number of lab's, except gravity, changed by up to 15 %."""
     draw = random.Random(seed)
     table = lambda name, values: f"[{name}]\n" + "".join(f"{key} = {value!r}\n" for key, value in values.items())
     parameters = {

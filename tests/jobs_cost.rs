@@ -1,5 +1,6 @@
-//! What the coordinator of a folder of jobs costs, measured with workers that finish at once:
-//! `cargo test --test jobs_cost -- --ignored --nocapture` prints it for up to 10 000 jobs.
+//! Measures the processor time and memory of the coordinator of a folder of jobs, with workers that
+//! finish at once: `cargo test --test jobs_cost -- --ignored --nocapture` prints them for up to
+//! 10 000 jobs.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,7 +12,7 @@ use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
 use qube_hil::storage::MachineDisk;
 
-/// The cost of some jobs.
+/// The cost of a number of jobs.
 struct Cost {
     /// Time of the coordinator's threads on the processor, ms a job.
     cpu_ms: f64,
@@ -19,6 +20,7 @@ struct Cost {
     wall_s: f64,
 }
 
+/// Processor time of this process or thread so far, s.
 fn cpu_s(of: libc::c_int) -> f64 {
     // SAFETY: the structure consists of numbers, for which zeros are a value, and the call fills it.
     let usage = unsafe {
@@ -37,7 +39,8 @@ fn peak_mb() -> f64 {
     line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() / 1e3
 }
 
-/// The cost of so many jobs whose results, of a policy with the learning curve of the preset `quick`, come at once.
+/// The cost of `count` jobs whose results come at once. Each result is a policy with a learning
+/// curve as long as that of the preset `quick`.
 fn cost(count: u64) -> Cost {
     let settings = TrainSettings::quick();
     let job = |seed| TrainingJob {

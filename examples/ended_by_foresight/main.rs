@@ -34,7 +34,7 @@ struct Arguments {
     /// Control periods for which the guard of the identified Qube holds a voltage.
     #[arg(long)]
     held: Option<u32>,
-    /// Distance that this guard keeps from the ends, rad.
+    /// Distance that the guard of the identified Qube keeps from the arm's stops, rad.
     #[arg(long)]
     margin: Option<f64>,
 }
@@ -101,7 +101,8 @@ fn around(kind: &Kind) -> Vec<Kind> {
     kinds
 }
 
-/// The Qubes of the table's rows, by name.
+/// The Qubes of the table's rows, by name. `gap 0.5` and `gap 1.5` scale the nonidealities of `lab`
+/// and the distance of its parameters from nominal.
 fn kinds(lab: QubeModel) -> Vec<(&'static str, Kind)> {
     let plain = |model| Kind { model, beyond_the_model: Beyond::Nothing };
     let late = |delay_s| {

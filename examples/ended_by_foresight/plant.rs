@@ -8,8 +8,7 @@ use qube_hil::qube::{
     runge_kutta_4,
 };
 
-/// A Qube to simulate: its model, and an effect that the library's equations leave out. The example
-/// prints a row for each.
+/// A Qube to simulate: its model, and an effect that the library's equations leave out.
 #[derive(Clone, Copy)]
 pub struct Kind {
     pub model: QubeModel,
@@ -35,7 +34,7 @@ const STIFF_STEPS: u32 = 500;
 /// Inertia of the motor's rotor with its hub, kg m^2: data sheet of the Qube-Servo 2.
 const ROTOR_INERTIA_KG_M2: f64 = 4.6e-6;
 
-/// Stiffness of the contact between rotor and arm, N m/rad: the rotor vibrates at 70 Hz.
+/// Stiffness of the contact between rotor and arm, N m/rad: the rotor vibrates at about 75 Hz.
 const CONTACT_N_M_RAD: f64 = 1.0;
 
 /// Damping of the contact between rotor and arm, N m s/rad: the rotor hardly bounces.
@@ -88,8 +87,8 @@ impl Plant {
         let steps = if is_stiff { STIFF_STEPS } else { STEPS };
         let step_s = CONTROL_PERIOD_S / f64::from(steps);
         for step in 0..steps {
-            // The voltage that acts at this instant was sent `sent_s` after the begin of this
-            // period; before it if `sent_s` is negative.
+            // The voltage that acts at this instant was sent `sent_s` after the start of this
+            // period, or before the start if `sent_s` is negative.
             let sent_s =
                 (f64::from(step) + 0.5) * step_s - self.kind.model.nonidealities.command_delay_s;
             let age = (-sent_s / CONTROL_PERIOD_S).ceil().max(0.0) as usize;

@@ -33,9 +33,10 @@ const DEFAULTS: [u64; 2] = [50, 2000];
 /// Half the width of a 90 % interval, in standard errors.
 const NINETY_PERCENT: f64 = 1.645;
 
-/// Draws a Qube: parameters from the prior of the identification, but the motor's constants with a
-/// third of the prior's width and dampings with half of it; strengths of nonidealities and the
-/// delay uniform over fixed ranges.
+/// Draws a Qube: parameters and the cable's rest angle from the prior of the identification, but
+/// the motor's constants with a third of the prior's width, and dampings with half of it and within
+/// one standard deviation; strengths of nonidealities and the delay (2 to 14 ms) uniform over fixed
+/// ranges.
 fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
     let mut model = QubeModel::NOMINAL;
     for unknown in Unknown::all() {
@@ -68,7 +69,8 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     radius * (2.0 * std::f64::consts::PI * rng.random::<f64>()).cos()
 }
 
-/// The effect outside the model class for this seed, of a size that a worn or cheap rig has.
+/// The effect outside the model class for this seed, with half to all of the size that a worn or
+/// cheap rig has.
 fn outside(seed: u64, rng: &mut ChaCha8Rng) -> Beyond {
     let size = 0.5 + 0.5 * rng.random::<f64>();
     match seed % 5 {

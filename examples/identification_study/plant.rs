@@ -1,6 +1,5 @@
-//! An emulated Qube that may have effects which the library's equations leave out. The library
-//! cannot import this file, so that identification knows as little of these effects as of an
-//! unknown Qube's.
+//! A simulated Qube that may have effects which the library's equations leave out. The library
+//! cannot import this file, so identification knows nothing of these effects.
 
 use std::collections::VecDeque;
 
@@ -15,7 +14,7 @@ pub enum Beyond {
     Nothing,
     /// Play between the motor with its encoder and the arm, rad.
     Play(f64),
-    /// Friction that gives way by this angle before it slides, rad (Dahl).
+    /// Friction that yields like a spring over this angle before it slides (Dahl's model), rad.
     Presliding(f64),
     /// Cable whose torque lags behind its angle: largest torque of the lagging part, N m, and the
     /// angle over which that torque builds up, rad.
@@ -46,7 +45,7 @@ const STEPS: u32 = 400;
 /// Inertia of the motor's rotor with its hub, kg m^2: data sheet of the QUBE-Servo 2.
 const ROTOR_INERTIA_KG_M2: f64 = 4.6e-6;
 
-/// Stiffness of the contact between rotor and arm, N m/rad: the rotor vibrates at 70 Hz.
+/// Stiffness of the contact between rotor and arm, N m/rad: the rotor vibrates at about 75 Hz.
 const CONTACT_N_M_RAD: f64 = 1.0;
 
 /// Damping of the contact between rotor and arm, N m s/rad: the rotor hardly bounces.
@@ -66,7 +65,7 @@ pub struct Plant {
     rotor: [f64; 2],
     /// Angle by which the friction or the cable has yielded, rad.
     given_way_rad: f64,
-    /// Time since the begin, s; the motor warms with it.
+    /// Time since the start, s; the motor warms with it.
     time_s: f64,
     /// Last commands, V, newest first.
     commands_v: VecDeque<f64>,

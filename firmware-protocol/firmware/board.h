@@ -1,4 +1,5 @@
-/* The interface between program and board: another board is another file that implements it. */
+/* The interface between program and board; another kind of board needs another file that
+ * implements it. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -18,43 +19,45 @@ void board_switch_qube_off(void);
  * take 50 ms the first time; to be called before `board_start`. */
 void board_serial(uint8_t serial[8]);
 
-/* Serial port, SPI, clock and interrupts. The hardware watchdog runs from here on. */
+/* Starts serial port, SPI, clock and interrupts. The hardware watchdog runs from here on. */
 void board_start(void);
 
 /* Microseconds since the start, modulo 2^32. */
 uint32_t board_time_us(void);
 
-/* Whether a sampling period has begun since it was asked last. */
+/* Whether a sampling period has begun since the last call that returned true. */
 bool board_sampling_is_due(void);
 
 /* A number that no start of this board has had before; kept over power-off. */
 uint16_t board_next_boot_number(void);
 
-/* The emergency-stop switch: whether its contact is closed now, and whether this board has ever been
- * found to have one. */
+/* The emergency-stop switch: the first function returns whether its contact is closed now, the
+ * second whether the EEPROM says that this board has one; the third stores that it has one. */
 bool board_stop_switch_is_closed(void);
 bool board_stop_switch_is_known(void);
 void board_remember_stop_switch(void);
 
-/* Takes a byte that has arrived. */
+/* Takes a byte that has arrived; returns false if there is none. */
 bool board_receive(uint8_t *byte);
-/* Whether bytes were lost since it was asked last. */
+/* Whether received bytes were lost since the last call. */
 bool board_lost_bytes(void);
 /* How many bytes can be sent without waiting. */
 uint8_t board_send_room(void);
 void board_send(const uint8_t *bytes, uint8_t length);
 
-/* The frame to the Qube: one at a time, moved by interrupts, chip select low throughout. It is busy
- * from its begin until `board_qube_ended` has told of its end. Returns when chip select fell. */
+/* The frame to the Qube: one at a time, moved by interrupts, chip select low throughout. The Qube is
+ * busy from `board_qube_begin`, which returns the time at which chip select fell, us, until
+ * `board_qube_ended` has returned true. */
 bool board_qube_is_busy(void);
 uint32_t board_qube_begin(const uint8_t command[QUBE_FRAME_BYTES]);
-/* Whether a frame has ended since it was asked last, and what came with it. */
+/* Whether a frame has ended since the last call; if so, copies the Qube's answer. */
 bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES]);
 
-/* The chip's own watchdog: without this for 16 ms it switches the motor off and restarts. */
+/* Feeds the chip's own watchdog. If it is not fed for 16 ms, it switches the motor off, and 16 ms
+ * later it restarts the chip. */
 void board_feed_hardware_watchdog(void);
 
-/* Sleeps unless an interrupt has struck since the last call. */
+/* Sleeps until the next interrupt, or not at all if there was one since the last call. */
 void board_sleep(void);
 
 #endif

@@ -108,8 +108,8 @@ static struct {
 /* Symbol of the linker: the beginning of the memory without variables. */
 extern uint8_t __heap_start;
 
-/* After a restart by the watchdog it still runs with its shortest time, so it is switched off
- * first. */
+/* After a restart by the watchdog, the watchdog still runs, with its shortest time. So it is
+ * switched off before anything else. */
 static void stop_watchdog_early(void) __attribute__((naked, used, section(".init3")));
 static void stop_watchdog_early(void)
 {
@@ -314,12 +314,12 @@ void board_switch_qube_off(void)
     send_off_frame();
 }
 
-/* The program hangs. The Qube would keep its last motor word through the restart and through a
+/* Runs when the program hangs. The Qube would keep its last motor word through the restart and through a
  * boot loader (some on the Mega never get past a restart by the watchdog). So one frame switches
- * its motor off first; this interrupt alone waits, for 0.2 ms, because nothing else can be
- * delayed any more. At the watchdog's second time-out, 16 ms later, the chip restarts. If the
- * hang itself has disabled interrupts, the chip restarts then without this frame, and the
- * program's first frame switches the motor off. */
+ * its motor off first. No other interrupt waits; this one does, for 0.2 ms, because a program
+ * that hangs cannot be delayed. At the watchdog's second time-out, 16 ms later, the chip
+ * restarts. If the program hangs with interrupts disabled, the chip restarts without this frame,
+ * and the program's first frame switches the motor off. */
 ISR(WDT_vect)
 {
     send_off_frame();
@@ -358,7 +358,7 @@ static uint16_t crc_of(const uint8_t serial[8])
     return crc;
 }
 
-/* Eight bytes that differ between boards. The content of unused memory at power-on differs from
+/* Draws eight bytes that differ between boards. The content of unused memory at power-on differs from
  * chip to chip in a few of a hundred cells, and the signature row holds lot, wafer and position
  * on chips that have it. The bytes are four checksums of both. */
 static void draw_serial(uint8_t serial[8])

@@ -37,7 +37,7 @@ static void give_nonce(struct device *device)
     device->nonce = ((uint32_t)device->boot_number << 16) | device->nonces_given;
 }
 
-/* Switches the motor off and enters another state. */
+/* Switches the motor off and enters the state `next`. */
 static void leave_armed(struct device *device, enum device_state next)
 {
     device->motor_word = MOTOR_OFF;
@@ -56,7 +56,8 @@ void device_start(struct device *device, const struct device_identity *identity,
     device->stop_switch_fitted = stop_switch_fitted;
     device->state = STATE_IDLE;
     device->motor_word = MOTOR_OFF;
-    /* The command that the Qube had before this start is unknown; it may be anything but off. */
+    /* The Qube's motor word from before this start is unknown. With a word other than off, the
+     * first frame begins at once. */
     device->motor_word_at_qube = MOTOR_ENABLE;
     device->sample_to_act_us = NO_ACT_US;
 }
@@ -232,7 +233,8 @@ static bool answer_sample(struct device *device, struct link_frame *reply)
     return true;
 }
 
-/* A sample must be fresh and show the effect of earlier requests, so it waits for a frame. */
+/* Whether a Sample can be answered: the last reading shows the effect of all requests, or there is
+ * no Qube whose reading it could wait for. */
 static bool sample_is_ready(const struct device *device)
 {
     return !device->qube_present || device->sample.change == device->change;
@@ -244,7 +246,7 @@ static bool sample(struct device *device, const struct link_frame *request,
     if (device->state == STATE_IDLE) {
         return refuse(reply, REQUEST_SAMPLE, REFUSAL_NOT_GREETED);
     }
-    /* The last reading of the sampling timer is up to a period old, and every act would be as
+    /* The sampling timer's last reading is up to a period, 2 ms, old, and every act would be as
      * late. A separate reading takes a tenth of that. */
     device->change++;
     if (!sample_is_ready(device)) {
@@ -462,7 +464,7 @@ void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_B
     bool failed = !device->qube_present;
     if (device->qube_present) {
         take_readings(device, &readings);
-        /* A stall error that this frame or the next one clears is not reported. */
+        /* A stall error that this frame or the next one clears does not lead to Faulted. */
         bool stall_is_known = device->clears_stall || device->clearing_frame;
         failed = (readings.status & QUBE_AMPLIFIER_FAULT) ||
                  ((readings.status & QUBE_STALL_ERROR) && !stall_is_known);

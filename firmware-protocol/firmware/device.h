@@ -25,16 +25,16 @@ struct device_sample {
     uint16_t current_raw;
     uint8_t status;
     int16_t applied_mv;
-    /* Last request whose effect the readings show. */
+    /* Number, modulo 256, of the last request whose effect the readings show. */
     uint8_t change;
 };
 
 struct device {
     struct device_identity identity;
-    /* A number that no earlier start of this board had. */
+    /* Returns a number that no earlier start of this board had. */
     uint16_t (*next_boot_number)(void);
-    /* Boot number of this start and of its nonces; replaced when all numbers under it are used
-     * up. */
+    /* Number of this start, and the upper half of its nonces. The two are equal until all 65 535
+     * nonces under `boot_number` are used up; `boot_number` is then replaced. */
     uint16_t boot_id;
     uint16_t boot_number;
     uint16_t nonces_given;
@@ -45,6 +45,7 @@ struct device {
     bool watchdog_tripped;
     uint32_t watchdog_fed_us;
     uint16_t last_act_sequence;
+    /* Whether a sample was given that no act has answered yet. */
     bool awaits_act;
     /* Last sample given since the last Hello, which acts must name. */
     bool sample_given;
@@ -64,7 +65,7 @@ struct device {
     uint16_t motor_word;
     uint16_t motor_word_under_way;
     uint16_t motor_word_at_qube;
-    /* Number of requests whose effect a sample must show. */
+    /* Number, modulo 256, of the requests whose effect a sample must show. */
     uint8_t change;
     /* Whether the next frame must clear a stall error, and whether the current frame does. */
     bool clears_stall;
@@ -87,12 +88,14 @@ struct device {
 void device_start(struct device *device, const struct device_identity *identity,
                   uint16_t (*next_boot_number)(void), bool stop_switch_fitted);
 
-/* Executes a request. Returns whether `reply` must be sent now. It must not be called while
- * `device_waits`: a sample then waits for its frame and is answered by `device_answers_late`, or
- * nothing is known of the Qube yet. */
+/* Executes a request; returns whether `reply` must be sent now. Must not be called while
+ * `device_waits` returns true. */
 bool device_request(struct device *device, const struct link_frame *request, uint32_t now_us,
                     struct link_frame *reply);
+/* Whether requests must wait: for the frame of a Sample, or for the first frame of all, before
+ * which nothing is known of the Qube. */
 bool device_waits(const struct device *device);
+/* Answers a Sample whose frame has ended; returns whether `reply` must be sent now. */
 bool device_answers_late(struct device *device, struct link_frame *reply);
 
 /* Counts bytes that were not a frame. */
@@ -101,18 +104,18 @@ void device_dropped_frame(struct device *device);
 /* Runs the watchdog; must be called at least every WATCHDOG_POLL_MS. */
 void device_poll(struct device *device, uint32_t now_us);
 
-/* Takes the state of the emergency-stop contact: low is closed; open also means a broken wire or
- * no switch. Must be called at least every WATCHDOG_POLL_MS. Returns true once, when the contact
+/* Takes the state of the emergency-stop contact; a broken wire or a missing switch counts as
+ * open. Must be called at least every WATCHDOG_POLL_MS. Returns true once, when the contact
  * has been closed for so long that there must be a switch, which the board then stores. */
 bool device_stop_switch(struct device *device, bool is_closed, uint32_t now_us);
 
 /* Whether a frame should begin now, without waiting for the sampling timer. */
 bool device_wants_frame(const struct device *device);
-/* The content of the frame that begins now; `device_frame_began` takes the time at which its
- * encoders were read. */
+/* Composes the content of the frame that begins now; `device_frame_began` then takes the time at
+ * which its encoders were read. */
 void device_compose_frame(struct device *device, uint32_t now_us, struct qube_command *command);
 void device_frame_began(struct device *device, uint32_t time_us);
-/* Takes the end of the frame. */
+/* Takes the Qube's answer at the end of the frame. */
 void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_BYTES]);
 
 #endif

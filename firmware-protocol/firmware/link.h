@@ -15,7 +15,8 @@ struct link_frame {
     uint8_t payload[MAX_PAYLOAD_BYTES];
 };
 
-/* Bytes since the last delimiter; initially all zero. */
+/* The bytes since the last delimiter. A receiver begins with all members 0; a `length` beyond the
+ * buffer marks a frame that is too long or has lost a byte. */
 struct link_receiver {
     uint8_t length;
     uint8_t encoded[MAX_FRAME_BYTES - 1];

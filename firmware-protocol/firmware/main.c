@@ -64,8 +64,8 @@ static void begin_qube_frame(void)
     device_frame_began(&device, board_qube_begin(bytes));
 }
 
-/* Takes bytes up to the end of one request and executes it. Requests wait in the ring while a
- * sample waits for its frame, and while there is no room for an answer. */
+/* Takes bytes up to the end of one request and executes it; returns whether there was one. Requests
+ * wait in the ring while `device_waits` and while there is no room for an answer. */
 static bool serve_request(void)
 {
     struct link_frame frame;

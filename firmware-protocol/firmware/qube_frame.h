@@ -20,7 +20,7 @@
 /* Motor word of an amplifier that is off. */
 #define MOTOR_OFF 0x0000u
 
-/* Position of the motor word. */
+/* Index of the motor word's first byte in a command. */
 #define QUBE_MOTOR_BYTE 15u
 
 /* Largest brightness of an LED. */
@@ -52,9 +52,9 @@ struct qube_readings {
 void qube_frame_encode(const struct qube_command *command, uint8_t bytes[QUBE_FRAME_BYTES]);
 void qube_frame_decode(const uint8_t bytes[QUBE_FRAME_BYTES], struct qube_readings *readings);
 
-/* The byte to send at `index`, when the answer is known up to there. The presets (9 to 14) repeat
- * the counts that this frame has brought (2 to 7): if the mask ever admits them, the counters
- * continue from their values, however fast the arm turns. */
+/* The byte to send at `index`; the answer is known up to there. The presets (bytes 9 to 14) repeat
+ * the counts that this frame has brought (bytes 2 to 7). So where the write mask admits the
+ * presets, the counters continue from their values, however fast the arm turns. */
 static inline uint8_t qube_frame_byte(const uint8_t *command, const uint8_t *answer, uint8_t index)
 {
     return index >= 9u && index < 15u ? answer[index - 7u] : command[index];

@@ -76,7 +76,7 @@ pub struct SampleReply {
     /// the amplifier is off.
     pub applied_mv: i16,
     /// Sequence number of the last accepted act, or of the `Arm` request if no act was accepted
-    /// since; 0 from a hello to the next `Arm` request.
+    /// since; 0 from a start or a hello to the next `Arm` request.
     pub last_act_sequence: u16,
     /// Time from the previous sample to the first act accepted after it, microseconds, at most 65
     /// 534; [`NO_ACT_US`](crate::NO_ACT_US) if no act was accepted.
@@ -134,7 +134,7 @@ macro_rules! wire_enum {
             /// All values, in the order of their numbers.
             pub const ALL: &[Self] = &[$(Self::$variant),*];
 
-            /// The value with this number on the wire.
+            /// The value with this number on the wire; `None` if no value has it.
             #[must_use]
             pub fn from_wire(value: u8) -> Option<Self> {
                 match value { $($value => Some(Self::$variant),)* _ => None }
@@ -166,8 +166,8 @@ wire_enum! {
         Armed = 2,
         /// The watchdog switched the motor off, which stays off until the next hello and arm.
         Tripped = 3,
-        /// Amplifier or Qube failed, or the emergency stop opened. The motor stays off until the
-        /// next hello and arm.
+        /// While the device was armed, the amplifier failed, the arm stalled, the Qube did not
+        /// answer, or the emergency stop opened. The motor stays off until the next hello and arm.
         Faulted = 4,
     }
 }
@@ -193,7 +193,7 @@ wire_enum! {
         VoltageOutOfRange = 8,
         /// The Qube does not answer the microcontroller.
         QubeAbsent = 9,
-        /// The payload is longer or shorter than a request of this type has.
+        /// The payload is longer or shorter than that of a request of this type.
         WrongLength = 10,
         /// No request has this type.
         UnknownType = 11,
@@ -212,13 +212,13 @@ impl RefusalReason {
             Self::NotGreeted => "no hello came before",
             Self::NotArmed => "it is not armed",
             Self::WatchdogTripped => "its watchdog tripped; greet and arm it again",
-            Self::Faulted => "its amplifier reports a fault; remove the cause, greet and arm again",
+            Self::Faulted => "a fault lasts or is latched; remove the cause, greet and arm again",
             Self::WrongNonce => "the nonce is used or wrong; greet it again",
             Self::AlreadyArmed => "it is armed already",
             Self::StaleSequence => "the command is not newer than the last",
             Self::VoltageOutOfRange => "the voltage is out of range",
             Self::QubeAbsent => "its Qube does not answer; check power and the SPI wires",
-            Self::WrongLength => "the message has another length there",
+            Self::WrongLength => "it expects another length of this message",
             Self::UnknownType => "it does not know this message",
             Self::StaleSample => "the command does not answer a sample of the last 20 ms",
             Self::EmergencyStop => {

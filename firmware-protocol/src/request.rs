@@ -41,7 +41,7 @@ pub enum Request {
 pub enum ParseError {
     /// No message in this direction has the type.
     UnknownType(u8),
-    /// The payload is longer or shorter than a message of the type has.
+    /// The payload is longer or shorter than that of a message of the type.
     WrongLength(u8),
     /// A field of the payload holds a value that has no meaning.
     BadField(u8),

@@ -96,10 +96,11 @@ fn the_firmware_does_what_the_golden_file_says() {
     assert_eq!(ask(&questions), expected);
 }
 
-/// A question says whether a switch is fitted (1 or 0) and lists events: a millisecond with closed
-/// (`c`) or open (`o`) contact, a Hello (`h`), an Arm (`a`). In the answers, a number is the state
-/// after an event (1 Greeted, 2 Armed, 4 Faulted), `!` is the latched emergency stop, `r` an Arm
-/// that the stop refuses, `?` a board that knows of no switch.
+/// Tests the emergency stop by lists of events. A question says whether a switch is fitted (1 or 0)
+/// and lists events: a millisecond with closed (`c`) or open (`o`) contact, a Hello (`h`), an Arm
+/// (`a`). In the answers, a number is the state after an event (1 Greeted, 2 Armed, 4 Faulted), `!`
+/// is the latched emergency stop, `r` an Arm that the stop refuses, `?` a board that knows of no
+/// switch.
 #[test]
 fn the_firmware_latches_the_emergency_stop_until_hello() {
     let closed = "c".repeat(101);

@@ -2,9 +2,9 @@
 
     python python/checks/steps_per_second.py [--json]
 
-Three figures: 4096 Qubes with true states, 4096 with the reality gap's terms (delay, friction, dead zone and cable differ
-from Qube to Qube, sensors are encoders), and the single environment. Arrays are returned anew in each step, as by default
-they are. Each figure is the median of several rounds.
+Four figures: 4096 Qubes with true states, once with new arrays in each step (the default) and once with the same arrays
+written over; 4096 with nonidealities (delay, friction, dead zone and cable differ from Qube to Qube, sensors are
+encoders); and the single environment. Each figure is the median of seven rounds.
 """
 
 import argparse

@@ -8,6 +8,6 @@ from ._core import main as _main
 
 def main() -> int:
     """Runs the program with the arguments of this process and returns its exit code."""
-    # The program has its own handling of Ctrl-C; Python's would only note the signal.
+    # The program handles Ctrl-C itself. Python's handler would only note the signal until the program returns.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     return _main(["qube-hil", *sys.argv[1:]])

@@ -15,13 +15,14 @@ from .errors import SettingsError
 
 
 class QubeDeviceEnv(gymnasium.Env[Any, Any]):
-    """One Qube, real or emulated: the control thread, the guard, the voltage gate and the watchdog stay in the program,
-    and Python is asked for a voltage at each tick.
+    """One Qube, real or emulated: the control thread, the guard, the limit on the voltage and the watchdog stay in the
+    program, which asks Python for a voltage at each tick.
 
     Args:
         device: Serial port of a Qube; None for the emulated one.
-        deadline_ms: Time limit of an answer within the tick of 10 ms; None takes the time that the measured link leaves,
-            at most 5 ms. After a late answer the last voltage is held; ten in a row brake the arm and raise a `LateError`.
+        deadline_ms: Time limit of an answer within the tick of 10 ms, 0.1 to 8.5 ms; None takes the time that the measured
+            link leaves, at most 5 ms. After a late answer the last voltage is held; ten in a row brake the arm and raise a
+            `LateError`.
         clock: ``wall``, or ``virtual`` for the emulated Qube: time waits for Python, and the same actions give the same
             bytes.
         recordings: Folder for the recordings, one for each episode: ``episode-0000.mcap`` and so on, numbered
@@ -33,8 +34,8 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
 
     Spaces, rewards, termination and truncation are those of `QubeEnv`. The state is estimated from the encoders, and
     foresight is the guard unless an option says otherwise: an episode is terminated where the guard takes over. The
-    constructor examines and homes the Qube, ``reset`` settles it, ``close`` brakes and switches the motor off; so do an
-    exception of ``step``, Ctrl-C, and the end of the interpreter.
+    constructor examines and homes the Qube, and ``reset`` settles it. ``close``, an exception of ``step``, Ctrl-C and the
+    end of the interpreter brake the arm and switch the motor off.
 
     ``info`` has ``late_answers``, and at the end of an episode ``ending``, ``return`` and ``recording``.
     """

@@ -91,13 +91,13 @@ class QubeEnv(gymnasium.Env[Any, Any]):
             ``{"M_p": Normal(0.024, 0.005), "command_delay_s": Uniform(0.0, 0.016)}``.
         settings: Sensors, history, reward and box: ``thesis``, ``machine``, ``robust``, or a mapping.
         seed: Seed of the episodes until ``reset`` names another.
-        guard: ``box``, or ``foresight`` as on a machine: before each voltage the brake is simulated for every Qube that this
+        guard: ``box``, or ``foresight`` as on a machine: before each voltage the brake is simulated for many Qubes that this
             one may be, and it takes over where it would otherwise be too late. A step then takes many times as long.
 
     An observation is ``float32 [6 + history]``, an action ``float32 [1]``, a fraction of 5 V. The reward of a step is
     in (0, 1]. An episode is terminated where the state leaves the box or the guard takes over, and truncated after 600
-    steps. ``info`` of ``reset`` has the number of the episode under its seed; with foresight, ``info["guarded"]`` of
-    ``step`` says whether the guard took over. The voltage of that step is the brake's.
+    steps. ``info["episode_number"]`` of ``reset`` is the number of the episode under its seed. With foresight,
+    ``info["guarded"]`` of ``step`` says whether the guard took over; the voltage of that step is the brake's.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 100}
@@ -162,9 +162,9 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
     again, overwritten, which is faster.
 
     A Qube whose episode ends begins the next one in the same step (``AutoresetMode.SAME_STEP``). Its last observation
-    is then in ``info["final_obs"]``, where ``info["_final_obs"]`` is true; ``info["guarded"]`` says where foresight ended
-    the episode. Episodes are numbered as they begin: the
-    same seed gives the same episodes, whatever ``num_envs``.
+    is then in ``info["final_obs"]``, where ``info["_final_obs"]`` is true; ``info["episode_number"]`` has the numbers of
+    the running episodes, and ``info["guarded"]`` says where foresight ended the episode. Episodes are numbered as they
+    begin: the same seed gives the same episodes, whatever ``num_envs``.
     """
 
     metadata: dict[str, Any] = {

@@ -6,11 +6,12 @@ class QubeHilError(Exception):
 
 
 class SettingsError(QubeHilError, ValueError):
-    """Settings, a distribution or an argument are refused."""
+    """A setting, a distribution or an argument is refused."""
 
 
 class ActionError(QubeHilError, ValueError):
-    """An action has another shape or type, or is not a finite number. Nothing has moved."""
+    """An action or observation has a wrong shape or type, or is not a finite number. A simulation has not advanced; a
+    device has braked the arm and switched the motor off."""
 
 
 class EpisodeOverError(QubeHilError, RuntimeError):

@@ -24,7 +24,7 @@ class Trained:
     policy: Policy
     """The policy with the highest score of all updates."""
     best_return: float
-    """Its mean return during training. The best of many is an overestimate: evaluate it afresh."""
+    """Its mean return during training, too high on average because it is the best of many: evaluate the policy afresh."""
     curve: dict[str, npt.NDArray[np.float64]]
     """The learning curve: arrays ``[updates]`` by name."""
 
@@ -101,7 +101,7 @@ class Identified:
     verdict: str
     """Whether the model describes the Qube: ``fits``, ``fits_but`` or ``does_not_fit``."""
     doubts: list[str]
-    """What the verdict doubts."""
+    """Names of the effects that the model seems to lack."""
     profile: str
     """The profile as TOML, as the program's commands read it."""
 
@@ -112,7 +112,13 @@ def identify(
     name: str = "identified",
     fixed: Iterable[str] = (),
 ) -> Identified:
-    """Fits a Qube to recordings (MCAP, or CSV with the columns of `docs/reference/files.md`) by maximum likelihood."""
+    """Fits a Qube to recordings by maximum likelihood.
+
+    Args:
+        recordings: Files: MCAP, or CSV with the columns of `docs/reference/files.md`.
+        name: Name of the profile.
+        fixed: Names of the quantities that keep their nominal values.
+    """
     if isinstance(recordings, (str, os.PathLike)):
         recordings = [recordings]
     paths = [os.fspath(path) for path in recordings]

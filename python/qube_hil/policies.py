@@ -97,9 +97,9 @@ class Policy:
         filter_rad_s: float = 200.0,
         clip_observation: float | None = None,
     ) -> "Policy":
-        """Makes a policy of an ONNX file, as `qube-hil import` does: that of another program with its conventions, which
-        are named as for `from_layers`, or one that this program exported, which names its conventions itself and comes
-        back as the very policy that was exported."""
+        """Makes a policy of an ONNX file, as `qube-hil import` does. A file of another program needs ``action_scale_v``
+        and its other conventions, named as for `from_layers`. A file that this program exported contains its
+        conventions: it needs no arguments, and gives exactly the policy that was exported."""
         names = None if observation is None else ",".join(observation)
         return cls(
             _core.Policy.from_onnx(
@@ -131,7 +131,7 @@ class Policy:
         elif hasattr(policy, "actor"):
             modules = list(policy.actor.mu)
         else:
-            raise PolicyError(f"the policy {type(policy).__name__} has no actor that is known")
+            raise PolicyError(f"the policy {type(policy).__name__} has no known actor: give a model of PPO, A2C, SAC or TD3")
         layers, activation, output = _layers_of(modules)
         return cls.from_layers(
             layers, action_scale_v=action_scale_v, activation=activation, output=output, **named
@@ -177,7 +177,7 @@ class Policy:
 
     @property
     def kind(self) -> str:
-        """The kind: ``network``, ``classical``, ``excitation``, or ``external`` (a program of its own)."""
+        """The kind: ``network``, ``classical``, ``excitation``, or ``external`` (a controller that the file only names)."""
         return self._core.kind
 
     @property
@@ -199,8 +199,8 @@ class Policy:
     @property
     def randomisation(self) -> dict[str, Distribution] | None:
         """Distribution of each quantity of the simulated Qubes in training, by name, as environments and `train` take
-        them for ``distributions``; None for a file that does not name it, and without a network. Joint deviations, where
-        there are any, and the Qubes of a distribution of given Qubes are in ``training["randomisation"]``."""
+        them for ``distributions``; None without a network, or if the file does not name them. Joint deviations and the
+        Qubes of a distribution of given Qubes, if there are any, are in ``training["randomisation"]``."""
         known = (self.training or {}).get("randomisation")
         return known and {name: _distributions.read(it) for name, it in known["distributions"].items()}
 
@@ -235,11 +235,11 @@ def _layers_of(modules: list[Any]) -> tuple[list[tuple[Any, Any]], str, str]:
                 raise PolicyError(f"the activation {kind} does not follow a Linear layer")
             activations.append(_ACTIVATIONS[kind])
         else:
-            raise PolicyError(f"the module {kind} is not known: Linear, Tanh, ReLU, ELU and SiLU are")
+            raise PolicyError(f"the module {kind} is unknown: give Linear, Tanh, ReLU, ELU (alpha 1) or SiLU")
     output = "linear"
     if layers and len(activations) == len(layers):
         if activations.pop() != "tanh":
-            raise PolicyError("the last activation is no Tanh")
+            raise PolicyError("the last activation is no Tanh: end with Tanh or a Linear layer")
         output = "tanh"
     if len(set(activations)) > 1:
         raise PolicyError(f"the hidden layers have several activations: {activations}")

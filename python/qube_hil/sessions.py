@@ -87,7 +87,7 @@ class Surrogate:
 
 
 class Session:
-    """A session's folder, opened for reading only; it may be in use."""
+    """The results in a session's folder, which is only read; a running session may be using it."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
@@ -97,7 +97,7 @@ class Session:
         #: Candidates in order.
         self.candidates: list[Candidate] = [self._candidate(it) for it in read["candidates"]]
         best = read["recommended"]
-        #: The verified candidate with the highest mean return, whose policy is the one to use; None before there is one.
+        #: The verified candidate with the highest mean return, whose policy is the one to use; None if none is verified.
         self.recommended: Candidate | None = None if best is None else self.candidates[best]
 
     def surrogate(self) -> Surrogate:

@@ -46,6 +46,7 @@ pub struct Device {
     history: usize,
     /// Number of the last request for a voltage that Python has seen; `None` while no episode runs.
     running: Option<u64>,
+    /// Sum of the rewards that `step` has returned in this episode.
     earned: f64,
     deadline_ms: Option<f64>,
 }

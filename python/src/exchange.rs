@@ -29,7 +29,7 @@ pub struct Slot {
     waiting: bool,
     /// Estimated state with which the policy was last asked.
     pub state: State,
-    /// Last commands as fractions of 5 V, newest first.
+    /// Last commands, as fractions of 5 V, newest first.
     pub commands: [f32; MAX_HISTORY],
     /// Sum of the rewards since the episode began.
     pub earned: f64,
@@ -100,7 +100,9 @@ pub struct Remote {
     /// Request to stop, which the tick reads too.
     pub stop: Arc<AtomicBool>,
     pub reward: RewardWeights,
+    /// Last answer, V, which is repeated if an answer is late; 0 before the first answer.
     pub held_v: f64,
+    /// Number of late answers since the last one in time.
     pub late_in_a_row: u32,
 }
 

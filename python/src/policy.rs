@@ -1,4 +1,4 @@
-//! Policies: their files, and the voltages that they answer observations with.
+//! Policies: their files, and their voltages for observations.
 
 use std::path::{Path, PathBuf};
 

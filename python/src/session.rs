@@ -41,7 +41,7 @@ impl Surrogate {
         ends.map(|(name, it)| (name.to_string(), it.lower, it.upper)).collect()
     }
 
-    /// Coordinates of the recommended psi.
+    /// Coordinates of the recommended psi, in the order of `ranges`.
     #[getter]
     fn best(&self) -> Vec<f64> {
         self.fitted.best.clone()
@@ -73,8 +73,8 @@ impl Surrogate {
     }
 }
 
-/// Reads a session's folder, which another program may be using and which is not changed. Returns
-/// JSON: names of psi, candidates with their returns, and the recommended candidate.
+/// Reads a session's folder without changing it; another program may be using the folder. Returns
+/// JSON: names of psi, candidates with their returns, and the index of the best verified candidate.
 #[pyfunction]
 pub fn read_session(py: Python<'_>, folder: PathBuf) -> PyResult<String> {
     py.detach(|| read(folder)).map(|session| session.to_string()).map_err(SessionError::new_err)

@@ -28,7 +28,7 @@ const LONGEST: usize = OBSERVATION_SIZE + MAX_HISTORY;
 #[pyclass(module = "qube_hil._core")]
 pub struct Simulation {
     lanes: Lanes,
-    /// Foresight; `None` where the box alone guards the Qubes.
+    /// Foresight; `None` if the box alone guards the Qubes.
     guard: Option<Guard>,
     distribution: DomainDistribution,
     num_envs: usize,
@@ -39,7 +39,7 @@ pub struct Simulation {
     episodes: Vec<u64>,
 }
 
-/// The lanes of the simulation and the arrays that they read and write.
+/// The simulated pendulums, one a lane, and the arrays that they read and write.
 struct Lanes {
     pendulums: Pendulums,
     voltages_v: Vec<f32>,
@@ -173,7 +173,7 @@ impl Simulation {
         let took_over = took_over.as_slice_mut().map_err(bad_settings)?;
         let lengths = [rewards.len(), terminated.len(), truncated.len(), took_over.len()];
         if lengths != [self.num_envs; 4] {
-            return Err(bad_settings("rewards, terminated, truncated, took_over: [num_envs]"));
+            return Err(bad_settings("rewards, terminated, truncated, took_over: give [num_envs]"));
         }
         py.detach(|| {
             self.lanes.take_actions(actions.iter().copied())?;

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-# A shell without job control starts what runs in the background with SIGINT ignored, and Python leaves it so: tests of
-# Ctrl-C would wait for ever.
+# A shell without job control starts its background processes with SIGINT ignored, and Python does not change that: tests
+# of Ctrl-C would wait for ever.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 FOLDER = Path(__file__).resolve().parent.parent

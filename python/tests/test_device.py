@@ -44,7 +44,7 @@ def episode(env, act, **reset):
 
 
 def replayed(path):
-    """What the program says of a recording that it replays."""
+    """The program's report of the replay of a recording."""
     (report,) = json.loads(program("replay", "--json", path).splitlines()[-1])["recordings"]
     return report
 
@@ -62,7 +62,7 @@ def test_the_classical_controller_swings_up_from_python_and_its_recording_replay
     rewards, terminated, info, observations = episode(env, classical.act)
     assert not terminated and info["ending"] == "completed" and len(rewards) == 600
     assert info["return"] > 400.0 and info["late_answers"] == 0
-    # Every tick has a sample here, so that each is a step of Python's.
+    # No sample is lost here, so that Python is asked in every tick.
     assert np.isclose(sum(rewards), info["return"])
     read = qube_hil.recording(info["recording"])
     running = read["phase"] == "running"

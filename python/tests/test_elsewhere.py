@@ -1,4 +1,4 @@
-"""Policies from elsewhere. The classes here stand for those of torch, of which the names and attributes count."""
+"""Policies from other libraries. The classes here stand for torch's, whose names and attributes are all that is read."""
 
 import numpy as np
 import pytest

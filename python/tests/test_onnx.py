@@ -44,7 +44,7 @@ POLICIES = {
 
 
 def observations(size, count=20_000):
-    """Observations as they occur, with fast arms and pendulums among them."""
+    """Random observations of a kind that occurs, some of them of fast arms and pendulums."""
     theta, alpha = RANDOM.uniform(-2.0, 2.0, count), RANDOM.uniform(-7.0, 7.0, count)
     velocities = RANDOM.normal(scale=[[1.5], [1.0]], size=(2, count))
     commands = RANDOM.uniform(-1.0, 1.0, (size - 6, count))
@@ -64,8 +64,8 @@ def test_an_exported_policy_gives_its_voltages_in_onnxruntime_and_comes_back_as_
     seen = observations(policy.observation_size)
     (voltages,) = session.run(["voltage_v"], {"observation": seen})
     assert voltages.shape == (len(seen), 1)
-    # Full scale is -5 to 5 V. Both programs round to single precision at each layer, so that one observation in some
-    # ten thousand differs by more than a millionth of it.
+    # Full scale is -5 to 5 V. Both programs round to single precision at each layer, so that for one observation in some
+    # ten thousand the voltages differ by more than a millionth of full scale.
     differences = np.abs(voltages - policy.voltage_v(seen)) / 10.0
     assert np.quantile(differences[np.abs(voltages) < 5.0], 0.999) <= 1e-6
     assert differences.max() <= 2e-6

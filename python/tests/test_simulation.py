@@ -115,7 +115,7 @@ def test_foresight_ends_episodes_before_the_box_does_and_leaves_calm_ones_alone(
                 ended.extend(np.abs(before[terminated, 0]))
         return ended, np.array(seen)
 
-    # Pushed to the side, the arm is stopped while the brake can still stop it.
+    # The arm is pushed to the side. Foresight ends the episode while the brake can still stop it.
     by_box, _ = driven("box", 0.8)
     by_guard, _ = driven("foresight", 0.8)
     assert len(by_box) >= 8 and min(by_box) > 1.5

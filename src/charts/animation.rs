@@ -6,7 +6,7 @@ use crate::replay::MotionLog;
 /// Frames per second; a browser interpolates between frames.
 const FRAMES_PER_S: f64 = 25.0;
 
-/// Longest motion that is drawn, s.
+/// Longest part of a motion that is drawn, s; the rest of a longer motion is left out.
 const LONGEST_S: f64 = 20.0;
 
 /// Width and height of the picture, pixels.
@@ -30,9 +30,9 @@ const STYLE: &str = "text{font:13px system-ui,'Noto Sans',Arial,sans-serif;fill:
     @media(prefers-color-scheme:dark){text{fill:#a2abb8}.p{fill:#14171b}.g{stroke:#3a414b}.a{stroke:#a2abb8}\
     .b{stroke:#5ab4ee}.d{fill:#5ab4ee}.t{stroke:#ff9350}.dt{fill:#ff9350}}";
 
-/// Draws a motion as an animated SVG that repeats at the motion's own speed: the pendulum on the
-/// left, its angles with a line at the present time on the right. The picture needs no script, so
-/// that pages and slides can show it.
+/// Draws a motion as an animated SVG that repeats at the motion's own speed: arm and pendulum on
+/// the left, their angles with a line at the present time on the right. The picture needs no
+/// script, so that pages and slides can show it.
 #[must_use]
 pub fn animation_svg(title: &str, log: &MotionLog) -> String {
     let frames = frames(log);

@@ -5,7 +5,7 @@ use super::{DrawingError, Panel, PlotError};
 use crate::qube::{DomainParameter, PlantModel, Quantity};
 use crate::simulation::DomainDistribution;
 
-/// Masses and lengths, the parameters of figure 5.2.
+/// Masses and lengths, the parameters of the thesis's figure 5.2.
 const SHOWN: [DomainParameter; 4] = [
     DomainParameter::RotaryMass,
     DomainParameter::PendulumMass,
@@ -16,10 +16,11 @@ const SHOWN: [DomainParameter; 4] = [
 /// Number of points of a drawn density.
 const POINTS: usize = 600;
 
-/// Draws the thesis's figure 5.2: the densities of masses and lengths for each recipe, by its name;
-/// a dashed line marks the plant's nominal value. Each density is divided by its own peak, because
-/// the recipes differ in the place and width of their densities, and the high peak of a narrow
-/// density would flatten all others.
+/// Draws the thesis's figure 5.2: the densities of masses and lengths for each recipe, which is
+/// given with its name. A dashed line marks the plant's nominal value. A recipe without spread has
+/// no density and only an entry in the key. Each density is divided by its own peak, because the
+/// recipes differ in the place and width of their densities, and the high peak of a narrow density
+/// would flatten all others.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -7,9 +7,9 @@ use crate::search::benchmark::VariantResult;
 /// Width left of each panel for the names of the variants, pixels.
 const NAMES: u32 = 330;
 
-/// Draws one panel for each problem, which is a pair of its name and the results of the search
-/// variants. A panel shows, for each variant, the expected return of the recommended point and its
-/// 95 % interval.
+/// Draws one panel for each problem. A problem is given by its name and the results of the search
+/// variants. Its panel shows, for each variant, the expected return of the recommended point and
+/// the 95 % interval of this return.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -6,9 +6,9 @@ use super::{DrawingError, Panel, PlotError};
 /// Mean return from which a policy may count as successful.
 const SUCCESS: f64 = 400.0;
 
-/// Draws the searches, a row for each recipe, which has a name and the returns of each candidate's
-/// rollouts. On the left are the mean return of each candidate and, as dots, its rollouts; on the
-/// right is the best mean so far.
+/// Draws the searches, a row for each recipe. A recipe is given by its name and the returns of each
+/// candidate's rollouts. On the left are the mean return of each candidate and, as dots, its
+/// rollouts; on the right is the best mean so far.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -4,8 +4,9 @@ use super::style::{BLUE, FAINT, FONT, GREEN, INK, Key, LINE, TEXT, TITLE, with_k
 use super::{DrawingError, Panel, PlotError};
 
 /// Draws figure 5.3 of the thesis: the mean return in simulation after each update, with one row
-/// for each model. The left panel shows the current policies, the right one the best policies so
-/// far; each has a line for every training and one for their mean.
+/// for each model. A model is given by its name and, for each training, the returns after its
+/// updates. The left panel shows the current policies, the right one the best policies so far; each
+/// has a line for every training and one for their mean.
 ///
 /// # Errors
 /// The drawing library failed.

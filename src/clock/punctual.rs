@@ -2,8 +2,8 @@ use std::path::{Path, PathBuf};
 
 use super::{AwakeProcessor, CPU_DMA_LATENCY, Clock, MonotonicClock, Nanoseconds};
 
-/// Longest spin before a deadline, ns: 1 % of a control period. On an idle computer it is longer
-/// than the wake-up delay in 99 of 100 ticks (`scripts/on-time`).
+/// Longest spin before a deadline, ns: 1 % of a control period. On an idle computer a spin of this
+/// length outlasts the wake-up delay in 99 of 100 ticks (`scripts/on-time`).
 const SPIN_NS: Nanoseconds = 100_000;
 
 /// A clock (`CLOCK_MONOTONIC`) for a thread that must not be late: it sleeps until shortly before

@@ -17,8 +17,8 @@ const FIFO_PRIORITY: i32 = 40;
 /// adds no delay.
 const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 
-/// The real-time rights that the operating system refused, each as a sentence with its remedy. The
-/// program runs without them.
+/// The real-time rights that the operating system refused, each as a message with its remedy;
+/// `None` for a right that it granted. The program also runs without them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RealtimeReport {
     /// Reason why SCHED_FIFO was refused.

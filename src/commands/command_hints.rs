@@ -7,7 +7,7 @@ use crate::safety::{Guard, Limit, TooWide};
 use crate::session::{Drift, PowerTest, UsbLost, power_warning};
 use crate::telemetry::{CheckResult, Fault};
 
-/// The command that helps after a fault.
+/// The command that helps after a fault; `None` if there is none.
 pub fn after_fault(fault: Fault) -> Option<&'static str> {
     match fault {
         Fault::NoSample | Fault::WatchdogTripped | Fault::TooLate => {
@@ -23,7 +23,7 @@ pub fn after_fault(fault: Fault) -> Option<&'static str> {
     }
 }
 
-/// The commands that help after this limit has ended a rollout.
+/// The commands that help after this limit has ended a rollout; `None` if there are none.
 pub fn after_limit(limit: Limit) -> Option<&'static str> {
     let is_unpredicted = limit == Limit::Unpredicted;
     is_unpredicted

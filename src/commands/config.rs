@@ -57,8 +57,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
 }
 
-/// The settings that `print` shows: those of the preset, with the identification of a session that
-/// is started without arguments.
+/// The settings that `print` shows: those of the preset, and for the preset `quick` also the
+/// identification, which a session has that is started without arguments.
 fn printed(preset: Preset) -> SessionSettings {
     let identification = match preset {
         Preset::Quick => Some(IdentificationSettings::DEFAULT),

@@ -94,7 +94,7 @@ pub struct OutputFolder {
 
 impl OutputFolder {
     /// The requested folder, created if it is missing; without a request a new folder under `logs/`
-    /// with the command and the time as its name.
+    /// whose name consists of the command and the time in UTC.
     pub fn make(asked: Option<&Path>, command: &str) -> Result<Self, Failure> {
         let Some(path) = asked else {
             let now = jiff::Timestamp::now().strftime("%Y%m%d-%H%M%S");

@@ -52,8 +52,8 @@ pub struct DrivenPlantArguments {
     #[command(flatten)]
     plant: PlantArgument,
 
-    /// Drive hardware as a --plant that differs from a Qube by more than smaller limits: its guard and homing then
-    /// rely on the file
+    /// Drive hardware as a --plant that differs from a Qube in more than smaller limits or a lower motor rating:
+    /// guard and homing then rely on the values in its file
     #[arg(long)]
     accept_plant: bool,
 }
@@ -252,9 +252,9 @@ impl ChosenDevice {
         self.unidentified
     }
 
-    /// Checks that work which is resumed keeps the guard and the homing that it began with,
-    /// because its rollouts are compared. `work` names it as in "a session"; `homing` are the
-    /// settings that it recorded.
+    /// Checks that resumed work keeps the guard and the homing that it began with, because its
+    /// rollouts are compared. `work` is the name of the work, such as "a session";
+    /// `is_unidentified` and `homing` are the settings that the work recorded.
     pub fn check_resumed(
         &self,
         work: &str,
@@ -307,8 +307,8 @@ impl ChosenDevice {
     }
 
     /// The limits of a rig with this device, after a check that `safety_box` keeps them. `origin`
-    /// names the source of the box in the error. Only hardware has limits, because an emulated Qube
-    /// has no stop that could break.
+    /// names the source of the box in the error. The box is checked for hardware only, because an
+    /// emulated Qube has no stop that could break.
     pub fn limits(
         &self,
         origin: &str,
@@ -332,7 +332,8 @@ impl ChosenDevice {
         before_driving(power).filter(|_| self.choice.is_hardware())
     }
 
-    /// Thermal rating of the motor: that of the plant, or the lower one that the Qube's file gives.
+    /// Thermal rating of the motor: for current and time constant, the smaller value of the plant
+    /// and of the Qube's file, if there is one.
     fn motor(&self) -> MotorRating {
         let of_plant = self.plant.motor_rating();
         self.file.as_ref().map_or(of_plant, |file| file.motor.lower(&of_plant))
@@ -407,7 +408,7 @@ fn patience(text: &str) -> Result<f64, String> {
 }
 
 /// Folder for the doubts about boards: the service's state folder, else the user's; `None` if the
-/// environment names none.
+/// environment names none by an absolute path.
 fn doubts_folder() -> Option<PathBuf> {
     let folder = |name: &str| {
         let value = std::env::var_os(name).filter(|value| !value.is_empty())?;

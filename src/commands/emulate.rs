@@ -25,7 +25,8 @@ pub struct Arguments {
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
 
-    /// Seed of the arm's start angle and the counters' start values
+    /// Seed of the arm's start angle, the counters' start values and the jitter of the delay; it is also the
+    /// board's serial number
     #[arg(long, default_value_t = 0)]
     seed: u64,
 

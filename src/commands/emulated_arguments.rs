@@ -15,7 +15,8 @@ use crate::session::EmulatedQubeSettings;
 #[command(next_help_heading = "The emulated Qube")]
 pub struct EmulatedArguments {
     /// `ideal` (the thesis's equations), `lab` (a real Qube, from published recordings), or a file
-    /// that `identify` wrote [default: ideal; lab for a `session` that identifies it]
+    /// that `identify` wrote [default: ideal; lab for a `session` that identifies it, if no option of this
+    /// group is given]
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<String>,
 
@@ -174,8 +175,8 @@ impl EmulatedArguments {
             && model.nonidealities.cable_stiffness_n_m_rad == 0.0
         {
             return Err(Failure::usage(
-                "this Qube has no cable that could drift: give --cable-drift a --profile with a \
-                 cable_stiffness_n_m_rad above 0, as lab",
+                "this Qube has no cable that could drift: with --cable-drift give a --profile whose \
+                 cable_stiffness_n_m_rad is above 0, such as lab",
             ));
         }
         for &(parameter, factor) in &self.scale {

@@ -26,7 +26,7 @@ pub struct EstimatorArguments {
     estimator_profile: Option<String>,
 
     /// Delay that the observer predicts over: from a sample until the voltage that answers it acts at the
-    /// motor [default: that of --estimator-profile]
+    /// motor [default: the delay in --estimator-profile]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     estimator_delay_ms: Option<f64>,
 }

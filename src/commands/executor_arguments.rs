@@ -11,7 +11,7 @@ use crate::jobs::starter::{CommandStarter, SlurmOptions, SlurmStarter, Starter, 
 use crate::jobs::{Executor, FolderExecutor};
 use crate::storage::MachineDisk;
 
-/// The computers that train, of commands that train many policies.
+/// The arguments that select the computers on which a command trains its policies.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Where policies are trained")]
 pub struct ExecutorArguments {
@@ -41,7 +41,7 @@ pub struct ExecutorArguments {
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = stale_seconds)]
     stale: f64,
 
-    /// Leave workers and open trainings at Ctrl-C; --resume finds them again
+    /// At Ctrl-C leave the workers running and their trainings in the folder; --resume finds them again
     #[arg(long)]
     leave_workers: bool,
 

@@ -1,4 +1,5 @@
-//! Maps outcomes to exit codes, in this one place.
+//! The failure of a command, with its exit code. `failures` chooses the code for each error of the
+//! library.
 
 use serde_json::{Value, json};
 
@@ -62,7 +63,7 @@ impl Failure {
         }
     }
 
-    /// Adds a sentence before the message.
+    /// Adds words before the message.
     pub fn preceded_by(self, before: &str) -> Self {
         Self { message: format!("{before} {}", self.message), ..self }
     }

@@ -48,7 +48,7 @@ use crate::simulation::{Family, Model, SensorModel};
 /// rollouts balance to the end.
 ///
 /// Without other flags everything is as published: true states in training, the plain box, a velocity
-/// filter of 50 rad/s on the machine. --preset robust trains with the machine's sensors, selects its guard,
+/// filter of 50 rad/s on the Qube. --preset robust trains with the Qube's sensors, guards by foresight,
 /// and uses a filter of 200 rad/s.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -64,7 +64,8 @@ use crate::simulation::{Family, Model, SensorModel};
     [settings.estimator]       # entries that differ from the flags, as in session.toml\n  \
     corner_rad_s = 20.0")]
 pub struct Arguments {
-    /// Models, separated by commas [default: the thesis's five, or none with --recipe]
+    /// Models, separated by commas [default: the thesis's five; with --strategies opt-nominal; with --recipe
+    /// none]
     #[arg(
         long,
         value_name = "NAMES",
@@ -83,15 +84,15 @@ pub struct Arguments {
     family: FamilyArgument,
 
     /// Policies of each recipe, or policies that score each recommendation [default: 20, with --strategies
-    /// 10]
+    /// 10, with --budgets always 1]
     #[arg(long, conflicts_with = "resume")]
     policies: Option<u32>,
 
-    /// Rollouts of each policy [default: 5, with --strategies 2]
+    /// Rollouts of each policy [default: 5, with --strategies but without --budgets 2]
     #[arg(long, conflicts_with = "resume")]
     rollouts: Option<u32>,
 
-    /// Training budget and simulation of each policy: `quick` and `thesis` train without the machine's
+    /// Training budget and simulation of each policy: `quick` and `thesis` train without the Qube's
     /// sensors, as published
     #[arg(
         long,
@@ -101,16 +102,16 @@ pub struct Arguments {
     )]
     preset: Preset,
 
-    /// Guard of rollouts [default: the box, as published; on a port and with --preset robust foresight];
-    /// with --resume that of the experiment
+    /// Guard of rollouts [default: the box, as published; foresight on a real Qube and with --preset robust;
+    /// the experiment's guards with --resume]
     #[arg(long, value_parser = guard_parser())]
     guard: Option<GuardArgument>,
 
     #[command(flatten)]
     consent: ConsentArgument,
 
-    /// Sensors of the simulations: true states, or encoders with the machine's filter [default: true
-    /// states; with --preset robust encoders]
+    /// Sensors of the simulations: true states, or encoders with the estimator that runs on the Qube
+    /// [default: true states; with --preset robust encoders]
     #[arg(long, value_enum, conflicts_with = "resume")]
     sensors: Option<Sensors>,
 
@@ -118,7 +119,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 0, conflicts_with = "resume", value_parser = seed_in_toml())]
     seed: u64,
 
-    /// Folder for the experiment, which must not exist [default: logs/experiment-DATE-TIME]
+    /// Folder for the experiment: a new one or an empty one [default: logs/experiment-DATE-TIME]
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
 
@@ -187,7 +188,7 @@ enum FamilyArgument {
 enum Sensors {
     /// Angles and velocities without error
     True,
-    /// Angles in encoder counts, velocities by the filter that runs on the machine
+    /// Encoder counts, and the estimator that runs on the Qube
     Encoders,
 }
 
@@ -325,14 +326,14 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
 type Opened = (ExperimentFolder, ExperimentSettings, Option<OutputFile>);
 
 /// Checks before any work that figures and CSV table can be written; returns the file for the table. The folder of the
-/// experiment may hold both, so it must exist by then.
+/// experiment may hold both, so it must exist when this function is called.
 fn check_places(arguments: &Arguments) -> Result<Option<OutputFile>, Failure> {
     if let Some(folder) = &arguments.figures {
         let existing = folder.ancestors().find(|it| it.exists());
         check_folder(existing.unwrap_or(Path::new(".")))?;
     }
     let file = |path: &PathBuf| {
-        // The same command brings the file up to date.
+        // A CSV file of an experiment is replaced, so that the same command brings it up to date.
         let replace = arguments.force || ExperimentReport::is_csv(path);
         OutputFile::of_option("--csv", path, replace)
     };

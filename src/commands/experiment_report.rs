@@ -21,7 +21,7 @@ use crate::session::{FolderError, recording_in};
 use crate::simulation::DomainDistribution;
 use crate::storage::{Disk, MachineDisk, write_whole};
 
-/// The finished work of an experiment, read once for its table, JSON, CSV and figures.
+/// The finished work of an experiment, read once for its table, JSON, CSV, figures and page.
 pub enum ExperimentReport {
     /// The results of recipes.
     Recipes(Results),
@@ -118,7 +118,7 @@ impl ExperimentReport {
     }
 }
 
-/// Largest number of recipes and plants whose rollouts a page shows.
+/// Largest number of pairs of recipe and plant whose rollouts a page shows.
 const SHOWN: usize = 20;
 
 /// The first rollout of the best and of the worst policy of each recipe on each plant. Rollouts

@@ -53,7 +53,7 @@ fn folder(text: &str) -> Result<PathBuf, String> {
     let extension = Path::new(text).extension().and_then(|it| it.to_str());
     match extension.map(str::to_ascii_lowercase).as_deref() {
         Some(format @ ("csv" | "parquet")) => Err(format!(
-            "it is a folder, and each table has its recording's name in it: give the folder, and --format {format}"
+            "--out names a folder, in which each table has its recording's name: give a folder, and --format {format}"
         )),
         _ => Ok(text.into()),
     }

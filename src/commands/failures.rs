@@ -82,7 +82,8 @@ pub fn with_last_ticks(error: &RigError) -> String {
     }
 }
 
-/// The failure for an error of a recording.
+/// The failure for an error of a recording that the program itself made; `recording_failure` is for
+/// recordings that the user names.
 pub fn recording(error: &RecordingError) -> Failure {
     match error {
         RecordingError::DiskFull { .. } | RecordingError::Write { .. } => Failure::failed(error),

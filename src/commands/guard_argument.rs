@@ -11,7 +11,7 @@ pub enum GuardArgument {
     /// The thesis's safety box only, to compare with published figures
     Box,
     /// Foresight in addition: before each voltage is sent, the brake is simulated for many Qubes that this
-    /// one may be, and the arm is braked before that would be too late
+    /// one may be, and the arm is braked before a brake would come too late
     Foresight,
 }
 

@@ -20,7 +20,8 @@ use crate::qube::{PlantModel, QubeModel};
 use crate::replay::{Incomplete, MotionLog, simulate_from};
 use crate::storage::{MachineDisk, write_whole};
 
-/// Horizons of the predictions of chirps and steps in the table, s.
+/// Horizons of the predictions of chirps and steps in the table, s. The longest is the rest of an
+/// excitation of 10 s after the 0.2 s from which the start state is estimated.
 const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 
 /// Identify the Qube, or another plant, that made recordings: parameters, friction, dead zone, cable and delay
@@ -29,9 +30,9 @@ const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 /// can be used as well, in any mixture. Recordings name their plant, and all must be of the same plant. The result is a profile: `train`, `run`, `session`,
 /// `emulate` and `replay` read it with --profile. Verify it with recordings that it was not fitted to
 /// (--holdout): for each, the start state is estimated from the first 0.2 s, and the model then receives only
-/// the voltages. The cable rests as in the fitted recordings of its series, whose names differ in the last number
-/// only. A recording whose pendulum comes upright is predicted piece by piece: 0.5 s of its swing, 0.1 s
-/// of its balance.
+/// the voltages. The cable rests as in the fitted recordings of the same series; the names of a series differ in
+/// the last number only. A recording whose pendulum comes upright is predicted piece by piece: 0.5 s of its
+/// swing, 0.1 s of its balance.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil identify chirp-[12].mcap --holdout chirp-3.mcap --out mine.toml\n  \
@@ -62,7 +63,7 @@ pub struct Arguments {
     #[command(flatten)]
     plant: PlantArgument,
 
-    /// Profile whose values start the fit, and which --fix keeps [default: the nominal plant]
+    /// Profile with the values at which the fit starts and which --fix keeps [default: the nominal plant]
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
 
@@ -324,7 +325,7 @@ fn assessment(identified: &Identified) -> String {
     let widened = if identified.inflation > 1.05 {
         let factor = identified.inflation;
         format!(
-            " Standard errors are {factor:.1} times those of noise alone, because windows disagree."
+            " Standard errors are {factor:.1} times those of noise alone, because parts of the recordings disagree."
         )
     } else {
         String::new()

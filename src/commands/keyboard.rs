@@ -51,7 +51,8 @@ struct Shared {
 }
 
 impl Keyboard {
-    /// Watches the terminal; the space bar requests a stop. A screen reacts to its keys, too.
+    /// Watches the terminal; the space bar requests a stop. With a screen, the screen's keys work,
+    /// too.
     pub fn watch(stop: &Stop, progress: &Progress) -> Self {
         let watched = if isatty(stdin()) { Watched::start(stop, progress) } else { None };
         Self { watched, progress: progress.clone() }

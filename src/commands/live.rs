@@ -73,7 +73,7 @@ impl LiveArguments {
         let mut one = self.clone();
         if let Some(address) = one.live.as_mut().filter(|address| address.port() != 0) {
             let port = u16::try_from(u32::from(address.port()) + rig - 1);
-            let no_port = |_| Failure::usage("--live: there are too few ports above this one");
+            let no_port = |_| Failure::usage("--live: give a smaller port: each rig needs its own");
             address.set_port(port.map_err(no_port)?);
         }
         Ok(one)

@@ -182,12 +182,12 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
 }
 
 /// Parses options of the command `run` for a caller that brings its own controller: returns the
-/// settings of the rig and the plan of its rollouts, without the controller. The options that
-/// choose a policy, a number of rollouts or a folder have no effect.
+/// settings of the rig and the plan of its rollouts, without the controller. The options for the
+/// number of rollouts, the folder, the screen and the live view have no effect.
 ///
 /// # Errors
-/// An option is unknown or has a bad value, or hardware may not be driven with these options; the
-/// text says why.
+/// An option is unknown or has a bad value, `--policy` or `--excite` chooses a controller, or
+/// hardware may not be driven with these options; the text says why.
 pub fn rollouts_asked(options: Vec<OsString>) -> Result<(RigSettings, RolloutPlan), String> {
     let run = ["qube-hil", "run", "--policy", "classical"].map(OsString::from);
     let command_line = CommandLine::try_parse_from(run.into_iter().chain(options));
@@ -199,6 +199,8 @@ pub fn rollouts_asked(options: Vec<OsString>) -> Result<(RigSettings, RolloutPla
     }
 }
 
+/// Sends the log to stderr: warnings; with one `-v` information, too; with two, debug messages. The
+/// environment variable `RUST_LOG` replaces this choice.
 fn log_to_stderr(verbose: u8) {
     let level = ["warn", "info", "debug"][usize::from(verbose.min(2))];
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));

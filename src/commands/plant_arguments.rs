@@ -14,7 +14,8 @@ pub struct PlantArguments {
     #[command(flatten)]
     emulated: EmulatedArguments,
 
-    /// Draw each policy's own Qube, with every parameter uniform within this part of its value
+    /// Draw each policy's own Qube: each parameter, the friction, the dead zones, the cable's stiffness and the delay
+    /// are uniform within this part of their values, 0 to 0.5
     #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = part, conflicts_with = "resume")]
     vary: f64,
 

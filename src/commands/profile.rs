@@ -4,7 +4,7 @@ use super::exit::Failure;
 use crate::qube::{PlantModel, Profile, QubeModel};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
-/// Name of the nominal specimen of a plant; of a Qube, that is the thesis's.
+/// Name of the nominal specimen of a plant; the nominal Qube has the thesis's parameters.
 pub const IDEAL: &str = "ideal";
 
 /// The model of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a profile file.

@@ -10,7 +10,7 @@ use crate::storage::MachineDisk;
 
 /// Recover a truncated recording: save every intact tick into a new file
 ///
-/// The old file stays unchanged. Exit code 0 when it was complete, 3 when a part of the rollout is lost.
+/// The old file stays unchanged. Exit code 0 when nothing of the rollout is lost, else 3.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil recover logs/monday/rollout-3.mcap\n  \

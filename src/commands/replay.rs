@@ -23,8 +23,8 @@ use crate::telemetry::RolloutOutcome;
 /// Qube, and compare every voltage bit for bit
 ///
 /// With --simulate, the simulator also gets the recorded voltages, and its motion is compared with the
-/// recorded one. That accepts CSV files too, with the columns time_s, theta_rad, alpha_rad,
-/// theta_dot_rad_s, alpha_dot_rad_s, voltage_v.
+/// recorded one. --simulate and --animate accept CSV files too, with the columns time_s, theta_rad,
+/// alpha_rad, theta_dot_rad_s, alpha_dot_rad_s, voltage_v.
 ///
 /// Exit code 3 when a recording was truncated or a decision differs.
 #[derive(Debug, clap::Args)]
@@ -34,7 +34,7 @@ use crate::telemetry::RolloutOutcome;
     qube-hil replay --animate swing-up.svg logs/monday/rollout-0.mcap\n  \
     qube-hil replay --simulate --profile lab chirp.csv")]
 pub struct Arguments {
-    /// Recordings (.mcap), with --simulate also tables (.csv)
+    /// Recordings (.mcap), with --simulate or --animate also tables (.csv)
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
 
@@ -301,7 +301,7 @@ fn foreseen_text(foreseen: &Foreseen) -> String {
     };
     let reach = beyond_rad.map_or_else(
         || "would have moved without bounds".to_owned(),
-        |beyond_rad| format!("would have come {beyond_rad:.3} rad beyond its end"),
+        |beyond_rad| format!("would have come {beyond_rad:.3} rad beyond the end of its travel"),
     );
     format!(
         "foresight ended it: with a brake one tick later, the arm of particle {particle} of {whose} {reach}"
@@ -362,7 +362,7 @@ fn recording_problem(error: &RecordingError) -> Problem {
     if is_bad_input(error) { Problem::usage(message) } else { Problem::failed(message) }
 }
 
-/// The failure for an error of a recording.
+/// The failure for an error of a recording that the user named: a bad file is bad input.
 pub fn recording_failure(error: &RecordingError) -> Failure {
     let Problem { failure, message } = recording_problem(error);
     failure(message)

@@ -62,7 +62,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         [folder] if folders == 1 => {
             if arguments.profile.is_some() {
                 return Err(Failure::usage(
-                    "a session is compared with the Qube that it identified: leave --profile out, or give its recordings",
+                    "--profile goes with recordings, and a folder has its own Qubes: leave --profile out, or give recordings",
                 ));
             }
             if RigSessions::are_in(folder) {
@@ -79,7 +79,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             (page, folder.join(REPORT))
         }
         _ if folders > 0 => {
-            return Err(Failure::usage("give one folder, or recordings, and not both"));
+            return Err(Failure::usage("give either one folder, or recordings"));
         }
         files => {
             (of_recordings(files, arguments.profile.as_deref())?, files[0].with_extension("html"))
@@ -235,9 +235,9 @@ fn quoted(path: &OsStr) -> String {
 fn failure(error: ReportError) -> Failure {
     let message = one_line(&error.to_string()).into_owned();
     match error {
-        ReportError::NotASession { .. } => {
-            Failure::usage(format!("{message}. Give a session's folder, or recordings"))
-        }
+        ReportError::NotASession { .. } => Failure::usage(format!(
+            "{message}. Give the folder of a session or experiment, or recordings"
+        )),
         ReportError::Configuration(_) => Failure::usage(message),
         ReportError::Ledger(_) => Failure::data_lost(message),
         ReportError::Data(_) => Failure::failed(message),

@@ -37,8 +37,8 @@ pub struct RigArguments {
     #[arg(long, value_enum, conflicts_with = "resume")]
     rig_policy: Option<RigPolicy>,
 
-    /// Relative width in which several emulated Qubes differ: each of their parameters and strengths is uniform
-    /// within this part of its value [default: 0.05]
+    /// Relative width in which several emulated Qubes differ: each parameter, the friction, the dead zones, the
+    /// cable's stiffness and the delay are uniform within this part of their values, 0 to 0.5 [default: 0.05]
     #[arg(long, value_name = "FRACTION", value_parser = fraction, conflicts_with = "resume")]
     vary: Option<f64>,
 

@@ -255,8 +255,8 @@ fn resume_all(
     (1..).zip(devices).map(open).collect()
 }
 
-/// Opens the sessions on their Qubes, after handlers for stop requests and the executor of the
-/// trainings.
+/// Installs the handlers of stop requests, makes the executor of the trainings, and then opens the
+/// sessions on their Qubes.
 fn open(
     arguments: &Arguments,
     root: &Path,

@@ -155,7 +155,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     if settings.checks() {
         print_message(
-            "checking the Qube: before all else the arm is pushed a little (--skip-check leaves it out)",
+            "checking the Qube: before all else the arm is pushed a little (--skip-check leaves the check out)",
         );
     }
     if settings.homing.method == HomingMethod::Stops {

@@ -8,8 +8,9 @@ pub fn ready() {
     notify(NotifyState::Ready);
 }
 
-/// Reports that work was finished. The work itself reports, rather than a separate thread, so that
-/// a session that hangs sends no report and systemd restarts it.
+/// Reports that the session makes progress. The session calls this function at each of its events,
+/// and its executor while it waits for workers. No separate thread reports, so that a session that
+/// hangs sends no report and systemd restarts it.
 pub fn alive() {
     notify(NotifyState::Watchdog);
 }

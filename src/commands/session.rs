@@ -58,7 +58,7 @@ use crate::simulation::SensorModel;
     purpose      excitation: it identifies the Qube; initial: where the search\n               \
     starts; search: proposed from the returns so far;\n               \
     recommended: by the search; N again: candidate N's own\n               \
-    policy, run once more; nominal: a policy of the nominal Qube\n  \
+    policy, run once more; nominal: trained on the nominal Qube\n  \
     mean return  of its rollouts: each step of 10 ms earns at most 1 for a\n               \
     pendulum that is upright and quiet in the middle, so that\n               \
     6 s earn at most 600\n  \
@@ -80,7 +80,7 @@ pub struct Arguments {
     #[arg(long, value_enum, conflicts_with = "resume")]
     pub(super) method: Option<Method>,
 
-    /// Largest number of candidates around the identified Qube [default: 10]
+    /// Largest number of candidates around the identified Qube [default: 10, or as --config says]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "resume")]
     pub(super) candidates: Option<u32>,
 
@@ -89,8 +89,8 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1000), conflicts_with = "resume")]
     pub(super) pending: Option<u32>,
 
-    /// Run a policy of the nominal Qube once at the end, for comparison [default: true on the emulated Qube that is
-    /// identified, otherwise false]
+    /// At the end run a policy that is trained on the nominal Qube once, for comparison [default: as --config says;
+    /// without it true on the emulated Qube that is identified, otherwise false]
     #[arg(long, value_name = "true|false", num_args = 0..=1, default_missing_value = "true", conflicts_with = "resume")]
     pub(super) baseline: Option<bool>,
 
@@ -112,7 +112,7 @@ pub struct Arguments {
     pub(super) resume: Option<PathBuf>,
 
     /// Guard that may end a rollout: foresight of the brake, or the box only [default: foresight, or as
-    /// --config says]; with --resume that of the session
+    /// --config says; the session's guard with --resume]
     #[arg(long, value_parser = guard_parser())]
     pub(super) guard: Option<GuardArgument>,
 
@@ -144,9 +144,9 @@ pub struct Arguments {
 /// The extent of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Preset {
-    /// 6 initial candidates, 4 by the search, 2 rollouts each, training of half a minute
+    /// Training of half a minute; with --method bayrn 6 initial candidates, 4 by the search, 2 rollouts each
     Quick,
-    /// 15 initial candidates, 10 by the search, 5 rollouts each, the published training budget
+    /// Published training budget; with --method bayrn 15 initial candidates, 10 by the search, 5 rollouts each
     Thesis,
 }
 
@@ -301,7 +301,7 @@ pub fn warnings(
     rig: &RigSettings,
     settings: &SessionSettings,
 ) -> Vec<String> {
-    // The advice is to identify the Qube, which such a session does itself.
+    // The advice is to identify the Qube. A session with an identification does so itself.
     let needs_advice = settings.identification.is_none();
     let guard = settings.safety_box.guard;
     let advice = needs_advice.then(|| unidentified(rig, guard)).flatten();

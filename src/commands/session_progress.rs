@@ -24,10 +24,9 @@ pub struct SessionProgress {
     /// Beginning of each line: the name of the rig among several.
     prefix: String,
     stop: Arc<AtomicBool>,
-    /// Number after that of the last candidate to be trained, from which the time left is
-    /// estimated.
+    /// Number of all candidates, as far as it is known; the time left is estimated from it.
     candidates: u32,
-    /// Whether the session ends with a policy of the nominal Qube.
+    /// Whether the session ends with a policy that is trained on the nominal Qube, for comparison.
     has_baseline: bool,
     /// Numbers of the candidates that are excitations: their rollouts are recordings and no
     /// attempts to balance.
@@ -37,7 +36,7 @@ pub struct SessionProgress {
     pace: TrainingPace,
     /// Returns of each candidate's rollouts, and how many of them balanced.
     returns: BTreeMap<u32, (Vec<f64>, u32)>,
-    /// Rigs that were opened.
+    /// Rigs that were opened, by number; `None` stands for the only rig.
     connected: BTreeSet<Option<u32>>,
 }
 
@@ -263,8 +262,11 @@ fn of_rig(rig: Option<u32>) -> String {
 pub fn identified(recordings: u32, doubts: &[String]) -> String {
     let from =
         if recordings == 1 { "1 recording".into() } else { format!("{recordings} recordings") };
-    let but =
-        if doubts.is_empty() { String::new() } else { format!(" but for {}", doubts.join("; ")) };
+    let but = if doubts.is_empty() {
+        String::new()
+    } else {
+        format!(" except for {}", doubts.join("; "))
+    };
     format!("identified from {from}: the model describes this Qube{but}")
 }
 

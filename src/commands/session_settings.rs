@@ -153,8 +153,8 @@ pub fn reopened(
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     if arguments.emulated.settings(&device.plant)?.is_some() {
         return Err(Failure::usage(
-            "a session keeps the emulated Qube that it began with: leave --profile, \
-             --gap, --delay-ms, --jitter-ms, --cable-drift and --scale out",
+            "a session keeps the emulated Qube that it began with: leave --profile, --gap, --delay-ms, \
+             --jitter-ms, --cable-drift, --play-deg, --effect and --scale out",
         ));
     }
     if arguments.estimator.settings(&device.plant)?.is_some() {

@@ -142,7 +142,8 @@ impl SessionTable {
             Identification::None => return String::new(),
             Identification::Refused(reason) => {
                 return format!(
-                    "\nnot identified, and searched as an unknown Qube: {}\n",
+                    "\nthe Qube was not identified, so the search treated it as an unknown one: \
+                     {}\n",
                     one_line(reason)
                 );
             }

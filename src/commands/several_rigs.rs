@@ -90,7 +90,7 @@ fn devices_to_resume(
     let are_left_out = !arguments.rigs.are_named() && are_emulated;
     if !are_left_out && (!arguments.rigs.are_named() || arguments.rigs.count() != known.len()) {
         return Err(Failure::usage(format!(
-            "{} drives {} Qubes, which began at {}: give --device or --qube once for each, in this order",
+            "{} drives {} Qubes and began with these: {}. Give --device or --qube once for each, in this order",
             root.display(),
             known.len(),
             known.join(", "),
@@ -100,7 +100,8 @@ fn devices_to_resume(
     for ((rig, device), before) in (1..).zip(&devices).zip(known) {
         if device.choice.is_hardware() == (before == EMULATED) {
             return Err(Failure::usage(format!(
-                "rig {rig} of {} began at {before}, and {} cannot take its place",
+                "rig {rig} of {} began at {before}, and {} cannot take its place: give an emulated Qube for an \
+                 emulated one, and a real one for a real one",
                 root.display(),
                 name_of(device)
             )));

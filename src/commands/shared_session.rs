@@ -136,8 +136,8 @@ pub fn run(
     ended
 }
 
-/// Number of the rig that an event concerns, from 1; `None` if the event concerns the whole
-/// session.
+/// Number, from 1, of the rig whose live view alone shows an event; `None` if the live views of all
+/// rigs show it.
 fn rig_of(event: &SessionEvent) -> Option<u32> {
     match event {
         SessionEvent::Connected { rig, .. } | SessionEvent::Rollout { rig, .. } => *rig,
@@ -165,7 +165,7 @@ fn spread(
     if let Some((what, key, rollouts)) = spread.into_iter().find(|(.., number)| *number < count) {
         return Err(Failure::usage(format!(
             "{rollouts} {what} cannot be spread over {count} Qubes: make {key} in --config {count} or more, best a \
-             multiple of it"
+             multiple of {count}"
         )));
     }
     let rig = |(number, device): (u32, &ChosenDevice)| {
@@ -184,7 +184,8 @@ fn spread(
     Ok(settings)
 }
 
-/// The homing settings that the session recorded for a rig, without those of its own file.
+/// The homing settings that the session recorded for a rig, before the Qube's own file replaces
+/// them.
 fn homing_of(rig: &SharedRig, settings: &SessionSettings) -> HomingSettings {
     HomingSettings {
         method: rig.homing_method.unwrap_or(settings.homing.method),

@@ -107,6 +107,7 @@ impl Folder {
         Ok(Self { path, keeps })
     }
 
+    /// Deletes a recording that is checked, unless the recordings are kept.
     fn is_done_with(&self, recording: &std::path::Path) -> Result<(), Failure> {
         if self.keeps {
             return Ok(());
@@ -130,7 +131,7 @@ impl Drop for Folder {
 struct Soaked {
     rollouts: u64,
     ticks: u64,
-    /// Number of ticks missing in the recordings.
+    /// Number of ticks missing in the recordings, and 1 for each recording without an end.
     lost: u64,
     missed_deadlines: u64,
     void: u64,
@@ -240,7 +241,7 @@ impl Soaked {
         }
         if let Some(fault) = &self.last_fault {
             let void = self.void;
-            return Err(Failure::fault(format!("{void} rollouts were ended by faults: {fault}")));
+            return Err(Failure::fault(format!("{void} rollouts ended by faults, last: {fault}")));
         }
         match self.growth_bytes() {
             Some(growth) if growth > MAX_GROWTH_BYTES => {
@@ -253,11 +254,11 @@ impl Soaked {
     fn text(&self) -> String {
         let growth = match self.growth_bytes() {
             Some(growth) => format!("{:+.2} MB", growth as f64 * 1e-6),
-            None => format!("not measured in less than {WARM_UP_ROLLOUTS} rollouts"),
+            None => format!("not measured in fewer than {WARM_UP_ROLLOUTS} rollouts"),
         };
         format!(
             "{} ticks ({:.2} h) in {} rollouts: {} lost, {} missed deadlines, {} rollouts void\n\
-             latest wake-up {:.0} us; memory {:.1} MB, {growth}",
+             latest wake-up {:.0} us; memory {:.1} MB, growth {growth}",
             self.ticks,
             self.hours(),
             self.rollouts,

@@ -23,7 +23,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", default_value = "figures")]
     out: PathBuf,
 
-    /// Seed of the samples' positions
+    /// Seed of the samples: their positions and their noise
     #[arg(long, default_value_t = 0)]
     seed: u64,
 }

@@ -51,8 +51,8 @@ pub struct Arguments {
     #[arg(long, value_name = "lab|FILE", conflicts_with_all = ["model", "psi"])]
     profile: Option<String>,
 
-    /// Standard deviations around the profile beside the errors that it names, as a part of each of its
-    /// values (0.1 is 10 %)
+    /// Standard deviation of each quantity around the profile, as a part of its value (0.1 is 10 %), in
+    /// addition to the errors that the profile names
     #[arg(long, value_name = "PART", default_value_t = 0.1, requires = "profile", value_parser = spread)]
     spread: f64,
 
@@ -86,8 +86,8 @@ pub struct Arguments {
     #[arg(long)]
     force: bool,
 
-    /// Sensors of the simulation: true states, or encoders and estimator as on the machine [default: the
-    /// preset's]
+    /// Sensors of the simulation: true states, or encoders with the estimator that runs on the Qube
+    /// [default: the preset's]
     #[arg(long, value_enum)]
     sensors: Option<Sensors>,
 
@@ -101,8 +101,8 @@ pub struct Arguments {
     #[arg(long, value_name = "WEIGHT", value_parser = weight)]
     voltage_change_weight: Option<f64>,
 
-    /// Checkpoint file: the training is saved to it every ten updates and resumes from it if it exists; the
-    /// policy is the same as without an interruption
+    /// Checkpoint file: the training is saved to it every ten updates, resumes from it if it exists, and
+    /// removes it at the end; the policy is the same as without an interruption
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
 
@@ -140,7 +140,7 @@ impl Arguments {
 enum Sensors {
     /// True angles and velocities without error
     True,
-    /// Encoder counts, and the estimator that runs on the machine
+    /// Encoder counts, and the estimator that runs on the Qube
     Encoders,
 }
 
@@ -174,7 +174,7 @@ const PSI: &str = "psi";
 /// The parser of `--model`; `psi` stands for the model whose quantities `--psi` gives.
 fn models() -> impl TypedValueParser<Value = Model> {
     let plain = [Model::Nominal, Model::Handcrafted, Model::NominalHandcrafted, Model::Robust];
-    let by_file = "Quantities that --psi names follow it, the others are nominal";
+    let by_file = "Quantities that the file of --psi names vary as it says, the others are nominal";
     let plain = plain.map(|model| (model.name(), model.description(), model));
     named(plain.into_iter().chain([(PSI, by_file, Model::OptNominal)]))
 }
@@ -332,7 +332,10 @@ fn delays_s(text: &str) -> Result<(f64, f64), String> {
 fn start(path: &Path) -> Result<NetworkPolicy, Failure> {
     match Policy::load(path).map_err(|error| failures::policy(&error))? {
         Policy::Network(policy) => Ok(policy),
-        _ => Err(Failure::usage(format!("--from {}: it contains no network", path.display()))),
+        _ => Err(Failure::usage(format!(
+            "--from {}: it contains no network. Give a policy that `train` or `import` wrote",
+            path.display()
+        ))),
     }
 }
 

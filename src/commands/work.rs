@@ -30,7 +30,7 @@ pub struct Arguments {
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 
-    /// Number of this worker, and of all workers: each worker begins with a different part of the jobs
+    /// Number K of this worker among all N: each worker begins with a different part of the jobs
     #[arg(long, value_name = "K/N")]
     slot: Option<Slot>,
 

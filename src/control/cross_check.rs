@@ -27,9 +27,9 @@ const SHORT_RAD_S: f64 = 1.8;
 pub const WIDE_DOMAIN_SHARE: f64 = 0.65;
 
 /// Relative uncertainty of the comparison while a policy moves the arm and all lengths may be off
-/// at once. A larger value means fewer false alarms, which end a rollout. While an alarm still
-/// switched the motor off, a search for policies that throw the arm against its stop often succeeded
-/// with 0.65, in 3 of 60 attempts with 0.9, and in none with 1.2. A smaller value means faster detection: with 1.2 an arm whose
+/// at once. A larger value means fewer false alarms, which end a rollout: in trials in which an
+/// alarm switched the motor off, an adversary often succeeded with 0.65, in 3 of 60 attempts with
+/// 0.9, and in none with 1.2. A smaller value means faster detection: with 1.2, an arm whose
 /// encoder freezes under the brake touches its stop at 2.1 rad/s.
 pub const WHOLE_DOMAIN_SHARE: f64 = 0.9;
 
@@ -37,7 +37,7 @@ pub const WHOLE_DOMAIN_SHARE: f64 = 0.9;
 /// slowly and a false alarm costs nothing.
 pub const RIG_SHARE: f64 = 0.2;
 
-/// Ticks within one count after which a count counts as constant.
+/// Ticks for which an encoder must stay within one count to be taken as constant.
 const CONSTANT_TICKS: u32 = 4;
 
 /// Consecutive ticks for which the encoders must contradict each other before the cross-check
@@ -88,8 +88,8 @@ pub fn zero_within_rad(plant: &PlantModel) -> f64 {
     2.0 * plant.encoders.alpha.rad_per_count()
 }
 
-/// Size of the last step of a pendulum's count, counts a period, from which on a pendulum whose
-/// count is then constant has not come to rest by itself.
+/// Last step of the pendulum's count before the count became constant, counts a period, from which
+/// on the pendulum cannot have come to rest by itself.
 const SWINGING_COUNTS: i32 = 3;
 
 /// Coefficients of the pendulum's equation: they depend on lengths and gravity, on no mass.
@@ -235,8 +235,8 @@ impl CrossCheck {
         Self::with_zero_within(plant, zero_within_rad(plant), WIDE_DOMAIN_SHARE)
     }
 
-    /// A cross-check of a plant whose pendulum's zero is known within `zero_within_rad`, rad, and
-    /// whose lengths are known up to the fraction `unknown_share`.
+    /// A cross-check of a plant whose pendulum's zero is known within `zero_within_rad`, rad;
+    /// `unknown_share` is the relative uncertainty of the comparison.
     #[must_use]
     pub fn with_zero_within(plant: &PlantModel, zero_within_rad: f64, unknown_share: f64) -> Self {
         Self::new(Coefficients::of(plant), zero_within_rad, unknown_share)
@@ -456,7 +456,7 @@ impl CrossCheck {
         };
     }
 
-    /// Changes of velocity between the two halves of the last `2 half` periods.
+    /// Changes of velocity between the two halves of the last `2 * half` periods.
     fn change(&self, half: usize) -> Option<Change> {
         if self.filled <= 2 * half {
             return None;

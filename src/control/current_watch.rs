@@ -36,7 +36,8 @@ pub fn draws_no_current(sample: &Measurement, voltage_mv: i16) -> bool {
     sample.current_a.abs() < least_a
 }
 
-/// Watches the current while the arm is at rest, where no back-EMF lowers it.
+/// Watches the motor's current during homing, where the arm is too slow for its back-EMF to hide
+/// the current for long. A bad contact is reported only for an arm at rest.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CurrentWatch {
     /// Sum and number of the readings at 0 V, which give the sensor's offset.

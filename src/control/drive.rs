@@ -30,7 +30,7 @@ pub struct DriveReport {
     /// The last second before a fault, oldest tick first; empty without a fault.
     pub last_ticks: Vec<TickRecord>,
     /// Whether the device confirmed that its amplifier is off. If it did not, its watchdog switches
-    /// the amplifier off within 50 ms.
+    /// the amplifier off about 50 ms after the last act.
     pub disarmed: Result<(), DeviceError>,
 }
 

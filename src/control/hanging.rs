@@ -4,8 +4,8 @@ use super::homing_watch::standing_rad;
 use super::rest::{RECOIL, Swing};
 use crate::qube::PlantModel;
 
-/// Largest width of the swing with which homing begins, rad: a wider swing alone already moves the
-/// arm as far as is allowed.
+/// Largest width of the swing at which homing begins to push, rad: a wider swing alone already
+/// moves the arm so far that no push may be added.
 const LARGEST_SWING_RAD: f64 = 0.15;
 
 /// Width of the swing above which a pendulum counts as swinging, rad.
@@ -28,12 +28,12 @@ const AGREEING_COUNTS: f64 = 2.5;
 /// the motor circuit is open, arm and pendulum do not stop swinging.
 const MOST_WINDOWS: u32 = 6;
 
-/// Watches a pendulum that swings freely.
+/// Finds the hanging angle of a pendulum that swings freely.
 #[derive(Clone, Copy, Debug)]
 pub struct Hanging {
     /// Angle of one count of the pendulum, rad.
     rad_per_count: f64,
-    /// Motion of an arm at rest, rad.
+    /// Largest motion of an arm at rest, rad.
     standing_rad: f64,
     pendulum: Swing,
     arm: Swing,

@@ -54,7 +54,7 @@ pub struct Homing {
     control: ControlState,
     stillness: StillnessDetector,
     stage: Stage,
-    /// Angle at which the arm is held while no middle is known, rad.
+    /// Angle of the arm at the first push, rad; after some faults the arm is led back there.
     place_rad: f64,
     /// Middle between the stops, rad, once known.
     middle_rad: Option<f64>,
@@ -81,7 +81,7 @@ enum Stage {
     Observe(Hanging),
     /// Push until the arm responds.
     Probe(HomingProbe),
-    /// Calm the pendulum, with the arm at the middle or at its place.
+    /// Calm the pendulum, with the arm at the middle that the stops or the operator's hand gave.
     Calm,
     /// Seek the stops, which define the middle.
     Seek(StopSeek),
@@ -340,8 +340,8 @@ impl Homing {
         MeasuredRig { calibration, stops }
     }
 
-    /// Target of the arm while the pendulum comes to rest, rad: the middle, or the place where
-    /// homing began.
+    /// Target of the arm while the pendulum comes to rest, rad: the middle, or the angle at the
+    /// first push if no middle is known.
     fn calm_rad(&self) -> f64 {
         self.middle_rad.unwrap_or(self.place_rad)
     }

@@ -55,7 +55,7 @@ const RECOIL_RAD: f64 = 0.57;
 /// Pushes that grow from zero, in alternating directions.
 #[derive(Clone, Copy, Debug)]
 pub struct HomingProbe {
-    /// Motion of an arm at rest, rad.
+    /// Largest motion of an arm at rest, rad.
     standing_rad: f64,
     direction: f64,
     reach_rad: f64,

@@ -23,7 +23,8 @@ const RUNAWAY_RAD_S: f64 = 4.0;
 /// Ticks above `RUNAWAY_RAD_S` after which the arm runs away.
 const RUNAWAY_TICKS: u32 = 4;
 
-/// Swing, as |sin(alpha)| + |alpha_dot| / 15, above which the pendulum itself makes the arm fast.
+/// Swing, as |sin(alpha)| + |alpha_dot| / (15 rad/s), above which the pendulum itself makes the arm
+/// fast.
 const THROWING_SWING: f64 = 0.5;
 
 /// Travel after which the arm has left the stop, rad.
@@ -92,7 +93,7 @@ pub struct Runaway {
 }
 
 impl Runaway {
-    /// Takes the next state, with alpha relative to hanging, and the previous voltage; returns
+    /// Takes the next state, with alpha relative to hanging, and the previous voltage, V; returns
     /// whether something other than the motor moves the arm.
     pub fn lasts(&mut self, state: &State, voltage_v: f64) -> bool {
         let swings = state.alpha.sin().abs() + state.alpha_dot.abs() / 15.0 > THROWING_SWING;

@@ -25,8 +25,8 @@ pub enum ControlState {
     Settling,
     /// Amplifier on: the policy controls the motor.
     Running,
-    /// Amplifier on: the arm is stopped after its time is up, a limit was left or a stop was
-    /// requested.
+    /// Amplifier on: the arm is stopped because the policy's time is up, a limit was left or a stop
+    /// was requested.
     Braking,
     /// Amplifier on: the arm is stopped because of a fault.
     Faulting,
@@ -61,9 +61,9 @@ pub enum ControlEvent {
     Stop,
     /// The arm has stopped, or its time to stop is over.
     BrakingEnded,
-    /// A fault while link, amplifier and encoders can be trusted.
+    /// A fault while link, amplifier and the arm's encoder can be trusted.
     BrakeFault,
-    /// A fault after which link, amplifier or encoders cannot be trusted.
+    /// A fault after which link, amplifier, motor or the arm's encoder cannot be trusted.
     ZeroFault,
     /// The arm's count is doubted, while link and amplifier can be trusted.
     CountDoubted,

@@ -89,8 +89,7 @@ impl Coefficients {
     }
 }
 
-/// Detects a frozen arm encoder by the equations of motion of arm and pendulum, neither of which
-/// needs the parameters of the other:
+/// Detects a frozen arm encoder by two equations of motion, the arm's and the pendulum's:
 ///
 /// ```text
 /// A th'' = k V - d/dt (c cos a a') - friction

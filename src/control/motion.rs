@@ -3,7 +3,9 @@ use crate::qube::{Measurement, State};
 use crate::safety::Foreseen;
 use crate::telemetry::{Ending, Phase};
 
-/// Input of one tick. The recording holds every field, so that replay can decide the tick again.
+/// Input of one tick. A recording determines every field, so that replay can decide the tick again:
+/// `link_gone` and `board_restarted` follow from the rollout's ending, `motor_overheated` from the
+/// motor's heat at the start and the recorded ticks; the other fields are recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TickInput {
     /// Deadline of the tick by the host's clock, ns.

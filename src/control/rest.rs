@@ -1,13 +1,13 @@
 //! Detectors of rest: arm and pendulum at rest before a rollout, the arm centred after a rollout,
-//! the arm still before homing. Also the extremes of the pendulum's swing.
+//! the arm still before homing. Also the extremes of a swing.
 
 use crate::qube::{State, wrap_angle};
 
 /// Velocity below which the arm counts as stopped, rad/s.
 pub const STOPPED_RAD_S: f64 = 0.5;
 
-/// Largest motion of an arm at rest that the pendulum's swing causes, rad for each rad of the
-/// swing, whatever the signs of the encoders.
+/// Largest motion of an arm without voltage that the pendulum's swing causes, rad for each rad of
+/// the swing, whatever the signs of the encoders.
 pub const RECOIL: f64 = 0.7;
 
 /// Ticks at rest that a rollout requires before its policy starts: 0.3 s.
@@ -122,10 +122,12 @@ impl Stay {
     }
 }
 
-/// Window for the pendulum's swing, ticks: more than one period (0.53 s).
+/// Window for the extremes of a swing, ticks: 0.8 s, more than one period of the pendulum (0.59 s
+/// on an arm at rest).
 const SWING_TICKS: u32 = 80;
 
-/// Extremes of the pendulum's angle over consecutive windows, each longer than a period.
+/// Extremes of the pendulum's or the arm's angle over consecutive windows, each longer than a
+/// period of the pendulum.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Swing {
     ticks: u32,
@@ -133,7 +135,7 @@ pub struct Swing {
     highest_rad: f64,
 }
 
-/// Extent of the pendulum's swing over one window.
+/// Extent of a swing over one window.
 #[derive(Clone, Copy, Debug)]
 pub struct SwingWindow {
     /// Middle of the swing, rad.
@@ -143,8 +145,7 @@ pub struct SwingWindow {
 }
 
 impl Swing {
-    /// Takes the next angle of the pendulum, rad; returns the swing's extent at the end of each
-    /// window.
+    /// Takes the next angle, rad; returns the swing's extent at the end of each window.
     pub fn update(&mut self, alpha_rad: f64) -> Option<SwingWindow> {
         if self.ticks == 0 {
             (self.lowest_rad, self.highest_rad) = (alpha_rad, alpha_rad);

@@ -79,7 +79,8 @@ pub struct SensorWatch {
     /// Last steps of both counts, counts a period, newest last.
     theta_steps: [i32; 3],
     alpha_steps: [i32; 3],
-    /// Cross-check of the two encoders, with the calibration of their angles; `None` under
+    /// Cross-check of the two encoders, with the calibration of their angles; `None` before it
+    /// starts, after a fault of the pendulum's count, and under
     /// [`TickRules::First`](crate::telemetry::TickRules::First).
     cross_check: Option<(Calibration, CrossCheck)>,
     /// Test of the arm's count against the Qube's momentum.
@@ -93,7 +94,7 @@ pub struct SensorWatch {
     disagree_since_us: Option<u64>,
 }
 
-/// Motion of both counts over an interval.
+/// Motion of both encoders over an interval, counts.
 #[derive(Clone, Copy, Debug)]
 struct Step {
     theta: f64,

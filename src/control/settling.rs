@@ -1,5 +1,5 @@
-//! Brings arm and pendulum to rest before a rollout. This takes less than 2 s. Waiting instead
-//! would take 10 s, and the arm would drift.
+//! Brings arm and pendulum to rest before a rollout. Waiting instead would take 10 s, and the arm
+//! would drift.
 
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};

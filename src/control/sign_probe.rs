@@ -46,9 +46,9 @@ const CURRENT_ERROR_A: f64 = 0.005;
 /// A short push of the arm that shows how encoders and motor are wired. The voltage is open-loop,
 /// because feedback needs the signs that are still unknown.
 ///
-/// The probe waits at 0 V, pushes until arm or pendulum has moved a little, pushes for as long the
-/// other way, brakes an arm whose motion it has measured, and waits at 0 V again. It only records;
-/// the examination evaluates the samples.
+/// The probe waits at 0 V, pushes until arm or pendulum has moved a little but for at most 0.1 s,
+/// pushes for as long the other way, brakes an arm whose motion it has measured, and waits at 0 V
+/// again. It only records; the examination evaluates the samples.
 #[derive(Debug)]
 pub struct SignProbe {
     plant: PlantModel,

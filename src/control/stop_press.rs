@@ -11,13 +11,13 @@ const NEAR_STOP_RAD: f64 = 0.3;
 /// Ticks after which the arm is at rest against its stop and its angle is stored.
 const REST_TICKS: u32 = 50;
 
-/// Distance from that angle that only a push by hand explains, rad: 4 mm at the arm's end.
+/// Distance from the stored angle that only a push by hand explains, rad: 4 mm at the arm's end.
 const PUSHED_RAD: f64 = 0.05;
 
-/// Distance from that angle within which a pushed arm has come back, rad.
+/// Distance from the stored angle within which a pushed arm has come back, rad.
 const BACK_RAD: f64 = 0.025;
 
-/// Distance from that angle beyond which the voltage evidently does not hold the arm, rad.
+/// Distance from the stored angle beyond which the voltage evidently does not hold the arm, rad.
 const AWAY_RAD: f64 = 0.5;
 
 /// Ticks within which a pushed arm must come back: 3 s.
@@ -60,7 +60,7 @@ pub enum PressOutcome {
     NotAtStop,
     /// The arm was pushed off its stop by hand, and the motor brought it back.
     CameBack,
-    /// The arm was pushed off its stop by hand and stayed there: the voltage is too small.
+    /// The arm was pushed off its stop by hand and did not come back: the voltage is too small.
     StayedAway,
 }
 

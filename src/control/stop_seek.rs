@@ -22,8 +22,8 @@ const MOST_PUSH_V: f64 = 1.12;
 /// Least gain of travel that counts as progress, rad.
 const PROGRESS_RAD: f64 = 0.01;
 
-/// Ticks without progress, at the largest push, after which the arm is at a stop: longer than two
-/// swings of the pendulum, whose pull may lift the arm off the stop for a while.
+/// Ticks without progress after which an arm that gets the largest push is at a stop: 1 s, longer
+/// than a period of the pendulum, whose pull may lift the arm off the stop for a while.
 const BLOCKED_TICKS: u32 = 100;
 
 /// Search for both stops, one after the other.
@@ -35,7 +35,7 @@ pub struct StopSeek {
     approach: Option<Approach>,
 }
 
-/// Angles of the two stops, rad, in the coordinates of the angles given.
+/// Angles of the two stops, rad, in the coordinates of the angles that [`StopSeek::update`] takes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
     /// The stop at negative theta.

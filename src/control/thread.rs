@@ -61,7 +61,8 @@ pub struct ControlThread {
 
 impl ControlThread {
     /// Starts the thread. With `realtime` the thread asks for SCHED_FIFO and locked memory, which
-    /// it does not need on a virtual clock. Setting `stop` ends each motion by braking.
+    /// it does not need on a virtual clock. Setting `stop` ends every motion and wait: a rollout by
+    /// braking, homing by switching the amplifier off.
     ///
     /// # Errors
     /// The operating system cannot start a thread.
@@ -145,7 +146,8 @@ impl ControlThread {
     /// Measures the zeros of the encoders and the stops.
     ///
     /// # Errors
-    /// The thread is gone; the device has not answered a hello or could not be armed.
+    /// The thread is gone; the device has not answered a hello since the start or since a fault, or
+    /// could not be armed.
     pub fn home(&self, settings: HomingSettings) -> Result<(DriveReport, Homed), ControlError> {
         match self.ask(Command::Home(Box::new(settings)))? {
             Event::Homed(result) => result,
@@ -195,7 +197,8 @@ impl ControlThread {
     /// A task that drives the motor updates the motor's heat.
     ///
     /// # Errors
-    /// The thread is gone; the device has not answered a hello, or a fault is latched.
+    /// The thread is gone; the device has not answered a hello; or a fault occurred after which the
+    /// arm has not been homed.
     pub fn lend<R: Send + 'static>(
         &self,
         task: impl FnOnce(&mut dyn Device, &dyn Clock, &mut MotorHeat, &AtomicBool) -> R

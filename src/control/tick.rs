@@ -14,8 +14,7 @@ use crate::safety::{
 };
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
-/// Most ticks for settling: 15 s. Settling takes less than 2 s from any state in which a rollout
-/// may end.
+/// Most ticks for settling: 15 s. Settling takes less from any state in which a rollout may end.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
 /// Most ticks for a brake that only stops the arm: 1 s.
@@ -177,8 +176,8 @@ impl<C: Controller> Tick<C> {
         action == ControlAction::Off
     }
 
-    /// The event that the Qube's state or the time causes in this phase; `unpredicted` is whether
-    /// the Qube's motion contradicts its profile.
+    /// The event that a requested stop, the Qube's state or the time causes in this phase, with the
+    /// ending that it gives; `unpredicted` is whether the Qube's motion contradicts its profile.
     fn event(&mut self, input: &TickInput, unpredicted: bool) -> Option<(ControlEvent, Ending)> {
         let stopped = input.stop_requested.then_some((ControlEvent::Stop, Ending::Stopped));
         match self.phase {
@@ -205,7 +204,8 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    /// The event that ends braking, once the arm has stopped or time is up.
+    /// The event that ends braking, once the arm has stopped or time is up; a fault if the arm is
+    /// still faster than `RUNAWAY_RAD_S` then.
     fn braking_end(&mut self) -> Option<(ControlEvent, Ending)> {
         let State { theta, theta_dot, .. } = self.estimates.guarded;
         let speed_rad_s = theta_dot.abs();

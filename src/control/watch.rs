@@ -33,7 +33,8 @@ pub enum Alarm {
     /// Switch the amplifier off at once, because link, amplifier, motor or the arm's count cannot
     /// be trusted. A rollout first damps the arm if only the arm's count is in doubt.
     Zero(Fault),
-    /// Stop the arm first, because the link works.
+    /// Stop the arm first, because link, amplifier and the arm's count can be trusted; then switch
+    /// the amplifier off.
     Brake(Fault),
 }
 

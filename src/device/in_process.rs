@@ -10,7 +10,7 @@ use crate::clock::{Clock, Nanoseconds, VirtualClock};
 /// Time of one byte on the line, ns: 20 us.
 const BYTE_NS: Nanoseconds = 1_000_000_000 * BITS_PER_BYTE as u64 / BAUD_RATE as u64;
 
-/// Time from the last byte of a request to the first byte of its reply, ns: an 8-bit
+/// Time from the arrival of a request's last byte until the board begins its reply, ns: an 8-bit
 /// microcontroller at 16 MHz checks one frame and builds another.
 const TURNAROUND_NS: Nanoseconds = 100_000;
 
@@ -112,8 +112,8 @@ impl Transport for InProcessWire {
             if let Some((arrival_ns, _)) = self.to_host.under_way.front() {
                 break (*arrival_ns).min(deadline_ns);
             }
-            // The board gets one byte at a time, so that a reply is read before the next request is
-            // sent.
+            // The board gets one byte at a time, so that its clock does not run ahead of the
+            // arrival of its first reply.
             match self.to_board.under_way.front() {
                 Some((arrival_ns, _)) if *arrival_ns <= deadline_ns => {
                     self.run_board_until(*arrival_ns);

@@ -49,29 +49,31 @@ pub trait Device: Send {
     /// did before.
     ///
     /// # Errors
-    /// The device does not answer, is not a Qube, or speaks another protocol version.
+    /// The port is gone; or the device does not answer, is not a Qube, or speaks another protocol
+    /// version.
     fn hello(&mut self) -> Result<Identity, DeviceError>;
 
-    /// Arms the amplifier at 0 V; from then on the amplifier follows acts. A hello must precede
-    /// this call.
+    /// Arms the amplifier at 0 V; from then on the amplifier follows acts. A hello must precede the
+    /// first arm, and the first arm after each latched fault; after a disarm none is needed.
     ///
     /// # Errors
-    /// The device refuses or does not answer.
+    /// The device refuses, does not answer, or has restarted since its last hello.
     fn arm(&mut self) -> Result<(), DeviceError>;
 
     /// Requests one sample and waits for it until `deadline_ns`.
     ///
     /// # Errors
-    /// No complete, valid answer to this request arrives in time.
+    /// No complete, valid answer to this request arrives in time; the port is gone or accepts no
+    /// more bytes; or, as [`LinkFault::NotArmed`], the device has restarted since its last hello.
     fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault>;
 
-    /// Sends a voltage, mV, that was decided from the sample with this
+    /// Sends a voltage, mV, that was decided from the sample taken at `sampled_at_us`, its
     /// [`Measurement::device_time_us`]. The device applies the voltage as soon as it receives the
     /// act, which also feeds its watchdog.
     ///
     /// # Errors
-    /// The bytes cannot be written without waiting; the device is not armed, or its watchdog has
-    /// tripped. The link refuses to send when the sample is not the last one that
+    /// The bytes cannot be written without waiting, the port is gone, the device is not armed, or
+    /// its watchdog has tripped. The link refuses to send when the sample is not the last one that
     /// [`sample`](Self::sample) returned since the last hello, or was requested more than 20 ms
     /// ago.
     fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault>;
@@ -79,8 +81,8 @@ pub trait Device: Send {
     /// Switches the amplifier off.
     ///
     /// # Errors
-    /// The device does not confirm. Its watchdog then switches the amplifier off within 50 ms of
-    /// the last arm or act.
+    /// The device does not confirm. If it has received no disarm, its watchdog switches the
+    /// amplifier off; on a board at most 55 ms after the last arm or act.
     fn disarm(&mut self) -> Result<(), DeviceError>;
 
     /// Opens the connection again after its port was gone, under a name that stays with the device.
@@ -176,7 +178,7 @@ pub enum LinkFault {
     StaleSample,
 }
 
-/// A failure outside the tick. Each message names cause, port and remedy.
+/// A failure outside the tick. Each message names port and cause, and a remedy where one is known.
 #[derive(Debug, Error)]
 pub enum DeviceError {
     /// The port does not exist.
@@ -206,7 +208,7 @@ pub enum DeviceError {
     NotAQube {
         /// The port.
         port: String,
-        /// The answer that came instead, or that none came.
+        /// Reason for this conclusion, in words: the wrong answer, or that none came.
         reason: String,
     },
     /// A device that answered before no longer answers.

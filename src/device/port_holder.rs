@@ -2,8 +2,8 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-/// Describes the process that has a port open, for messages: `process 1234 (name)`, or `another
-/// program` where the user may not see the process.
+/// Describes the process that has a port open, for messages: `process 1234 (name)`, `process 1234`
+/// where the name cannot be read, or `another program` where the process cannot be found.
 pub(super) fn holder_of(port: &str) -> String {
     let port = Path::new(port);
     let Some(pid) = find_locker(port).or_else(|| find_opener(port)) else {
@@ -34,7 +34,8 @@ fn locker(lock: &str, file: &str) -> Option<u32> {
     (words.next()? == file).then_some(pid)
 }
 
-/// The id of a process that has the port open; a user sees only their own processes.
+/// The id of a process that has the port open; only root sees the open files of other users'
+/// processes.
 fn find_opener(port: &Path) -> Option<u32> {
     let port = fs::canonicalize(port).ok()?;
     fs::read_dir("/proc").ok()?.flatten().find_map(|process| {

@@ -55,7 +55,7 @@ pub struct SerialLink<T: Transport> {
     sample_time_ns: Option<Nanoseconds>,
 }
 
-/// The amplifier's state that the device last reported.
+/// The amplifier's state as far as the link knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Motor {
     Off,
@@ -71,6 +71,7 @@ struct Traffic {
     answered_ns: Option<Nanoseconds>,
     /// Bytes received since then, or since the first hello.
     bytes: u64,
+    /// Valid requests among these bytes: a port sends them only as an echo.
     requests: u64,
 }
 
@@ -239,7 +240,7 @@ impl<T: Transport> SerialLink<T> {
             return DeviceError::FellSilent { port: self.name(), silent_s, since };
         }
         self.not_a_qube(if requests > 0 {
-            "it echoes what it is sent".into()
+            "it echoes the program's requests".into()
         } else if bytes > 0 {
             format!(
                 "it sent {bytes} bytes that are not an answer (another device, or another baud rate)"
@@ -269,8 +270,8 @@ impl<T: Transport> SerialLink<T> {
         DeviceError::Restarted { port: self.name() }
     }
 
-    /// Sends a hello within an arm or disarm. A device that has restarted in the meantime may start
-    /// its counts at any value, so this call then fails, and the caller must send a hello of its
+    /// Sends a hello within an arm or disarm; fails if the device has restarted since the caller's
+    /// last hello. Its counts may then start at any value, so the caller must send a hello of its
     /// own.
     fn greet_same_start(&mut self) -> Result<(), DeviceError> {
         let reply = self.greet()?;
@@ -376,7 +377,7 @@ impl<T: Transport> Device for SerialLink<T> {
                     self.greet_same_start()?;
                     nonce = self.nonce.take().unwrap_or(0);
                 }
-                Ok(_) => return Err(self.not_a_qube("an arm got another answer".into())),
+                Ok(_) => return Err(self.not_a_qube("it gave an arm a wrong reply".into())),
                 Err(fault) => return Err(self.link_error(fault)),
             }
         }
@@ -441,7 +442,7 @@ impl<T: Transport> Device for SerialLink<T> {
                 }
                 Ok(Reply::Refusal { reason, .. }) => return Err(self.refused("disarm", reason)),
                 Ok(_) | Err(LinkFault::Timeout | LinkFault::Full) if attempt < ATTEMPTS => {}
-                Ok(_) => return Err(self.not_a_qube("a disarm got another answer".into())),
+                Ok(_) => return Err(self.not_a_qube("it gave a disarm a wrong reply".into())),
                 Err(fault) => return Err(self.link_error(fault)),
             }
         }

@@ -28,7 +28,7 @@ pub trait Transport: Send {
     /// The wire's name for users: the path of the port.
     fn name(&self) -> &str;
 
-    /// Time that the device may take to answer its first hello, ns; opening the port may have
-    /// restarted it.
+    /// Time for which a device may leave hellos unanswered because it is starting, ns; opening the
+    /// port may have restarted it.
     fn boot_time_ns(&self) -> Nanoseconds;
 }

@@ -23,7 +23,7 @@ const PTY_BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 
 /// A serial port of the operating system, opened exclusively.
 pub struct Tty {
-    /// `None` after a failed attempt to open the port again.
+    /// The open port; `None` after a failed attempt to open it again.
     fd: Option<PortFd<TTYPort>>,
     name: String,
     /// Name under which the same device returns when it is plugged in again.

@@ -92,7 +92,7 @@ impl Level {
     }
 }
 
-/// Runs a kernel with the best instruction set of this processor.
+/// Runs a kernel with the best allowed instruction set of this processor ([`Level::best`]).
 #[inline]
 pub fn dispatch<K: VectorKernel>(kernel: K) -> K::Output {
     dispatch_at(Level::best(), kernel)

@@ -97,7 +97,7 @@ pub fn exp(x: f32) -> f32 {
 
 /// 1 / sqrt(x) of a positive normal number; relative error at most 8e-7. Zero gives a large number.
 ///
-/// Halving the exponent in the bits gives a first guess within 3 %; each of two Newton steps
+/// Halving the exponent in the bits gives a first guess within 3.5 %; each of two Newton steps
 /// squares that error. The integer constant, and the constants near 3/2, balance the largest errors
 /// of both signs. Division and square root are avoided because they are slow, the processor's own
 /// approximations because they differ between processors.

@@ -59,7 +59,8 @@ impl Calibration {
         })
     }
 
-    /// The voltage to send to the device for a voltage in the convention's sign, mV.
+    /// The voltage to send to the device, mV, for a voltage whose positive sign turns the arm
+    /// towards positive theta.
     #[must_use]
     pub fn device_mv(&self, voltage_mv: i16) -> i16 {
         if self.voltage_inverted { voltage_mv.saturating_neg() } else { voltage_mv }

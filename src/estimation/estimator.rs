@@ -83,7 +83,8 @@ impl Estimator {
     }
 
     /// Removes the pendulum's whole turns so that alpha lies in (-pi, pi], and returns the
-    /// estimates after the shift. Velocities are kept.
+    /// estimates after the shift. Velocities are kept. Before the first measurement it changes
+    /// nothing and returns zeros.
     pub fn forget_whole_turns(&mut self) -> Estimates {
         let Some(Previous { estimates, .. }) = &mut self.previous else {
             return Estimates::default();

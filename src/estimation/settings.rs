@@ -14,8 +14,8 @@ pub const LARGEST_CORNER_RAD_S: f64 = 1e6;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EstimatorSettings {
-    /// Corner of the velocity filter, rad/s. The default is 200; the thesis uses 50, whose lag
-    /// alone makes a quarter of nominal policies fail.
+    /// Corner of the velocity filter, rad/s; above 0 and up to 1e6. The default is 200. The thesis
+    /// uses 50, whose longer lag makes many policies fail (docs/estimation.md).
     pub corner_rad_s: f64,
     /// Model observer that replaces the filter for the policy; `None`, which files without this
     /// entry mean, selects the filter.

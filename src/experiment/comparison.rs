@@ -31,14 +31,14 @@ pub struct Comparison {
     /// (1979) for the number of comparisons in the experiment.
     pub success_p: f64,
     /// Mean of the second recipe's return less the first's, over the pairs in which both policies
-    /// have a return.
+    /// have a return; NaN without such a pair.
     pub return_difference: f64,
     /// p-value of `return_difference`: a permutation test of the signs of the pairs' differences
     /// (Fisher 1935), two-sided, corrected by Holm in the same way.
     pub return_p: f64,
     /// Share of all combinations of one policy of each recipe, whatever their numbers, in which the
     /// second's return is higher; ties count half (Vargha and Delaney 2000). Equal recipes have
-    /// 0.5.
+    /// 0.5. NaN where a recipe has no policy with a return.
     pub superiority: f64,
 }
 

@@ -14,7 +14,8 @@ pub enum ExperimentError {
         /// Path of the folder.
         path: PathBuf,
     },
-    /// A settings file is invalid.
+    /// A file of settings, or of a stored result such as a rival's belief, cannot be read or is
+    /// invalid.
     #[error("{path}: {reason}")]
     Settings {
         /// Path of the file.
@@ -22,8 +23,8 @@ pub enum ExperimentError {
         /// Reason why it is refused.
         reason: String,
     },
-    /// The settings file was changed, or names a setting that no longer exists, so that only the
-    /// results can be shown.
+    /// The settings file was changed, or names a setting or guard that does not exist any more. The
+    /// experiment cannot continue, but its results can be shown.
     #[error("{path}: {reason}")]
     NotResumable {
         /// Path of the file.
@@ -50,11 +51,11 @@ pub enum ExperimentError {
         /// Defect of the file.
         reason: String,
     },
-    /// The settings cannot be written as TOML.
-    #[error("the experiment's settings cannot be written: {0}")]
+    /// The settings, or the profile of an identified Qube, cannot be written as TOML.
+    #[error("the experiment's settings or an identified profile cannot be written as TOML: {0}")]
     Unwritable(#[from] toml::ser::Error),
     /// A worker thread panicked.
-    #[error("a worker of the experiment has ended unexpectedly; the experiment can be resumed")]
+    #[error("a thread of the experiment has ended unexpectedly: resume the experiment")]
     WorkerGone,
     /// The search for a psi ended early.
     #[error("the search of {name}: {source}")]

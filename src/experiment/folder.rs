@@ -13,15 +13,17 @@ use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 /// experiment.toml                                 the resolved settings
 /// searches/RECIPE/                                the session that looks for a recipe's psi
 /// policies/RECIPE/000/policy.safetensors          a trained policy
-/// policies/RECIPE/000/curve.csv                   its training
+/// policies/RECIPE/000/curve.csv                   its learning curve
 /// policies/RECIPE/000/PLANT/rollout-0-attempt-0.mcap   its rollouts
 /// strategies/STRATEGY/000/search/                 the session of one repetition
 /// strategies/identify/000/recordings/             the recordings of a repetition without a session
-/// strategies/identify/000/identified-1.toml       the Qube identified from the first recording
-/// strategies/STRATEGY/000/judged/003/000/         a policy recommended after 3 candidates
-///                                                 or recordings
+/// strategies/identify/000/identified-1.toml       the Qube identified from the first recording,
+/// strategies/identify/000/refused-1.txt           or the reason why it identifies none
+/// strategies/STRATEGY/000/judged/003/000/         a policy that scores the recommendation after
+///                                                 3 candidates or recordings
 /// strategies/simopt/000/belief-1.json             a rival's belief after the first recording
-/// budgets/PLANT/STRATEGY/000/                     a repetition in a comparison at fixed budgets
+/// budgets/PLANT/STRATEGY/000/                     a repetition at fixed budgets, with the files of
+///                                                 strategies/STRATEGY/000/
 /// ```
 #[derive(Debug)]
 pub struct ExperimentFolder {
@@ -118,7 +120,7 @@ fn settings_in(root: &Path) -> PathBuf {
     root.join("experiment.toml")
 }
 
-/// The folders of policies of one kind, by policy number.
+/// The folders of the policies of one recipe or one recommendation, by policy number.
 #[derive(Clone, Debug)]
 pub struct PolicyFolders(PathBuf);
 
@@ -156,6 +158,6 @@ pub(super) fn check_name(kind: &str, name: &str) -> Result<(), String> {
         return Ok(());
     }
     Err(format!(
-        "{kind}: {name:?} is not a valid name: use letters, digits, and - _ . + %, at most 60 of them"
+        "{kind}: {name:?} is not a valid name: use 1 to 60 letters, digits, and - _ . + %, and no dot at the beginning"
     ))
 }

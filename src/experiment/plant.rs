@@ -11,16 +11,16 @@ pub struct Plant {
     pub name: String,
     /// Settings of the emulated Qube.
     pub emulated: EmulatedQubeSettings,
-    /// Relative width of the draw of each policy's Qube, 0 to 0.5: every parameter and every
-    /// strength among the nonidealities is uniform within this part of its value. With 0 all
-    /// policies have the same Qube.
+    /// Relative half width of the draw of each policy's Qube, 0 to 0.5: every parameter and every
+    /// strength among the nonidealities is uniform between `1 - vary` and `1 + vary` times its
+    /// value. With 0 all policies have the same Qube.
     #[serde(default)]
     pub vary: f64,
 }
 
 impl Plant {
     /// The Qube of the policy with this number; policies of different recipes with the same number
-    /// share it.
+    /// share it. In a comparison of methods the number is the repetition's.
     #[must_use]
     pub fn for_policy(&self, seed: u64, policy: u32) -> EmulatedQubeSettings {
         if self.vary == 0.0 {

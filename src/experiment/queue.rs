@@ -29,7 +29,7 @@ impl<'a, Item: Send> Queue<'a, Item> {
     /// follow from it. No further item begins after the first failure or a stop request.
     ///
     /// # Errors
-    /// An item failed, or a stop was requested.
+    /// An item failed or panicked, or a stop was requested while items were waiting.
     pub fn run(
         self,
         threads: usize,
@@ -66,7 +66,8 @@ impl<'a, Item: Send> Queue<'a, Item> {
         }
     }
 
-    /// The next item; `None` when no item is left or can follow.
+    /// The next item, for which the thread waits; `None` when no item is left or can follow, after
+    /// a failure, and after a stop request.
     fn next(&self) -> Option<Item> {
         let mut state = self.lock();
         loop {

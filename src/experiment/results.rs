@@ -24,29 +24,32 @@ const FRESH_SEED: u64 = 1_000_003;
 /// The results of an experiment so far, computed from its policies and recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Results {
-    /// Results of each recipe on each plant, in the order of the settings.
+    /// Results of each recipe on each plant, in the order of the settings; at fixed budgets the
+    /// results of each method at each budget on each plant.
     pub recipes: Vec<RecipeResult>,
 }
 
-/// The results of a recipe on a plant.
+/// The results of a recipe on a plant, or of a method at a fixed budget on a plant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecipeResult {
-    /// Name of the recipe.
+    /// Name of the recipe, or of the method with its budget, such as `posterior 2`.
     pub recipe: String,
-    /// Name of the plant.
+    /// Name of the plant, or [`ALL_PLANTS`](super::ALL_PLANTS).
     pub plant: String,
     /// Budget of real rollouts, in a comparison of methods at fixed budgets; otherwise `None`.
     pub budget: Option<u32>,
-    /// Psi of the recipe, by the names of its values; empty for a recipe without psi.
+    /// Psi of the recipe, by the names of its values; empty where the recipe has none or its search
+    /// is unfinished, and for a method.
     pub psi: BTreeMap<String, f64>,
-    /// Policies that have completed all their rollouts on the plant, in order.
+    /// Policies that have completed all their rollouts on the plant, in order; of a method, one for
+    /// each repetition.
     pub policies: Vec<PolicyResult>,
 }
 
 /// The results of a policy on a plant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicyResult {
-    /// Number of the policy.
+    /// Number of the policy, or of the repetition whose recommendation it scores.
     pub number: u32,
     /// Mean return in simulation, from fresh starts; NaN for a policy that is no network.
     pub simulated_return: f64,

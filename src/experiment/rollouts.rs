@@ -10,10 +10,11 @@ use crate::session::{RolloutPlan, SessionError, put_aside, recording_in};
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
 
-/// The result of a rollout, computed from its recording each time.
+/// The result of a rollout, computed from its recording whenever it is needed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RolloutResult {
-    /// Return, the sum of the rewards; `None` where a fault ended every attempt.
+    /// Return, the sum of the rewards; `None` where every attempt is void: ended by a fault, or
+    /// recorded with gaps.
     pub return_: Option<f64>,
     /// Class of its behaviour.
     pub behaviour: Behaviour,
@@ -22,7 +23,7 @@ pub struct RolloutResult {
 }
 
 impl RolloutResult {
-    /// A rollout whose attempts were all ended by faults; it counts as a failure.
+    /// A rollout whose attempts are all void; it counts as a failure.
     const FAULT: Self =
         Self { return_: None, behaviour: Behaviour::Fault, quietness: Quietness::NONE };
 }
@@ -38,8 +39,9 @@ enum RolloutState {
     },
 }
 
-/// The state of a rollout that may be attempted `1 + repetitions` times. An attempt is due again if
-/// its recording is unfinished, or unreadable after a crash.
+/// The state of a rollout that may be attempted `1 + repetitions` times: the next attempt follows
+/// if the one before is void. An attempt is due again if its recording is unfinished, or unreadable
+/// after a crash.
 fn state_of(
     rollouts: &Path,
     rollout: u32,
@@ -104,7 +106,7 @@ pub(super) struct Repeated<'a> {
     pub plan: RolloutPlan,
     /// Bytes of the policy file.
     pub policy: &'a [u8],
-    /// Number of repetitions after faults before the rollout counts as failed.
+    /// Largest number of repetitions after void attempts; after them the rollout counts as failed.
     pub repetitions: u32,
     /// Flag that requests a stop.
     pub stop: &'a AtomicBool,

@@ -97,8 +97,9 @@ impl Series<'_> {
         self.recipe.simulation(self.psi)
     }
 
-    /// The best of a policy's competing trainings in simulation. If all trainings of a round fail,
-    /// the next round follows, up to [`ROUNDS`].
+    /// The best of a policy's competing trainings, by [`worst_return`] in simulation. Another round
+    /// of trainings follows until one has reached [`SUCCEEDED`], up to [`ROUNDS`] in all. A policy
+    /// with a single training has no rounds.
     fn best_of_trainings(
         &self,
         policy: u32,
@@ -138,8 +139,9 @@ impl Series<'_> {
         Ok(best.1)
     }
 
-    /// Runs a policy on an emulated plant. The emulated Qube of each rollout follows from the seed
-    /// alone, so that a resumed experiment repeats byte for byte, whichever thread continues it.
+    /// Runs a policy on an emulated plant. The emulated Qube of each attempt at a rollout follows
+    /// from the plant, the seed and the numbers of policy, rollout and attempt alone, so that a
+    /// resumed experiment repeats byte for byte, whichever thread continues it.
     ///
     /// # Errors
     /// The work ends early.

@@ -19,19 +19,21 @@ pub struct ExperimentSettings {
     pub name: String,
     /// Seed from which every random number follows.
     pub seed: u64,
-    /// Number of policies for each recipe, each trained with its own seed.
+    /// Number of policies for each recipe, 1 to 1,000, each trained with its own seed.
     pub policies: u32,
-    /// Number of rollouts of each policy on each plant.
+    /// Number of rollouts of each policy on each plant, 1 to 1,000.
     pub rollouts: u32,
-    /// Number of fresh starts from which a policy's return in simulation is evaluated.
+    /// Number of fresh starts from which a policy's return in simulation is evaluated, 1 to
+    /// 100,000.
     pub simulated_starts: u32,
-    /// Plants on which policies run; the search for psi runs on the first. A device on a serial
-    /// port is the only plant, and is not emulated.
+    /// Plants on which policies run; the search for psi runs on the first. A real Qube is the only
+    /// plant of its experiment.
     pub plants: Vec<Plant>,
     /// Recipes that are compared.
     pub recipes: Vec<Recipe>,
-    /// Methods that are compared instead of recipes: they start from one recipe and one or more
-    /// emulated plants, and `policies` and `rollouts` give the extent of scoring a recommendation.
+    /// Methods that are compared instead of recipes. They start from one recipe and one or more
+    /// emulated plants. `policies` policies with `rollouts` rollouts each score a recommendation;
+    /// at fixed budgets it is one policy with `rollouts` rollouts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub strategies: Option<StrategySettings>,
 }
@@ -93,7 +95,7 @@ impl ExperimentSettings {
         Ok((settings, retired))
     }
 
-    /// The plant that all recipes simulate and drive.
+    /// The model of the plant that all recipes simulate and drive; the Qube's without any recipe.
     #[must_use]
     pub fn plant(&self) -> &PlantModel {
         self.recipes.first().map_or(&PlantModel::QUBE, |recipe| recipe.settings.plant())
@@ -142,7 +144,7 @@ impl ExperimentSettings {
             limits.map_err(|reason| format!("recipe {}: {reason}", recipe.name))?;
             if recipe.settings.identification.is_some() {
                 return Err(format!(
-                    "recipe {}: an experiment's searches identify no Qube: leave the table identification out",
+                    "recipe {}: an experiment's searches identify no Qube: leave the table settings.identification out",
                     recipe.name
                 ));
             }
@@ -163,7 +165,7 @@ impl ExperimentSettings {
     fn check_strategies(&self, strategies: &StrategySettings) -> Result<(), String> {
         strategies.check()?;
         let [recipe] = self.recipes.as_slice() else {
-            return Err("strategies are compared by the psi of one model: give one".into());
+            return Err("strategies are compared on one model: give one model or recipe".into());
         };
         if !recipe.model.is_searched() {
             return Err(format!(
@@ -173,7 +175,7 @@ impl ExperimentSettings {
             ));
         }
         if self.plants.len() > 1 && !strategies.has_budgets() {
-            return Err("strategies are compared on one plant: give one, or budgets".into());
+            return Err("strategies are compared on one plant: give one plant, or budgets".into());
         }
         Ok(())
     }
@@ -183,7 +185,7 @@ fn distinct(kind: &str, names: &[&str]) -> Result<(), String> {
     for (index, name) in names.iter().enumerate() {
         check_name(kind, name)?;
         if names[..index].contains(name) {
-            return Err(format!("{kind}: two are called {name}"));
+            return Err(format!("{kind}: two are called {name}: give each a name of its own"));
         }
     }
     Ok(())

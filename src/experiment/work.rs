@@ -49,9 +49,9 @@ pub enum ExperimentEvent<'a> {
     },
     /// A policy has completed all its rollouts on a plant.
     Ran {
-        /// Name of the recipe.
+        /// Name of the recipe; at fixed budgets the method and its budget, such as `posterior 2`.
         recipe: &'a str,
-        /// Number of the policy.
+        /// Number of the policy; at fixed budgets the number of the repetition.
         policy: u32,
         /// Name of the plant.
         plant: &'a str,
@@ -65,8 +65,8 @@ pub enum ExperimentEvent<'a> {
         /// Result of the scoring.
         recommendation: &'a RecommendationResult,
     },
-    /// A budget has no score of its own: it allows no recommendation, or the same as the budget
-    /// before.
+    /// A budget has no score of its own: it allows no recommendation, or only the recommendation
+    /// that the budget before it had.
     NotScored,
     /// A repetition of a method has ended.
     Over {
@@ -86,7 +86,8 @@ pub struct Experiment {
     executor: Option<Arc<dyn Executor>>,
 }
 
-/// Largest number of items of work that run at a time; each has a thread.
+/// Largest number of items of work that run at a time because their trainings run on other
+/// computers; each has a thread.
 const MAX_ITEMS: usize = 1000;
 
 /// A unit of work.
@@ -193,8 +194,9 @@ impl Experiment {
         self.rig.clock == ClockChoice::Virtual
     }
 
-    /// Completes all work: in virtual time all items run on all threads. On one Qube, all threads
-    /// train policies, while searches and rollouts run one after the other.
+    /// Completes all work. In virtual time all threads take items until none is left. On one Qube
+    /// the searches run first, one after the other; then all threads train policies; then the
+    /// rollouts run, one after the other.
     ///
     /// # Errors
     /// The work ends early; finished work is on disk.
@@ -309,7 +311,8 @@ impl Experiment {
         Ok(found.map_or(RecipePsi::NotFound, RecipePsi::Found))
     }
 
-    /// The distribution of each recipe whose psi is known, by the recipe's name.
+    /// The distributions of the recipes, by the recipes' names. A recipe whose search has not found
+    /// its psi yet is left out.
     ///
     /// # Errors
     /// A search cannot be read.

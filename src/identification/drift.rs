@@ -13,8 +13,9 @@ const CHANGING: [Unknown; 2] = [
     Unknown(Quantity::Nonideality(Nonideality::CableRest)),
 ];
 
-/// Length of the fitted stretches, s: short enough for a balancing pendulum, whose motion no model
-/// predicts for long.
+/// Length of the fitted stretches of a motion whose pendulum never comes upright, s.
+/// [`Stretch::windows`] cuts other motions into windows of at most 0.5 s, because no model predicts
+/// a balancing pendulum for long.
 const STRETCH_S: f64 = 0.5;
 
 /// Shortest motion that is used, s: a swing-up that left the box still counts.

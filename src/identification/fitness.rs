@@ -72,8 +72,8 @@ pub enum Unfit {
     },
     /// Too many samples are missing, or the sampling is too slow.
     #[error(
-        "{step_s:.3} s without a sample at {at_s:.3} s; recordings need at least 50 samples a second, and \
-         now and then one that is at most {LONGEST_GAP_S} s late"
+        "{step_s:.3} s without a sample at {at_s:.3} s: give at least 50 samples a second, of which at most \
+         2 % come later, and none more than {LONGEST_GAP_S} s after the one before"
     )]
     Gap {
         /// Time since the start, s.
@@ -322,9 +322,9 @@ fn other_rate(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
 /// Looks for a count that stays constant for 0.3 s while voltage or the other angle should move it.
 fn frozen(samples: &[MotionSample], start_s: f64, encoders: Encoders) -> Result<(), Unfit> {
     let [theta_rad, alpha_rad] = [encoders.theta, encoders.alpha].map(|own| own.rad_per_count());
-    // Samples since which the arm's count has been constant under a turning voltage of one sign,
-    // the pendulum's count has been constant, and the arm's count has been constant under any
-    // voltage.
+    // Indices of three samples: since the first the arm's count has been constant under a turning
+    // voltage of one sign, since the second the pendulum's count has been constant, and since the
+    // third the arm's count has been constant under any voltage.
     let (mut arm_since, mut pendulum_since, mut held_since) = (0, 0, 0);
     for (now, sample) in samples.iter().enumerate() {
         let of = |index: usize| &samples[index];

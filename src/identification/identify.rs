@@ -23,23 +23,25 @@ const STAGES_S: [f64; 3] = [0.5, 2.0, f64::INFINITY];
 /// explains nothing. The real Qube's chirps leave 0.01.
 const LARGEST_RESIDUAL_RAD: f64 = 0.1;
 
-/// Largest share of the motion that a fit may leave unexplained over whole recordings. A wrong sign
-/// of the voltage leaves 0.93 to 1, a correct model a few hundredths.
+/// Largest share of the motion that a fit may leave unexplained over whole chirps and steps; the
+/// smaller of the two angles' shares counts. A wrong sign of the voltage leaves 0.93 to 1, a
+/// correct model a few hundredths.
 const LARGEST_RESIDUAL_SHARE: f64 = 0.8;
 
 /// Largest residual of the arm over the windows of swing-ups, as a share of the residual of a model
 /// without a motor.
 const LARGEST_MOTORLESS_SHARE: f64 = 0.5;
 
-/// Share of the residual below which a fit with a reversed sign must come for the sign to be named.
+/// Share of the fit's residual below which the residual of a fit with a reversed sign must lie for
+/// the sign to be named.
 const SIGN_FACTOR: f64 = 0.5;
 
 /// Largest distance of a quantity from its prior mean, in standard deviations. The largest distance
 /// of a real Qube is 2.5.
 const FARTHEST_STDS: f64 = 5.0;
 
-/// Distance of a parameter's logarithm from its prior mean that is always plausible. Healthy
-/// pendulums are 14 % shorter than the name plate says, which is five standard deviations of a
+/// Distance of a parameter's logarithm from its prior mean that is always plausible. A healthy
+/// pendulum may be 14 % shorter than the name plate says, which is five standard deviations of a
 /// ruler's error.
 const PLAUSIBLE_LOG: f64 = 0.5;
 
@@ -137,7 +139,7 @@ pub enum IdentifyError {
         cause: Cause,
     },
     /// The list of recordings is empty.
-    #[error("there are no recordings")]
+    #[error("there are no recordings: give at least one")]
     NoRecordings,
 }
 
@@ -264,9 +266,9 @@ fn windows(logs: &[MotionLog], duration_s: f64) -> Vec<Stretch<'_>> {
 }
 
 /// The residuals of a fit that leaves the motion unexplained; `None` if the fit explains it.
-/// Unexplained means that the residuals over whole chirps and steps are nearly as large as the
-/// motion, or that the arm's residual over windows of swing-ups is not much smaller than without a
-/// motor.
+/// Unexplained means that the residuals of both angles over whole chirps and steps are nearly as
+/// large as the motion, or that the arm's residual over windows of swing-ups is not much smaller
+/// than without a motor.
 fn unexplained(logs: &[MotionLog], fit: &Fit<'_>) -> Option<ResidualScale> {
     let part = |hangs: bool| {
         let is_part = |stretch: &&Stretch<'_>| (stretch.regime == Regime::Hanging) == hangs;

@@ -7,7 +7,8 @@ use crate::replay::{AngleError, MotionLog, MotionSample};
 /// Length of the part of a recording from which the start state of a prediction is estimated, s.
 pub const KNOWN_S: f64 = 0.2;
 
-/// Length of this part for predictions of a swing, s: short beside a swing-up's own changes.
+/// Length of the part from which the start state of the prediction of a swing is estimated, s:
+/// short compared with the time in which the motion of a swing-up changes.
 const SWING_KNOWN_S: f64 = 0.05;
 
 /// Cosine of the pendulum's angle that separates balancing from swinging: 26 degrees from the top.
@@ -50,9 +51,9 @@ pub fn start_state(log: &MotionLog, model: &QubeModel) -> State {
     state_at(&Stretch::from(&log.samples, 0, KNOWN_S), &log.plant, model).0
 }
 
-/// Predicts each log from every 0.1 s on: estimates a start state from 0.2 s of the log, then
-/// simulates the model for `horizon_s` without correction. A log that is too short is predicted
-/// once, to its end.
+/// The error of predictions that begin every 0.1 s of each log. Each prediction estimates a start
+/// state from 0.2 s of the log, then simulates the model for `horizon_s` without correction. A log
+/// that is too short for this is predicted once, to its end.
 #[must_use]
 pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> HorizonError {
     let (mut theta, mut alpha, mut count, mut predictions) = (0.0, 0.0, 0, 0);
@@ -128,8 +129,9 @@ impl Phase {
     }
 }
 
-/// Predicts the recordings whose pendulum comes upright, every 0.1 s of a phase. Only the last
-/// sample of each prediction counts, unlike in [`horizon_error`], where all samples do.
+/// The error of predictions that begin every 0.1 s of a phase, in the recordings whose pendulum
+/// comes upright. Only the last sample of each prediction counts, unlike in [`horizon_error`],
+/// where all samples do.
 #[must_use]
 pub fn phase_error(logs: &[MotionLog], model: &QubeModel, phase: Phase) -> HorizonError {
     let [known_s, horizon_s] = phase.times_s();

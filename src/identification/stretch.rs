@@ -48,7 +48,8 @@ pub(super) struct Stretch<'a> {
 }
 
 impl<'a> Stretch<'a> {
-    /// The stretch from a sample on for a duration, or until the recording ends.
+    /// The stretch that begins at the sample `first` and lasts `duration_s`, or until the recording
+    /// ends.
     pub fn from(recording: &'a [MotionSample], first: usize, duration_s: f64) -> Self {
         let end = end_after(recording, first, duration_s);
         Self { recording, first, end, regime: regime_in(&recording[first..end]) }

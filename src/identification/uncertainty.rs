@@ -22,8 +22,9 @@ pub struct Estimate {
     pub unknown: Unknown,
     /// Value in its SI unit.
     pub value: f64,
-    /// Standard error in the same unit; it accounts for the residuals' correlation in time. The
-    /// standard error of the cable's rest angle includes the angle's scatter between recordings.
+    /// Standard error in the same unit. It accounts for the residuals' correlation in time, and for
+    /// windows and recordings that contradict each other. The standard error of the cable's rest
+    /// angle includes the angle's scatter between recordings.
     pub standard_error: f64,
     /// Share of the prior variance that the data removed, 0 to 1; near 0, the value is that of the
     /// prior.

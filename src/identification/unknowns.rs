@@ -31,9 +31,10 @@ impl Unknown {
 
     /// The prior of a plant's specimens without any recording: ruler and balance measure lengths to
     /// 3 % and masses to 10 %; published values of resistance and motor constant differ by a third,
-    /// those of friction by a factor of 50 (Coulomb friction by as much as the motor's torque at
-    /// 0.3 V). Friction and cable of another plant than the Qube are expected in the proportion of
-    /// the two motors.
+    /// those of viscous friction by a factor of 50 and those of Coulomb friction by as much as the
+    /// motor's torque at 0.3 V. Every nonideality has the mean 0. Coulomb friction and the cable's
+    /// stiffness of another plant than the Qube are expected in the proportion of the two motors'
+    /// torques.
     #[must_use]
     pub fn prior(self, plant: &PlantModel) -> Prior {
         use DomainParameter as P;

@@ -23,12 +23,12 @@ pub enum JobError {
     },
     /// No worker has finished the job.
     #[error(
-        "training {job} was begun {tries} times and never finished: {reasons}. Look at the workers' output, and resume"
+        "training {job} failed in {tries} tries and is given up: {reasons}. Look at the workers' output, and resume"
     )]
     GivenUp {
         /// Fingerprint of the job.
         job: String,
-        /// Number of tries.
+        /// Number of tries that failed.
         tries: u32,
         /// Endings of the failed tries.
         reasons: String,
@@ -91,7 +91,7 @@ pub enum JobFolderError {
     /// The processor lacks fused multiply-add (FMA), so that its policies would differ.
     #[error(
         "the processor of {host} has no fused multiply-add (FMA), so that its policies would differ from those of other \
-         computers: leave it out"
+         computers: start no worker on it"
     )]
     NoFma {
         /// Name of the computer.

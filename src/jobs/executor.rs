@@ -5,13 +5,13 @@ use crate::learning::{TrainError, TrainUpdate, Trained};
 
 /// An event of a running job.
 pub enum JobEvent {
-    /// A training has begun on this computer. Trainings on other computers do not report their
-    /// begin.
+    /// A training has begun on this computer. A training by a worker does not report its start.
     Begun {
         /// Index of the job in the list of jobs.
         job: usize,
     },
-    /// A training has completed one more update.
+    /// A training has completed one more update. A training by a worker reports all its updates
+    /// when its result arrives.
     Update {
         /// Index of the job in the list of jobs.
         job: usize,
@@ -27,7 +27,7 @@ pub enum JobEvent {
     },
 }
 
-/// A way to carry out trainings: on this computer, or by workers on others.
+/// A way to carry out trainings: on this computer's cores, or by workers on any computers.
 pub trait Executor: Send + Sync {
     /// Number of trainings that run at the same time if there are enough jobs.
     fn concurrency(&self) -> usize;

@@ -23,7 +23,7 @@ const LONGEST_WAIT: Duration = Duration::from_secs(1);
 /// Time between two checks of a stop flag.
 const POLL_INTERVAL: Duration = Duration::from_millis(250);
 
-/// Time between two calls of the function that reports that a caller waits and does not hang.
+/// Time between two calls of the function that shows that a waiting caller does not hang.
 const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
 
 /// Time for which operations on the folder may fail before all jobs fail, because file servers are
@@ -242,8 +242,8 @@ impl Shared {
         Ok(name)
     }
 
-    /// Reads a result. `None` if it was damaged; it is then removed, so that the training is
-    /// repeated.
+    /// Reads a result. A damaged result is removed, so that the training is repeated; the function
+    /// then returns `Ok(None)`.
     fn collect(&self, name: &str, job: &TrainingJob) -> Result<Option<Box<Trained>>, JobError> {
         match self.folder.read_result(name, job) {
             Ok(JobResult { outcome, by, .. }) => {
@@ -282,6 +282,8 @@ impl Shared {
         }
     }
 
+    /// Removes a caller that stops waiting for a job, and the job too if no other caller waits for
+    /// it and workers are not to outlive this process.
     fn withdraw(&self, name: &str, index: usize, sender: &Sender<Notice>) {
         let mut state = self.lock();
         if let Some(callers) = state.waiting.get_mut(name) {

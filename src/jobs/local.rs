@@ -6,8 +6,8 @@ use super::training_cores::TrainingCores;
 use super::{Executor, JobEvent, TrainingJob};
 use crate::learning::{Checkpointing, train};
 
-/// An executor that trains on this computer, on each of several cores one policy at a time. A
-/// policy's bytes do not depend on the number of cores.
+/// An executor that trains on this computer's cores, one policy at a time on each. A policy's bytes
+/// do not depend on the number of cores.
 #[derive(Clone, Debug)]
 pub struct LocalExecutor {
     cores: usize,

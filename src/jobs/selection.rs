@@ -7,12 +7,13 @@ pub const ROUNDS: u32 = 3;
 /// Number of fresh simulations in which each of several trainings is evaluated to choose the best.
 pub const CHOSEN_OF_STARTS: usize = 256;
 
-/// Smallest [`worst_return`] of a training that has not failed: of at most 600, a swing-up that
-/// balances earns more than 400, and a pendulum that hangs or keeps turning less than 100.
+/// Smallest [`worst_return`] with which a training counts as successful. The largest possible
+/// return is 600: a policy that swings up and balances earns more than 400, and a pendulum that
+/// hangs or keeps turning earns less than 100.
 pub const SUCCEEDED: f64 = 300.0;
 
-/// Share of the rollouts, the worst ones, that [`worst_return`] passes over. A mean would hide that
-/// a policy fails on some of the Qubes that the real one may be.
+/// Share of the rollouts, the worst ones, that [`worst_return`] leaves out. A mean over all
+/// rollouts would hide that a policy fails on some of the Qubes that the real one may be.
 const WORST: f64 = 0.1;
 
 /// The return that all but the worst tenth of the rollouts reach, by which competing trainings are

@@ -5,9 +5,9 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// The logical processors on which trainings run while a control thread runs on this computer.
 ///
-/// One core, with all its hardware threads, stays free of trainings. The control thread itself is
-/// not bound to that core: another user's program may be busy there, and the kernel finds the idle
-/// one.
+/// One core, with all its hardware threads, stays free of trainings if there is another core. The
+/// control thread itself is not bound to that core: another user's program may be busy there, and
+/// the kernel finds the idle one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TrainingCores(CpuSet);
 

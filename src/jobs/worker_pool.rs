@@ -36,10 +36,15 @@ pub(super) struct WorkerPool {
     appeared_at_start: u32,
     /// Number of starts since the last result.
     starts_without_result: u32,
+    /// Number of results at the last call of [`Self::start_missing`].
     results: u64,
+    /// Time of the last start.
     started: Option<Instant>,
+    /// Time since which the scheduler does not answer.
     silent_since: Option<Instant>,
+    /// Time since which workers run, by the starter's count, without a file in the folder.
     running_since: Option<Instant>,
+    /// Warnings that the operator has been given.
     warned: Vec<String>,
 }
 
@@ -85,7 +90,8 @@ impl WorkerPool {
         }
     }
 
-    /// Starts workers if there are fewer than the open jobs need. `results` is the number of results so far.
+    /// Starts workers if there are fewer than the open jobs need. `results` is the number of
+    /// results so far.
     pub fn start_missing(
         &mut self,
         folder: &JobFolder,
@@ -106,7 +112,7 @@ impl WorkerPool {
         let Some(expected) = workers.expected else {
             if self.silent_since.get_or_insert_with(Instant::now).elapsed() >= PATIENCE {
                 let note = workers.note.unwrap_or_default();
-                let reason = format!("ten minutes have passed ({note})");
+                let reason = format!("ten minutes of attempts have failed, the last with: {note}");
                 return Err(StartError::Silent { reason }.into());
             }
             return Ok(());
@@ -152,9 +158,9 @@ impl WorkerPool {
         Ok(())
     }
 
-    /// Checks that the first workers have appeared in the folder. A worker that the starter reports
-    /// as running, but that is not in the folder within the stale time, sees another folder or
-    /// fails at once.
+    /// Checks that the first workers have appeared in the folder. If the starter reports a running
+    /// worker and none appears in the folder within the stale time, the workers see another folder
+    /// or fail at once.
     ///
     /// # Errors
     /// No worker has appeared in time; all workers are cancelled.

@@ -5,7 +5,8 @@ use crate::elementary::dispatch;
 use crate::qube::MAX_VOLTAGE_V;
 use crate::simulation::Actor;
 
-/// Voltage for an output of 1, V. The motor's limit clips outputs beyond +-1.
+/// Voltage for an output of 1, V. The simulation clips voltages beyond the plant's limit, which a
+/// Qube reaches at an output of +-1.
 pub(super) const VOLTS_PER_OUTPUT: f32 = MAX_VOLTAGE_V as f32;
 
 /// A policy network that acts without exploration.

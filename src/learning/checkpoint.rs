@@ -26,7 +26,7 @@ pub struct Checkpointing {
     /// Path of the checkpoint. Training resumes from an existing file and removes it when it
     /// finishes.
     pub path: PathBuf,
-    /// Number of updates between checkpoints.
+    /// Number of updates between checkpoints; 0 counts as 1.
     pub every: u32,
 }
 

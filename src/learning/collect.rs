@@ -218,7 +218,7 @@ struct Truncated {
     place: usize,
     /// Observation after the last transition.
     observation: Observation,
-    /// Inputs that follow those of the observation.
+    /// The networks' further inputs at that instant.
     extra_inputs: ExtraInputs,
 }
 
@@ -240,6 +240,7 @@ struct Explorer {
     /// Number of earlier trajectories in this lane and update.
     number: u16,
     generator: ChaCha8Rng,
+    /// Second number of the last normal pair, until the next action uses it.
     spare: Option<f32>,
     smoothness: SmoothnessFactor,
 }

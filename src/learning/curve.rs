@@ -37,7 +37,7 @@ pub struct TrainUpdate {
 }
 
 impl TrainUpdate {
-    /// The fields in order; whole numbers are exact up to 2^53.
+    /// The fields in the order of [`Self::CSV_HEADER`]; whole numbers are exact up to 2^53.
     pub(super) fn to_array(self) -> [f64; 13] {
         [
             self.update.into(),
@@ -143,7 +143,7 @@ pub enum CurveError {
     #[error("there is no column {0}")]
     NoColumn(&'static str),
     /// A line has no number in one of the columns.
-    #[error("a line is no update: {0}")]
+    #[error("this line has no number for steps or mean_return: {0}")]
     NoUpdate(String),
 }
 

@@ -39,8 +39,8 @@ pub enum TrainError {
     /// A network of the result has weights that are not finite numbers.
     #[error("training diverged: {0}")]
     Diverged(#[from] NetworkError),
-    /// A checkpoint could not be read or written.
-    #[error("checkpoint {path}: {source}")]
+    /// A checkpoint could not be read, written or removed.
+    #[error("checkpoint {path} cannot be read, written or removed: {source}")]
     CheckpointFile {
         /// Path of the file.
         path: PathBuf,

@@ -75,7 +75,7 @@ impl Network {
         }
     }
 
-    /// Index of the row of the constant 1, which follows the observation.
+    /// Index of the row of the constant 1, which follows the observation and the physics inputs.
     #[inline(always)]
     pub fn constant(&self) -> usize {
         self.observation_size

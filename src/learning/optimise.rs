@@ -103,6 +103,7 @@ pub(super) struct PolicyImprovement<'a> {
     head: PolicyHead,
     settings: StepSettings,
     smallest_log_std: f32,
+    /// Sums over the steps so far; only `largest_kl` is a maximum.
     progress: PolicyProgress,
 }
 

@@ -35,7 +35,7 @@ impl Preset {
     #[must_use]
     pub fn description(self) -> &'static str {
         match self {
-            Self::Robust => "Half a minute, with the machine's encoders and velocity filter",
+            Self::Robust => "Half a minute, with a real Qube's encoders and velocity filter",
             Self::Quick => "A second or two, on true states in the thesis's box",
             Self::Thesis => {
                 "Published budget, on true states in the thesis's box: 100 updates of 48,000 \

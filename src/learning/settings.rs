@@ -16,7 +16,7 @@ pub struct TrainSettings {
     pub updates: u32,
     /// Number of pendulums simulated in parallel, each for 600 steps in an update. A pendulum that
     /// leaves the safety box starts a new trajectory with new domain parameters, so there are at
-    /// least as many trajectories. A multiple of 16.
+    /// least as many trajectories. A multiple of 16, at most 4,096.
     #[serde(alias = "pendulums")]
     pub num_envs: u16,
     /// Passes over the transitions of an update.
@@ -56,9 +56,9 @@ pub struct TrainSettings {
     /// deviation, and the policy collapses (docs/learning.md).
     pub smallest_log_std: f32,
     /// Weight of a change of voltage in the training reward, 1/V^2: a step whose voltage differs by
-    /// dV from that of the step before earns exp(-weight dV^2) times its reward. The weight grows
-    /// over the first half of the updates. The weighted reward also decides which policy is chosen;
-    /// the reported returns of evaluations do not include the weight.
+    /// dV from the previous step's voltage earns exp(-weight dV^2) times its reward. The weight
+    /// grows over the first half of the updates. The weighted reward also decides which policy is
+    /// chosen; the reported returns of evaluations do not include the weight.
     pub voltage_change_weight: f32,
     /// Number of fixed starts in the evaluation after each update.
     pub evaluation_starts: u16,
@@ -70,7 +70,7 @@ pub struct TrainSettings {
     /// updates; 1 takes all trajectories.
     #[serde(skip_serializing_if = "is_one")]
     pub worst_share: f32,
-    /// Sensors, reward and safety box of the simulation.
+    /// Sensors, observation, reward, safety box and plant of the simulation.
     pub simulation: SimulationSettings,
     /// Number of threads, 1 to 1,024. Collecting uses all of them, optimising at most two. The
     /// result does not depend on this number.
@@ -138,7 +138,7 @@ impl TrainSettings {
         bounded("last_learning_rate", self.last_learning_rate, rates, "0 to 1")?;
         bounded("discount", self.discount, 0.0..=1.0, "0 to 1")?;
         bounded("gae_lambda", self.gae_lambda, 0.0..=1.0, "0 to 1")?;
-        bounded("clip", self.clip, 1e-6..=1.0, "above 0, at most 1")?;
+        bounded("clip", self.clip, 1e-6..=1.0, "0.000001 to 1")?;
         bounded("entropy_weight", self.entropy_weight, 0.0..=1.0, "0 to 1")?;
         bounded("kl_weight", self.kl_weight, 0.0..=100.0, "0 to 100")?;
         bounded("adam_beta_1", self.adam_beta_1, 0.0..1.0, "0 to below 1")?;
@@ -171,7 +171,7 @@ impl TrainSettings {
             estimator.check()?;
         }
         bounded("evaluation_starts", self.evaluation_starts, 1..=10_000, "1 to 10 000")?;
-        bounded("threads", self.threads, 1..=1024, "at least 1")
+        bounded("threads", self.threads, 1..=1024, "1 to 1024")
     }
 
     /// The preset for a policy in seconds, for trials and for searches that train many policies: 60

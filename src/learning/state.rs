@@ -20,7 +20,9 @@ pub(super) struct TrainingState<'a> {
     pub seed: u64,
     pub policy: Box<Learner>,
     pub value: Box<Learner>,
+    /// Policy network with the highest score so far.
     pub best: Network,
+    /// Mean return of the best network in its evaluation; minus infinity before the first one.
     pub best_return: f64,
     /// Score of the best network: its mean return, with the weight on voltage changes if that is
     /// above 0.

@@ -18,10 +18,13 @@ pub(super) struct Transition {
     pub action: f32,
     /// Log probability density of the action.
     pub log_probability: f32,
+    /// Reward of the step, reduced by the penalty on changes of voltage.
     pub reward: f32,
-    /// The value network's estimate of the return from this observation on.
+    /// The value network's estimate of the discounted return from this observation on.
     pub value: f32,
+    /// Estimated advantage of the action.
     pub advantage: f32,
+    /// Sum of advantage and value: the target of the value network.
     pub return_: f32,
 }
 
@@ -93,7 +96,7 @@ pub(super) fn inputs<'a>(
 }
 
 impl Minibatch {
-    /// A minibatch whose entries are all zero.
+    /// A minibatch whose entries are all zero but for the constant 1 among the inputs.
     pub fn empty(observation_size: usize) -> Self {
         let zero = [0.0; WIDTH];
         Self {

@@ -24,7 +24,7 @@ pub(super) struct Shared {
     pub(super) token: String,
     /// Requests a stop.
     pub(super) stop: Box<dyn Fn(SocketAddr) + Send + Sync>,
-    /// Connections from this computer and from others.
+    /// Numbers of open connections: from this computer, and from others.
     pub(super) open: [AtomicUsize; 2],
 }
 

@@ -40,8 +40,8 @@ pub(super) struct FeedSender {
 impl Viewer for FeedSender {
     fn begins(&self, header: &RolloutHeader, time_ns: u64) {
         let event = Event::Begins(Box::new(header.clone()), time_ns);
-        // If this event is lost, the page continues with the rollout before; nothing else depends
-        // on the event.
+        // If this event is lost, the view shows the next ticks as those of the rollout before;
+        // nothing else depends on the event.
         let _ = self.events.send_timeout(event, PATIENCE);
     }
 
@@ -60,6 +60,7 @@ impl Viewer for FeedSender {
 /// A rollout as the page shows it.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct RolloutShown {
+    /// Number of the rollout in this view, from 1.
     pub(super) number: u64,
     session: String,
     candidate: Option<u32>,
@@ -108,7 +109,8 @@ struct Shown {
     first: u64,
 }
 
-/// The place of a connection in the feed: the numbers up to which it has been sent changes.
+/// The place of a connection in the feed: the numbers up to which it has been sent rollouts, ends
+/// and ticks, and the number of the next status that it is to be sent.
 #[derive(Debug, Default)]
 pub(super) struct FeedPosition {
     status: u64,
@@ -161,7 +163,8 @@ impl Feed {
         }
     }
 
-    /// Moves events into the ring until the sender is dropped or the view closes.
+    /// Takes events from the queue into the state that connections read, until the sender is
+    /// dropped or the view closes.
     pub(super) fn follow(&self, FeedReceiver(events): FeedReceiver) {
         let mut rollout: Option<(Box<RolloutHeader>, Arc<RolloutShown>)> = None;
         let mut origin_ns = None;
@@ -245,8 +248,7 @@ impl Feed {
     pub(super) fn since(&self, position: &mut FeedPosition) -> Changes {
         let shown = self.shown();
         let mut changes = Changes::default();
-        // A place holds the number of the next status that it is to be sent: a new place, at 0,
-        // gets the present one.
+        // A new position is at 0 and thus gets the present status.
         if position.status <= shown.status_number {
             position.status = shown.status_number + 1;
             changes.status = Some(shown.status.clone());

@@ -42,8 +42,8 @@ const INTERVAL: Duration = Duration::from_millis(33);
 /// Largest number of messages of a client in a second; a client that sends more is cut off.
 pub(super) const MAX_MESSAGES_A_SECOND: u32 = 100;
 
-/// Id of the channel with the [`Status`] of the command; the ids below are those of a recording's
-/// channels.
+/// Id of the channel with the [`Status`] of the command; the lower ids, from 1, are those of a
+/// recording's channels.
 const SESSION_CHANNEL: u64 = Channel::ALL.len() as u64 + 1;
 
 /// Opcode of the protocol's binary message with data.
@@ -141,7 +141,9 @@ struct Client {
     wants: Vec<u64>,
     /// Time since which the client has taken no bytes; `None` while it takes them.
     stuck_since: Option<Instant>,
+    /// Beginning of the second in which `messages` are counted.
     second: Instant,
+    /// Number of the client's messages in this second.
     messages: u32,
 }
 

@@ -18,7 +18,7 @@ const PAUSE: Duration = Duration::from_millis(5);
 const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
 /// Size of the stack of a client's thread, bytes. A program that locks its memory for the control
-/// thread fills each new stack at once, on a processor that the tick may want.
+/// thread fills each new stack at once, on a processor that the tick may want, so it is small.
 const STACK_BYTES: usize = 256 * 1024;
 
 /// Niceness of the view's threads: the threads that drive the Qube or train come first.

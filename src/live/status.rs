@@ -9,7 +9,7 @@ use serde::Serialize;
 pub struct Status {
     /// The command: session, run or experiment.
     pub command: String,
-    /// What it does now, in words.
+    /// Present activity of the command, in words.
     pub doing: String,
     /// Number of the candidate, from 0.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -23,7 +23,7 @@ pub struct Status {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "f64")]
     pub best_return: Option<f64>,
-    /// Estimate of the time left for the whole, s.
+    /// Estimate of the time until the command ends, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "f64")]
     pub time_left_s: Option<f64>,

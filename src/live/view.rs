@@ -13,7 +13,7 @@ use super::server::{LiveError, accept, lower_priority};
 use super::status::Status;
 use crate::recording::Viewer;
 
-/// Time that connections have to end when the view closes.
+/// Time that connections have to end once the view's own threads have ended.
 const CLOSING_TIME: Duration = Duration::from_millis(500);
 
 /// The settings of a live view.
@@ -21,8 +21,8 @@ const CLOSING_TIME: Duration = Duration::from_millis(500);
 pub struct LiveSettings {
     /// Address to listen on; port 0 takes any free port.
     pub address: SocketAddr,
-    /// Origins of web pages that may read the feed, beside the view's own, such as
-    /// `https://app.foxglove.dev`.
+    /// Origins of web pages that may read the feed, beside the view's own page and pages of servers
+    /// on this computer; for example `https://app.foxglove.dev`.
     pub origins: Vec<String>,
 }
 

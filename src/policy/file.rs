@@ -164,9 +164,9 @@ pub enum PolicyFault {
         /// Voltage in the file, V.
         voltage_v: f64,
     },
-    /// A gain is not a finite number, or a limit is below zero.
+    /// A gain is not a finite number, or the limit of the pump voltage is below zero.
     #[error(
-        "holds {value} for the gain `{name}`: it must be a finite number, and a limit not below 0"
+        "holds {value} for the gain `{name}`: it must be a finite number, and `pump_limit_v` not below 0"
     )]
     Gain {
         /// Name of the gain.

@@ -1,5 +1,5 @@
-//! One layer of a network in two layouts: that of files and training, and a transposed, padded one
-//! for fast inference.
+//! One layer of a network in two layouts: the layout of files and training, and a transposed,
+//! padded layout for fast inference.
 
 /// The number of a layer's outputs is padded to a multiple of this number: the `f32` lanes of the
 /// widest vector register, 512 bits.

@@ -1,5 +1,5 @@
 //! Controllers, which decide the voltage of the motor: trained networks, the classical controller,
-//! and excitations for identification.
+//! excitations for identification, and controllers outside of this program.
 //!
 //! A network runs without allocation and gives the same bits on any processor. The classical
 //! controller (energy swing-up and balance) needs no training. All kinds of controller are stored
@@ -130,7 +130,7 @@ pub trait Controller: Send {
 
     /// Receives the voltage that acted at the motor during one control period, V: the last
     /// requested voltage after guard and limits. The tick calls this method once more for each
-    /// period without a decision.
+    /// period without a decision, but at most [`crate::qube::MAX_HISTORY`] times more.
     fn applied(&mut self, _voltage_v: f64) {}
 
     /// Returns the voltage for a state, V. Implementations do not allocate. The voltage gate of

@@ -106,7 +106,8 @@ pub enum SimulatedSensors {
     Encoders {
         /// Corner of the velocity filter, rad/s.
         corner_rad_s: f64,
-        /// Encoder counts in one revolution.
+        /// Counts of the arm's encoder in one revolution. If the pendulum's encoder differs, the
+        /// record's plant names both.
         counts_per_revolution: i32,
         /// Observer that replaces the filter.
         #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -25,10 +25,10 @@ pub struct Dynamics<T = f64> {
     pub gravity_torque: T,
     /// k_m / R_m, the torque per volt, N m/V.
     pub torque_per_volt: T,
-    /// k_m^2 / R_m + D_r, N m s: back EMF and friction, which both brake the arm in proportion to
-    /// its velocity.
+    /// k_m^2 / R_m + D_r, N m s/rad: back EMF and viscous friction, which both brake the arm in
+    /// proportion to its velocity.
     pub arm_damping: T,
-    /// D_p, N m s.
+    /// D_p, N m s/rad.
     pub pendulum_damping: T,
 }
 

@@ -37,7 +37,7 @@ pub struct Quantiser<T = f64> {
 }
 
 impl Encoder {
-    /// The encoders of a Qube.
+    /// The encoder of a Qube, the same on both axes.
     pub const QUBE: Self = Self { counts_per_revolution: COUNTS_PER_REVOLUTION };
 
     /// Fewest counts a revolution: a coarser encoder shows no velocity within a control period.

@@ -36,7 +36,7 @@ pub struct Status {
     pub stall_detected: bool,
     /// The stall lasted so long that the Qube switched its motor off.
     pub stall_error: bool,
-    /// The emergency-stop switch is open, or was open since the last hello.
+    /// The emergency-stop switch is open, or was open since the last hello that found it closed.
     #[serde(default)]
     pub emergency_stop: bool,
     /// The board has an emergency-stop switch fitted.

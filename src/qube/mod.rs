@@ -5,7 +5,7 @@
 //!
 //! Conventions everywhere: theta is the angle of the rotary arm, alpha that of the pendulum; **alpha = 0
 //! hangs down, alpha = pi is upright**. Angles are in rad, velocities in rad/s, and the action is the motor
-//! voltage in V.
+//! voltage in V; a positive voltage turns the arm towards positive theta.
 //!
 //! ```
 //! use qube_hil::qube::{Dynamics, DomainParameters, State, control_step};

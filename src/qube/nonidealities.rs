@@ -28,7 +28,9 @@ pub struct Nonidealities {
     pub cable_stiffness_n_m_rad: f64,
     /// Angle of the arm at which the cable does not pull, rad.
     pub cable_rest_rad: f64,
-    /// Time from a command to its arrival at the motor, s.
+    /// Time until a command acts at the motor, s. Simulation, observer and identification count it
+    /// from the sample that the command answers, the emulated Qube from the command's arrival at
+    /// its board.
     pub command_delay_s: f64,
     /// Drift of the cable's rest angle, rad/min. Only the emulated Qube drifts; the equations use the rest
     /// angle itself, and training draws a new one for each trajectory.
@@ -43,7 +45,7 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
-/// The reason why a model is not that of a Qube.
+/// The reason why a model describes no Qube.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ModelError {
     /// A domain parameter is not physical.
@@ -127,7 +129,8 @@ impl QubeModel {
         self.scaled_from(&DomainParameters::NOMINAL, factor)
     }
 
-    /// The Qube of [`Self::scaled`] with these parameters as the nominal ones.
+    /// The Qube between one with the parameters `nominal` and no nonidealities (`factor` 0) and
+    /// this one (`factor` 1), or beyond it; [`Self::scaled`] describes how.
     #[must_use]
     pub fn scaled_from(&self, nominal: &DomainParameters, factor: f64) -> Self {
         let mut parameters = *nominal;

@@ -3,7 +3,8 @@ use thiserror::Error;
 
 /// The nine domain parameters xi that a simulation may draw anew for each trajectory.
 ///
-/// The inertias of the two poles follow from masses and lengths and are never drawn independently.
+/// The inertias of arm and pendulum follow from masses and lengths and are never drawn
+/// independently.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DomainParameters {
@@ -13,13 +14,13 @@ pub struct DomainParameters {
     /// Motor resistance R_m, ohm.
     #[serde(rename = "R_m")]
     pub motor_resistance_ohm: f64,
-    /// Back-EMF constant k_m of the motor, V s.
+    /// Back-EMF constant k_m of the motor, V s/rad; it equals the torque constant in N m/A.
     #[serde(rename = "k_m")]
     pub motor_back_emf_v_s: f64,
-    /// Viscous damping of the arm D_r, N m s.
+    /// Viscous damping of the arm D_r, N m s/rad.
     #[serde(rename = "D_r")]
     pub rotary_damping_n_m_s: f64,
-    /// Viscous damping of the pendulum D_p, N m s.
+    /// Viscous damping of the pendulum D_p, N m s/rad.
     #[serde(rename = "D_p")]
     pub pendulum_damping_n_m_s: f64,
     /// Mass of the arm M_r, kg.
@@ -78,7 +79,7 @@ pub enum ParameterError {
         /// Its value.
         value: f64,
     },
-    /// The value is not a number, or larger than that of any pendulum.
+    /// The value is not a number, or larger than [`DomainParameter::LARGEST`].
     #[error("{symbol} = {value}: give a number up to {}", DomainParameter::LARGEST)]
     OutOfRange {
         /// The parameter's symbol.

@@ -102,8 +102,8 @@ impl PlantModel {
         MotorRating { continuous_a, time_constant_s }
     }
 
-    /// The name of the first entry that may be less safe than that of a Qube; `None` for a plant
-    /// that differs from a Qube only in its name and in smaller limits and motor ratings.
+    /// The name of the first entry that may be less safe than a Qube's; `None` for a plant that
+    /// differs from a Qube only in its name and in smaller limits and motor ratings.
     ///
     /// The guard simulates the nominal parameters and computes angles with the encoders'
     /// resolution, so a wrong value in the file can do harm.
@@ -127,7 +127,7 @@ impl PlantModel {
         (self.limits.hard_stop_rad / HARD_STOP_RAD).min(1.0)
     }
 
-    /// The number of volts that accelerate this plant's arm as one volt accelerates that of a Qube.
+    /// The number of volts that accelerate this plant's arm as one volt accelerates a Qube's arm.
     /// Gains that were tuned for a Qube are multiplied by this number.
     #[must_use]
     pub fn volts_per_qube_volt(&self) -> f64 {
@@ -138,8 +138,8 @@ impl PlantModel {
         per_volt(&DomainParameters::NOMINAL) / per_volt(&self.parameters)
     }
 
-    /// The voltage that accelerates this plant's arm as `of_qube_v` (not negative) accelerates that
-    /// of a Qube, at most `largest_voltage_v`, V.
+    /// The voltage that accelerates this plant's arm as `of_qube_v` (not negative) accelerates a
+    /// Qube's arm, at most `largest_voltage_v`, V.
     #[must_use]
     pub fn volts_like(&self, of_qube_v: f64) -> f64 {
         (of_qube_v * self.volts_per_qube_volt()).min(self.limits.largest_voltage_v)
@@ -157,8 +157,8 @@ impl PlantModel {
     }
 
     /// The factor by which a Qube's value of a quantity is multiplied for this plant: the ratio of
-    /// the nominal values for a parameter, that of the motors' torques for friction and cable, and
-    /// 1 for dead zone, delay and the cable's rest angle.
+    /// the nominal values for a parameter, the ratio of the motors' torques for Coulomb friction
+    /// and the cable's stiffness, and 1 for dead zones, delay and the cable's rest angle.
     #[must_use]
     pub fn proportion(&self, quantity: Quantity) -> f64 {
         match quantity {

@@ -17,7 +17,8 @@ pub struct Profile {
     /// Plant of which this is a specimen; files that name none mean the built-in Qube.
     #[serde(default, skip_serializing_if = "PlantName::is_qube")]
     pub plant: PlantName,
-    /// The nine domain parameters; a parameter that the file does not name is nominal.
+    /// The nine domain parameters; a parameter that the file does not name has the value of a
+    /// nominal Qube, whatever the plant.
     #[serde(default = "nominal", with = "named_parameters")]
     pub parameters: DomainParameters,
     /// The nonidealities; an entry that the file does not name is 0.
@@ -71,7 +72,8 @@ pub enum ProfileError {
     Invalid(#[from] Box<toml::de::Error>),
     /// The correlations name unknown quantities or do not form a correlation matrix.
     #[error(
-        "correlations: give one row for each name; row N has N numbers from -1 to 1, of which the last is 1"
+        "correlations: name quantities of a profile, and give one row for each name; row N has N numbers \
+         from -1 to 1, of which the last is 1"
     )]
     Correlations,
     /// A standard error has an unknown name or is out of its range.

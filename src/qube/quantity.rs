@@ -17,7 +17,7 @@ pub enum Nonideality {
     CableStiffness,
     /// The cable's rest angle, rad.
     CableRest,
-    /// Time from a command to its arrival at the motor, s.
+    /// Time until a command acts at the motor, s ([`Nonidealities::command_delay_s`]).
     CommandDelay,
 }
 
@@ -96,7 +96,7 @@ impl Nonidealities {
     }
 }
 
-/// One number of a [`QubeModel`].
+/// One number of a [`QubeModel`]: any but the cable's drift.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub enum Quantity {

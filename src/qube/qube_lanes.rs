@@ -54,8 +54,8 @@ impl QubeLanes {
         self.commands.largest_v()
     }
 
-    /// Puts another Qube into a lane, without any past commands. The delay of the Qube is at most
-    /// [`MAX_HISTORY`] control periods.
+    /// Puts another Qube into a lane, without any past commands. The delay of the Qube must be at
+    /// most [`MAX_HISTORY`] control periods; a longer one is not simulated.
     ///
     /// # Panics
     /// Panics if the lane does not exist.

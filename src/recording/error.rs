@@ -31,7 +31,7 @@ pub enum RecordingError {
         source: io::Error,
     },
     /// The header or the outcome holds a number that is not finite.
-    #[error("{path}: the rollout's {record} holds a number that is not finite")]
+    #[error("{path}: the record `{record}` is not written: it holds a number that is not finite")]
     NotFinite {
         /// Path of the recording.
         path: PathBuf,
@@ -94,7 +94,7 @@ pub enum Unreadable {
         /// Largest size that is read.
         limit: u64,
     },
-    /// The MCAP file is from another program.
+    /// The MCAP file is from another program, or lacks a part that every recording has.
     #[error("this MCAP file is not a rollout of this program: {missing}")]
     Foreign {
         /// Part that is missing.
@@ -108,7 +108,7 @@ pub enum Unreadable {
         /// Version that this program reads.
         expected: u32,
     },
-    /// The file was truncated before its header and its policy were complete.
+    /// The file was truncated before its header and its policy were complete, or is empty.
     #[error("this recording was cut off before its first tick; nothing of the rollout is in it")]
     CutOffAtStart,
     /// The recording was changed after it was finished, or a metadata record of it is damaged.

@@ -2,8 +2,8 @@
 //!
 //! One file holds one rollout: its origin and settings (metadata), the policy (an attachment),
 //! every tick (five channels of flat JSON; for 3-D viewers a channel of frames as Protocol
-//! Buffers), and its ending (metadata). A rollout can be replayed from its own file alone, and
-//! [`read`] returns bit for bit what was recorded.
+//! Buffers), the bodies that these viewers draw (one message), and its ending (metadata). A rollout
+//! can be replayed from its own file alone, and [`read`] returns bit for bit what was recorded.
 //!
 //! Metadata and policy come first. Ticks follow in blocks of a tenth of a second. Each block is
 //! compressed and checksummed, and the writer hands it to the operating system as a whole, so a

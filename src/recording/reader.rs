@@ -18,7 +18,7 @@ pub struct Recording {
     pub policy: Vec<u8>,
     /// Ticks that the file holds, bit for bit, in order.
     pub ticks: Vec<TickRecord>,
-    /// Outcome; `None` if the recording was truncated before the outcome.
+    /// Outcome; `None` if the recording was truncated before the outcome, or recovered without it.
     pub outcome: Option<RolloutOutcome>,
     /// Whether parts of the file are missing.
     pub completeness: Completeness,

@@ -20,7 +20,8 @@ const MAX_TICKS: usize = 1_080_000;
 /// Largest size of a metadata record, bytes; those of this program have a few kB.
 const MAX_METADATA_BYTES: usize = 1 << 20;
 
-/// Largest size of an attachment, bytes: twice the largest policy file that this program reads.
+/// Largest size of an attachment, bytes (16 MiB): twice the largest policy file that this program
+/// reads.
 const MAX_ATTACHMENT_BYTES: usize = 1 << 24;
 
 /// The intact records of a recording's file, and its first defect.

@@ -24,6 +24,7 @@ const PENDULUM: &str = "pendulum";
 /// Height of the arm above the table, m; only the picture uses it.
 const ARM_HEIGHT_M: f64 = 0.2;
 
+/// A position or a size, m.
 #[derive(Clone, Copy)]
 struct Vector3 {
     x: f64,
@@ -77,6 +78,7 @@ pub(super) struct SceneUpdate {
     entities: [Entity; 3],
 }
 
+/// The rotation by no angle.
 const UPRIGHT: Quaternion = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
 
 fn time(time_ns: u64) -> Message {

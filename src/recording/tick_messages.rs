@@ -296,7 +296,8 @@ pub(super) struct TickMessages {
 }
 
 impl TickMessages {
-    /// The record of the tick, once its last message has arrived; `None` if a message or number is missing.
+    /// The record of the tick, once its last message has arrived; `None` if a message or number is
+    /// missing, or if `held_over` contradicts the measurement.
     pub(super) fn into_record(self, tick: u32, timing: &TimingMessage) -> Option<TickRecord> {
         let (state, command, safety) = (self.state?, self.command?, self.safety?);
         let measurement = match &self.measurement {

@@ -334,8 +334,8 @@ pub(super) fn start_unix_ns(header: &RolloutHeader) -> u64 {
     header.started_unix_ns.unwrap_or(VIRTUAL_EPOCH_UNIX_NS)
 }
 
-/// The fields of the metadata record that tells readers of any program which clock the times are
-/// by.
+/// The fields of the metadata record that tells readers of any program which clock gave the file's
+/// times.
 fn clock_fields(header: &RolloutHeader) -> BTreeMap<String, String> {
     let clock = if header.started_unix_ns.is_some() { "wall" } else { "virtual" };
     let epoch_unix_ns = start_unix_ns(header).to_string();

@@ -40,7 +40,7 @@ pub enum CsvError {
         column: &'static str,
     },
     /// The table has fewer than two rows.
-    #[error("there are {rows} rows of numbers; a motion needs two")]
+    #[error("there are {rows} rows of numbers; a motion needs at least two")]
     TooFewRows {
         /// Number of rows.
         rows: usize,

@@ -76,7 +76,7 @@ pub enum MotionLogError {
     Recording(#[from] RecordingError),
     /// The recording has fewer than two samples from the time in which the policy had the motor.
     #[error(
-        "{path}: the policy never controlled the motor in this rollout; there is no motion to compare with the simulator"
+        "{path}: the policy never controlled the motor in this rollout, so the recording has no motion that can be used"
     )]
     NeverRan {
         /// Path of the file.

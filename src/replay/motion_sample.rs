@@ -3,7 +3,8 @@ use crate::qube::State;
 /// One sample of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionSample {
-    /// Time since the first sample, by the log's own clock, s.
+    /// Time by the log's own clock, s. The first sample of a recording is at 0; a CSV file may
+    /// begin at any time.
     pub time_s: f64,
     /// Angles, rad, and velocities, rad/s, as the log gives them.
     pub state: State,

@@ -25,7 +25,7 @@ pub struct AngleError {
     pub alpha_rad: f64,
 }
 
-/// The error that a simulated motion diverged.
+/// The error of a simulated motion that diverges: a state is no longer finite.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error(
     "the simulated motion diverges after {time_s} s: are the voltages volts, the velocities rad/s?"

@@ -8,9 +8,10 @@ use crate::telemetry::{Ending, Fault, Phase, TickRecord};
 /// The result of a replay: the recorded decisions compared with the recomputed ones.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rerun {
-    /// Return from the recorded states and voltages; at most 600 in a rollout of 600 steps.
+    /// Return from the recorded states and voltages of all ticks of the file; at most 600 in a
+    /// rollout of 600 steps.
     pub return_recorded: f64,
-    /// Return from the recomputed states and voltages.
+    /// Return from the recomputed states and voltages of the compared ticks.
     pub return_recomputed: f64,
     /// Number of ticks whose decision was compared.
     pub actions_compared: usize,
@@ -30,8 +31,9 @@ pub struct Rerun {
     /// Recomputed tick at which foresight was nearest to ending the policy; `None` if the guard was
     /// not foresight, or if no policy ran.
     pub guard_approach: Option<GuardApproach>,
-    /// Whether the rollout braked under [`Guard::Envelope`], which no longer exists: ticks from its
-    /// first braking tick on are not compared, and the ending is the file's.
+    /// Whether the rollout braked under [`Guard::Envelope`], a guard of old recordings that this
+    /// program cannot compute: ticks from the first braking tick on are not compared, and the
+    /// ending is the file's.
     pub ending_of_the_file: bool,
 }
 
@@ -87,9 +89,10 @@ pub fn controller_of(recording: &Recording) -> Result<Policy, PolicyFault> {
 /// decisions with the recorded ones. `policy` is the controller that drove the rollout;
 /// [`controller_of`] gives it.
 ///
-/// The comparison ends where ticks are missing (the ring had no room for them, or a block is
-/// damaged), because the state of the filters depends on every earlier tick. It also ends where a
-/// rollout under [`Guard::Envelope`] brakes, because that guard and its brake no longer exist.
+/// The comparison ends where ticks are missing, because the recorder had no room for them or a
+/// block of the file is damaged: the state of the filters depends on every earlier tick. It also
+/// ends where a rollout under [`Guard::Envelope`] brakes, because this program cannot compute that
+/// guard and its brake.
 #[must_use]
 pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
     let mut tick = Tick::new(&recording.header.settings, policy);

@@ -126,7 +126,7 @@ pub fn strategies_page(
         "strategy",
         "repetitions",
         "succeeded",
-        "95 %",
+        "95 % interval",
         "rollouts for half of them",
         "rollouts for nine of ten",
     ];
@@ -162,7 +162,7 @@ pub fn strategies_page(
     };
     page.chart(
         "Repetitions whose recommendation succeeds",
-        "A line ends at the strategy's budget; below 1 it has repetitions that never succeeded.",
+        "A line ends at the strategy's budget. A line that ends below 1 has repetitions that never succeeded.",
         chart,
     );
     add_provenance(&mut page, None, commands);
@@ -197,9 +197,9 @@ fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
         "policies",
         "return in simulation",
         "return on the plant",
-        "95 % of its mean",
+        "95 % interval of its mean",
         "succeed",
-        "95 %",
+        "95 % interval",
         "voltage change, V a tick",
         "copper loss, W",
     ];
@@ -276,7 +276,8 @@ fn add_comparisons(page: &mut Page, comparisons: &[&Comparison]) {
     page.heading("Recipes in pairs");
     page.paragraph(
         "Policies of equal number have equal seeds. The p-values are McNemar's exact test and a permutation test, \
-         corrected by Holm. The last column is the share of all pairs in which the second's return is higher.",
+         corrected by Holm. The last column is the share of all pairs in which the second's return is higher; \
+         ties count half.",
     );
     let p = |value: f64| {
         Cell::Number(if value < 0.001 { "< 0.001".into() } else { format!("{value:.3}") })

@@ -3,9 +3,9 @@
 //!
 //! [`SessionSource`] reads a session's folder and [`session_page`] writes its page;
 //! [`recordings_page`] writes the page of recordings, [`recipes_page`] and [`strategies_page`]
-//! those of experiments. A page depends on nothing but what was read. Figures are data, which the
-//! page's own script draws with uPlot. Every text from a file is escaped, and the page's content
-//! security policy allows no other script and no request.
+//! those of experiments. A page depends only on the files that were read. Figures are data, which
+//! the page's own script draws with uPlot. Every text from a file is escaped, and the page's
+//! content security policy allows no other script and no request.
 //!
 //! Only the feature `cli` builds this room. It may import `experiment`, `session`, `scoring`,
 //! `replay`, `identification`, `recording`, `search`, `surrogate`, `learning`, `simulation`,

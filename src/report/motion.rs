@@ -11,7 +11,7 @@ use crate::replay::{GuardApproach, MotionLog, OpenLoop};
 use crate::telemetry::{Phase, TickRecord};
 
 /// Unit of packed angles and voltages, rad or V: a milliradian is finer than an encoder's count,
-/// and voltages are sent in millivolts.
+/// and voltages are sent in millivolts. Packed values are limited to ±32.767 rad or V.
 const UNIT: f64 = 1e-3;
 
 /// The packed value that stands for no value.

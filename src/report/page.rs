@@ -73,8 +73,9 @@ impl From<String> for Cell {
     }
 }
 
-/// Formats a number with four significant digits, as a power of ten below 1e-4 and from 1e6 on,
-/// where zeros would hide the digits. Magnitudes below [`NEGLIGIBLE`] become 0.
+/// Formats a number with four significant digits, or as a whole number from 1e4 on. Below 1e-4 and
+/// from 1e6 on, where zeros would hide the digits, it is written with a power of ten. Magnitudes
+/// below [`NEGLIGIBLE`] become 0.
 pub fn significant(value: f64) -> String {
     let size = value.abs();
     if size < NEGLIGIBLE {

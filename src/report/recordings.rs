@@ -55,7 +55,7 @@ pub fn recordings_page(
         .collect();
     page.table(&heads, &rows, None);
     if let [(_, view)] = &views[..] {
-        page.heading("How near the limits came");
+        page.heading("How near the rollout came to its limits");
         let foreseen = view.guard.map(|(approach, time_s)| {
             let foreseen = approach.foreseen;
             let (largest, end) = (f64::from(foreseen.largest_rad), f64::from(foreseen.end_rad));

@@ -106,7 +106,7 @@ impl RolloutView {
         parts.extend(self.guard.map(guard_words));
         if let Some(error) = self.simulation_error {
             parts.push(format!(
-                "The simulator got the same voltages from the same start and nothing else; its errors add up to {:.2} rad in θ and {:.2} rad in α (root mean square)",
+                "The simulator got the same voltages from the same start and nothing else; its root mean square error is {:.2} rad in θ and {:.2} rad in α",
                 error.theta_rad, error.alpha_rad
             ));
         }

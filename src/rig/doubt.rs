@@ -88,7 +88,7 @@ impl DoubtStore {
         if MachineDisk.exists(&path)
             && let Err(error) = MachineDisk.remove(&path)
         {
-            tracing::warn!("{} stays: {error}", path.display());
+            tracing::warn!("the doubt in {} cannot be removed and stays: {error}", path.display());
         }
     }
 

@@ -81,7 +81,10 @@ pub enum RigError {
         last_ticks: Vec<TickRecord>,
     },
     /// Another board answers at the same port after a fault.
-    #[error("{port} was board {expected}, and now board {found} answers there. Nothing has moved")]
+    #[error(
+        "{port} was board {expected}, and now board {found} answers there. Nothing has moved: connect board \
+         {expected} again"
+    )]
     BoardChanged {
         /// Name of the port.
         port: String,
@@ -90,7 +93,7 @@ pub enum RigError {
         /// Serial number of the board that answers.
         found: String,
     },
-    /// The last motion left a sensor or the motor in doubt.
+    /// A motion left a sensor or the motor in doubt, and no operator has acknowledged this yet.
     #[error("{0}")]
     InDoubt(Box<Doubt>),
     /// The next attempt would end with the same fault.
@@ -170,7 +173,7 @@ fn listed(results: &[CheckResult]) -> String {
 }
 
 impl RigError {
-    /// The fault in the table that corresponds to this error, if any.
+    /// The entry of the table of faults that describes this error, if there is one.
     #[must_use]
     pub fn fault(&self) -> Option<Fault> {
         match self {

@@ -25,7 +25,8 @@ use crate::telemetry::{CheckResult, Consequence, Ending, Fault, MeasuredLink, Pr
 /// two seconds does not use up all attempts.
 const HOMING_PAUSES_NS: [u64; 2] = [1_000_000_000, 2_000_000_000];
 
-/// A Qube that has answered a hello and is homed, with the thread that drives it.
+/// A Qube that has answered a hello, with the thread that drives it. [`Rig::open`] also homes it;
+/// after [`Rig::connect`] it is not homed yet.
 pub struct Rig {
     pub(super) control: ControlThread,
     pub(super) identity: Identity,
@@ -66,10 +67,12 @@ pub struct Pressed {
 }
 
 impl Rig {
-    /// Opens the device, reads its identity, checks it if it is real or in doubt, and homes it.
+    /// Opens the device, reads its identity and homes it. Before homing, a Qube in doubt is
+    /// examined, and a real one too unless the settings skip the check.
     ///
     /// # Errors
-    /// A doubt is not acknowledged, or a step fails; the motor is off after any error.
+    /// A doubt is not acknowledged, the processor is too slow for foresight, or a step fails; the
+    /// motor is off after any error.
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let mut rig = Self::connect(settings, stop)?;
         let remembered = rig.memory.as_ref().and_then(|memory| memory.load(&rig.identity.serial));
@@ -151,7 +154,7 @@ impl Rig {
         })
     }
 
-    /// Examines the Qube and, if no check failed, homes it, which is the last check. With
+    /// Examines the Qube. Homing is the last check; it is left out if an earlier check failed. With
     /// `learn_signs` the rig adopts the signs that the examination finds.
     ///
     /// # Errors
@@ -252,7 +255,7 @@ impl Rig {
                 // The motor may still have its last voltage, so the operator is warned before the
                 // wait begins.
                 Consequence::Reconnect => tracing::warn!(
-                    "{fault}. {} The program waits {} s for the same board",
+                    "{fault}. {} The program waits up to {} s for the same board",
                     fault.operator_step(),
                     self.link_patience_s
                 ),

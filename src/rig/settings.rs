@@ -12,8 +12,8 @@ use crate::safety::{Guard, HardwareLimits, IdentifiedQube};
 /// Time for which the program tries to reach a lost link again, s.
 pub const LINK_PATIENCE_S: f64 = 30.0;
 
-/// Largest number of rollouts in a row that fail to begin because of the link or because counts
-/// have moved.
+/// Number of rollouts in a row that may fail to begin, because of the link or because counts have
+/// moved; the next failure ends the work.
 pub const MAX_NOT_BEGUN: u32 = 3;
 
 /// The connection to a Qube.
@@ -114,7 +114,8 @@ pub struct RigSettings {
     /// Whether the guard treats an emulated Qube as not identified. If this is `false`, an emulated
     /// Qube without a profile counts as identified by its own model.
     pub unidentified: bool,
-    /// Widest box of a rollout on hardware; an emulated Qube has no such limit.
+    /// Limits of hardware: the widest box of a rollout, the consent to a plant file, and the rating
+    /// of the motor. An emulated Qube is held to the motor's rating alone.
     pub limits: HardwareLimits,
     /// Reaction to faults.
     pub recovery: Recovery,
@@ -189,8 +190,9 @@ impl RigSettings {
         }
     }
 
-    /// The profile by which the guard knows an emulated Qube: its true numbers, with the errors that
-    /// the identification of a real one left. Other plants have no such errors.
+    /// The profile by which the guard knows an emulated Qube: its true parameters, with the
+    /// standard errors of the profile `lab`, which comes from a real Qube. Other plants have no
+    /// such errors.
     fn emulated_profile(&self) -> Profile {
         let model = &self.emulator.model;
         if self.plant.name.is_qube() {
@@ -205,12 +207,12 @@ impl RigSettings {
     #[must_use]
     pub fn identification_warning(&self, guard: Guard) -> Option<&'static str> {
         (guard == Guard::Foresight && self.identified().is_none()).then_some(
-            "this Qube is not identified: its guard allows for any Qube within 30 % and ends most swing-ups \
-             early. Identify it, and name profile and board in qube.toml",
+            "this Qube is not identified: its guard allows for any parameters within 30 % of the name plate's and \
+             ends most swing-ups early. Identify it, and name profile and board in qube.toml",
         )
     }
 
-    /// Whether opening the rig begins with a check of the Qube.
+    /// Whether opening the rig begins with a check of the Qube. After a doubt it does in any case.
     #[must_use]
     pub fn checks(&self) -> bool {
         !self.skip_check && self.is_hardware()

@@ -18,9 +18,9 @@ fn velocity_error_rad_s(encoder: Encoder) -> f64 {
 /// exact, and a healthy Qube warms up and wears.
 pub(super) const MODEL_ERROR: f64 = 0.1;
 
-/// Least relative error of an identified number in addition to the correlated errors of its
-/// profile. With 0, one of 111 searches of the stranger's adversary threw the arm into its stop
-/// (SAFETY.md).
+/// Least relative error of an identified number whose profile names correlations; it is added to
+/// the correlated errors. With 0, one of 111 searches of the stranger's adversary threw the arm
+/// into its stop (SAFETY.md).
 const LEAST_MODEL_ERROR: f64 = 0.03;
 
 /// Least relative error of an identified delay, which changes with computer and link.
@@ -47,8 +47,8 @@ type Step = [f64; Quantity::COUNT];
 /// angle.
 const ZERO_RAD: f64 = 0.02;
 
-/// The belief about a Qube: the set of models that it may have. It is a box with a range for each
-/// number, optionally widened by steps in which several numbers change together.
+/// The belief about a Qube: the set of models that it may have. The set has a range for each number
+/// and, optionally, is widened by steps in which several numbers change together.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Belief {
@@ -56,11 +56,11 @@ pub struct Belief {
     pub low: QubeModel,
     /// Upper end of each number.
     pub high: QubeModel,
-    /// Least fraction of a voltage that arrives at the motor, for either sign: a weak supply, or an
-    /// amplifier that differs between the signs.
+    /// Least fraction of a voltage that arrives at the motor, for either sign; below 1 if the
+    /// supply may be weak, or the amplifier may differ between the signs.
     pub least_share: f64,
-    /// Correlated errors of a fit, as changes from any point of the box; all zero if they are not
-    /// known.
+    /// Correlated errors of a fit, as changes from any model within the ranges; all zero if they
+    /// are not known.
     #[serde(default = "no_steps", skip_serializing_if = "are_none")]
     pub steps: [Step; Quantity::COUNT],
 }
@@ -69,13 +69,13 @@ pub struct Belief {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum BeliefError {
     /// A fraction is not between 0 and 1.
-    #[error("least_share = {0}: give a share from 0 to 1")]
+    #[error("least_share = {0}: give a fraction from 0 to 1")]
     Share(f64),
     /// A parameter is not physical.
     #[error(transparent)]
     Parameter(#[from] ParameterError),
     /// The lower end of a number is above its upper end, or outside its range.
-    #[error("{name} from {low} to {high}: no Qube lies between")]
+    #[error("{name} from {low} to {high}: give two possible values, the smaller one first")]
     Interval {
         /// Name of the number.
         name: &'static str,
@@ -110,15 +110,16 @@ impl Belief {
     /// The belief about an unidentified Qube: each parameter except gravity lies within this
     /// fraction of its nominal value. Friction, cable and delay are at most twice as large as on
     /// the Qube whose recordings are public; each dead zone is at most slightly wider than the
-    /// wider one of that Qube.
+    /// wider one of that Qube. The whole of a voltage arrives at the motor.
     #[must_use]
     pub fn of_any_qube(within: f64) -> Self {
         Self::of_any_plant(&PlantModel::QUBE, within)
     }
 
     /// The belief about a plant of which only the description is known: each parameter except
-    /// gravity lies within this fraction of its nominal value. Friction and cable are assumed to be
-    /// as large, relative to the motor's torque, as those of the Qube whose recordings are public.
+    /// gravity lies within this fraction of its nominal value. The nonidealities have the ranges of
+    /// [`Self::of_any_qube`], those of Coulomb friction and of the cable's stiffness in the
+    /// proportion of the two motors' torques.
     #[must_use]
     pub fn of_any_plant(plant: &PlantModel, within: f64) -> Self {
         let (mut low, mut high) = (plant.nominal(), plant.nominal());
@@ -144,10 +145,12 @@ impl Belief {
     }
 
     /// The belief from a profile. Each number except gravity may be off by three standard errors or
-    /// by 10 %, whichever is more, but no parameter by more than an unidentified Qube's; the delay by
-    /// at least 30 % or 2 ms. If the profile has correlations, the three standard errors are steps
-    /// in the independent directions of the errors, and each number may be off by what these lack of
-    /// its 10 %, and by at least 3 %.
+    /// by 10 %, whichever is more, but a parameter by at most 30 %; the delay may be off by at
+    /// least 30 % and at least 2 ms. At least 80 % of a voltage arrives at the motor.
+    ///
+    /// If the profile has correlations, the three standard errors become steps in the independent
+    /// directions of the errors. Besides, each number may be off by 10 % minus its three standard
+    /// errors, but by at least 3 %.
     #[must_use]
     pub fn of_profile(profile: &Profile) -> Self {
         let model = profile.model();
@@ -179,8 +182,8 @@ impl Belief {
         belief
     }
 
-    /// This belief with each parameter except gravity, and each nonideality except the delay, off
-    /// by at least this fraction of the middle of its range.
+    /// This belief, widened so that each parameter except gravity, and each nonideality except the
+    /// delay, may be off by at least this fraction of the middle of its range.
     #[must_use]
     pub fn at_least_within(mut self, fraction: f64) -> Self {
         for quantity in Quantity::all() {

@@ -4,9 +4,9 @@ use crate::qube::{MAX_VOLTAGE_V, PlantModel, State};
 /// A brake whose voltage depends on the state alone, so that a [`super::Foresight`] can simulate it
 /// on many Qubes at once.
 ///
-/// The voltage must fall as the arm's velocity grows, and at rest it must be that of a spring.
-/// Under these conditions the motor only takes energy from arm and pendulum, apart from the energy
-/// that the spring stores, whatever the Qube's masses and lengths are.
+/// The voltage must fall as the arm's velocity grows, and on an arm at rest it must act like a
+/// spring. Under these conditions the motor only takes energy from arm and pendulum, apart from the
+/// energy that the spring stores, whatever the Qube's masses and lengths are.
 pub trait BrakeLaw {
     /// The voltage for the next control period, V.
     fn voltage_v<T: Scalar>(&self, state: &State<T>) -> T;

@@ -11,13 +11,15 @@ pub struct Foreseen {
     /// first.
     pub particle: usize,
     /// Angle by which the arm was beyond the end when the prediction stopped, rad; `None` if the
-    /// predicted state was no longer finite.
+    /// predicted state was no longer finite or a voltage was NaN.
     pub beyond_rad: Option<f32>,
 }
 
 /// The largest angle of the arm that foresight predicts under a voltage and the brake after it,
-/// over all Qubes that this one may be. The prediction for a Qube stops as soon as its arm can no
-/// longer reach the end.
+/// over all Qubes that this one may be.
+///
+/// A prediction stops at the horizon, or sooner: once an arm has reached the end, or once no arm
+/// can reach it any more. The arm may therefore turn farther than this angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForeseenAngle {
     /// Largest angle to either side, rad; infinite where a prediction diverged.

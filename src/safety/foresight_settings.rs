@@ -42,8 +42,9 @@ pub struct ForesightSettings {
 pub struct IdentifiedQube {
     /// Belief derived from the profile: the brake must hold for all of its Qubes.
     pub belief: Belief,
-    /// Least relative difference of each number from the profile before the Qube's motion
-    /// contradicts it. Recordings that do not name it have 0: their belief was that wide itself.
+    /// Relative error, as a fraction, that any number of the profile except gravity and the delay
+    /// may have before the Qube's motion contradicts the profile, even where `belief` is narrower.
+    /// Recordings that do not name it have 0: their belief itself is that wide.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub tolerance: f64,
     /// Control periods for which a voltage is held before the brake begins.
@@ -106,8 +107,8 @@ pub enum ForesightError {
         /// Largest accepted value.
         most: f64,
     },
-    /// The belief contains no valid Qube.
-    #[error("foresight.belief: {0}")]
+    /// One of the two beliefs is invalid.
+    #[error("foresight.belief or foresight.identified.belief: {0}")]
     Belief(#[from] BeliefError),
 }
 
@@ -159,7 +160,8 @@ impl ForesightSettings {
     /// Largest number of simulated control periods by default.
     pub const HORIZON_PERIODS: u32 = 75;
 
-    /// The default settings for a plant of which only the description is known.
+    /// The default settings for a plant of which only the description is known: its parameters lie
+    /// within 30 % of the described ones.
     #[must_use]
     pub fn of_plant(plant: &PlantModel) -> Self {
         Self { belief: Belief::of_any_plant(plant, 0.3), ..Self::default() }
@@ -174,8 +176,8 @@ impl ForesightSettings {
         Self { belief: self.belief.with_sample_age(age_s), identified, ..self }
     }
 
-    /// The foresight for a plant with these measured stops, or with the stops of its description if
-    /// none were measured or if those are nearer.
+    /// The foresight for a plant, with the nearer of its measured and its described stops; without
+    /// measured stops, with the described ones.
     #[must_use]
     pub fn foresight(&self, stops: Option<MeasuredStops>, plant: &PlantModel) -> TrustedForesight {
         let described_rad = plant.limits.hard_stop_rad;

@@ -9,7 +9,8 @@ pub enum Guard {
     /// that names no guard means this one. The reader of such files selects it explicitly, because
     /// [`Default`] is `Foresight`.
     Box,
-    /// A speed envelope, which old recordings name; it serves only to replay them.
+    /// A speed envelope, which old recordings name. This program has neither this guard nor its
+    /// brake, so a replay compares such a rollout only until the arm is braked.
     Envelope,
     /// A [`super::Foresight`] that simulates the brake before each voltage is sent, and a
     /// [`super::Brake`] that brings the arm back to the middle.

@@ -34,7 +34,8 @@ impl PlantConsent {
     }
 }
 
-/// The widest box in which hardware may be driven. It is no wider than the task's box, and its
+/// The limits within which hardware may be driven: the widest box, the rating of the motor, and the
+/// consent to a plant file. The box is no wider than the task's, [`SafetyBox::GUARDED`], and its
 /// guard is foresight unless the operator gave a [`GuardConsent`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HardwareLimits {
@@ -65,7 +66,7 @@ pub enum TooWide {
     /// An entry of the plant file is not known to be as harmless as a Qube's, and nobody has
     /// consented to it.
     #[error(
-        "the plant {plant} has other {entry} than a Qube, and guard and homing of real hardware rely on them"
+        "the plant {plant} differs from a Qube in {entry}, and guard and homing of real hardware rely on its values"
     )]
     Plant {
         /// Name of the plant.
@@ -74,7 +75,9 @@ pub enum TooWide {
         entry: &'static str,
     },
     /// The guard is only for replays of old recordings.
-    #[error("guard = \"envelope\" is only for replays of old recordings")]
+    #[error(
+        "guard = \"envelope\" is only for replays of old recordings: give guard = \"foresight\""
+    )]
     EnvelopeGone,
 }
 

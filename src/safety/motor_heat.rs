@@ -3,15 +3,15 @@ use serde::{Deserialize, Serialize};
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, Measurement, MotorRating, PlantModel};
 
-/// Load at which the operator is warned.
+/// [`MotorHeat::load`] at which the operator is warned.
 pub const WARNING_LOAD: f64 = 0.7;
 
-/// Load at which the arm is braked. It is below 1, so that the rated current of 0.54 A reaches it
-/// in finite time. It is above (0.5 / 0.54)^2 = 0.86, the load at 0.5 A, which the Qube's amplifier
-/// may give continuously.
+/// [`MotorHeat::load`] at which the arm is braked. It is below 1, so that the rated current of
+/// 0.54 A reaches it in finite time. It is above (0.5 / 0.54)^2 = 0.86, the load at 0.5 A, which
+/// the Qube's amplifier may give continuously.
 pub const LARGEST_LOAD: f64 = 0.9;
 
-/// Load to which a motor above [`WARNING_LOAD`] cools before the next motion begins.
+/// [`MotorHeat::load`] to which a motor above [`WARNING_LOAD`] cools before the next motion begins.
 pub const COOLED_LOAD: f64 = 0.5;
 
 /// Smallest accepted winding resistance of a Qube, ohm; the smallest resistance found by a fit is
@@ -130,7 +130,7 @@ impl MotorHeat {
 }
 
 /// Absolute motor current, A: the larger of the reading and the value from voltage and speed. A
-/// reading that no motor could give is ignored.
+/// reading that no motor could give is ignored, and a speed that is not finite counts as 0.
 fn current_a(
     measurement: Option<&Measurement>,
     voltage_v: f64,

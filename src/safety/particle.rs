@@ -5,13 +5,14 @@ use crate::qube::{QubeModel, State};
 pub struct Particle {
     /// Parameters, nonidealities and delay.
     pub model: QubeModel,
-    /// Fraction of a positive voltage that arrives, 0 to 1: a weak supply, or an amplifier that
-    /// differs between the signs.
+    /// Fraction of a positive voltage that arrives at the motor, 0 to 1; below 1 with a weak
+    /// supply, or with an amplifier that differs between the signs.
     pub positive_share: f64,
-    /// Fraction of a negative voltage that arrives, 0 to 1.
+    /// Fraction of a negative voltage that arrives at the motor, 0 to 1.
     pub negative_share: f64,
-    /// True state minus estimated state, from quantisation, filter lag and the error of homing. The
-    /// errors of the angles persist, those of the velocities decay.
+    /// True state minus estimated state, from quantisation and the error of homing; foresight
+    /// computes the filter's lag itself. The errors of the angles persist, and those of the
+    /// velocities decay.
     pub error: State,
 }
 

@@ -2,8 +2,9 @@
 pub(super) const NUMBERS: usize = 17;
 
 /// Coordinates of half of the particles, in percent of the way from the middle of a belief to its
-/// upper end (100) or its lower end (-100); the other half are their mirror images. The particles
-/// that are hardest to brake come first: a heavy Qube with a weak motor.
+/// upper end (100) or its lower end (-100). The other half are their mirror images, in which
+/// positive and negative directions are exchanged. The particles that are hardest to brake come
+/// first: a heavy Qube with a weak motor.
 ///
 /// The coordinates are the nine parameters in the order of `DomainParameter::ALL`, Coulomb
 /// friction, the dead zones of positive and negative voltages, the cable's stiffness and rest
@@ -11,9 +12,9 @@ pub(super) const NUMBERS: usize = 17;
 ///
 /// Searches for policies that throw the arm against its stop find only Qubes with weak motors,
 /// because a strong motor makes up for the uncertainty. The table therefore has all 16 corners of
-/// masses and lengths with a weak motor and the longest delay, half of them with the shortest delay
-/// too, and half of them with a strong motor. The friction of the joints, which only helps the
-/// brake, is at its lower end throughout.
+/// masses and lengths with a weak motor and the longest delay. Eight of the corners appear again
+/// with the shortest delay, and eight with a strong motor. The friction of the joints, which only
+/// helps the brake, is at its lower end throughout.
 #[rustfmt::skip]
 pub(super) const PLACES: [[i8; NUMBERS]; 32] = [
     [   0,  100, -100, -100, -100,  100,  100,  100,  100, -100,  100,  100, -100,   50,  100,  100,  100],

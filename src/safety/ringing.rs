@@ -2,7 +2,8 @@ use crate::qube::limited_to;
 
 /// Largest time between two changes of the voltage's sign that counts as ringing, in control
 /// periods. Ringing is the oscillation of a brake whose voltage arrives late. Its period is four
-/// delays, at most 0.18 s; a hanging pendulum swings with a period of 0.5 s.
+/// delays, at most 0.18 s, and the sign changes twice in a period. A hanging pendulum swings with a
+/// period of 0.5 s.
 const RINGING_PERIODS: u32 = 9;
 
 /// Smallest amplitude that counts as ringing, V; below it the voltage is the noise of an arm at

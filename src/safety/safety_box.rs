@@ -131,7 +131,7 @@ impl<T: Scalar> SafetyBox<T> {
 }
 
 impl<T: Scalar> SafetyBox<T> {
-    /// The thesis's box: the meaning of a file that names neither limits nor guard.
+    /// The box that supplies each limit, and the guard, that a file does not name: the thesis's.
     fn of_silent_files() -> Self {
         SafetyBox::THESIS.cast()
     }

@@ -6,9 +6,10 @@ use crate::qube::{MAX_HISTORY, State};
 /// Foresight that uses the belief about an identified Qube as long as the Qube moves accordingly,
 /// and the belief about any Qube otherwise.
 ///
-/// A profile must earn trust again in each rollout: the arm settles under the belief about any
-/// Qube, and if the profile's particles predict the whole of that motion, the policy runs under
-/// them. A single motion that none of them predicts ends the trust.
+/// A profile must earn trust again in each rollout. The arm settles under the belief about any
+/// Qube. If the profile predicts the whole of that motion, the policy runs under the belief from
+/// the profile. A single sample whose angles lie outside the range of the predicted angles ends the
+/// trust.
 #[derive(Clone, Debug)]
 pub struct TrustedForesight {
     any: Foresight<CentringBrake>,
@@ -79,9 +80,12 @@ impl TrustedForesight {
         }
     }
 
-    /// Takes the estimated state of a sample, its device time and the commands before it (V, newest
-    /// first). Returns whether this motion contradicts every particle of the profile while the
-    /// profile decides; the trust is then lost.
+    /// Returns whether a sample contradicts the profile while the belief from the profile decides.
+    /// Takes the sample's estimated state and device time, us, and the commands before it (V,
+    /// newest first).
+    ///
+    /// A sample that contradicts the profile always ends the trust, but while the arm settles the
+    /// other belief decides, and this method then returns `false`.
     #[must_use]
     pub fn is_contradicted(
         &mut self,
@@ -99,7 +103,8 @@ impl TrustedForesight {
     }
 
     /// Starts the policy: the belief about the identified Qube decides from here on, if it has
-    /// predicted the whole settling. The angles may be counted from a new zero.
+    /// predicted the whole settling. The prediction restarts, because the angles may be counted
+    /// from a new zero.
     pub fn begin_policy(&mut self) {
         if let Some(Identified { prediction, trust, .. }) = &mut self.identified {
             prediction.begin_anew();
@@ -149,7 +154,7 @@ mod tests {
     use crate::safety::{ForesightSettings, IdentifiedQube};
 
     /// Simulates a Qube that is pushed to and fro and whose motor gets this fraction of the
-    /// voltage; returns whether it contradicted the profile.
+    /// voltage. Returns the foresight, and whether the Qube contradicted the profile.
     fn follow(profile: &Profile, plant: &QubeModel, share: f64) -> (TrustedForesight, bool) {
         let identified = Some(IdentifiedQube::of(profile));
         let settings = ForesightSettings { identified, ..ForesightSettings::default() };

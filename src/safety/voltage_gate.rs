@@ -5,7 +5,7 @@ use crate::qube::MAX_VOLTAGE_V;
 pub struct NotANumber;
 
 /// Converts a wanted voltage, V, to millivolts and limits it to the plant's largest voltage and to
-/// the wire's: the last step before the wire.
+/// the wire's: the last step before the wire. A largest voltage that is not above 0 V gives 0 mV.
 ///
 /// # Errors
 /// [`NotANumber`] for NaN and infinities.

@@ -20,13 +20,13 @@ const CHATTERING_RMS_V: f64 = 1.0;
 /// which is 3 Hz. The limit cycle that filter and delay cause has 5 to 6 Hz.
 const CHATTERING_CHANGES_PER_S: f64 = 6.0;
 
-/// The class of a rollout's behaviour, computed from its recording. Each rollout with a result has
-/// exactly one class.
+/// The class of a rollout's behaviour, computed from its recording. Each rollout has exactly one
+/// class; a rollout without a result has [`Fault`](Self::Fault) in tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Behaviour {
-    /// Success: within 0.2 rad of upright in each of the last 100 steps, and a return of at least
-    /// 400.
+    /// Success: all steps taken, within 0.2 rad of upright in each of the last 100 steps, and a
+    /// return of at least 400.
     #[serde(rename = "stood")]
     Balanced,
     /// Balanced quietly at the end, but too late to earn a return of 400.
@@ -40,7 +40,8 @@ pub enum Behaviour {
     Chattered,
     /// Never brought the pendulum up, or lost it.
     Fell,
-    /// Every attempt was ended by a fault.
+    /// Every attempt was ended by a fault. [`Behaviour::of`] never returns this class, because one
+    /// recording does not show it.
     Fault,
 }
 
@@ -80,7 +81,7 @@ fn of_a_failure(running: &[&TickRecord]) -> Behaviour {
     let last = |count: usize| &running[running.len().saturating_sub(count)..];
     let up = last(LAST_STEPS).iter().filter(|tick| is_about_upright(&tick.state));
     let is_about_up = up.count() as f64 >= CHATTERING_SHARE * LAST_STEPS as f64;
-    // A hundred changes of the voltage need one tick more.
+    // The 100 changes of the voltage in the last second lie between 101 ticks.
     let chatters = chatters(last(UPRIGHT_STEPS + 1));
     let holds = running.len() > UPRIGHT_STEPS && balanced_to_the_end(running);
     match (holds, is_about_up) {

@@ -12,14 +12,15 @@ pub const SUCCESS_RETURN: f64 = 400.0;
 /// Smallest fraction of successful rollouts of a successful policy: four of five.
 pub const POLICY_SHARE: f64 = 0.8;
 
-/// Smallest fraction of successful rollouts of a successful recommendation, over all policies that
-/// were trained with it: the next policy that somebody trains is like a random one of these.
+/// Smallest fraction of successful rollouts of a successful recommendation. All policies that were
+/// trained with it count together, because the next policy that somebody trains with it will be
+/// like a random one of these.
 pub const RECOMMENDATION_SHARE: f64 = 0.9;
 
 /// Largest distance from upright of a balancing pendulum, rad.
 const UPRIGHT_RAD: f64 = 0.2;
 
-/// Angle from upright within which a pendulum is nearly upright, rad: 30 degrees.
+/// Angle from upright within which a pendulum is nearly upright, rad: about 29 degrees.
 const ABOUT_UPRIGHT_RAD: f64 = 0.5;
 
 /// Number of final steps in each of which the pendulum must balance: the last second.

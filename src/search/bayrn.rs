@@ -29,8 +29,7 @@ impl BayRn {
     /// A search in a box with settings and a seed.
     ///
     /// # Errors
-    /// The settings have no initial point, no start of the fit, or a `beta` that is negative or not
-    /// finite.
+    /// [`BayRnSettings::check`] refuses the settings.
     pub fn new(
         search_box: SearchBox,
         settings: BayRnSettings,
@@ -84,9 +83,9 @@ impl BayRn {
     /// number among all points of the search.
     ///
     /// The noisy expected improvement averages over the returns that pending points may have. For
-    /// the other functions the surrogate is conditioned at each pending point on its own mean
-    /// ("kriging believer", Ginsbourger et al. 2010). Both methods reduce the uncertainty at the
-    /// pending points and drive the next point elsewhere.
+    /// the other functions the surrogate is conditioned at each pending point on its posterior mean
+    /// there ("kriging believer", Ginsbourger et al. 2010). Both methods reduce the uncertainty at
+    /// the pending points and drive the next point elsewhere.
     fn acquire(
         &self,
         process: &GaussianProcess,
@@ -138,10 +137,12 @@ impl BayRn {
     }
 }
 
-/// Number of evaluated points around which the maximiser samples more densely.
+/// Number of candidates around which the maximiser samples more densely: those with the highest
+/// posterior means.
 const HINTS: usize = 5;
 
-/// Posterior means at the evaluated points, each with its point, highest first.
+/// Posterior means at the points of a process's data, evaluated and pending ones, each with its
+/// point, highest first.
 type Means = Vec<(f64, Vec<f64>)>;
 
 fn means_at_data(process: &GaussianProcess) -> Means {

@@ -21,8 +21,8 @@ pub struct BayRnSettings {
     pub initial_design: InitialDesign,
     /// Acquisition function: the next point is its maximum.
     pub acquisition: AcquisitionKind,
-    /// Weight beta of the standard deviation in the upper confidence bound; no other acquisition
-    /// function uses it.
+    /// Weight beta of the standard deviation in the upper confidence bound, 0 to 1,000; no other
+    /// acquisition function uses it.
     pub beta: f64,
     /// Rule for the incumbent: the value against which an improvement is measured.
     pub incumbent: IncumbentRule,
@@ -33,8 +33,8 @@ pub struct BayRnSettings {
 }
 
 impl BayRnSettings {
-    /// The thesis's settings: expected improvement over the largest observed mean return, and one noise
-    /// variance for all candidates.
+    /// The thesis's settings: expected improvement over the largest observed mean return, and one
+    /// noise variance for all candidates.
     #[must_use]
     pub fn thesis() -> Self {
         Self {
@@ -115,10 +115,10 @@ pub enum AcquisitionKind {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum IncumbentRule {
-    /// Largest observed mean return, as in the thesis. With noisy returns it is that of a lucky
-    /// candidate.
+    /// Largest observed mean return, as in the thesis. With noisy returns it often belongs to a
+    /// lucky candidate, not to the best one.
     LargestObserved,
-    /// The largest posterior mean among the candidates evaluated.
+    /// Largest posterior mean at the candidates, those that are pending included.
     #[default]
     BestPosteriorMean,
 }

@@ -5,8 +5,8 @@ use super::random::{best_evaluated, stream};
 use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
 
-/// Covariance matrix adaptation (CMA-ES; Hansen 2016, "The CMA Evolution Strategy: A Tutorial",
-/// with its default settings, on the unit cube).
+/// Covariance matrix adaptation (CMA-ES; Hansen 2016, "The CMA Evolution Strategy: A Tutorial"),
+/// with the tutorial's default settings but without negative weights, on the unit cube.
 ///
 /// A sample outside the box is drawn again and, after some attempts, clamped to the bounds
 /// of the box. The update uses the points as they were evaluated.
@@ -17,17 +17,24 @@ pub struct CmaEs {
     constants: Constants,
 }
 
-/// The tutorial's strategy parameters (its table 1).
+/// The tutorial's strategy parameters (its table 1), each with its symbol there.
 #[derive(Clone, Debug)]
 struct Constants {
+    /// Number of points of a generation, `lambda`.
     population: usize,
     /// Recombination weights of the better half, decreasing, sum 1.
     weights: Vec<f64>,
+    /// Effective number of parents, `mu_eff`.
     effective: f64,
+    /// Rate at which the path of the step size forgets, `c_sigma`.
     path_decay: f64,
+    /// Damping of the changes of the step size, `d_sigma`.
     path_damping: f64,
+    /// Rate at which the path of the covariance forgets, `c_c`.
     covariance_path_decay: f64,
+    /// Learning rate of the rank-one update of the covariance, `c_1`.
     rank_one: f64,
+    /// Learning rate of the rank-mu update of the covariance, `c_mu`.
     rank_mu: f64,
     /// Expected length of a standard normal vector.
     expected_length: f64,

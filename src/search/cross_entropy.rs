@@ -4,8 +4,8 @@ use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
 
 /// The cross-entropy method: samples points from a Gaussian with independent coordinates and moves
-/// the Gaussian to the best quarter of each generation (De Boer et al. 2005; Vuong et al. 2019
-/// apply the method to distributions of simulation parameters).
+/// the Gaussian to the best quarter, at least two points, of each generation (De Boer et al. 2005;
+/// Vuong et al. 2019 apply the method to distributions of simulation parameters).
 ///
 /// The Gaussian is truncated to the box, coordinate by coordinate.
 #[derive(Clone, Debug)]
@@ -14,7 +14,7 @@ pub struct CrossEntropy {
     seed: u64,
 }
 
-/// Weight of the best quarter against the previous Gaussian.
+/// Weight, 0 to 1, of the best quarter in the new Gaussian; the previous Gaussian has the rest.
 const SMOOTHING: f64 = 0.8;
 /// Smallest standard deviation as a fraction of the box's width, which keeps the search moving.
 const LEAST_DEVIATION: f64 = 0.01;

@@ -6,7 +6,7 @@ use crate::surrogate::SurrogateError;
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum SearchError {
     /// A candidate has no return.
-    #[error("candidate {index} has no return: leave it out until it was evaluated")]
+    #[error("candidate {index} has no return: leave it out until it has been evaluated")]
     NoReturns {
         /// Index of the candidate, from 0.
         index: usize,
@@ -24,9 +24,9 @@ pub enum SearchError {
         value: f64,
     },
     /// A recommendation needs at least one evaluated candidate.
-    #[error("no candidate was evaluated yet, so there is no best one")]
+    #[error("no candidate has been evaluated yet, so there is no best one: evaluate one first")]
     NothingEvaluated,
-    /// Name that was given.
+    /// No strategy has the name that was given.
     #[error("there is no strategy {name:?}: choose one of {known}")]
     UnknownStrategy {
         /// Name given.

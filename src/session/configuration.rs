@@ -17,7 +17,8 @@ impl SessionSettings {
     /// box alone.
     ///
     /// # Errors
-    /// The file cannot be read, is not a configuration, or has a setting that no longer exists.
+    /// The file cannot be read or is not a configuration, a setting is unknown or out of its range,
+    /// or the session depended on a setting or a guard that this version does not have.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         Self::loaded(text.clone(), path).map_err(|error| error.located(&text, ""))
@@ -43,7 +44,7 @@ impl SessionSettings {
     /// Overrides these settings with the entries of a file.
     ///
     /// # Errors
-    /// The file cannot be read, or holds an unknown setting.
+    /// The file cannot be read, or holds a setting that is unknown or out of its range.
     pub fn overridden_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         self.overridden_by_text(&text, path).map_err(|error| error.located(&text, ""))
@@ -54,7 +55,7 @@ impl SessionSettings {
     /// should train on states that are estimated as they will be on the Qube.
     ///
     /// # Errors
-    /// The file cannot be read, or holds an unknown setting.
+    /// The file cannot be read, or holds a setting that is unknown or out of its range.
     pub fn configured_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         let settings = self.overridden_by(path)?;
@@ -74,7 +75,8 @@ impl SessionSettings {
     /// may be of any origin, also an untrusted one.
     ///
     /// # Errors
-    /// The text holds an unknown setting, or one that no longer exists.
+    /// The text holds a setting that is unknown or out of its range, also one that only earlier
+    /// versions had.
     pub fn overridden_by_text(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
         let out_of_range =
             |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };

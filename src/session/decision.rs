@@ -30,9 +30,10 @@ pub enum Decision {
 /// Decides the next move; all rollouts of `candidates` must be finished. `largest` is the largest
 /// number of searched candidates.
 ///
-/// The candidate with the highest mean return is verified at once if all its rollouts succeeded. If
-/// every rollout of the verification succeeded too, the search continues only while one more
-/// candidate is expected to gain at least the fraction [`WORTHWHILE_GAIN`] of the verified return.
+/// The candidate with the highest mean return, in a tie the latest, is verified at once if all its
+/// rollouts succeeded. If every rollout of the verification succeeded too, the search continues
+/// only while one more candidate is expected to gain at least the fraction [`WORTHWHILE_GAIN`] of
+/// the verified return. If one failed, the search continues in any case.
 /// At the largest number of candidates the best one is verified, whether or not its rollouts
 /// succeeded, and the search ends.
 #[must_use]

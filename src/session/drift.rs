@@ -11,16 +11,17 @@ use crate::telemetry::Phase;
 /// Number of rollouts from which a day's drift is estimated.
 pub const DRIFT_ROLLOUTS: usize = 3;
 
-/// Smallest change of the delay that counts as drift, s.
+/// Change of the delay beyond which the delay counts as moved, s.
 const DELAY_TOLERANCE_S: f64 = 0.002;
 
-/// Smallest change of the cable's rest angle that counts as drift, rad.
+/// Change of the cable's rest angle beyond which it counts as moved, rad.
 const REST_TOLERANCE_RAD: f64 = 0.1;
 
-/// Smallest change of the hanging pendulum's angle that counts as drift, in counts of its encoder.
+/// Angle of the hanging pendulum beyond which its zero counts as moved, in counts of its encoder.
 const ALPHA_TOLERANCE_COUNTS: f64 = 5.0;
 
-/// Smallest change that counts as drift, in standard errors.
+/// Number of standard errors that a change must exceed, as well as the tolerance, to count as
+/// moved.
 const STANDARD_ERRORS: f64 = 3.0;
 
 /// Number of final ticks of settling over which the pendulum's angle is averaged.
@@ -34,7 +35,8 @@ pub struct Drift {
     /// Rest angle of the cable from the arm's zero, rad. It changes with the zero that homing finds
     /// and with the cable's position.
     pub cable_rest_rad: Compared,
-    /// Angle of the hanging pendulum at rest, rad.
+    /// Angle of the hanging pendulum at rest, rad; 0 in any profile. Its standard error is not
+    /// estimated and is 0.
     pub alpha_zero_rad: Compared,
     /// Number of rollouts used.
     pub rollouts: usize,
@@ -49,7 +51,7 @@ pub struct Compared {
     pub standard_error: f64,
     /// Value in the profile.
     pub profile: f64,
-    /// Whether the change is significant and large enough to matter.
+    /// Whether the change exceeds both the quantity's tolerance and three standard errors.
     pub moved: bool,
 }
 

@@ -42,7 +42,7 @@ impl EmulatedQubeSettings {
     /// Checks that every number is in its range.
     ///
     /// # Errors
-    /// Describes the first number that is not.
+    /// A number is out of its range; the text names the first one.
     pub fn check(&self) -> Result<(), String> {
         self.model.check().map_err(|error| format!("model.{error}"))?;
         let largest_play_rad = Self::LARGEST_PLAY_DEG.to_radians();
@@ -70,8 +70,9 @@ impl EmulatedQubeSettings {
         }
     }
 
-    /// A Qube near this one, determined by the seed: every parameter, and every nonideality that is
-    /// a strength, is drawn uniformly within `width` of its value, a fraction.
+    /// A Qube near this one, determined by the seed: every parameter, friction, both dead zones,
+    /// the cable's stiffness and the delay are drawn uniformly within the fraction `width` of their
+    /// values. The cable's rest angle and drift, the jitter, the backlash and the effects stay.
     #[must_use]
     pub fn varied(&self, width: f64, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -80,7 +81,7 @@ impl EmulatedQubeSettings {
         for parameter in DomainParameter::ALL {
             parameters.set(parameter, varied(parameters.get(parameter)));
         }
-        // The cable's rest angle is a place, not a strength, so it stays.
+        // The cable's rest angle stays: it is a place, and a fraction of it means nothing.
         for strength in [
             &mut nonidealities.coulomb_torque_n_m,
             &mut nonidealities.positive_dead_zone_v,

@@ -28,7 +28,7 @@ pub enum SessionError {
         candidate: u32,
         /// Number of the rollout.
         rollout: u32,
-        /// Number of attempts.
+        /// Number of attempts that were allowed.
         tries: u32,
         /// Last fault.
         reason: String,
@@ -67,9 +67,10 @@ pub enum SessionError {
         /// Path of the session's `session.toml`.
         path: PathBuf,
     },
-    /// A Qube is given in the place of another of the session's Qubes.
+    /// The settings of a rig name another board than the one that made the rig's first recording.
     #[error(
-        "board {now} is named in the place of board {before}: give the Qubes in the order in which they began"
+        "board {now} is named in the place of board {before}: name the boards that the session began with, in the \
+         same order"
     )]
     OtherBoard {
         /// Board that made the recordings so far.
@@ -77,7 +78,8 @@ pub enum SessionError {
         /// Board that is named now.
         now: String,
     },
-    /// A profile that the session identified is missing or damaged.
+    /// The file of a profile that the session identified was changed or is damaged. If the file is
+    /// missing, the error is [`SessionError::Folder`].
     #[error(
         "{path}: the profile that this session identified is lost: {reason}. Restore it from a backup"
     )]
@@ -120,7 +122,7 @@ impl From<WriteError> for SessionError {
 }
 
 impl SessionError {
-    /// The fault in the table that corresponds to this error, if any.
+    /// The entry of the table of faults that describes this error, if there is one.
     #[must_use]
     pub fn fault(&self) -> Option<Fault> {
         match self {

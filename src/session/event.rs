@@ -12,7 +12,7 @@ pub enum SessionEvent<'a> {
         candidate: u32,
         /// Reason of the proposal.
         purpose: Purpose,
-        /// Number of candidates with this one, and the largest number.
+        /// Numbers of candidates, this one included.
         counts: CandidateCounts,
     },
     /// The Qube was identified from recordings, with these doubts.
@@ -25,22 +25,22 @@ pub enum SessionEvent<'a> {
     /// No recording can be fitted yet, for this reason; another excitation follows.
     ExcitationRepeated(&'a str),
     /// The Qube could not be identified from its recordings, for this reason; the search continues
-    /// as for an unknown one.
+    /// as for an unknown Qube.
     NotIdentified(&'a str),
     /// The recordings of the verification left the profile as it was, for this reason.
     NotUpdated(&'a str),
-    /// The search around the identified Qube ended: one more candidate was expected to gain this
-    /// return.
+    /// The search around the identified Qube ended, because one more candidate was expected to gain
+    /// too little, or because the largest number of candidates was reached.
     SearchEnded {
-        /// Expected gain.
+        /// Return that one more candidate was expected to gain.
         expected_gain: f64,
     },
     /// The search continues after a verified policy, because one more candidate is expected to gain
     /// this return.
     SearchContinues {
-        /// Expected gain.
+        /// Return that one more candidate is expected to gain.
         expected_gain: f64,
-        /// Gain below which the search ends.
+        /// Gain in return below which the search ends.
         smallest_gain: f64,
     },
     /// A candidate's training has completed one more update.
@@ -52,11 +52,11 @@ pub enum SessionEvent<'a> {
         /// Statistics of the update.
         update: &'a TrainUpdate,
     },
-    /// A candidate's policy is on disk.
+    /// A candidate's policy was trained in this run and is on disk.
     Trained {
         /// Number of the candidate.
         candidate: u32,
-        /// Return in simulation; `None` if an earlier run trained the policy.
+        /// Mean return of the policy in the simulations of its training; `None` if it is unknown.
         best_return: Option<f64>,
     },
     /// The device is open and homed.
@@ -90,7 +90,7 @@ pub enum SessionEvent<'a> {
     RigTakenOut {
         /// Number of the rig, from 1.
         rig: u32,
-        /// Reason for people.
+        /// Reason, as a text for the operator.
         reason: &'a str,
     },
     /// One session of several that run side by side has ended early; the others continue.

@@ -28,7 +28,7 @@ pub struct RolloutPlan {
     pub estimator: EstimatorSettings,
     /// Box that ends the rollout.
     pub safety_box: SafetyBox,
-    /// Number of steps of the policy.
+    /// Largest number of steps under the policy, 10 ms each.
     pub steps: u32,
 }
 
@@ -50,7 +50,8 @@ impl RolloutPlan {
         }
     }
 
-    /// The header of the recording; the rig fills in device, check, calibration and time.
+    /// The header of the recording. The rig fills in everything that it alone knows: device, plant,
+    /// check, heat of the motor, calibration, stops, guard and time.
     #[must_use]
     pub fn header(&self) -> RolloutHeader {
         RolloutHeader {

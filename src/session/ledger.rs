@@ -7,9 +7,10 @@ use thiserror::Error;
 use super::SessionState;
 use crate::storage::{Disk, DiskFile, sync_name};
 
-/// The checksum of whole files. It has more bits than that of a line, because files are longer.
+/// The checksum of whole files. It has more bits than a line's checksum, because files are longer.
 const FILE_CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
 
+/// The checksum of a line's entry.
 const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// A decision or a finished piece of work of a session. No entry can be computed from other files;
@@ -66,7 +67,7 @@ pub enum Entry {
         checksum: String,
     },
     /// The Qube could not be identified from its recordings; the search continues as for an unknown
-    /// one.
+    /// Qube.
     NotIdentified {
         /// Reason, as a text for the operator.
         reason: String,
@@ -115,9 +116,10 @@ pub enum Purpose {
     Search,
     /// The search's recommendation, trained and run to verify it.
     Verification,
-    /// The best searched candidate, whose existing policy is verified beside the recommendation's.
-    /// All rollouts of a policy share the luck of its training, and the training for the
-    /// recommendation may have turned out worse.
+    /// The best searched candidate, whose existing policy is verified. A search around an
+    /// identified Qube verifies this policy alone. Other searches verify the recommendation's
+    /// policy too: all rollouts of a policy share the luck of its training, and the training for
+    /// the recommendation may have turned out worse.
     Incumbent,
     /// A policy that was trained on the nominal Qube, for comparison.
     Baseline,
@@ -155,7 +157,8 @@ pub enum LedgerError {
         /// The cause.
         source: std::io::Error,
     },
-    /// A line in the middle fails its checksum. A crash cannot cause that; the file was changed.
+    /// A line is damaged, or cannot follow the earlier ones, in a way that no crash can cause: the
+    /// file was changed.
     #[error(
         "{path}, line {line}: {reason}. The ledger was changed or its disk is failing; restore it from a backup"
     )]
@@ -205,7 +208,7 @@ impl Ledger {
     /// Opens a ledger, or creates it.
     ///
     /// # Errors
-    /// The file is not accessible, or a line other than the last is damaged.
+    /// The file is not accessible, or a line is damaged in a way that no crash can cause.
     pub fn open(disk: &dyn Disk, path: &Path) -> Result<Self, LedgerError> {
         let io = |source| LedgerError::Io { path: path.to_owned(), source };
         let bytes = if disk.exists(path) {
@@ -327,7 +330,8 @@ impl DamagedLine {
 /// a file system shows in place of data that were not yet written.
 ///
 /// # Errors
-/// Another line is broken, its checksum does not match, or it cannot follow the lines before it.
+/// A line that no crash can have broken in this way is no entry, fails its checksum, or cannot
+/// follow the lines before it.
 pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
     let mut parsed = Parsed::default();
     for (index, line) in bytes.split_inclusive(|&byte| byte == b'\n').enumerate() {

@@ -1,8 +1,8 @@
 use serde::{Deserialize, Serialize};
 
-/// The measured watchdog of a board behind the vendor's library; `[watchdog]` in `qube.toml`. The
-/// check also shows that the motor goes off: the arm turned no farther than after a push that the
-/// program ended.
+/// The watchdog of a board behind the vendor's library, as `check` has measured it; `[watchdog]` in
+/// `qube.toml`. It is measured only if the motor really went off: after the program had fallen
+/// silent, the arm turned no farther than after a push that the program itself had ended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LibraryWatchdog {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 /// ```text
 /// session.toml                            the resolved configuration
 /// ledger.jsonl                            decisions and finished work
-/// profile-1.toml                          the Qube as identified from 1 recording that can be fitted
+/// profile-1.toml                          the Qube's profile, fitted to 1 recording
 /// candidates/000/                         the files of candidate 0's policy
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,7 +62,7 @@ impl SessionPaths {
 /// ```text
 /// policy.safetensors                      the trained policy
 /// curve.csv                               the learning curve of its training
-/// training-times.json                     when its trainings were under way, by the wall clock
+/// training-times.json                     when its trainings ran; not written in virtual time
 /// rollout-0-attempt-0.mcap                the recording of one of its rollouts
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -95,7 +95,7 @@ impl PolicyPaths {
         self.folder.join("curve.csv")
     }
 
-    /// Path of the times at which the policy's trainings ran.
+    /// Path of the file with the times at which the policy's trainings ran.
     #[must_use]
     pub fn training_times(&self) -> PathBuf {
         self.folder.join("training-times.json")

@@ -30,8 +30,9 @@ pub struct Extent {
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub baseline: bool,
     /// Number of candidates whose returns may still be unknown when the search proposes the next
-    /// one. The next candidate is then trained while the earlier ones run on the Qube. With 0, Qube
-    /// and training wait for each other. A search around an identified Qube acts as with 0.
+    /// one. The next candidate is then trained while the earlier ones run on the Qube. With 0, the
+    /// Qube and the trainings wait for each other. A search around an identified Qube acts as with
+    /// 0.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub pending: u32,
 }
@@ -278,8 +279,8 @@ impl SessionState {
         CandidateCounts { searched, most_searched, total }
     }
 
-    /// The step that proposes the candidates of this purpose that are missing from `wanted`; `None`
-    /// if none are.
+    /// The step that proposes the candidates that this purpose lacks of the number `wanted`; `None`
+    /// if it lacks none.
     fn missing(&self, purpose: Purpose, wanted: u32) -> Option<Step> {
         let count = wanted.saturating_sub(self.count_of(purpose));
         (count > 0).then_some(Step::Propose { count, purpose })

@@ -18,7 +18,7 @@ use crate::storage::{MachineDisk, write_whole};
 /// Name of the file in the working directory.
 pub const QUBE_FILE: &str = "qube.toml";
 
-/// The properties that differ from rig to rig.
+/// The contents of `qube.toml`: the properties that differ from rig to rig.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct QubeFile {
@@ -30,8 +30,9 @@ pub struct QubeFile {
     /// another rig would be dangerous.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub board: Option<String>,
-    /// Path of the profile that `identify` wrote, relative to the folder of this file. The first
-    /// rollouts of each day are compared with the profile.
+    /// Path of the profile that `identify` wrote, relative to the folder of this file. The guard
+    /// uses it if `board` is named too, and `run` and `session` compare their first rollouts with
+    /// it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<PathBuf>,
     /// Signs of encoders and motor.

@@ -1,4 +1,5 @@
-//! Entries in settings files of earlier versions that are no longer settings or have been renamed.
+//! Entries in settings files of earlier versions that this version does not have, or has under
+//! another name.
 
 use std::fmt::{self, Display};
 
@@ -29,7 +30,7 @@ const OBSERVER_NAMES: [(&str, &str); 1] = [("astray_rad", "reset_error_rad")];
 /// Pairs of an entry's earlier name and its present one.
 type Names = &'static [(&'static str, &'static str)];
 
-/// An entry of a settings file that is no longer a setting.
+/// An entry of a settings file that was a setting in earlier versions only.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Retired {
     key: String,

@@ -101,7 +101,7 @@ impl RigSessions {
             )
         } else if count < 2 {
             format!(
-                "devices has {count} entries, and sessions side by side are two or more: name the device of each rig-N"
+                "devices has {count} entries, but sessions side by side need two or more: name the device of each rig-N"
             )
         } else {
             return Ok(all);

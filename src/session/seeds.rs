@@ -62,8 +62,9 @@ pub enum SeedFor {
     },
 }
 
-/// The number of the random stream of a purpose: its kind in the highest byte, then candidate,
-/// rollout and attempt.
+/// The number of the random stream of a purpose: its kind in the highest 8 bits, then the candidate
+/// (24 bits) and the rollout or training and the attempt (16 bits each). A policy, a repetition or
+/// a rig takes the candidate's place.
 fn stream(purpose: SeedFor) -> u64 {
     let number = |kind: u64, candidate: u32, rollout: u32, attempt: u32| {
         kind << 56

@@ -27,8 +27,9 @@ pub struct SharedRig {
     pub homing_method: Option<HomingMethod>,
 }
 
-/// Number of initial candidates of a search around an identified Qube. One has the simulations as
-/// identified; the other two show the surrogate how the return depends on psi.
+/// Number of initial candidates of a search around an identified Qube. The first is trained on
+/// simulations exactly as identified; the other two show the surrogate how the return depends on
+/// psi.
 pub(super) const INITIAL_AROUND: u32 = 3;
 
 /// The settings of a session, as `session.toml` contains them.
@@ -82,10 +83,11 @@ pub struct SessionSettings {
 }
 
 impl SessionSettings {
-    /// The settings of a session of some minutes: few points, two rollouts for each candidate,
-    /// trainings of seconds. The base distribution is that of a Qube that is not identified, with
-    /// friction, cable and delay, and policies observe their last two commands, because policies
-    /// trained in this way transfer best to a real Qube (docs/learning.md).
+    /// The settings of a session of some minutes: few points, two rollouts for each candidate, and
+    /// the training of the preset `robust`. The base distribution covers the Qubes that an
+    /// unidentified Qube may be, with friction, cable and delay, and policies observe their last
+    /// two commands, because policies trained in this way transfer best to a real Qube
+    /// (docs/learning.md).
     #[must_use]
     pub fn quick() -> Self {
         Self {
@@ -131,9 +133,9 @@ impl SessionSettings {
         &self.training.simulation.plant
     }
 
-    /// These settings, which describe Qubes, converted to another plant: the ranges of psi and the
-    /// boxes are in proportion to the plant, and the emulated plant has the plant's nominal
-    /// parameters.
+    /// These settings, which describe Qubes, converted to another plant: the ranges of psi scale
+    /// with the plant's parameters and the limits of theta with its travel, and the emulated plant
+    /// has the plant's nominal parameters.
     #[must_use]
     pub fn of_plant(mut self, plant: &PlantModel) -> Self {
         self.psi = self.psi.of_plant(plant);
@@ -150,8 +152,8 @@ impl SessionSettings {
         self
     }
 
-    /// Selects the estimator of the rollouts and of the simulations; simulations with true states
-    /// keep these.
+    /// Selects the estimator of the rollouts and of the simulations. Simulations that show true
+    /// states continue to do so.
     #[must_use]
     pub fn seen_through(mut self, estimator: EstimatorSettings) -> Self {
         self.estimator = estimator;

@@ -74,13 +74,13 @@ impl SessionSettings {
             SearchError::BadSettings { reason } => format!("bayrn.{reason}"),
             other => other.to_string(),
         })?;
-        // The ranges above name what each setting may be. This holds for settings without a range
-        // of their own too.
+        // The checks above know the ranges of single settings. This one bounds every number, also
+        // of settings without a range of their own.
         Table::try_from(self).map_or(Ok(()), |all| check_numbers("", &Value::Table(all)))
     }
 
-    /// Checks that no limit is invalid or wider than the task's limit. No file may widen a limit,
-    /// not even for an emulated Qube.
+    /// Checks that no limit of the boxes and of homing is invalid or wider than the task's. No file
+    /// may widen a limit, not even for an emulated Qube.
     ///
     /// # Errors
     /// Describes the first invalid limit.
@@ -130,15 +130,14 @@ impl SessionSettings {
     /// Checks that a new session may begin with these settings. The error describes why not.
     pub(super) fn check_begun(&self) -> Result<(), String> {
         if !self.training.simulation.safety_box.guard.is_box() {
-            return Err(
-                "training.simulation.safety_box.guard: simulations know no guard beside the \
+            return Err("training.simulation.safety_box.guard: simulations know no guard but the \
                         box: leave it out"
-                    .into(),
-            );
+                .into());
         }
         if !self.rigs.is_empty() {
             return Err(
-                "rigs: the command line names the Qubes of a new session: leave it out".into()
+                "rigs: the command line names the Qubes of a new session: leave [[rigs]] out"
+                    .into(),
             );
         }
         let give = "give guard = \"foresight\" or leave it out";
@@ -149,10 +148,11 @@ impl SessionSettings {
 /// Largest absolute value of any number in the settings.
 const LARGEST_NUMBER: f64 = 1e6;
 
-/// The one number of the settings that may be infinite, for no limit.
+/// The one number of the settings that may be infinite; infinity means that there is no limit.
 const MAY_BE_INFINITE: &str = "training.largest_gradient_norm";
 
-/// Checks that every number of these settings is finite and not huge.
+/// Checks that no floating-point number of these settings is NaN or exceeds [`LARGEST_NUMBER`] in
+/// magnitude; [`MAY_BE_INFINITE`] may.
 fn check_numbers(key: &str, value: &Value) -> Result<(), String> {
     match value {
         Value::Float(number) if number.abs() <= LARGEST_NUMBER || key == MAY_BE_INFINITE => Ok(()),

@@ -14,8 +14,8 @@ const fn of(key: &'static str, unit: &'static str, meaning: &'static str) -> Wor
     Words { key, unit, meaning }
 }
 
-/// The words for the full path of a key: of the entries whose key is an end of the path, the
-/// longest.
+/// The words for a setting by the full path of its key. If several entries' keys are an end of the
+/// path, the entry with the longest key counts; `None` if there is none.
 pub(super) fn words(key: &str) -> Option<&'static Words> {
     let is_end = |words: &&Words| {
         key.strip_suffix(words.key).is_some_and(|above| above.is_empty() || above.ends_with('.'))
@@ -35,8 +35,16 @@ const WORDS: [Words; 108] = [
         "Preset that the training's settings come from; entries of [training] override it",
     ),
     of("psi.name", "", "Quantity that psi sets; docs/search.md lists them"),
-    of("psi.lower", "", "Lower end of its range, in its unit; left out, its default"),
-    of("psi.upper", "", "Upper end of its range, in its unit; left out, its default"),
+    of(
+        "psi.lower",
+        "",
+        "Lower end of the quantity's range, in the quantity's unit; left out, its default",
+    ),
+    of(
+        "psi.upper",
+        "",
+        "Upper end of the quantity's range, in the quantity's unit; left out, its default",
+    ),
     of("extent.initial_candidates", "", "Number of candidates before the search proposes the next"),
     of("extent.iterations", "", "Number of candidates that the search proposes"),
     of("extent.rollouts", "", "Number of rollouts of each candidate"),
@@ -44,7 +52,7 @@ const WORDS: [Words; 108] = [
     of(
         "extent.verifies_incumbent",
         "",
-        "Whether as many rollouts verify the best candidate's own policy",
+        "Whether the best candidate's own policy gets as many rollouts of verification",
     ),
     of("extent.steps", "10 ms each", "Steps of a rollout"),
     of(
@@ -69,7 +77,11 @@ const WORDS: [Words; 108] = [
         "Largest voltage of an excitation; for another plant, the voltage with the same effect on its arm",
     ),
     of("identification.candidates", "", "Largest number of candidates around the identified Qube"),
-    of("identification.rollouts", "", "Number of rollouts of each of them"),
+    of(
+        "identification.rollouts",
+        "",
+        "Number of rollouts of each candidate around the identified Qube",
+    ),
     of(
         "identification.spread",
         "part of each value",
@@ -166,7 +178,7 @@ const WORDS: [Words; 108] = [
         "rad",
         "Largest error of the arm's encoder, which is off its centre",
     ),
-    of("parameters.g", "m/s^2", "Gravity"),
+    of("parameters.g", "m/s^2", "Gravitational acceleration"),
     of("parameters.R_m", "ohm", "Resistance of the motor"),
     of("parameters.k_m", "V s/rad", "Constant of the motor"),
     of("parameters.D_r", "N m s/rad", "Viscous damping of the arm"),
@@ -208,8 +220,8 @@ const WORDS: [Words; 108] = [
     of("bayrn.incumbent", "", "Reference value of an improvement"),
     of("bayrn.noise", "", "Noise model of mean returns"),
     of("surrogate.kernel", "", "Covariance function of the Gaussian process"),
-    of("surrogate.mean", "", "Its prior mean"),
-    of("surrogate.priors", "", "Priors of its hyperparameters"),
+    of("surrogate.mean", "", "Prior mean of the Gaussian process"),
+    of("surrogate.priors", "", "Priors of the Gaussian process's hyperparameters"),
     of("surrogate.starts", "", "Number of starts of the hyperparameters' optimiser"),
     of("surrogate.seed", "", "Seed of the random starts, combined with the session's"),
     of("training.updates", "", "Number of updates: rounds of collecting and optimising"),
@@ -219,7 +231,7 @@ const WORDS: [Words; 108] = [
     of(
         "training.last_learning_rate",
         "",
-        "Learning rate to which it falls linearly over the updates",
+        "Rate towards which Adam's learning rate falls linearly, reached only after the last update",
     ),
     of("training.discount", "", "Discount factor gamma"),
     of("training.gae_lambda", "", "Lambda of generalised advantage estimation"),
@@ -240,7 +252,11 @@ const WORDS: [Words; 108] = [
         "Whether epsilon is added to the root of the second moment instead of under it",
     ),
     of("training.first_log_std", "", "Initial logarithm of the policy's standard deviation"),
-    of("training.smallest_log_std", "", "Lower bound of that logarithm"),
+    of(
+        "training.smallest_log_std",
+        "",
+        "Lower bound of the logarithm of the policy's standard deviation",
+    ),
     of(
         "training.voltage_change_weight",
         "1/V^2",
@@ -252,7 +268,7 @@ const WORDS: [Words; 108] = [
         "Number of fixed starts in the evaluation after each update",
     ),
     of("training.target_return", "", "Mean return of an evaluation at which training ends early"),
-    of("training.threads", "", "Number of threads to use; the policy is the same"),
+    of("training.threads", "", "Number of threads to use; the policy does not depend on it"),
     of("simulation.history", "", "Number of last commands in the observation"),
     of(
         "sensors.type",
@@ -260,8 +276,8 @@ const WORDS: [Words; 108] = [
         "Sensors of the simulation: true states, or encoders with the estimator below",
     ),
     of("reward.theta", "1/rad^2", "Weight of the arm's angle in the reward"),
-    of("reward.alpha", "1/rad^2", "Weight of the pendulum's angle"),
-    of("reward.theta_dot", "s^2/rad^2", "Weight of the arm's velocity"),
-    of("reward.alpha_dot", "s^2/rad^2", "Weight of the pendulum's velocity"),
-    of("reward.voltage", "1/V^2", "Weight of the voltage"),
+    of("reward.alpha", "1/rad^2", "Weight of the pendulum's angle in the reward"),
+    of("reward.theta_dot", "s^2/rad^2", "Weight of the arm's velocity in the reward"),
+    of("reward.alpha_dot", "s^2/rad^2", "Weight of the pendulum's velocity in the reward"),
+    of("reward.voltage", "1/V^2", "Weight of the voltage in the reward"),
 ];

@@ -151,7 +151,7 @@ impl SessionState {
                         .is_some_and(|it| it.purpose.is_searched() && it.finished.is_empty())
                 };
                 if !pending.iter().all(awaited) {
-                    return Err("a pending candidate is none of the search's, or has returns");
+                    return Err("a pending candidate is not one of the search or has returns");
                 }
                 self.candidates.push(Candidate {
                     number: candidate,
@@ -243,7 +243,7 @@ impl SessionState {
         if candidate.trained && (rollout, attempt) == due {
             Ok(candidate)
         } else {
-            Err("this is not the rollout or the try that was due")
+            Err("this is not the rollout or the attempt that was due")
         }
     }
 }

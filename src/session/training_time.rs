@@ -8,16 +8,16 @@ use crate::storage::{Disk, WriteError, write_whole};
 /// Largest file of times that is read, bytes; a candidate has few trainings.
 const FILE_BYTES: u64 = 64 << 10;
 
-/// The begin and the end of one training of a candidate, by the clock of the session's computer.
+/// The start and the end of one training of a candidate, by the clock of the session's computer.
 ///
-/// A training on another computer lasts from the order of the training to the arrival of its
-/// result.
+/// A training on another computer counts from the moment when the session asked for it until its
+/// result arrived, so the time includes the wait for a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingTime {
     /// Number of the training among those of its candidate.
     pub training: u32,
-    /// Begin of the training, ns since 1970.
+    /// Start of the training, ns since 1970.
     pub began_unix_ns: u64,
     /// End of the training, ns since 1970.
     pub ended_unix_ns: u64,

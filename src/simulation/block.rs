@@ -80,7 +80,8 @@ pub(super) struct Environment {
     pub(super) safety_box: SafetyBox<f32>,
 }
 
-/// Integrates one control period of all blocks.
+/// Advances all blocks by one control period: writes rewards, integrates the motion, and updates
+/// sensors, statuses and observations.
 pub(super) struct Step<'a> {
     pub(super) blocks: &'a mut [Block],
     /// Memory of the observers that estimate the policies' states, one entry for each block; empty
@@ -212,7 +213,7 @@ fn write_observations(
     }
 }
 
-/// A command as a fraction of the largest voltage, as a policy observes it.
+/// A command as a fraction of 5 V, as a policy observes it.
 #[inline(always)]
 fn command_fraction(command_v: f32) -> f32 {
     command_v * (1.0 / MAX_VOLTAGE_V) as f32

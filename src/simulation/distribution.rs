@@ -29,7 +29,8 @@ pub enum DistributionError {
         symbol: &'static str,
         /// Requested mean.
         mean: f64,
-        /// Bound that the mean must meet: `above 0`, `not below 0`, or a range.
+        /// Range that the mean must lie in: `above 0, at most` a value, or `from` one value `to`
+        /// another.
         bound: String,
     },
     /// The standard deviation is negative, not finite, or too large for the mean.

@@ -142,6 +142,7 @@ impl DomainDistribution {
         let mut draw = |quantity: Quantity, distribution| {
             robust.distributions[quantity.index()] = distribution;
         };
+        // Each spread is a fraction of the nominal value.
         for (parameter, spread) in [
             (DomainParameter::MotorResistance, 0.1),
             (DomainParameter::MotorBackEmf, 0.1),
@@ -154,6 +155,7 @@ impl DomainDistribution {
             let normal = Distribution::Normal { mean, standard_deviation: spread * mean };
             draw(parameter.into(), normal);
         }
+        // The ends of the ranges are in N m, V, V, N m/rad, rad and s.
         for (term, lower, upper) in [
             (Nonideality::CoulombTorque, 0.0, 0.7e-3),
             (Nonideality::PositiveDeadZone, 0.0, 0.35),
@@ -316,8 +318,9 @@ impl DomainDistribution {
         self
     }
 
-    /// This distribution, which describes Qubes, converted to another plant: each quantity is
-    /// scaled by [`PlantModel::proportion`].
+    /// This distribution, which describes Qubes, converted to another plant: the distribution of
+    /// each quantity is scaled by [`PlantModel::proportion`]. Directions and specimens stay as they
+    /// are.
     ///
     /// # Errors
     /// A quantity of the plant cannot be simulated.

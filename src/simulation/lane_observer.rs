@@ -10,7 +10,7 @@ use crate::qube::{
     BLOCK, CONTROL_PERIOD_S, Encoders, InLanes, Lanes, PlantModel, State, limited_to,
 };
 
-/// Number of last commands that are remembered; they cover the longest delay of an observer.
+/// Number of last commands that are remembered; they cover the longest delay of an observer, 0.1 s.
 const REMEMBERED: usize = 12;
 
 /// Largest number of pieces of constant voltage in a prediction.

@@ -1,9 +1,10 @@
 //! Randomised simulation: distributions over domain parameters, the names and search box of psi, and many
 //! pendulums in parallel.
 //!
-//! [`Pendulums`] advances all lanes with each step; [`evaluate`] runs a controller in it. A Qube's true
-//! state passes through the same estimator that the machine uses, so that a policy trains on the estimates
-//! it will see. The room may import `qube`, `elementary`, `estimation`, `safety` and `storage`.
+//! [`Pendulums`] advances all lanes with each step; [`evaluate`] runs a controller in it. With
+//! encoders, a Qube's true state passes through the estimator that runs on a real Qube, so that a
+//! policy trains on the estimates that it will see. The room may import `qube`, `elementary`,
+//! `estimation`, `safety` and `storage`.
 //!
 //! ```
 //! use qube_hil::simulation::{DomainDistribution, SimulationSettings, evaluate};

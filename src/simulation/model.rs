@@ -15,17 +15,20 @@ pub enum Model {
     Handcrafted,
     /// Masses and lengths vary as in `handcrafted`; the other five parameters are nominal.
     NominalHandcrafted,
-    /// A psi that a session searches; quantities that it does not shape are as in `handcrafted`.
+    /// Quantities that psi names follow psi, which a session searches; the others are as in
+    /// `handcrafted`.
     OptHandcrafted,
-    /// A psi that a session searches; quantities that it does not shape are nominal.
+    /// Quantities that psi names follow psi, which a session searches; the others are nominal.
     OptNominal,
     /// Parameters and nonidealities vary as for a Qube that is not identified.
     Robust,
     /// Parameters and nonidealities vary around those of an identified Qube.
     Profile,
-    /// A psi that a session searches; quantities that it does not shape are as in `robust`.
+    /// Quantities that psi names follow psi, which a session searches; the others are as in
+    /// `robust`.
     OptRobust,
-    /// A psi that a session searches; quantities that it does not shape are as in `profile`.
+    /// Quantities that psi names follow psi, which a session searches; the others are as in
+    /// `profile`.
     OptProfile,
 }
 

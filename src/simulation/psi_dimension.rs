@@ -141,9 +141,9 @@ impl PsiTarget {
             Self::Shift(_) if (-10.0..=10.0).contains(&value) => Ok(()),
             Self::Shift(_) => Err(impossible("give a number from -10 to 10".into())),
             Self::MeanLag if (-0.04..=0.04).contains(&value) => Ok(()),
-            Self::MeanLag => Err(impossible("give a number from -0.04 to 0.04".into())),
+            Self::MeanLag => Err(impossible("give a number from -0.04 to 0.04 s".into())),
             Self::Filter if value > 0.0 && value.is_finite() => Ok(()),
-            Self::Filter => Err(impossible("give a number above 0".into())),
+            Self::Filter => Err(impossible("give a number above 0 rad/s".into())),
         }
     }
 }

@@ -5,11 +5,11 @@ use thiserror::Error;
 use super::DistributionError;
 use crate::qube::Quantity;
 
-/// The reason why numbers or a file are not a psi.
+/// The reason why numbers or a file are not a psi, or why a model gives no distribution.
 #[derive(Debug, Error)]
 pub enum PsiError {
     /// The point has another dimension than the search space.
-    #[error("this psi has {entries} entries where {expected} are searched")]
+    #[error("this psi has {entries} entries: give one number for each of {expected}")]
     WrongLength {
         /// Length of the point.
         entries: usize,
@@ -30,8 +30,8 @@ pub enum PsiError {
     },
     /// The name does not exist.
     #[error(
-        "psi has no `{name}`: there are `filter`, `log_width`, `shift_1` to `shift_3`, and mean_ and std_ of lag, {}, \
-         as in std_delay",
+        "psi has no `{name}`: give `filter`, `log_width`, `shift_1` to `shift_3`, or mean_ or std_ followed by one of \
+         lag, {}, as in std_delay",
         symbols()
     )]
     UnknownName {
@@ -70,7 +70,9 @@ pub enum PsiError {
     #[error("the base distribution cannot be simulated: {0}")]
     Base(DistributionError),
     /// The model needs a profile, and none is given.
-    #[error("the model `opt-profile` is drawn around a Qube: give it in [profile]")]
+    #[error(
+        "the models `profile` and `opt-profile` are drawn around an identified Qube: give this Qube in [profile]"
+    )]
     NoProfile,
     /// The model leaves a psi to a search, and none is given.
     #[error("the model `{model}` needs a psi")]
@@ -78,8 +80,8 @@ pub enum PsiError {
         /// Name of the model.
         model: &'static str,
     },
-    /// The search space has no dimension.
-    #[error("psi has no entry: name at least one, as mean_M_p")]
+    /// A psi has no entry, or the search space no dimension.
+    #[error("psi has no entry: name at least one, such as mean_M_p")]
     NoDimensions,
     /// The file cannot be read.
     #[error("{}: cannot be read: {source}", path.display())]

@@ -67,8 +67,9 @@ impl Sensors {
         self.observer.is_some()
     }
 
-    /// The estimate at the start of a trajectory. As on the machine, the estimator takes the
-    /// velocities at the first measurement to be 0.
+    /// The estimate at the start of a trajectory. As on a real Qube, the estimator takes the
+    /// velocities at the first measurement to be 0. With true states, the estimate is the true
+    /// state.
     pub(super) fn first(&self, state: &State<f32>) -> State<f32> {
         match self.guard {
             None => *state,

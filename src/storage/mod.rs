@@ -48,7 +48,7 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// which shows the caller that the file is too long.
     ///
     /// # Errors
-    /// The operating system refuses.
+    /// The file does not exist or is not a regular file, or the operating system refuses.
     fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>>;
 
     /// Whether a file or folder of this name exists.

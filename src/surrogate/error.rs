@@ -16,8 +16,10 @@ pub enum SurrogateError {
         /// Number of upper bounds.
         upper: usize,
     },
-    /// A bound is NaN or infinite.
-    #[error("the bounds of dimension {dimension} are [{lower}, {upper}]: both must be finite")]
+    /// A bound is NaN or infinite, or the width between the bounds is infinite.
+    #[error(
+        "the bounds of dimension {dimension} are [{lower}, {upper}]: both and their difference must be finite"
+    )]
     BoundNotFinite {
         /// Index of the dimension, from 0.
         dimension: usize,
@@ -26,7 +28,7 @@ pub enum SurrogateError {
         /// Its upper bound.
         upper: f64,
     },
-    /// An interval is empty or inverted.
+    /// A lower bound is equal to the upper one, or above it.
     #[error(
         "dimension {dimension} has lower bound {lower} >= upper bound {upper}: the lower must be smaller"
     )]
@@ -52,7 +54,9 @@ pub enum SurrogateError {
         list: &'static str,
     },
     /// A point has too few or too many coordinates.
-    #[error("point {index} has {got} coordinates but the search box has {expected} dimensions")]
+    #[error(
+        "point {index} has {got} coordinates but the search box has {expected} dimensions: give one coordinate per dimension"
+    )]
     WrongDimension {
         /// Index of the point, from 0.
         index: usize,
@@ -105,7 +109,7 @@ pub enum SurrogateError {
     /// The covariance matrix cannot be factored even with jitter.
     #[error(
         "the covariance of {points} points is not positive definite even with a jitter of {jitter:e}: \
-         the noise variance is too small for points so close together, raise its lower bound"
+         the noise variance is too small for points so close together, use a larger one"
     )]
     NotPositiveDefinite {
         /// Number of points.

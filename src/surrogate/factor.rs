@@ -101,7 +101,7 @@ impl Factor {
         }
         for first in (0..n).step_by(BLOCK) {
             let size = BLOCK.min(n - first);
-            // rows above `first` of these columns are zero
+            // In these columns the rows above `first` are zero.
             let left = self.inverse.view((first, first), (n - first, size)).transpose();
             let right = self.inverse.view((first, 0), (n - first, first + size));
             out.view_mut((first, 0), (size, first + size)).gemm(1.0, &left, &right, 0.0);

@@ -1,4 +1,5 @@
-/// Stopping criteria of [`minimise`], which ends as soon as one of them is met.
+/// Stopping criteria of [`minimise`], which ends as soon as one of them is met, or earlier where no
+/// step lowers the value.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tolerances {
     /// Size that no entry of the gradient exceeds, apart from coordinates held at a bound.

@@ -114,8 +114,7 @@ pub fn sobol_point(index: usize, dimensions: usize, seed: u32) -> Vec<f64> {
     (0..dimensions)
         .map(|d| {
             // The crate has direction numbers for 256 dimensions; further dimensions use the same
-            // ones
-            // with another seed.
+            // ones with another seed.
             let (block, d) =
                 (d as u32 / sobol_burley::NUM_DIMENSIONS, d as u32 % sobol_burley::NUM_DIMENSIONS);
             f64::from(sobol_burley::sample(index as u32, d, seed.wrapping_add(block)))
@@ -186,7 +185,7 @@ mod tests {
         }
     }
 
-    /// A function that rises towards a corner and is not finite beyond it.
+    /// A plane that rises towards one corner of the box.
     struct Corner;
 
     impl Acquisition for Corner {

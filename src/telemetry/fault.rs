@@ -7,8 +7,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Consequence {
-    /// The program repeats the rollout a limited number of times, because nothing points to a defect of the Qube. It
-    /// greets the board, waits for 1 s at rest and homes before each repetition.
+    /// The program repeats the rollout a limited number of times, because nothing points to a defect
+    /// of the Qube. Before each repetition it sends the board a hello, waits for 1 s at rest and
+    /// homes.
     TryAgain,
     /// The program opens the same port again, because the link is lost. It tries for a limited time and accepts only
     /// the same board. Then it continues as with [`TryAgain`](Self::TryAgain), with a new zero.
@@ -121,10 +122,10 @@ faults! {
         "the policy asked for a voltage that is not a number",
         "Use another policy: this one is invalid.";
     EncoderJump: Examine,
-        "the arm's encoder jumped by more than 200 counts in 10 ms (a hard hit?)",
+        "the arm's encoder jumped: in 10 ms by more than 200 counts, or by 40 more than just before and after (a hard hit?)",
         "Check the arm's encoder, its cable and the stops.";
     PendulumJump: Examine,
-        "the pendulum's encoder jumped by more than 200 counts in 10 ms (a loose cable?)",
+        "the pendulum's encoder jumped: in 10 ms by more than 200 counts, or by 40 more than just before and after (a loose cable?)",
         "Check the pendulum's encoder cable and its plug.";
     EncoderFrozen: Examine,
         "the arm's count is constant while the arm moves (a loose cable?)",
@@ -142,7 +143,7 @@ faults! {
         "arm and pendulum did not come to rest within 15 s",
         "Check whether something moves or holds arm or pendulum.";
     BrakingTimedOut: Examine,
-        "the arm did not stop within 1 s of braking",
+        "the arm still turned faster than 5 rad/s when the time for braking was over",
         "Switch the Qube off; check the motor and the arm's encoder.";
     HomingTimedOut: Examine,
         "the arm's stops were not found within 60 s",
@@ -151,10 +152,10 @@ faults! {
         "the encoders of arm and pendulum contradict each other",
         "Check both encoders' cables; check whether the pendulum sits firmly on its shaft, and keep hands off.";
     WrongSignTheta: Examine,
-        "the count of the arm runs against the arm: the sign of its encoder is wrong",
+        "the arm's count moves in the direction opposite to the arm: the sign of its encoder is wrong",
         "Reverse theta_inverted in qube.toml, or let the check find the signs.";
     WrongSignAlpha: Examine,
-        "the count of the pendulum runs against the pendulum: the sign of its encoder is wrong",
+        "the pendulum's count moves in the direction opposite to the pendulum: the sign of its encoder is wrong",
         "Reverse alpha_inverted in qube.toml, or let the check find the signs.";
     WrongSignMotor: Examine,
         "the arm moves against the voltage: the sign of the motor is wrong",
@@ -193,14 +194,15 @@ impl Fault {
         name
     }
 
-    /// Whether the fault concerns timing only: samples or commands came too late, and nothing points to a defect of the
-    /// Qube.
+    /// Whether the rollout may be repeated on the same link, because nothing points to a defect of
+    /// the Qube: samples or commands came too late, the device was disarmed, or a count moved while
+    /// the motor was off.
     #[must_use]
     pub fn is_timing_fault(self) -> bool {
         self.consequence() == Consequence::TryAgain
     }
 
-    /// Whether the fault puts the arm's count in doubt but neither link nor motor.
+    /// Whether the fault puts the arm's count in doubt, but neither the link nor the motor.
     #[must_use]
     pub fn doubts_count(self) -> bool {
         matches!(

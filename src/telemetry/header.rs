@@ -17,7 +17,7 @@ pub struct TickSettings {
     pub estimator: EstimatorSettings,
     /// Box that the state must not leave, and the guard.
     pub safety_box: SafetyBox,
-    /// Number of steps of the policy.
+    /// Largest number of steps of the policy.
     pub max_steps: u32,
     /// Start angle of the arm, rad.
     pub start_theta_rad: f64,
@@ -74,9 +74,9 @@ pub struct RolloutHeader {
     pub format: u32,
     /// Name of the session, or `run`.
     pub session: String,
-    /// Number of the candidate in its session.
+    /// Number of the candidate in its session, from 0; `None` for a rollout without a candidate.
     pub candidate: Option<u32>,
-    /// Number of the rollout for its candidate.
+    /// Number of the rollout among those of its candidate or run, from 0.
     pub rollout: u32,
     /// Number of the attempt, from 0. Each repetition after a void rollout adds 1.
     pub attempt: u32,
@@ -90,7 +90,8 @@ pub struct RolloutHeader {
     pub program_version: String,
     /// Revision that the program was built from, or `unknown`.
     pub git_revision: String,
-    /// Identity of the device: kind, serial, firmware version, protocol version, port.
+    /// Facts about the device by name: its identity (kind, serial, firmware version, protocol
+    /// version, port), and where it was measured the timing of its link.
     pub device: BTreeMap<String, String>,
     /// Check of the device before the rollout.
     #[serde(default)]
@@ -121,7 +122,7 @@ pub enum Ending {
     LeftBox(Limit),
     /// The operator or the program stopped the rollout.
     Stopped,
-    /// A fault of timing, link or machine ended the rollout.
+    /// A fault ended the rollout.
     Fault(Fault),
 }
 
@@ -132,7 +133,7 @@ pub struct RolloutOutcome {
     pub ending: Ending,
     /// Phase in which the rollout ended.
     pub phase: Phase,
-    /// Number of steps of the policy.
+    /// Number of steps that the policy took.
     pub steps: u32,
     /// Number of skipped periods, plus ticks that were more than a period late or had no valid sample.
     pub missed_deadlines: u32,

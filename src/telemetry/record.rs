@@ -6,7 +6,7 @@ use crate::qube::{Measurement, State};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
-    /// The arm is moved to its start angle, and the pendulum comes to rest.
+    /// The program moves the arm to its start angle and brings the pendulum to rest.
     #[default]
     Settling,
     /// The policy controls the motor; the return is the sum of the rewards of these ticks.

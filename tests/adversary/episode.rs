@@ -52,7 +52,7 @@ pub struct Episode {
     pub farthest_at_s: f64,
     /// Largest voltage sent, mV.
     pub largest_mv: i16,
-    /// Ending by the tick.
+    /// Ending that the tick reported.
     pub ending: Option<Ending>,
     /// Ticks until the amplifier was off.
     pub ticks: u32,
@@ -68,8 +68,8 @@ const STEPS: u32 = 250;
 /// Ticks for which the arm coasts with the amplifier off.
 const COASTING_TICKS: u32 = 300;
 
-/// A policy that pumps by the sign of a form in the state, then pushes one way, the other way, and
-/// the first way again; the switching times are genes too.
+/// A policy at full voltage: it pumps by the sign of a weighted sum over the state, then pushes one
+/// way, the other way, and the first way again. Weights and switching times are genes.
 struct Adversary {
     genes: Genome,
     step: u32,

@@ -21,7 +21,7 @@ pub struct Plant {
     pub state: State,
     /// The largest |theta| so far, rad.
     pub farthest_rad: f64,
-    /// When it got there, s.
+    /// Time of the largest |theta|, s.
     pub farthest_at_s: f64,
     dynamics: Dynamics,
     parameters: DomainParameters,
@@ -62,6 +62,7 @@ impl Plant {
         }
     }
 
+    /// Voltage that friction and cable take from the motor, V.
     fn lost_v(&self) -> f64 {
         let Roughness { coulomb_v, cable_v_rad, cable_theta } = self.roughness;
         let past = self.state.theta - cable_theta;

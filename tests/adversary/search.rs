@@ -1,4 +1,5 @@
-//! The search for the worst adversary: the cross-entropy method over genomes, restarted repeatedly.
+//! The search for the worst adversary: the cross-entropy method over genomes. Callers repeat it
+//! with many seeds.
 
 use qube_hil::telemetry::Ending;
 use rand::{RngExt, SeedableRng};
@@ -6,18 +7,22 @@ use rand_chacha::ChaCha8Rng;
 
 use super::episode::{Domain, Episode, GENES, Genome, play};
 
-/// Size of a generation, and number of its best from which the next is drawn.
+/// Size of a generation.
 const POPULATION: usize = 64;
+
+/// Number of the best of a generation from which the next is drawn.
 const ELITE: usize = 10;
 
-/// The worst episodes of a search.
+/// The result of a search: its worst episode, and counts over all episodes.
 #[derive(Clone, Copy, Debug)]
 pub struct Worst {
     pub genes: Genome,
     /// Seed of the delays.
     pub seed: u64,
     pub episode: Episode,
+    /// Largest voltage sent in any episode, mV.
     pub largest_mv: i16,
+    /// Number of episodes.
     pub episodes: u32,
     /// Episodes that a fault ended although nothing was faulty.
     pub false_faults: u32,

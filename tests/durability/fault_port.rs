@@ -82,7 +82,7 @@ pub struct Plan {
 #[derive(Debug, Default)]
 struct Held {
     pieces: VecDeque<(Nanoseconds, Vec<u8>)>,
-    /// Waits for the piece behind it, to come after that.
+    /// Piece that arrives after the next one.
     overtaken: Option<Vec<u8>>,
 }
 
@@ -157,7 +157,7 @@ impl<T: Transport> FaultPort<T> {
         Ok(())
     }
 
-    /// Waits for one frame from the device, while what is held arrives at its time.
+    /// Waits for one frame from the device; held pieces are delivered meanwhile, each at its time.
     fn frame_from_device(&mut self, deadline_ns: Nanoseconds) -> Result<Vec<u8>, LinkFault> {
         let mut frame = Vec::new();
         let mut buffer = [0; 1];

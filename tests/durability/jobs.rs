@@ -1,5 +1,5 @@
-//! A worker whose disk fails or whose process ends at any operation: the next worker finishes the job, with the
-//! same bytes, and never a damaged one.
+//! Tests a worker whose disk fails or whose process ends at any operation: the next worker finishes
+//! the job with the same bytes, and a damaged result is never accepted.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -30,7 +30,7 @@ fn terms() -> Terms {
     Terms { beat_ms: 5_000, stale_ms: 0, ..Terms::default() }
 }
 
-/// Works on a disk as a computer of this name; whether the worker ended well.
+/// Runs a worker on a disk as a computer of this name; returns whether it ended without an error.
 fn work(disk: &SimulatedDisk, host: &str) -> bool {
     let holder = Holder { host: host.into(), ..Holder::this_process() };
     let folder = match JobFolder::open(Arc::new(disk.clone()), Path::new(ROOT)) {

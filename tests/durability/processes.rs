@@ -171,7 +171,8 @@ fn ledger(folder: &Path) -> Vec<u8> {
     std::fs::read(folder.join("ledger.jsonl")).unwrap_or_default()
 }
 
-/// A ledger without its first line, the checksum of settings that have the session's name in them.
+/// A ledger without its first line, which has the checksum of settings that contain the session's
+/// name.
 fn decisions(ledger: &[u8]) -> String {
     let text = String::from_utf8_lossy(ledger);
     let (first, decisions) = text.split_once('\n').unwrap();

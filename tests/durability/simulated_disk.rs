@@ -23,7 +23,7 @@ pub enum DiskFault {
     Full,
     /// The file system has become read-only. Permanent.
     ReadOnly,
-    /// A write or a change of names fails with EIO, once.
+    /// A write or a change of names fails with EIO, once; a write takes half of its bytes.
     WriteFails,
     /// The next sync fails with EIO, once; its data may be lost.
     SyncFails,
@@ -159,7 +159,7 @@ impl SimulatedDisk {
         Self::holding(after)
     }
 
-    /// The bytes of a file; none where there is no such file.
+    /// The bytes of a file; `None` if there is no such file.
     pub fn bytes(&self, path: &Path) -> Option<Vec<u8>> {
         let content = self.content();
         match content.names.get(path)? {
@@ -178,15 +178,16 @@ impl SimulatedDisk {
         content.synced_names.insert(path.to_owned(), name);
     }
 
-    /// The files there are.
+    /// The paths of all files.
     pub fn files(&self) -> Vec<PathBuf> {
         let content = self.content();
         let files = content.names.iter().filter(|(_, name)| matches!(name, Name::File(_)));
         files.map(|(path, _)| path.clone()).collect()
     }
 
-    /// Counts an operation, and fails it if that is planned. A crash has an error of its own, which
-    /// all later operations return.
+    /// Counts an operation, and fails it if that is planned. With an error it returns whether a
+    /// write takes half of its bytes. A crash has an error of its own, which all later operations
+    /// return.
     fn begin(&self, is_sync: bool) -> Result<MutexGuard<'_, Content>, (io::Error, bool)> {
         let mut content = self.content();
         if self.crashed.load(Ordering::SeqCst) {

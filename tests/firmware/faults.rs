@@ -53,8 +53,8 @@ fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
         // Steady red is the colour of the watchdog.
         assert!(commands.iter().filter(|it| it.time_us > off_us).all(Command::is_red));
 
-        // The last act does not show on the SPI, which repeats the same word for long. So this is
-        // repeated from an arm, whose 0 V show.
+        // The last act does not show on the SPI, which repeats the same word for long. So the
+        // silence is measured again from an arm, whose 0 V show.
         host.link.hello().unwrap();
         let armed_us = host.board.time_us();
         host.link.arm().unwrap();

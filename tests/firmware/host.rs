@@ -19,11 +19,11 @@ const PATIENCE_NS: u64 = 30_000_000;
 /// Attempts of a scenario, because the computer may be too slow for it.
 const ATTEMPTS: u32 = 50;
 
-/// The computer was too slow, which proves nothing.
+/// The computer was too slow for a scenario, so that its result proves nothing.
 #[derive(Debug)]
 pub struct Disturbed;
 
-/// A board with a Qube that has been greeted; armed, it turns with 1 V.
+/// A board with a Qube that has been greeted, and the link to it; it is driven with 1 V.
 pub struct Host {
     pub board: SimulatedBoard,
     pub link: SerialLink<Tty>,

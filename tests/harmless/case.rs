@@ -6,13 +6,16 @@ use qube_hil::telemetry::Fault;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// A fault.
+/// The kind of fault that a start has, if any.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Case {
     Healthy,
     ThetaDeadFromTheStart,
+    /// The count freezes; the tachometer keeps its last velocity.
     ThetaFrozen,
+    /// The count freezes; the tachometer shows an arm at rest.
     ThetaDead,
+    /// The count freezes for a while; counts in that time are lost.
     ThetaLapse,
     ThetaJump,
     AlphaDeadFromTheStart,
@@ -24,14 +27,19 @@ pub enum Case {
     MotorSign,
     MotorDead,
     MotorDeadLater,
+    /// The motor has half of its torque.
     MotorHalf,
+    /// The motor has 30 % of its torque.
     MotorWeak,
     ArmHeld,
     ArmHeldLater,
     BesideAStop,
     BesideAStopFalling,
+    /// The arm's encoder counts half as many.
     ThetaHalf,
+    /// The arm's encoder counts twice as many.
     ThetaDouble,
+    /// The motor turns in one direction only.
     MotorOneSided,
     ArmPushed,
     PendulumHeld,
@@ -128,8 +136,8 @@ pub struct Start {
 }
 
 impl Start {
-    /// The start of this case and seed; every second one fails within the first 15 s, during
-    /// homing.
+    /// The start of this case and seed. In about half of the starts the fault begins within the
+    /// first 15 s, during homing; in the others within the first 60 s.
     pub fn new(case: Case, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(7);
@@ -161,7 +169,7 @@ impl Start {
         let hand_lasts_s = random.random_range(0.2..1.5);
         let hand_like_v = random.random_range(0.5..3.0) * side;
         if matches!(case, Case::ArmPushed | Case::PendulumHeld | Case::MotorOneSided) {
-            // All of them during homing, every second one in its first seconds.
+            // All of them begin during homing, about half of them in the first 6 s.
             onset_s = if early { 0.4 * onset_s } else { 0.25 * onset_s };
         }
         let fault = match case {
@@ -236,8 +244,8 @@ impl Start {
     }
 }
 
-/// Nominal, `lab`, and 1.5 times its nonidealities, each exact or with parameters 10 % off, in
-/// turn.
+/// In turn nominal, `lab`, and `lab` 1.5 times as far from nominal; three seeds with parameters up
+/// to 10 % off alternate with three exact ones.
 fn model(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
     let lab = Profile::lab().model();
     let mut model = match seed % 3 {

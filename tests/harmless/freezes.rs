@@ -105,32 +105,35 @@ pub const KINDS: [(&str, FaultFrom); 3] = [
     ("500 ms", |after_s| EmulatorFault::LapsingTheta { after_s, lasts_s: 0.5 }),
 ];
 
-/// A freeze in a rollout.
+/// A rollout with a freeze.
 pub struct Freeze {
     pub outcome: Outcome,
+    /// Onset of the freeze, s of the emulated Qube's time.
     pub onset_s: f64,
 }
 
 impl Freeze {
-    /// Time from the freeze until the policy lost the motor; `None` if the rollout counts as a
-    /// result.
+    /// Time from the freeze until the policy lost the motor to a fault, ms; `None` if the rollout
+    /// counts as a result.
     pub fn found_ms(&self) -> Option<f64> {
         let is_fault = matches!(self.outcome.ending, Ending::Fault(_));
         is_fault.then_some(1e3 * (self.outcome.ran_s.1 - self.onset_s).max(0.0))
     }
 
+    /// Whether a fault other than the frozen encoder ended the rollout.
     pub fn is_named_otherwise(&self) -> bool {
         matches!(self.outcome.ending, Ending::Fault(fault) if fault != Fault::EncoderFrozen)
     }
 
-    /// Whether the rollout counts although its zero is wrong.
+    /// Whether the rollout counts as a result although its zero is wrong by more than 0.05 rad.
     pub fn counts_wrongly(&self) -> bool {
         self.found_ms().is_none() && self.outcome.zero_off_rad > 0.05
     }
 }
 
-/// Runs an undisturbed rollout, then the same rollout with a freeze of each of the [`KINDS`]; `None` if the Qube is not
-/// homed. The seed determines the instant of the freeze: over many seeds these are spread evenly over the rollout.
+/// Runs an undisturbed rollout, then the same rollout with a freeze of each of the [`KINDS`];
+/// `None` if the Qube is not homed. The seed determines the instant of the freeze: over many seeds
+/// the instants are spread evenly over the time in which the policy drives, except its last 0.35 s.
 pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<Freeze>)> {
     let healthy = rollout(qube, policy, None)?;
     let (from_s, to_s) = healthy.ran_s;

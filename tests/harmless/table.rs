@@ -16,12 +16,13 @@ const FASTEST_CONTACT_RAD_S: f64 = 2.0;
 const FOUND_WITHIN_S: f64 = 0.3;
 
 impl Trial {
-    /// Whether no stop was touched faster than allowed, or than with the amplifier off.
+    /// Whether no stop was touched while homing or settling faster than allowed, or faster than
+    /// with the amplifier off.
     pub fn is_harmless(&self) -> bool {
         self.gentle_contact_rad_s <= FASTEST_CONTACT_RAD_S.max(1.01 * self.contact_off_rad_s)
     }
 
-    /// Whether the fault was named correctly, or there was none.
+    /// Whether the fault was named correctly, or need not be named and no fault was.
     pub fn is_named_rightly(&self, start: &Start) -> bool {
         match self.ending {
             Ending::Fault(fault) => start.case.names_rightly(fault),
@@ -29,7 +30,8 @@ impl Trial {
         }
     }
 
-    /// Whether anything about it is wrong.
+    /// Whether a stop was touched too fast, the fault was not named correctly, or a result was
+    /// false.
     pub fn falls_short(&self, start: &Start) -> bool {
         !self.is_harmless() && !start.case.is_by_hand()
             || !self.is_named_rightly(start)
@@ -38,7 +40,7 @@ impl Trial {
 }
 
 impl Start {
-    /// Whether a run on this start must end with a fault.
+    /// Whether this start must end with a fault.
     fn must_be_named(&self) -> bool {
         !matches!(
             self.case,

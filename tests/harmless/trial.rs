@@ -18,7 +18,7 @@ use qube_hil::telemetry::{Ending, TickSettings};
 use super::case::{Case, Start};
 use super::wire::SharedWire;
 
-/// Duration of a start, s; every fault has begun 15 s before.
+/// Duration of a start, s. The latest fault begins 15 s before its end.
 const LONGEST_S: f64 = 75.0;
 
 /// Error of the zero that makes a result false, rad.
@@ -44,11 +44,12 @@ pub struct Trial {
     pub lasted_s: f64,
     /// Time from the fault until the amplifier was off, s.
     pub off_after_s: f64,
-    /// Rollouts that counted as results although the fault began before they ended.
+    /// Rollouts that counted as results although the fault began before the policy lost the motor
+    /// and the arm's zero was off by more than [`ZERO_WITHIN_RAD`].
     pub false_results: u32,
 }
 
-/// A motion that records its contacts with the state of control.
+/// A motion that records contacts of the arm with a stop, and the state of control at each.
 struct Watched<'a, M> {
     motion: M,
     notes: &'a mut Notes,
@@ -62,11 +63,11 @@ struct Notes {
     gentle_rad_s: f64,
     rollout_rad_s: f64,
     struck_in: Option<ControlState>,
-    /// Last state of control in which it had the motor.
+    /// Last state of control in which the motor was on.
     last_state: ControlState,
     /// Time at which the policy last had the motor, s.
     ran_until_s: f64,
-    /// Interval in which the motor has 0 V, as with the amplifier off, s.
+    /// Times from and until which the motor has 0 V, as with the amplifier off, s.
     off: Option<(f64, f64)>,
 }
 
@@ -93,7 +94,7 @@ impl Notes {
         }
     }
 
-    /// Drives a motion to its end and lets the arm coast.
+    /// Drives a motion to its end and returns its ending.
     fn drive(&mut self, device: &mut dyn Device, motion: &mut dyn Motion) -> Ending {
         let clock = self.clock.clone();
         let stop = AtomicBool::new(false);
@@ -102,6 +103,7 @@ impl Notes {
         report.outcome.ending
     }
 
+    /// Lets the arm coast for 3 s with the amplifier off.
     fn coast(&mut self) {
         self.clock.advance(3_000_000_000);
         self.note(self.last_state);
@@ -191,7 +193,7 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
             let zero_error_rad = rig.angles_rad(&sample).0 - notes.wire.state().theta;
             let strikes = start.settings.fault.is_some() && notes.ran_until_s > start.onset_s;
             false_results += u32::from(strikes && zero_error_rad.abs() > ZERO_WITHIN_RAD);
-            // The work of a session between two rollouts.
+            // The time that a session needs between two rollouts.
             clock.advance(20 * CONTROL_PERIOD_NS);
         }
     }

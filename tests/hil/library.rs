@@ -47,7 +47,8 @@ fn start_watchdog() {
     static STARTED: Once = Once::new();
     STARTED.call_once(|| {
         std::thread::spawn(|| {
-            // A busy computer does not stop the Qube's own processor, and this thread holds the card's lock.
+            // A busy computer does not stop a real Qube's processor, and this thread holds the
+            // card's lock: it must not be late.
             let _ = enter_realtime();
             loop {
                 std::thread::sleep(LOOK);
@@ -166,7 +167,7 @@ impl Card {
         self.began.elapsed().as_micros() as u64
     }
 
-    /// Lets time pass, and the watchdog with it.
+    /// Advances the plant and the watchdog to the present time.
     fn go_on(&mut self) {
         let now_us = self.now_us();
         if let Some((timeout_us, fed_us)) = self.running
@@ -185,7 +186,7 @@ impl Card {
         self.plant.advance_to(now_us);
     }
 
-    /// Gives the motor what the outputs say, and writes it down.
+    /// Gives the motor the voltage of the outputs, and writes the amplifier's state to the file.
     fn drive(&mut self) {
         let voltage_v = if self.is_enabled { self.voltage_v } else { 0.0 };
         self.plant.set_voltage(voltage_v * f64::from(self.signs[2]));
@@ -242,7 +243,7 @@ fn call<T>(
             "error" => return Err(-(fault.value as c_int)),
             "hang" => {
                 card.write_down();
-                // The Qube goes on meanwhile.
+                // The plant and its watchdog go on while this call hangs.
                 drop(guard);
                 std::thread::sleep(Duration::from_millis(fault.value as u64));
                 guard = CARD.lock().unwrap_or_else(PoisonError::into_inner);
@@ -257,7 +258,8 @@ fn call<T>(
             "unplug" if number == fault.at => {
                 let away = Duration::from_millis(fault.value as u64);
                 card.unplugged_until = Some(Instant::now() + away);
-                // A Qube without its cable: what its amplifier does is the vendor's secret; here it is off.
+                // The vendor does not say what the amplifier of a Qube without its cable does; here
+                // it is off.
                 (card.is_enabled, card.voltage_v, card.running) = (false, 0.0, None);
                 card.is_open = false;
                 card.drive();
@@ -465,7 +467,7 @@ pub extern "C" fn hil_watchdog_set_analog_expiration_state(
     _count: c_uint,
     _values: *const f64,
 ) -> c_int {
-    // Most cards do not allow it, says the header.
+    // The vendor's header says that most cards do not allow it.
     code(call_open("hil_watchdog_set_analog_expiration_state", |_| Err(-591)))
 }
 

@@ -98,13 +98,13 @@ fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let directory = directory.path();
-        // State after an earlier run.
+        // The doubt that an earlier run has left.
         let memory = DoubtStore::new(directory.join("qube-hil"));
         let board = format!("{SEED:016x}");
         memory.store(&Doubt { fault: Some(Fault::StallError), board: board.clone(), unix_s: None });
         let _qube = Qube::with(directory, None);
 
-        // Restarted without a word: refused before anything has moved.
+        // Without --acknowledge: refused before anything has moved.
         for flags in [&[][..], &["--skip-check"]] {
             let (output, result, told) = run(directory, "two", flags);
             assert_eq!(code(&output), Some(4), "{told}");
@@ -116,7 +116,7 @@ fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
             assert!(!directory.join("two").exists());
             assert!(memory.load(&board).is_some());
         }
-        // With it, the Qube is examined; a busy computer may end that.
+        // With --acknowledge, the Qube is examined; a busy computer may end the examination.
         let (_, result, told) = run(directory, "three", &["--skip-check", "--acknowledge"]);
         assert!(!told.contains("doubt"), "{told}");
         let rollout = directory.join("three/rollout-0.mcap");

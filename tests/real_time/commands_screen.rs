@@ -1,5 +1,5 @@
-//! Tests the screen in a real terminal, which tmux is: what it shows, its keys, a change of size, and that it leaves the
-//! terminal as it was on every way out.
+//! Tests the screen in tmux, which is a real terminal: the contents, the keys, a change of size,
+//! and that every way out leaves the terminal as it was.
 //!
 //! Without tmux the tests say that they are skipped; with `QUBE_HIL_REQUIRE_TMUX` they fail instead.
 
@@ -58,7 +58,7 @@ impl Tmux {
         self.tmux(&["send-keys", key]);
     }
 
-    /// What the window shows.
+    /// The text in the window.
     fn shown(&self) -> String {
         String::from_utf8_lossy(&self.tmux(&["capture-pane", "-p"]).stdout).into_owned()
     }
@@ -90,7 +90,7 @@ impl Tmux {
             if shown.contains(text) {
                 return shown;
             }
-            // The exit code of the program before stays for a moment.
+            // The exit code of the previous program stays in the window for a moment.
             if !shown.lines().any(|line| line.starts_with("exit=")) {
                 last_running = Instant::now();
             }

@@ -38,7 +38,7 @@ const FUNCTIONS: [(&str, &[u64]); 14] = [
 ];
 
 /// Faults after which the program asks whether the watchdog has expired: a read that fails within the rollout, and one
-/// that takes so long within homing that it has.
+/// within homing that takes so long that the watchdog expires.
 const ASKED_AFTER: [&str; 2] = ["hil_read:error=13:420:1", "hil_read:hang=120:300:1"];
 
 /// The faults of the sweep, as the test library reads them: all, or the lasting ones at each function's last place.
@@ -198,7 +198,8 @@ fn a_second_interrupt_ends_the_program_with_the_amplifier_off() {
 
 #[test]
 fn a_call_that_hangs_after_an_expired_watchdog_was_cleared_leaves_the_amplifier_off() {
-    // A read that takes 120 ms lets the watchdog expire within homing. The first call that disables the amplifier is
-    // refused then, and the one after the watchdog was cleared hangs.
+    // A read that takes 120 ms lets the watchdog expire within homing. The library then refuses the
+    // first call that disables the amplifier; the second such call, after the watchdog was cleared,
+    // hangs.
     run("hil_read:hang=120:300:1+hil_write_digital:hang=3600000:4");
 }

@@ -6,7 +6,8 @@ use serde_json::Value;
 use crate::busy_computer::in_real_time;
 use crate::panel::{Ended, Panel, library};
 
-/// Ends that leave nothing behind: nothing has moved, and the program says what to do.
+/// Checks that the program refused: exit code 2, one sentence with these words, and nothing was
+/// armed.
 #[track_caller]
 fn refused(panel: &Panel, ended: &Ended, words: &[&str]) {
     assert_eq!(ended.code, Some(2), "{ended:?}");
@@ -43,7 +44,7 @@ fn a_library_of_another_version_is_refused_with_the_function_that_it_lacks() {
     let panel = Panel::new(&[]);
     let older = panel.path().join("libhil.so");
     let mut bytes = std::fs::read(library()).unwrap();
-    // The names of the exported functions, so that the loader finds one of them no longer.
+    // An exported function gets another name, so that the loader does not find it.
     let name = b"\0hil_watchdog_is_expired\0";
     let places: Vec<usize> =
         (0..bytes.len() - name.len()).filter(|&at| bytes[at..].starts_with(name)).collect();

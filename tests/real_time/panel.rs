@@ -35,8 +35,8 @@ pub fn library() -> &'static Path {
 /// A directory with the state of the card's amplifier, and the settings of the test library.
 pub struct Panel {
     directory: tempfile::TempDir,
-    /// In memory where that can be had: the test library writes the amplifier's state in every tick, and a disk that
-    /// other programs keep busy would hold the Qube up.
+    /// In memory if possible: the test library writes the amplifier's state in every tick, and a
+    /// disk that other programs keep busy would delay the ticks.
     state: tempfile::TempDir,
     variables: Vec<(&'static str, String)>,
 }
@@ -70,7 +70,7 @@ impl Panel {
         Ended::of(self.command(arguments).output().unwrap())
     }
 
-    /// How the program left the amplifier; `None` if it never opened the card.
+    /// State in which the program left the amplifier; `None` if it never opened the card.
     pub fn amplifier(&self) -> Option<String> {
         std::fs::read_to_string(self.state.path().join("amplifier")).ok()
     }

@@ -63,10 +63,10 @@ fn parts(page: &Path) -> (Vec<Block>, String) {
     (blocks, prose)
 }
 
-/// Where the links and pictures of a page lead, without those to other hosts.
+/// Targets of the links and pictures of a page, without those on other hosts.
 fn links(page: &Path) -> Vec<String> {
     let prose = parts(page).1;
-    // A link's text may go over the end of a line, its target may not.
+    // The text of a link may span two lines, its target may not.
     let targets = prose.split("](").skip(1).filter_map(|rest| rest.split([')', ' ', '\n']).next());
     targets.filter(|it| !it.contains("://") && !it.starts_with("mailto:")).map(Into::into).collect()
 }
@@ -149,7 +149,7 @@ fn every_source_file_that_a_page_names_exists() {
     const FOLDERS: [&str; 7] =
         ["src", "tests", "scripts", "examples", "benches", "firmware-protocol", "profiles"];
     let (mut lost, mut looked_at) = (Vec::new(), 0);
-    // The list of changes names files of its time.
+    // The list of changes names files that existed at the time of the change.
     for page in pages().iter().filter(|page| !page.ends_with("CHANGELOG.md")) {
         let prose = parts(page).1;
         let words = prose.split('`').skip(1).step_by(2).flat_map(str::split_whitespace);

@@ -56,7 +56,9 @@ fn printed(value: &Value, path: &str, found: &mut BTreeSet<String>) {
     }
 }
 
-/// Whether a printed path is that of a field, or of an element without a value above it.
+/// Whether a printed path belongs to a field of the page: it is the field's, or that of an empty or
+/// missing value which would contain the field. A field that ends with `.*` stands for all below
+/// it.
 fn is_of(path: &str, field: &str) -> bool {
     let above = |rest: &str| rest.starts_with('.') || rest.starts_with("[]");
     match field.strip_suffix(".*") {

@@ -81,11 +81,11 @@ const ROOMS: &[Room] = &[
                       "identification", "rig", "scoring", "storage"]),
     room("experiment", &["elementary", "qube", "policy", "simulation", "learning", "jobs", "search",
                          "recording", "telemetry", "rig", "session", "scoring", "storage", "identification", "replay"]),
-    // Drawing, apart from what it shows.
+    // Drawing alone: it computes no results.
     room("charts", &["qube", "simulation", "replay", "search", "surrogate"]),
-    // What is recorded, shown while it happens.
+    // Shows ticks while they are recorded.
     room("live", &["recording", "telemetry"]),
-    // A page is written from what other rooms read and computed.
+    // Writes a page from the results of other rooms.
     room("report", &["experiment", "session", "scoring", "replay", "identification", "recording", "search", "surrogate",
                      "learning", "simulation", "telemetry", "storage", "qube"]),
     room("commands", EVERY_ROOM),
@@ -320,7 +320,7 @@ fn check_import(room: &Room, module: &[String], import: &Import) -> Option<Strin
             Some(format!("`{name}` may not import `{target}`"))
         }
         ("crate", Some(target)) => {
-            import.is_public_use.then(|| format!("`{name}` hands on what `{target}` owns"))
+            import.is_public_use.then(|| format!("`{name}` re-exports an item of `{target}`"))
         }
         ("firmware_protocol", _) => {
             (!is_allowed("firmware_protocol")).then(|| format!("`{name}` may not speak the wire"))
@@ -370,7 +370,7 @@ fn check_root(file: &Path, source: &str) -> Vec<String> {
         .map(|name| format!("`{name}` is not a room both here and in tests/repository/walls.rs"))
         .collect();
     if tokens.iter().any(|token| is_ident(token, "use")) {
-        breaches.push("the root hands nothing on: import from the room".to_owned());
+        breaches.push("lib.rs may not re-export: import from the room".to_owned());
     }
     breaches
 }
@@ -453,12 +453,12 @@ mod the_checker {
         ] {
             finds("control/tick.rs", source, "cannot be followed");
         }
-        finds("control/tick.rs", "pub use crate::qube::State;", "hands on what `qube` owns");
+        finds("control/tick.rs", "pub use crate::qube::State;", "re-exports an item of `qube`");
         finds("control/tick.rs", "use crate::utils::f;", "is no room");
         finds("utils/mod.rs", "", "is no room");
         finds("lib.rs", "pub mod clock; pub mod attic;", "`attic` is not a room");
         finds("lib.rs", "pub mod clock;", "`qube` is not a room");
-        finds("lib.rs", "pub use qube::State;", "the root hands nothing on");
+        finds("lib.rs", "pub use qube::State;", "lib.rs may not re-export");
         finds("main.rs", "fn main() { qube_hil::learning::train() }", "goes through the commands");
     }
 

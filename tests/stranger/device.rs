@@ -19,7 +19,7 @@ const WATCHDOG_NS: u64 = 50_000_000;
 /// Largest age of the sample that an act may answer, us.
 const STALE_US: u64 = 20_000;
 
-/// Longest settling, ns: only attacks are of interest.
+/// Time after which a rollout that still settles is stopped, ns: only attacks are of interest.
 const PATIENCE_NS: u64 = 9_000_000_000;
 
 /// Progress of the motion, which [`Watched`] reports.
@@ -93,18 +93,18 @@ pub struct Qube {
     pub mishap: Mishap,
     pub progress: MotionProgress,
     pub stop: Arc<AtomicBool>,
-    /// Assumed zero of the arm, rad.
+    /// Error of the arm's zero, rad.
     pub zero_rad: f64,
-    /// Jitter of the samples, ns.
+    /// Random numbers and the largest delay of a sample, ns; `None` without jitter.
     pub jitter: Option<(ChaCha8Rng, u64)>,
-    /// Whether a mishap has happened while the arm was off its stops.
+    /// Whether a mishap happened before the arm reached its stop.
     pub went_wrong: bool,
     /// Part of the episode in which the arm reached its stop.
     pub hit_in: Option<Part>,
     /// A line for each tick, if requested.
     pub lines: Option<Vec<String>>,
     armed: bool,
-    /// The Qube without its cable, from the last switching off on.
+    /// This Qube without its cable, simulated since the amplifier was last switched off.
     free: Option<Plant>,
     tripped: bool,
     dead: bool,

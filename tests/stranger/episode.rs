@@ -32,7 +32,8 @@ pub struct Outcome {
     pub hit_rad_s: Option<f64>,
     /// Part of the episode in which the arm reached its stop.
     pub hit_in: Option<Part>,
-    /// Whether a sample was lost, an act was late or a stop was requested before its end.
+    /// Whether a sample was lost, an act was late or a stop was requested before the arm reached
+    /// its stop.
     #[serde(default)]
     pub went_wrong: bool,
     /// Ending of each rollout.
@@ -170,7 +171,8 @@ impl Outcome {
         self.hit_rad_s.is_some() && self.hit_in != Some(Part::Pulled)
     }
 
-    /// A fault of a healthy Qube on a working link, which should not occur.
+    /// A fault of a healthy Qube on a working link, which should not occur; the fault of an
+    /// overheated motor does not count.
     pub fn false_fault(&self, mishap: MishapKind) -> Option<Fault> {
         if mishap == MishapKind::LinkDead {
             return None;

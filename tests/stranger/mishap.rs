@@ -35,13 +35,13 @@ impl MishapKind {
 enum Instant {
     /// In this step of the policy.
     Step(u32),
-    /// At the first time the arm is this far out, with its velocity over 50 ms added, rad.
+    /// As soon as the arm's angle, extrapolated by 50 ms at its velocity, is above this, rad.
     Outward(f64),
     /// This many ticks after the brake began.
     Brake(u32),
 }
 
-/// An onset, and the ticks since.
+/// An onset, and the ticks since then; `None` before it.
 #[derive(Clone, Copy, Debug)]
 struct Since {
     instant: Instant,
@@ -53,7 +53,9 @@ struct Since {
 pub struct Mishap {
     kind: MishapKind,
     loss: Since,
+    /// Samples that are lost in a row.
     lost: u32,
+    /// Good samples between two such losses.
     pause: u32,
     stall: Since,
     stall_ns: u64,

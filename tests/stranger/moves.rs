@@ -13,11 +13,11 @@ pub enum MovesKind {
     Feedback,
     /// A small neural network.
     Net,
-    /// Full voltage in either direction, with switching times.
+    /// Full voltage that changes its direction at chosen times.
     BangBang,
     /// Pumps energy into the pendulum.
     Pump,
-    /// Full voltage that alternates as fast as ticks allow, between pushes.
+    /// Pushes in a row, some of which change their sign every 1 to 12 steps.
     Chatter,
     /// The shipped policy `robust` with other weights.
     Robust,
@@ -51,11 +51,12 @@ pub enum Switch {
     Angle(f64),
 }
 
-/// A voltage for some steps; with a period it alternates.
+/// A voltage for some steps.
 #[derive(Clone, Copy, Debug)]
 pub struct Segment {
     pub steps: u32,
     pub voltage_v: f64,
+    /// Number of steps after which the sign changes; `None` if it does not.
     pub period: Option<u32>,
 }
 

@@ -9,7 +9,7 @@ pub trait Optimiser {
     /// The next genes to try.
     fn ask(&mut self, count: usize, random: &mut ChaCha8Rng) -> Vec<Vec<f64>>;
 
-    /// Takes the scores of the genes, best first.
+    /// Learns from the genes of a generation, sorted by score, best first.
     fn tell(&mut self, best_first: &[Vec<f64>]);
 }
 

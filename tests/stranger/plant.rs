@@ -14,16 +14,17 @@ pub struct Plant {
     pub now_ns: u64,
     /// The largest |theta| so far, rad.
     pub farthest_rad: f64,
-    /// Largest |theta| towards which the arm was heading, rad: its position a little later.
+    /// Largest |theta| so far that the arm would have reached `ahead_s` later at its velocity, rad.
     pub headed_rad: f64,
-    /// The speed at which the arm reached a stop, rad/s.
+    /// Largest speed at which the arm reached a stop, rad/s; `None` if it did not.
     pub hit_rad_s: Option<f64>,
     qube: DrawnQube,
     dynamics: NonidealDynamics,
     delay_ns: u64,
     ahead_s: f64,
-    /// Voltage at the motor, and those in transit with their times of arrival.
+    /// Voltage at the motor, V.
     motor_v: f64,
+    /// Voltages in transit, V, with their times of arrival, ns.
     under_way: VecDeque<(u64, f64)>,
 }
 

@@ -36,6 +36,7 @@ pub struct Scenario {
     pub seed: u64,
     pub known: BeliefKind,
     pub moves: MovesKind,
+    /// Whether the policy also strikes.
     pub strikes: bool,
     pub mishap: MishapKind,
     pub start: Start,
@@ -44,8 +45,8 @@ pub struct Scenario {
     pub jitters: bool,
     /// Steps of the policy.
     pub steps: u32,
-    /// Time for which the optimiser extrapolates the arm's angle at its velocity, s; the attack
-    /// maximises the result.
+    /// Time over which the score extrapolates the arm's angle at its velocity, s; the larger the
+    /// result, the higher the score.
     pub ahead_s: f64,
     /// The Qube of the whole search, as genes; `None` if the optimiser chooses it too.
     pub qube: Option<Vec<f64>>,

@@ -98,7 +98,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let recordings = expected_files.keys().filter(|name| name.ends_with(".mcap")).count();
     assert_eq!(recordings, 2 * 3 * 2 * 2 + 4);
 
-    // A file that is none of its own is replaced on demand only.
+    // A file that the experiment did not write is replaced only with --force.
     let foreign = whole.path().join("foreign.csv");
     std::fs::write(&foreign, "mine").unwrap();
     let arguments = ["--resume", "one", "--table", "--csv", "foreign.csv"];
@@ -238,7 +238,8 @@ fn strategies_that_are_killed_and_gone_on_with_come_to_the_same_table() {
     let expected_files = files(&whole.path().join("one"));
     let count = |end: &str| expected_files.keys().filter(|name| name.ends_with(end)).count();
     assert_eq!(count("refused-2.txt"), 2);
-    // Of three policies with two rollouts each the first decides: an answer that is tried fails.
+    // Of the three policies that score a recommendation the first decides: every recommendation
+    // fails here.
     let judged = expected.lines().filter(|line| line.contains(",false,")).count() - 4;
     let search_policies = 2 * 2 * 3;
     assert_eq!(count("policy.safetensors"), search_policies + judged);
@@ -298,7 +299,7 @@ fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
     for plant in ["lab", "cable", "all plants"] {
         let of_plant: Vec<&str> =
             rows.iter().filter(|(on, _)| on == plant).map(|(_, row)| row.as_str()).collect();
-        // Only what takes no rollout has a recommendation without any.
+        // Only `robust` needs no rollout, so only it has a recommendation at budget 0.
         let expected = [
             "robust 0",
             "robust 1",

@@ -81,7 +81,7 @@ fn qube(seed: u64) -> EmulatorSettings {
     EmulatorSettings { model, seed, ..EmulatorSettings::default() }
 }
 
-/// A controller that records the largest angle of the arm.
+/// A motion that records the largest angle of the arm, rad.
 struct Noted<C: Controller> {
     tick: Tick<C>,
     farthest_rad: f64,
@@ -103,7 +103,8 @@ impl<C: Controller> Motion for Noted<C> {
     }
 }
 
-/// Endings of rollouts by fault, and the Qubes on which they occurred.
+/// Counts over rollouts: ticks, and the seeds of the Qubes by the fault that ended a rollout on
+/// them.
 #[derive(Debug, Default)]
 struct Counted {
     ticks: u64,

@@ -1,5 +1,5 @@
-//! Tests that a healthy Qube raises no fault: rollouts in virtual time, with policies that swing
-//! up, that push against the limits, and that are untrained.
+//! Tests that a healthy Qube raises no fault: rollouts in virtual time, with the classical
+//! controller, a trained policy, and untrained policies.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;

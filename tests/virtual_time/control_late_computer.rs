@@ -24,7 +24,7 @@ const EVERY_S: [f64; 3] = [0.5, 1.0, 2.0];
 const LONGEST_S: [f64; 3] = [0.012, 0.034, 0.06];
 const SHORTEST_S: f64 = 0.004;
 
-/// A clock on which a wait may end late, followed by a second late one.
+/// A clock on which waits end late now and then, at random times.
 #[derive(Debug)]
 struct LateClock {
     time: VirtualClock,
@@ -127,7 +127,7 @@ fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
 }
 
-/// `RIGS` from `SEED` on.
+/// Drives `RIGS` Qubes, whose seeds begin at `SEED` (environment variables).
 #[test]
 fn a_computer_that_stands_still_now_and_then_leaves_no_doubt_about_a_healthy_qube() {
     let folder = tempfile::tempdir().unwrap();

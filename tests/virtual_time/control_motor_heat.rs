@@ -86,8 +86,8 @@ fn lab(gap: f64) -> QubeModel {
     Profile::lab().model().scaled(gap)
 }
 
-/// Runs `rollouts` rollouts of the classical controller and of two trained policies on three Qubes;
-/// returns the motors' heat.
+/// Runs `rollouts` rollouts of the classical controller and of two trained policies on three Qubes,
+/// prints the motors' loads, and checks that they stay below the warning.
 fn rollouts_back_to_back(rollouts: u64) {
     let classical = || Policy::Classical(ClassicalController::new(ClassicalGains::default()));
     let mut warmest: f64 = 0.0;

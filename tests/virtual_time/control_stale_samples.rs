@@ -80,7 +80,7 @@ impl Device for Fateful {
     }
 }
 
-/// A controller of constant voltage that records the device's status.
+/// A motion of constant voltage that records the samples that it gets.
 struct Constant {
     ticks: u32,
     /// The tick in which the host hangs for 25 ms before it acts.

@@ -1,4 +1,5 @@
-//! Identification of a rotary pendulum that is no Qube: 30 % larger, with an arm that turns 1.8 rad to either side.
+//! Tests the identification of a rotary pendulum that is no Qube: 30 % larger, with an arm that
+//! turns 1.8 rad to either side.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -185,7 +186,7 @@ fn a_session_identifies_a_larger_pendulum_and_ends_with_a_policy() {
     assert!((length_m / true_m - 1.0).abs() < 0.02, "{length_m} m instead of {true_m} m");
     let policy = told["best"]["policy"].as_str().unwrap_or_else(|| panic!("{told}"));
     assert!(directory.join(policy).exists(), "{policy}");
-    // It goes on, and is shown, as a Qube's does.
+    // The session can be resumed and reported like a Qube's.
     succeeds(directory, &["session", "--clock", "virtual", "--resume", "s"]);
     succeeds(directory, &["report", "s"]);
 }

@@ -1,5 +1,5 @@
-//! Trainings in a folder that worker processes share: every policy is byte for byte that of this computer alone,
-//! whatever happens to the workers.
+//! Tests trainings in a folder that worker processes share: every policy has the same bytes as if
+//! this computer had trained it alone, whatever happens to the workers.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -103,7 +103,7 @@ impl Drop for WorkerProcess {
     }
 }
 
-/// A worker of another computer, as this one sees it: whether it lives shows by its beats alone.
+/// A worker of another computer. This computer knows by its beats alone whether it lives.
 fn elsewhere() -> Holder {
     Holder { host: "elsewhere".into(), ..Holder::this_process() }
 }
@@ -113,7 +113,7 @@ fn two_workers_with_other_instruction_sets_train_the_policies_of_this_computer()
     let directory = tempfile::tempdir().unwrap();
     let (root, jobs) = (directory.path(), jobs(6, 2));
     let executor = executor(root);
-    // Doubly started: both have the same place.
+    // Both have the same slot, as if one worker had been started twice.
     let _one = WorkerProcess::start(root, &["--slot", "1/2"]);
     let _other = WorkerProcess::start(root, &["--slot", "1/2", "--instruction-set", "avx2"]);
     are_those_of_this_computer(&jobs, trained(&executor, &jobs));

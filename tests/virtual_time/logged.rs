@@ -1,22 +1,22 @@
-//! What the library logs while a test runs.
+//! Collects the library's log while a test runs.
 
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
 
 use tracing::Subscriber;
 
-/// What was logged, as text.
+/// The log of a test.
 #[derive(Clone, Default)]
 pub struct Log(Arc<Mutex<Vec<u8>>>);
 
 impl Log {
-    /// The subscriber that writes into it.
+    /// A subscriber that writes into this log.
     pub fn subscriber(&self) -> impl Subscriber + Send + Sync + use<> {
         let writer = self.clone();
         tracing_subscriber::fmt().with_writer(move || writer.clone()).with_ansi(false).finish()
     }
 
-    /// What was logged so far.
+    /// The text that was logged so far.
     pub fn text(&self) -> String {
         String::from_utf8(self.0.lock().unwrap().clone()).unwrap()
     }

@@ -17,7 +17,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rigs::{DEFECTS, FIRST_SEED, failed, number, of_each, rig, signs_of};
 
-/// Runs an examination; returns the largest speed at which the arm touched a stop meanwhile.
+/// Runs an examination; returns it, and the largest speed at which the arm touched a stop
+/// meanwhile, rad/s.
 fn examined(
     settings: EmulatorSettings,
     signs: Calibration,
@@ -40,7 +41,7 @@ fn examined(
     (found, touch_rad_s)
 }
 
-/// The wrong verdicts of one rig, in words.
+/// The number of verdicts on one rig, and the wrong ones in words.
 fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
     let rig = rig(seed);
     let mut wrong = Vec::new();

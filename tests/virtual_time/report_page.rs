@@ -1,4 +1,4 @@
-//! Tests the pages that `session` and `report` write, in a browser where there is one.
+//! Tests the pages that `session`, `experiment` and `report` write, in a browser if there is one.
 
 use std::fs;
 use std::path::Path;
@@ -139,7 +139,7 @@ fn an_identified_session_and_single_recordings_become_pages() {
     );
     let single = directory.join("s/candidates/001/rollout-0-attempt-0.html");
     let page = fs::read_to_string(&single).unwrap();
-    assert!(page.contains("How near the limits came"));
+    assert!(page.contains("How near the rollout came to its limits"));
     look_at(&[&directory.join("s/report.html"), &single]);
 }
 

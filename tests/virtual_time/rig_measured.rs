@@ -130,8 +130,8 @@ fn theta_error_rad(bench: &Bench, recording: &Recording) -> f64 {
 }
 
 /// A rollout, a fault of an encoder, and the next rollout as `run` does it: returns why the second
-/// did not begin at first, and its recording. The fault occurs this long after the end of the
-/// first.
+/// did not begin at first, its recording, and the true error of its arm's angle, rad. The fault
+/// occurs `after_ms` after the end of the first rollout.
 fn next_rollout(kind: &str, counts: i32, after_ms: i64) -> (Option<Moved>, Recording, f64) {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");

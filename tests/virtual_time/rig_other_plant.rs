@@ -1,5 +1,6 @@
-//! A rotary pendulum that is no Qube, described by a file: 30 % larger in every length and mass, with finer encoders
-//! and an arm that turns 1.8 rad to either side. It is trained for and run by the real commands.
+//! Tests a rotary pendulum that is no Qube, described by a file: 30 % larger in every length and
+//! mass, with finer encoders and an arm that turns 1.8 rad to either side. The program's own
+//! commands train a policy for it and run it.
 
 use std::path::Path;
 
@@ -31,8 +32,7 @@ fn trained(directory: &Path, policy: &str, arguments: &[&str]) {
     program(directory).args(train).arg(policy).args(arguments).assert().success();
 }
 
-/// What the recording shows of the limits: the farthest angle of the arm by its counts, rad, and the largest
-/// voltage, mV.
+/// The farthest angle of the arm in a recording by its counts, rad, and the largest voltage, mV.
 fn farthest_and_largest(recording: &Recording) -> (f64, u16) {
     let calibration = &recording.header.settings.calibration;
     let samples = recording.ticks.iter().filter_map(|tick| tick.measurement.as_ref());

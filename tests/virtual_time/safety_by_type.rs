@@ -41,7 +41,7 @@ impl Device for Undeclared {
     }
 }
 
-/// A transport that does not declare it either, or declares an emulator.
+/// A transport to such a Qube, which declares hardware or an emulator.
 #[derive(Debug)]
 struct Way {
     declares_emulated: bool,
@@ -59,7 +59,7 @@ impl Connect for Way {
     }
 }
 
-/// A transport like [`Way`] that declares nothing at all.
+/// A transport to such a Qube, which declares nothing either.
 #[derive(Debug)]
 struct SilentWay;
 

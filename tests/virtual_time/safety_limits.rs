@@ -267,7 +267,7 @@ fn a_rigs_own_file_widens_nothing() {
         let run = ["run", "--policy", "classical", "--qube", "qube.toml"];
         refused(directory.path(), &run, &["qube.toml", "line 3", "at most 2.3"]);
     }
-    // A file that names no guard.
+    // A rig's own file has no key for a guard.
     std::fs::write(directory.path().join("qube.toml"), "[limits]\nguard = \"box\"\n").unwrap();
     let run = ["run", "--policy", "classical", "--qube", "qube.toml"];
     refused(directory.path(), &run, &["qube.toml", "guard"]);

@@ -44,8 +44,8 @@ fn open(root: &Path, settings: &SessionSettings, executor: Arc<dyn Executor>) ->
     Session::open(folder, settings.clone(), rig, Arc::default()).unwrap().trained_by(executor)
 }
 
-/// Trains on several cores, each training some time longer than it takes, which differs from job to job and from one
-/// executor to the next.
+/// Trains on several cores and delays each training, by a time that differs from job to job and
+/// from one executor to the next.
 struct Dawdling {
     threads: usize,
     seed: u64,
@@ -131,7 +131,7 @@ impl Executor for Holding {
     }
 
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
-        // Candidate 5 runs the best one's policy, and 6, the recommendation, trains meanwhile.
+        // Candidate 5 runs the incumbent's policy, and 6, the recommendation, trains meanwhile.
         let candidate = [0, 1, 2, 3, 4, 6][self.jobs.fetch_add(1, Ordering::SeqCst) as usize];
         let begun = Instant::now();
         while candidate >= 2 && self.ended.load(Ordering::SeqCst) < candidate {

@@ -18,7 +18,7 @@ use serde_json::Value;
 
 use crate::folders::files_of;
 
-/// Set for the process whose log is read.
+/// Environment variable that is set for the process whose log is read.
 const LOGGED: &str = "QUBE_HIL_TEST_LOGGED";
 
 const SMALL: &str = "seed = 5\n\
@@ -128,12 +128,13 @@ fn each_of_two_qubes_has_a_session_of_its_own() {
     let report = report.current_dir(directory.path()).args(["report", "two"]).output().unwrap();
     let told = String::from_utf8_lossy(&report.stderr);
     assert!(report.status.code() == Some(2) && told.contains("as two/rig-1"), "{told}");
-    // One more or less than before is not the same sessions.
+    // One Qube more or less than at the start is refused.
     let alone = ended(directory.path(), &["--resume", "two", "--device", "emulated"]);
     let told = String::from_utf8_lossy(&alone.stderr);
     assert_eq!(alone.status.code(), Some(2), "{told}");
     assert!(told.contains("two drives 2 Qubes"), "{told}");
-    // Nor is an emulated Qube what a port was, or a file that names other Qubes than have sessions.
+    // So is an emulated Qube in place of a port, and a file whose number of Qubes is not that of
+    // the sessions.
     for (rigs, message) in [
         ("[\"/dev/ttyACM0\", \"emulated\"]", "rig 1 of two began at /dev/ttyACM0"),
         ("[\"emulated\"]", "devices has 1 entries, but there is two/rig-2"),
@@ -210,7 +211,7 @@ fn what_is_left_of_a_start_that_was_killed_is_in_nobodys_way() {
         begin("own").into_iter().map(|it| if it == "two" { "left" } else { it }).collect();
     let begun = ended(directory.path(), &again);
     assert!(begun.status.success(), "{}", String::from_utf8_lossy(&begun.stderr));
-    // What was begun in earnest is nothing left.
+    // A complete start is not overwritten.
     let refused = ended(directory.path(), &again);
     let told = String::from_utf8_lossy(&refused.stderr);
     assert!(refused.status.code() == Some(2) && told.contains("is not empty"), "{told}");
@@ -318,7 +319,8 @@ fn shared(root: &Path, faults: [Option<&str>; 2]) -> Session {
     Session::open(folder, settings, first, stop).unwrap().spread_over([(second, None)])
 }
 
-/// Sessions of two rigs, whose log is that of all threads of a process; run as a test it does nothing.
+/// Runs sessions of two rigs in a process of their own, whose log another test reads. Run as a test
+/// it does nothing.
 #[test]
 fn sessions_that_are_logged() {
     if std::env::var_os(LOGGED).is_none() {
@@ -350,7 +352,8 @@ fn a_warning_names_the_rig_that_it_is_about() {
     assert!(warnings.iter().all(|line| line.contains("rig{number=2}")), "{warnings:?}");
 }
 
-/// The attempts in a ledger, each with its rig and whether it has a result; a rig that was taken out is in between.
+/// The attempts in a ledger, each with its rig and whether it is void, and between them the rigs
+/// that were taken out.
 fn attempts(entries: &[Entry]) -> Vec<String> {
     let told = entries.iter().filter_map(|entry| match entry {
         Entry::RolloutFinished { candidate, rollout, rig, .. } => {

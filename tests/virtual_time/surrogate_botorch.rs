@@ -1,8 +1,8 @@
 //! Compares every number of the surrogate with BoTorch's.
 //!
 //! Reads each `botorch_fixture_*.json` in `$QUBE_HIL_FIXTURES`, or else in `../shared/fixtures`
-//! beside the checkout; each file describes its numbers. `tests/fixtures` has a small one of the
-//! same kind, so that the test always has something to compare with.
+//! beside the checkout; each file describes its numbers. `tests/fixtures` has four small ones
+//! of the same kind, so that the test always has something to compare with.
 
 use std::path::{Path, PathBuf};
 

@@ -1,17 +1,19 @@
 /* The firmware's pure layers, compiled for the computer and asked over standard input: one question
  * a line, one answer a line. The test firmware-protocol/tests/firmware_layers.rs asks.
  *
- *   stream HEX              what the link makes of these bytes
+ *   stream HEX              the frames and the dropped frames in these bytes
  *   again HEX               a frame decoded and encoded again
  *   motor MILLIVOLT         counts, motor word, applied millivolt
  *   current RAW             milliampere
  *   tachometer RAW          counts per second
  *   extend LAST RAW         the counter in 32 bits
- *   newer CANDIDATE LAST    does an act of this sequence number count after that
+ *   newer CANDIDATE LAST    1 if an act numbered CANDIDATE is accepted after an Arm numbered LAST, else 0
  *   watchdog FED NOW        the state at NOW of a device armed at FED
- *   fresh SAMPLED GIVEN NOW does an act at NOW of that sample count, when the last one given was that
- *   stop FITTED EVENTS      the emergency stop: c, o a millisecond of closed or open contact, h a Hello,
- *                           a an Arm; after each letter its state, r where an Arm is refused by it
+ *   fresh SAMPLED GIVEN NOW 1 if an act at NOW that names the sample of SAMPLED is accepted when the last
+ *                           sample given is that of GIVEN (or none), else 0
+ *   stop FITTED EVENTS      the emergency stop. EVENTS: c or o a millisecond of closed or open contact,
+ *                           h a Hello, a an Arm. Answers the state after each event, with ! while the stop
+ *                           is latched and ? while no switch is known; r where the stop refuses an Arm
  */
 #include <inttypes.h>
 #include <stdio.h>

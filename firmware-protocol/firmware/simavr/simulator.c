@@ -46,8 +46,8 @@
 
 /* Longest step of the simulation. */
 #define SLICE_US 100u
-/* Delay that the simulation may catch up. A longer one is skipped, because the program must not
- * see a silent host only because this process was not scheduled. */
+/* Longest delay that the simulation makes up for. The excess of a longer one is skipped: otherwise
+ * the program would see a silent host only because this process was not scheduled. */
 #define MAX_BEHIND_US 4000u
 #define HOUSEKEEPING_US 100000u
 
@@ -356,7 +356,7 @@ static void load(const char *elf, const char *mcu, uint32_t memory_seed)
     }
     uart = (avr_uart_t *)find_io("uart", '0');
 
-    /* simavr sleeps while a program polls its UART, and prints its output. */
+    /* By default simavr sleeps while a program polls its UART, and prints the program's output. */
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     uart_input = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);

@@ -11,10 +11,11 @@ pub const SAMPLES: [usize; 3] = [3, 7, 15];
 
 /// Number of columns, each with a sample seed of its own.
 const COLUMNS: u64 = 3;
-/// Range of the lengthscale on its axis, powers of ten of the width of the search range.
+/// Range of the lengthscale on its axis, as exponents of ten; the unit is the width of the search
+/// range.
 const LENGTHSCALES: (f64, f64) = (-2.0, 1.0);
-/// Range of the noise's standard deviation on its axis, powers of ten of the samples' standard
-/// deviation.
+/// Range of the noise's standard deviation on its axis, as exponents of ten; the unit is the
+/// samples' standard deviation.
 const NOISES: (f64, f64) = (-2.0, 0.5);
 /// Cells of the surface along each axis.
 const CELLS: usize = 90;
@@ -58,7 +59,7 @@ struct Surface {
     highest: f64,
 }
 
-/// The centre of a cell, as a power of ten.
+/// The centre of a cell on an axis with this range, as an exponent of ten.
 fn exponent(range: (f64, f64), cell: usize) -> f64 {
     range.0 + (range.1 - range.0) * (cell as f64 + 0.5) / CELLS as f64
 }
@@ -108,8 +109,8 @@ impl Surface {
         Ok(Self { values, best: hyperparameters(highest.1, highest.2), highest: highest.0 })
     }
 
-    /// The value at or below which the surface has the lowest colour: the maximum less nine times
-    /// its magnitude, or less 9 where the magnitude is below 1.
+    /// The value at or below which the surface has the lowest colour: the maximum minus nine times
+    /// the maximum's magnitude, or minus 9 if that magnitude is below 1.
     fn floor(&self) -> f64 {
         self.highest - 9.0 * self.highest.abs().max(1.0)
     }

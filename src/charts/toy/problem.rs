@@ -3,7 +3,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::surrogate::{Dataset, SearchBox, SurrogateError, normal};
 
-/// Range of x; the thesis does not state it.
+/// Range of x. The thesis does not state its own.
 pub const RANGE: (f64, f64) = (-1.0, 2.0);
 
 /// The thesis's toy function without its noise (its equation 3.9).

@@ -191,7 +191,7 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 fn trainings_of(problem: TwoHumped) -> String {
     match problem.rollout_correlation {
         0.0 => String::new(),
-        correlation => format!(", which correlate by {correlation} for a training"),
+        correlation => format!(", whose results correlate by {correlation} within a training"),
     }
 }
 

@@ -68,9 +68,9 @@ pub fn run(
     let pressed = rig.press(push_v, STEP_TICKS, false).map_err(failed)?;
     match pressed.ending {
         Ending::Stopped => return Err(failed(RigError::Stopped { during: "the power test" })),
-        // A computer that was late for a moment loses samples too. The motor is then off in any
-        // case, which shows nothing about a Qube without its board; but then the board still
-        // answers.
+        // A computer that was late for a moment loses samples, too, but then the board still
+        // answers. The motor is off in that case whatever it does without its board, so that case
+        // shows nothing.
         Ending::Fault(Fault::LinkGone | Fault::NoSample | Fault::BoardRestarted)
             if !rig.answers().map_err(failed)? => {}
         Ending::Fault(fault) => return Err(failed(RigError::Ended { fault })),

@@ -40,7 +40,7 @@ impl Series<'_> {
         let began = Instant::now();
         warn_without_realtime(rig.realtime());
         std::fs::create_dir_all(&self.directory).map_err(|error| {
-            Failure::usage(format!("--out {}: {error}", self.directory.display()))
+            Failure::usage(format!("--out {} cannot be created: {error}", self.directory.display()))
         })?;
         for rollout in 0..rollouts {
             self.live.rollout(rollout, rollouts);

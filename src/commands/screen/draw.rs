@@ -268,6 +268,7 @@ fn draw_rollout(frame: &mut Frame, area: Rect, rollout: &RolloutState, styles: S
         (true, Phase::Running) => "the policy has the motor".to_owned(),
         (true, Phase::Braking) => "braking".to_owned(),
     };
+    // A step lasts 10 ms.
     let seconds = f64::from(rollout.steps) * 0.01;
     let state = &rollout.tick.state;
     let voltage_v = f64::from(rollout.tick.voltage_mv) / 1000.0;

@@ -41,10 +41,10 @@ const FRAME: Duration = Duration::from_millis(200);
 /// Largest number of messages that a frame gets.
 const SHOWN_MESSAGES: usize = 200;
 
-/// The smallest terminal that has a screen; a smaller one gets lines.
+/// The smallest terminal that has a screen, columns and rows; a smaller one gets lines.
 const SMALLEST: (u16, u16) = (40, 10);
 
-/// How a long command tells of its progress.
+/// The argument that makes a long command write its progress as lines instead of showing a screen.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct ScreenArgument {
     /// Write progress as lines, without the screen that a terminal gets
@@ -164,7 +164,7 @@ impl Progress {
         self.shared.is_some()
     }
 
-    /// Tells of a finished piece of work.
+    /// Shows one line of progress: as a message on the screen, or on stderr.
     pub fn line(&self, text: &str) {
         let text = printable(text);
         match &self.shared {

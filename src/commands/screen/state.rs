@@ -72,7 +72,7 @@ pub struct ScreenState {
     pub began: Instant,
     /// The present work, as `candidate 3 (4 of 12): proposed by the search`.
     pub work: String,
-    /// Description of the present work.
+    /// The phase of the present work, as `training in simulation`.
     pub phase: String,
     /// Number of finished pieces of work, and of all pieces.
     pub done: Option<(u64, u64)>,
@@ -163,9 +163,9 @@ impl ScreenState {
     }
 }
 
-/// Time that `to_do` more pieces of work take if each takes as long as the `done` pieces that this
-/// process has finished in the time `elapsed`. A piece under way counts as a fraction. `None`
-/// before any work is done.
+/// Time that `to_do` more pieces of work take if each takes as long as, on average, the `done`
+/// pieces that this process has finished in the time `elapsed`. A piece under way counts as a
+/// fraction. `None` before any work is done, and for 1e9 s (30 years) or more.
 pub fn time_left(elapsed: Duration, done: f64, to_do: f64) -> Option<Duration> {
     let left_s = elapsed.as_secs_f64() / done * to_do.max(0.0);
     let is_known = done > 0.0 && left_s.is_finite() && left_s < 1e9;

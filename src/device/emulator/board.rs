@@ -13,7 +13,7 @@ use super::{EmulatorFault, EmulatorSettings, Plant};
 
 const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
 
-/// First message type of replies. A board that receives a reply hears another device, or an echo.
+/// Lowest message type of replies. A board that receives a reply hears another device, or an echo.
 const FIRST_REPLY_TYPE: u8 = 0x80;
 
 /// Random stream of the nonces, separate from the plant's.
@@ -33,8 +33,8 @@ const RESTART_DARK_US: u64 = 1_000_000;
 /// Time for which the emergency stop is pressed, us.
 const STOP_PRESSED_US: u64 = 2_000_000;
 
-/// Largest difference between the counts before and after a restart: the protocol does not promise
-/// that counts continue, so no host may rely on it.
+/// Largest shift of the counts at a restart, counts: the protocol does not promise that counts
+/// continue, so no host may rely on it.
 const RESTART_COUNTS: i32 = 400;
 
 /// The microcontroller's program over an emulated Qube: it takes bytes, returns replies, and has a
@@ -70,7 +70,7 @@ pub struct Board {
     theta_shift: i32,
     alpha_shift: i32,
     watchdog_fed_us: u64,
-    /// Time at which the board last left the armed state.
+    /// Time at which the amplifier last went off, us.
     switched_off_us: Option<u64>,
     motor_counts: i16,
     last_act_sequence: u16,
@@ -86,7 +86,7 @@ pub struct Board {
 }
 
 impl Board {
-    /// A board that has just started, with its Qube at rest.
+    /// A board that has just started, with its Qube in the initial state of the settings.
     #[must_use]
     pub fn new(settings: EmulatorSettings) -> Self {
         let mut nonces = ChaCha8Rng::seed_from_u64(settings.seed);

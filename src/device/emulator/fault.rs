@@ -50,7 +50,7 @@ pub enum EmulatorFault {
         /// Onset, s.
         after_s: f64,
     },
-    /// The Qube reports a stall and switches its motor off; arming anew clears it.
+    /// The Qube reports a stall and switches its motor off; a hello and an arm clear it.
     StallError {
         /// Onset, s.
         after_s: f64,
@@ -184,7 +184,7 @@ const FORMS: [(&str, &str); 24] = [
     ("frozen-alpha@S[+D]", "the pendulum's count stays [for D]"),
     ("jump-theta@S[:N]", "the arm's count jumps by 300 or N"),
     ("jump-alpha@S[:N]", "the pendulum's count jumps by 300 or N"),
-    ("scaled-theta@F", "the arm's encoder counts F times as many"),
+    ("scaled-theta@F", "the arm's encoder gives F times as many counts"),
     ("flipped-theta", "the arm's encoder is wired in reverse"),
     ("flipped-alpha", "the pendulum's encoder is wired in reverse"),
     ("flipped-motor", "the motor is wired in reverse"),
@@ -198,7 +198,7 @@ const FORMS: [(&str, &str); 24] = [
     ("stall@S", "the Qube reports a stall"),
     ("qube-absent@S", "the Qube does not answer its board"),
     ("unplug@S[+D]", "the USB cable is pulled [for D]"),
-    ("power-loss@S, brown-out@S, board-restart@S", "the board loses power, or restarts"),
+    ("power-loss@S, brown-out@S, board-restart@S", "the board loses power for good, or restarts"),
     ("emergency-stop@S", "the stop switch is pressed for 2 s"),
 ];
 

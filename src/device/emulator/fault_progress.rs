@@ -1,4 +1,4 @@
-//! Faults of an emulated Qube's encoders and motor, over the Qube's own time.
+//! Faults of an emulated Qube's encoders, motor, arm and pendulum, over the Qube's own time.
 
 use firmware_protocol::scaling::{TACHOMETER_NEGATIVE, TACHOMETER_STILL};
 
@@ -21,7 +21,7 @@ pub struct TrueReadings {
 pub struct FaultProgress {
     fault: Option<EmulatorFault>,
     stage: Stage,
-    /// Readings at the onset of the fault.
+    /// Readings of intact encoders at the onset of the fault.
     held: TrueReadings,
     /// Shift of the counts: counts that were lost, or that a jump added.
     theta_shift: i32,

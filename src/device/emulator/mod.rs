@@ -39,9 +39,11 @@ pub struct EmulatorSettings {
     pub bridge: Option<UsbBridge>,
     /// Initial state; with `None` the Qube is at rest and the seed determines the arm's angle.
     pub start: Option<State>,
-    /// Hand and finger that move the arm for the power test; `None` leaves the arm alone.
+    /// Hand and finger that move the arm in a power test, which shows whether the motor goes off
+    /// when its board loses power; `None` leaves the arm alone.
     pub finger: Option<Finger>,
-    /// Seed of the initial position, the counters' start values and the nonces.
+    /// Seed of all random numbers: initial position, start values of the counters, nonces, boot
+    /// ids, and the jitter of commands. It is also the board's serial number.
     pub seed: u64,
     /// Fault of the Qube.
     pub fault: Option<EmulatorFault>,

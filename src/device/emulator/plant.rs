@@ -236,7 +236,7 @@ impl Plant {
     }
 
     /// Moves the arm as hand and finger do: carries it to its positive stop at the first time, and
-    /// later pushes it off a stop that it touches.
+    /// later pushes it off a stop from which it is less than ten counts away.
     fn push_by_finger(&mut self) {
         let Some(finger) = self.finger.filter(|_| self.time_us >= self.next_finger_us) else {
             return;
@@ -324,8 +324,8 @@ impl Plant {
         self.fault_progress.readings(self.true_readings()).alpha_counts
     }
 
-    /// The 24-bit register of the tachometer: ticks of 25 ns between edges of the arm's encoder,
-    /// and the direction.
+    /// The 24-bit register of the tachometer: the ticks of 25 ns in which the arm's encoder counts
+    /// four, and the direction.
     #[must_use]
     pub fn tachometer_raw(&self) -> u32 {
         self.fault_progress.readings(self.true_readings()).tachometer_raw

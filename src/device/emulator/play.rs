@@ -103,8 +103,8 @@ impl Play {
         let closing_rad_s = self.motor_rad_s - state.theta_dot;
         let mut after = state;
         if side * closing_rad_s > 0.0 {
-            // The impact conserves m12 theta' + m22 alpha', because the pendulum swings freely
-            // about its bearing.
+            // The impact conserves m12 theta' + m22 alpha' (m is the mass matrix), because the
+            // pendulum swings freely about its bearing.
             let coupling = arm.ideal.coupling * state.alpha.cos();
             let sin = state.alpha.sin();
             let arm_inertia = arm.ideal.arm_inertia + arm.ideal.quarter_inertia * sin * sin

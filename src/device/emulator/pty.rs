@@ -15,7 +15,7 @@ use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 use super::{Board, EmulatorSettings, UsbBridge};
 use crate::clock::{Clock, MonotonicClock, Nanoseconds, enter_realtime};
 
-/// Interval at which an idle server checks its port, us.
+/// Interval at which the server clears the exclusive mode of its port, us.
 const HOUSEKEEPING_US: u64 = 100_000;
 
 /// An emulated Qube behind a real pseudo-terminal (pty), served by its own thread at wall-clock
@@ -163,7 +163,7 @@ impl EmulatedQube {
         Ok(())
     }
 
-    /// Whether the Qube has ended by itself: unplugged by a fault, or its pty failed.
+    /// Whether the Qube has ended by itself: a fault took its port away, or its pty failed.
     #[must_use]
     pub fn is_gone(&self) -> bool {
         self.server.as_ref().is_none_or(JoinHandle::is_finished)

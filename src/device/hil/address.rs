@@ -16,8 +16,9 @@ const FIRST: &str = "0";
 /// of an identifier, set by this program.
 const LONGEST: [usize; 2] = [64, 256];
 
-/// The address of a card of the vendor's library: `hil`, or `hil:CARD@ID`, for example
-/// `hil:qube_servo3_usb@0`. The ID of a virtual card contains a second `@`.
+/// The address of a card of the vendor's library: `hil:CARD@ID`, for example
+/// `hil:qube_servo3_usb@0`. `hil:CARD` is the first card of its type, and `hil` alone the first
+/// `qube_servo2_usb`. The ID of a virtual card contains a second `@`.
 ///
 /// ```
 /// use qube_hil::device::HilAddress;
@@ -32,7 +33,7 @@ pub struct HilAddress {
     id: String,
 }
 
-/// An address that names no card.
+/// The error for a text that is not the address of a card.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
     "{0:?} names no card: give hil, or hil:CARD@ID with a card type such as qube_servo2_usb or \

@@ -195,9 +195,9 @@ impl Card {
         self.call("hil_write_digital", |library| library.enable(self.handle, is_on)).map(|_| ())
     }
 
-    /// Configures the outputs for an expired watchdog: 0 V and disabled. According to the vendor's
-    /// header most cards have fixed states; the examination measures how a real card's watchdog
-    /// acts.
+    /// Sets the outputs that an expired watchdog leaves: 0 V and disabled. According to the
+    /// vendor's header most cards have fixed states; the examination measures how a real card's
+    /// watchdog acts.
     pub(super) fn set_expiration_states(&self) -> Result<(), CallFailed> {
         self.call_if_supported(
             "hil_watchdog_set_analog_expiration_state",

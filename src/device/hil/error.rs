@@ -13,7 +13,7 @@ pub enum HilError {
         /// loader's reason.
         tried: String,
     },
-    /// The library found is of another version.
+    /// The library that was found lacks a function, so it is of another version.
     #[error(
         "{library} has no function {function}, so it is of another version. Install the vendor's current \
          package quanser-sdk, or name another file in QUBE_HIL_LIBHIL"
@@ -83,7 +83,7 @@ pub enum HilError {
         /// Words of the library.
         reason: String,
     },
-    /// A call has not returned.
+    /// A call of the library has not returned in time.
     #[error(
         "{port}: the vendor's library has not returned from {function} for {waited_s:.1} s. Switch the Qube \
          off at its own switch, end this program, and begin again"
@@ -97,13 +97,13 @@ pub enum HilError {
         waited_s: f64,
     },
     /// The card was armed without a hello.
-    #[error("{port}: greet the card before it is armed")]
+    #[error("{port} cannot be armed before a hello has opened it and cleared its last fault")]
     NotGreeted {
         /// Address of the card.
         port: String,
     },
     /// The thread that calls the library could not be started, or has ended.
-    #[error("{port}: the thread that calls the vendor's library has ended: {reason}")]
+    #[error("{port}: the thread for the vendor's library could not start, or has ended: {reason}")]
     NoThread {
         /// Address of the card.
         port: String,

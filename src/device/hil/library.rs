@@ -1,5 +1,5 @@
 //! The vendor's library: the places where it is looked for, and the signatures of its functions.
-//! Only this file of the module calls foreign code.
+//! Only this file of the module calls the vendor's code.
 //!
 //! Signatures are those of `hil.h`, `quanser_types.h` and `quanser_messages.h` as the vendor
 //! publishes them (copyright Quanser; nothing is copied but names and types): the C declarations in
@@ -96,7 +96,7 @@ const TACHOMETER: [c_uint; 1] = [14_000];
 /// `DIGITAL_STATE_LOW` of `t_digital_state`.
 const LOW: [c_int; 1] = [0];
 
-/// The channels of one `hil_read`.
+/// The readings that one `hil_read` returns.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Channels {
     /// Motor current, A.
@@ -136,8 +136,8 @@ impl Library {
         Err(HilError::NoLibrary { tried: tried.join(", ") })
     }
 
-    /// The library's text for an error code, followed by the number; the number alone if there is
-    /// no text.
+    /// The library's text for a (negative) error code, followed by the code without its sign; that
+    /// number alone if there is no text.
     pub(super) fn words(&self, code: c_int) -> String {
         let mut text = [0; TEXT_BYTES];
         let found = self.functions.get_error_message.is_some_and(|message| {
@@ -266,7 +266,8 @@ impl Library {
     }
 }
 
-/// A text of the library as one line of printable characters, at most 300.
+/// A text of the library as one line of at most 300 printable characters, without a full stop at
+/// its end.
 fn plain(text: &[c_char; TEXT_BYTES]) -> String {
     const LONGEST: usize = 300;
     let bytes: Vec<u8> =

@@ -13,7 +13,7 @@ use crate::qube::Measurement;
 /// Longest wait for a hello: opening a card, or connecting to a virtual one, may take seconds.
 const HELLO_TIME: Duration = Duration::from_secs(5);
 
-/// Longest wait for an arm.
+/// Longest wait for an arm, which makes several calls of the library.
 const ARM_TIME: Duration = Duration::from_secs(1);
 /// Longest wait for the amplifier to go off.
 const OFF_TIME: Duration = Duration::from_millis(500);
@@ -43,7 +43,8 @@ impl HilLink {
     /// Loads the vendor's library. No card is opened before the first hello.
     ///
     /// # Errors
-    /// The library is not found, or a function is missing, so that it is of another version.
+    /// The library is not found, lacks a function (so is of another version), or does not load in
+    /// time because its thread is still in an earlier call.
     pub fn open(address: &HilAddress, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
         let worker = Worker::start(address.clone(), Arc::clone(&clock))?;
         Ok(Self {
@@ -156,7 +157,7 @@ impl Device for HilLink {
 }
 
 impl Drop for HilLink {
-    /// Switches the amplifier off and closes the card, however the control thread ends.
+    /// Switches the amplifier off and closes the card, also when the control thread panics.
     fn drop(&mut self) {
         self.worker.end(OFF_TIME);
     }

@@ -1,14 +1,15 @@
 //! A Qube with the USB panel, through the vendor's HIL library, which is loaded at run time.
 //!
 //! The panel's own protocol is closed; the vendor's library has a C interface, of which this module
-//! uses a dozen functions. These functions have no time limit. So one thread makes all calls, and
+//! uses sixteen functions. These functions have no time limit. So one thread makes all calls, and
 //! the tick waits for that thread no longer than for a serial port. Without the library the program
 //! builds, and runs with every other device.
 //!
 //! | file | holds |
 //! | --- | --- |
 //! | `address.rs` | the card's name, as users write it |
-//! | `library.rs` | loading, and the signatures: the one file with calls of foreign code |
+//! | `error.rs` | the failures, as messages with a remedy |
+//! | `library.rs` | loading, and the signatures: the one file that calls the vendor's code |
 //! | `card.rs` | one card: typed calls, error codes as sentences |
 //! | `panel.rs` | the operations on one card: greet, arm, sample, act, off |
 //! | `thread.rs` | the one thread that calls the library |
@@ -29,10 +30,10 @@ pub use error::HilError;
 pub use link::HilLink;
 
 /// Loads the vendor's library and returns the name under which it was found, if it has every
-/// function that is used.
+/// function that the program needs.
 ///
 /// # Errors
-/// The library is not found, or a function is missing, so that it is of another version.
+/// The library is not found, or it lacks a function and so is of another version.
 pub fn find_library() -> Result<String, HilError> {
     library::Library::load().map(|library| library.name)
 }

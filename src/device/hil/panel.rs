@@ -185,8 +185,8 @@ impl Panel {
         Ok(())
     }
 
-    /// Reads one sample. An expired watchdog shows in the sample's flags; the counts are then those
-    /// of the sample before, because the library gives none in that state.
+    /// Reads one sample. An expired watchdog shows in the sample's flags; if the library gives no
+    /// counts in that state, the counts are those of the sample before.
     pub(super) fn sample(&mut self) -> Result<Reading, NoSample> {
         let Some(card) = &self.card else { return Err(NoSample::Gone) };
         let asked_ns = self.clock.now_ns();
@@ -231,8 +231,10 @@ impl Panel {
         };
     }
 
-    /// Writes a voltage, mV, and feeds the watchdog only if the write succeeded: the watchdog then
-    /// stops a motor that would keep an old voltage. Does nothing unless the amplifier is armed.
+    /// Writes a voltage, mV, and feeds the watchdog only if the write succeeded: otherwise the
+    /// motor may keep an old voltage, and the watchdog must stop it. Switches the amplifier off
+    /// after [`MAX_FAILED_ACTS`] failures in a row. Does nothing unless the amplifier is armed and
+    /// the voltage is within [`MAX_VOLTAGE_V`].
     pub(super) fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) {
         let voltage_v = f64::from(voltage_mv) * 1e-3;
         if self.motor != Motor::Armed || voltage_v.abs() > MAX_VOLTAGE_V {

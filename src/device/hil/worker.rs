@@ -60,8 +60,8 @@ pub(super) enum Job {
 /// The control thread's handle of the thread that calls the vendor's library for one card.
 ///
 /// The tick's requests and replies are `Copy` and pass through wait-free rings. Each side wakes the
-/// other with a counter in the kernel (`eventfd`). A wait for the counter has a time limit, like a
-/// wait for a serial port.
+/// other with a counter in the kernel (`eventfd`). The control thread waits for its counter up to a
+/// time limit, as for a serial port; the library's thread waits without one.
 pub(super) struct Worker {
     requests: rtrb::Producer<Request>,
     replies: rtrb::Consumer<Reply>,
@@ -133,7 +133,8 @@ impl Worker {
         self.requests.push(request).is_ok() && wake(&self.shared.asked)
     }
 
-    /// Waits until `deadline_ns` for the reply to this request, and drops older replies.
+    /// Waits until `deadline_ns` for the reply to this request, and drops older replies; `None` if
+    /// the reply does not come.
     pub(super) fn wait(&mut self, number: u64, deadline_ns: Nanoseconds) -> Option<Reply> {
         loop {
             while let Ok(reply) = self.replies.pop() {
@@ -159,7 +160,8 @@ impl Worker {
         }
     }
 
-    /// Runs a job and returns its result; `None` if the job takes longer than `longest`.
+    /// Runs a job and returns its result; `None` if the job takes longer than `longest`, or the
+    /// thread has ended.
     pub(super) fn perform<T>(
         &self,
         job: impl FnOnce(Sender<Result<T, HilError>>) -> Job,
@@ -173,8 +175,9 @@ impl Worker {
         self.shared.under_way(&*self.clock)
     }
 
-    /// Closes the card, if a call under way returns in time: nothing can interrupt a call of the
-    /// library.
+    /// Has the amplifier switched off and the card closed, and waits for that for at most
+    /// `longest`. Nothing can interrupt a call of the library; if one takes longer, the card is
+    /// closed after it.
     pub(super) fn end(&mut self, longest: Duration) {
         let _ = self.shared.perform(Job::End, longest);
     }

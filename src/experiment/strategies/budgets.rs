@@ -101,8 +101,8 @@ impl Experiment {
         Ok(results)
     }
 
-    /// The results of all finished repetitions: a row for each plant, method and budget. With
-    /// several plants, rows of [`ALL_PLANTS`] follow.
+    /// The finished results: a row for each plant, method and budget, with a result for each
+    /// repetition that has been scored there. With several plants, rows of [`ALL_PLANTS`] follow.
     ///
     /// # Errors
     /// An existing session, policy or recording cannot be read.
@@ -181,8 +181,8 @@ impl MethodRun<'_> {
     }
 }
 
-/// The number of candidates or recordings within a budget of real rollouts; `None` where the budget
-/// allows no recommendation.
+/// The number of candidates or recordings within a budget of real rollouts; the largest number for
+/// a method that takes no real rollout. `None` where the budget allows no recommendation.
 fn steps_within(recommendations: &dyn Recommendations, budget: u32) -> Option<u32> {
     let most = recommendations.count();
     let steps = match recommendations.rollouts_each() {

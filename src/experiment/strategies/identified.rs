@@ -36,7 +36,7 @@ pub(super) enum Width {
 pub(super) enum Further {
     /// Further excitations.
     Excitations,
-    /// Rollouts of the policy that is recommended after the recordings so far.
+    /// Rollouts of policies, each trained by the recommendation after the recordings so far.
     Rollouts,
 }
 

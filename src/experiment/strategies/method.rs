@@ -25,7 +25,7 @@ pub enum Method {
     /// fit, beside the spread.
     Posterior,
     /// Begins as [`Method::Posterior`] with the recording of an excitation; each further recording
-    /// is a rollout of the policy that the recordings before it give.
+    /// is a rollout of a policy that is trained around the Qube of the recordings before it.
     SequentialPosterior,
     /// Searches by CMA-ES for the physics inputs of one policy that is trained for many Qubes
     /// (strategy optimisation, Yu et al., reference 22 of the thesis).
@@ -59,8 +59,8 @@ impl Method {
         }
     }
 
-    /// Whether the method can be compared at fixed budgets alone: its policies take no real
-    /// rollout, or all come from one training.
+    /// Whether the method can be compared only at fixed budgets, because it takes no real rollout
+    /// or all its policies come from one training.
     #[must_use]
     pub fn needs_budgets(self) -> bool {
         self.needs_no_rollouts() || self == Self::StrategyOptimisation

@@ -1,10 +1,11 @@
 //! Comparison of methods: methods × repetitions. The result is a table of the real rollouts that
 //! each method needs until a recommendation succeeds.
 //!
-//! A [`Method`] is a strategy that searches for psi, or one that takes recordings and trains around
-//! the Qube that they identify. After each candidate or recording the method has a recommendation:
-//! its result if it were stopped there. Separate policies score the recommendations, one after the
-//! other until one succeeds; the rollouts of these policies are not counted.
+//! A [`Method`] makes policies from real rollouts: it searches for psi, or trains around the Qube
+//! that recordings identify, or follows a method from the literature (`rivals`). After each
+//! candidate or recording the method has a recommendation: its result if it were stopped there.
+//! Separate policies score the recommendations, one after the other until one succeeds; the
+//! rollouts of these policies are not counted.
 //!
 //! With budgets in the settings, recommendations are scored after fixed numbers of real rollouts
 //! instead, on every plant, and a success ends nothing (`budgets`).

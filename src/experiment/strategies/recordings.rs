@@ -10,7 +10,7 @@ use crate::rig::RigSettings;
 use crate::session::{RolloutPlan, SeedFor, derived_seed, recording_in};
 use crate::storage::{Disk, MachineDisk};
 
-/// Voltage of the excitation of a Qube, V: the default of `run --excite`.
+/// Largest voltage of the excitation of a Qube, V: the default of `run --excite --volts`.
 const EXCITATION_V: f64 = 1.5;
 
 /// Largest file of a stored result that is read, bytes.
@@ -48,7 +48,8 @@ impl<'a> Recordings<'a> {
         self.run.recipe.settings.extent.repetitions
     }
 
-    /// Makes the recording with this number under a policy, unless it exists.
+    /// Makes the recording with this number, unless it exists. `policy` are the bytes of the file
+    /// of the policy or excitation that chooses the voltages.
     ///
     /// # Errors
     /// The work ends early.
@@ -119,7 +120,8 @@ impl<'a> Recordings<'a> {
     }
 }
 
-/// The bytes of the policy file of the excitation that the recording with this number has.
+/// The bytes of the file of the excitation for the recording with this number. Consecutive
+/// recordings start in opposite directions.
 pub(super) fn excitation(number: u32, plant: &PlantModel) -> Vec<u8> {
     let limit_v = plant.volts_like(EXCITATION_V);
     let excitation = Excitation::of_rollout(ExcitationShape::Chirp, limit_v, number);

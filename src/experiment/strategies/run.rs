@@ -6,7 +6,7 @@ use crate::experiment::work::OnEvent;
 use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
 use crate::simulation::{DomainDistribution, Model, Psi};
 
-/// The recipe, with its psi or distribution, in which a method recommends training policies.
+/// The recipe by which a method recommends to train policies, with its psi or distribution.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Recommendation {
     /// Recipe of the policies.

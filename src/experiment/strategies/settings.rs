@@ -63,11 +63,11 @@ impl StrategySettings {
     /// Describes the first invalid setting.
     pub(in crate::experiment) fn check(&self) -> Result<(), String> {
         if self.methods.is_empty() {
-            return Err("a comparison of strategies needs at least one".into());
+            return Err("strategies: name at least one method to compare".into());
         }
         for (index, method) in self.methods.iter().enumerate() {
             if self.methods[..index].contains(method) {
-                return Err(format!("strategies: {method} is there twice"));
+                return Err(format!("strategies: {method} is there twice: name it once"));
             }
         }
         for (name, value) in [("repetitions", self.repetitions), ("recordings", self.recordings)] {

@@ -47,7 +47,8 @@ impl Holder {
     }
 
     /// Whether the process ran on this computer since the computer's last start, and has ended.
-    /// `here` is the identity of a process on this computer.
+    /// `here` is the identity of a process on this computer. The answer is `false` if the process
+    /// belongs to another PID namespace, because its end cannot be seen from here.
     #[must_use]
     pub fn has_ended_here(&self, here: &Self) -> bool {
         self.host == here.host

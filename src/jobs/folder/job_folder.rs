@@ -17,8 +17,8 @@ use crate::storage::Disk;
 /// Largest job file that is read, bytes. A job has some kB.
 const MAX_JOB_BYTES: u64 = 16 << 20;
 
-/// Largest result file that is read, bytes. A policy has 20 kB, and a learning curve 100 bytes an
-/// update.
+/// Largest result file that is read, bytes. A policy has about 20 kB, and a learning curve about
+/// 100 bytes for each update.
 const MAX_RESULT_BYTES: u64 = 256 << 20;
 
 /// Version of the format of a folder's files.

@@ -4,16 +4,18 @@
 //! | --- | --- |
 //! | `folder.json` | program version, and the times by which a process counts as dead |
 //! | `jobs/FINGERPRINT` | an open job |
-//! | `claims/FINGERPRINT.N` | the Nth try of the job: exclusive, grows while its worker lives |
+//! | `claims/FINGERPRINT.N` | try N of the job, from 0: exclusive, grows while its worker lives |
 //! | `results/FINGERPRINT` | policy and learning curve, or the reason of the failure |
 //! | `workers/NAME` | a worker: grows while it lives; in `workers/NAME.refused` why it refused |
-//! | `coordinators/N` | the Nth coordinator of the folder: grows while it lives |
+//! | `coordinators/N` | coordinator N of the folder, from 0: grows while it lives |
 //! | `closed` | the coordinator wants no further work |
+//! | `logs/*` | the output of starts and workers, where this program starts the workers |
 //!
-//! A file that grows gets one byte at each beat of its process. All other files are renamed into
-//! place, so that they appear whole, and have a checksum. Nothing relies on file locks, which many
-//! NFS servers keep per computer, or on equal clocks. Two workers may do the same job after one of
-//! them was taken for dead. They train the same policy and curve, and a job has one result.
+//! A file that grows gets one byte at each beat of its process. All other files but the logs are
+//! renamed into place, so that they appear whole, and have a checksum. Nothing relies on file
+//! locks, which many NFS servers keep per computer, or on equal clocks. Two workers may do the same
+//! job after one of them was taken for dead. They train the same policy and curve, and a job has
+//! one result.
 
 mod heartbeat;
 mod holder;

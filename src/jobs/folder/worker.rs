@@ -129,8 +129,8 @@ impl Worker {
         }
     }
 
-    /// Carries out jobs until none has come for the time `linger`, the coordinator closes the
-    /// folder, or `stop` is set.
+    /// Carries out jobs until the coordinator closes the folder, `stop` is set, or the time
+    /// `linger` has passed without work for this worker or any other.
     ///
     /// # Errors
     /// A file operation fails. The results of finished jobs are in the folder.
@@ -251,7 +251,7 @@ impl Worker {
             if did {
                 continue;
             }
-            // A worker may die and leave its job. While others work, this one therefore waits.
+            // Another worker may die and leave its job, so this one waits while others work.
             if !others && last_work.elapsed() >= self.linger {
                 return Ok(report);
             }

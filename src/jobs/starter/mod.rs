@@ -69,13 +69,13 @@ pub enum StartError {
         /// Message of the scheduler's command.
         reason: String,
     },
-    /// The operating system cannot run the command that starts workers.
+    /// The operating system cannot run the command that starts workers, or cannot create its log.
     #[error("the command that starts workers cannot be run: {0}")]
     Command(std::io::Error),
     /// Workers were started, but none has appeared in the folder.
     #[error(
-        "workers were started {starts} times, and none has appeared in {folder}: is it the same folder on all computers, \
-         and the program there? {last}"
+        "workers were started {starts} times, and none has appeared in {folder}: do all computers share this folder, \
+         and is the program installed on them? {last}"
     )]
     NoWorkerAppeared {
         /// Number of starts.

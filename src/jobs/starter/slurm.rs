@@ -48,6 +48,8 @@ impl SlurmStarter {
     fn array_options(&self, folder: &JobFolder, workers: u32) -> Vec<String> {
         let logs = folder.root().join("logs").join("%A_%a.out");
         let asked = &self.options;
+        // A worker gets SIGTERM 60 s before its time is over, so that it can give its training
+        // back, and Slurm may requeue it.
         let mut options = vec![
             flag("parsable"),
             option("job-name", &self.name),

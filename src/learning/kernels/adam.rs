@@ -121,7 +121,8 @@ fn norm<I: InstructionSet>(gradient: &Network) -> f32 {
     sum(&sums).sqrt()
 }
 
-/// Adds several rows at once, so that the sums stay in registers between them.
+/// Adds the squares of several rows to the sums at once, so that the sums stay in registers between
+/// the rows.
 #[inline(always)]
 fn add_squares<I: InstructionSet, const ROWS: usize>(rows: &[Row; ROWS], sums: &mut Row) {
     for (lane, sum) in sums.iter_mut().enumerate() {

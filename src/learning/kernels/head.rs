@@ -5,9 +5,10 @@ use crate::learning::network::{Inputs, LOG_STD, Network, Row, WIDTH};
 /// 64 transitions in the layout of the gradient's kernels.
 #[derive(Clone, Debug)]
 pub(in crate::learning) struct Minibatch {
-    /// Inputs of the first layer, `[input][sample]`; rows beyond the observation are zero.
+    /// Inputs of the first layer, `[input][sample]`. The row after the observation and physics
+    /// inputs holds the constant 1, and later rows are zero.
     pub inputs: Inputs,
-    /// Length of an observation.
+    /// Length of an observation with its physics inputs.
     pub observation_size: usize,
     /// Sampled actions, in units of the network's output (before scale and clipping).
     pub action: Row,

@@ -191,7 +191,7 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
         if after.is_begun && !matches!(step, Step::Multiplied(_) | Step::Clipped { .. }) {
             return Err(refused(
                 "Mul, Div or Clip",
-                "between layers: it is known before the first layer and after the last one alone",
+                "between layers: it may only be before the first layer or after the last one",
             ));
         }
         match step {
@@ -214,7 +214,7 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
             }
             Step::Activation(activation) => {
                 if layers.is_empty() || is_active {
-                    return Err(refused("activation", "that does not follow a layer"));
+                    return Err(refused("Tanh, Relu, Elu or Silu", "that does not follow a layer"));
                 }
                 activations.push(activation);
                 is_active = true;
@@ -236,14 +236,17 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
     let output = if activations.len() == layers.len() && !layers.is_empty() {
         match activations.pop() {
             Some(Activation::Tanh) => OutputKind::Tanh,
-            _ => return Err(refused("activation", "after the last layer that is no Tanh")),
+            _ => return Err(refused("Relu, Elu or Silu", "after the last layer: use Tanh there")),
         }
     } else {
         OutputKind::Linear
     };
     let activation = activations.first().copied().unwrap_or(Activation::Tanh);
     if activations.iter().any(|&other| other != activation) {
-        return Err(refused("activation", "that differs from that of another hidden layer"));
+        return Err(refused(
+            "Tanh, Relu, Elu or Silu",
+            "that differs between hidden layers: all hidden layers must have the same activation",
+        ));
     }
     let After { scale, limits, .. } = after;
     Ok(Layers { layers, inputs, bounds, activation, output, scale, limits })

@@ -47,7 +47,7 @@ impl Input {
             let (factor, offset) = (self.factors[index], self.offsets[index]);
             let [one, other] = [lower, upper].map(|bound| (f64::from(bound) - offset) / factor);
             if factor == 0.0 || one.is_nan() || other.is_nan() {
-                return Err(ImportError::Values { name: "of the observation's bounds".into() });
+                return Err(ImportError::Values { name: "among the observation's bounds".into() });
             }
             let (lower, upper) = if factor < 0.0 { (other, one) } else { (one, other) };
             let bounds = &mut self.bounds[index];

@@ -49,10 +49,11 @@ pub enum ImportError {
         /// Name of the tensor.
         name: String,
     },
-    /// A tensor has another number of values than its shape says.
-    #[error("has a constant {name:?} whose values do not fit its shape")]
+    /// A constant has another number of values than its shape or its place requires, or is a bound
+    /// that does not become a number.
+    #[error("has a constant ({name:?}) whose values do not fit its shape or its place")]
     Values {
-        /// Name of the tensor.
+        /// Name of the constant, or its place.
         name: String,
     },
     /// The graph does not have exactly one input and at least one output.
@@ -67,8 +68,10 @@ pub enum ImportError {
     },
     /// An operator is unknown.
     #[error(
-        "has the operator {operator}, which this program does not know: it knows Gemm, MatMul and Add, Tanh, Relu, Elu, \
-         Sigmoid times its input (Silu), a last Tanh, and Sub, Div, Mul and Add of constants before the first layer"
+        "has the operator {operator}, which this program does not know: it knows Gemm and MatMul; Tanh, Relu, Elu with alpha 1 \
+         and Sigmoid times its input (Silu) between layers, Tanh after the last one; Add, Sub, Mul, Div, Max, Min and Clip with \
+         constants before the first layer, Add and Sub with constants right after a layer, Mul, Div, Max, Min and Clip with \
+         constants at the end; Identity, Cast to float or double, Flatten, Reshape and Expand"
     )]
     Operator {
         /// Name of the operator.
@@ -107,7 +110,7 @@ pub enum ImportError {
     #[error("clips two inputs that are the same entry of the observation at different values")]
     TwoBounds,
     /// The limit at which the observation is to be clipped is no positive, finite number.
-    #[error("is to be clipped at {limit}: give a number above 0")]
+    #[error("is to be clipped at {limit}: give a finite number above 0")]
     Clip {
         /// Limit that was asked for.
         limit: f32,
@@ -129,7 +132,7 @@ pub enum ImportError {
     )]
     Changed,
     /// The metadata that this program wrote is damaged.
-    #[error("has the metadata of a policy and {0}")]
+    #[error("has the metadata of a policy, but {0}")]
     Metadata(String),
     /// The network is outside of the limits.
     #[error("holds a network that cannot be run: {0}")]
@@ -263,7 +266,7 @@ impl Layers {
 
     /// Converts these layers to a network of this program. `layout` says which entry of the
     /// observation each input is. The scaled output times `action_scale_v`, V, is the voltage; a
-    /// negative scale turns the sign of the last layer.
+    /// negative scale reverses the signs of the last layer.
     ///
     /// # Errors
     /// The observation has another length than the first layer, the output is limited below the

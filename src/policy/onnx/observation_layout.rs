@@ -43,8 +43,7 @@ impl ObservationLayout {
     /// -1*cos_alpha`.
     ///
     /// # Errors
-    /// The text names the first entry whose name is unknown, or whose factor is 0 or no finite
-    /// number.
+    /// Names the first entry whose name is unknown, or whose factor is 0 or no finite number.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut entries = Vec::new();
         for entry in text.split(',').map(str::trim) {

@@ -4,7 +4,7 @@ use firmware_protocol::{NO_ACT_US, RefusalReason};
 use super::{Deviation, TestHost, ensure};
 
 /// Voltages of up to 1 V, mV. 12 and 13 mV lie on both sides of half a step of the motor's
-/// resolution (24 mV), so they show how the device rounds.
+/// resolution (24.02 mV), so they show how the device rounds.
 const VOLTAGES_MV: [i16; 8] = [1000, -1000, 12, 13, -13, 500, -500, 0];
 
 pub(super) fn unarmed(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {

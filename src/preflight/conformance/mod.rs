@@ -48,8 +48,8 @@ pub enum Deviation {
     /// The computer was too slow: the watchdog tripped during the check, or an act came too late
     /// after its sample. This says nothing about the device, so the check is repeated.
     #[error(
-        "the watchdog tripped again and again before the check was through, or acts on fresh samples \
-         were refused as stale"
+        "the computer was too slow in every attempt: the watchdog tripped before the check was \
+         through, or an act came too late after its sample"
     )]
     Disturbed,
     /// An act was refused as stale although it followed its sample at once.

@@ -53,7 +53,7 @@ impl<'a> TestHost<'a> {
         self.clock.now_ns()
     }
 
-    /// Waits for this time by the computer's clock.
+    /// Waits for this duration by the computer's clock.
     pub(super) fn wait_ns(&mut self, duration_ns: Nanoseconds) {
         self.clock.sleep_until(self.clock.now_ns() + duration_ns);
     }

@@ -53,8 +53,8 @@ impl Diagnosis {
     }
 }
 
-/// Runs all tests of the computer. The test of the timer takes this many seconds, or less if `stop`
-/// is set. `ports` are the serial ports to test; if it is empty, all USB serial ports are tested.
+/// Runs all tests of the computer. The test of the timer takes `seconds`, or less if `stop` is set.
+/// `ports` are the serial ports to test; if it is empty, all USB serial ports are tested.
 /// An address of the vendor's library among them names a card, which is greeted and sampled;
 /// nothing moves.
 ///

@@ -47,10 +47,10 @@ fn of_card(card: &str, measured: Result<Option<MeasuredLink>, String>) -> Diagno
             );
             Diagnosis::well(&name, value)
         }
-        Ok(None) => Diagnosis::advice(&name, "not measured: stopped", "look again"),
+        Ok(None) => Diagnosis::advice(&name, "not measured: stopped", "run the doctor again"),
         Err(reason) => {
             let (value, remedy) =
-                reason.split_once(". ").unwrap_or((&reason, "see that it is there"));
+                reason.split_once(". ").unwrap_or((&reason, "check that it is plugged in"));
             Diagnosis::unfit(&name, value, remedy)
         }
     }

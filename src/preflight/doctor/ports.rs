@@ -97,7 +97,7 @@ fn timer(port: &str) -> Option<Diagnosis> {
         timer_ms => Diagnosis::advice(
             &name,
             format!(
-                "{timer_ms} ms by default; this program asks for 1 ms when it opens the port, but \
+                "set to {timer_ms} ms; this program asks for 1 ms when it opens the port, but \
                  not every driver supports this"
             ),
             latency_timer_remedy(port),

@@ -25,7 +25,7 @@ pub(super) fn foresight(longest_us: f64) -> Diagnosis {
     if longest_us <= SLOW_US {
         return Diagnosis::well(FORESIGHT, value);
     }
-    let remedy = "a processor with AVX2 or AVX-512, and nothing else running on it";
+    let remedy = "use a processor with AVX2 or AVX-512, and run nothing else on it";
     if longest_us <= TOO_SLOW_US {
         return Diagnosis::advice(FORESIGHT, value, remedy);
     }
@@ -52,7 +52,7 @@ fn diagnosis(governors: &BTreeSet<String>) -> Diagnosis {
     }
     Diagnosis::advice(
         NAME,
-        format!("governor {named}: it may sleep deeply between ticks"),
+        format!("governor {named}: the processor may sleep deeply between ticks"),
         "sudo cpupower frequency-set -g performance (until the next start)",
     )
 }

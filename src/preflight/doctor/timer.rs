@@ -16,8 +16,8 @@ const GOOD_P99_US: f64 = 1_000.0;
 /// void.
 const PERIOD_US: f64 = CONTROL_PERIOD_NS as f64 * 1e-3;
 
-/// Wakes up 100 times a second for this time, with the rights of the control thread, and measures
-/// how late.
+/// Wakes up 100 times a second for this many seconds, with the rights of the control thread, and
+/// measures how late each time.
 pub(super) fn watch(
     seconds: u32,
     stop: &AtomicBool,

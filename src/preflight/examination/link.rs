@@ -95,8 +95,8 @@ pub(super) fn measure(
 }
 
 impl RoundTrips {
-    /// The link as the control loop uses it: a tick's longest wait for a sample fits it, within the
-    /// limits of the loop.
+    /// The measured link, with a tick's longest wait for a sample: the time in which 99 of 100
+    /// samples arrive plus a margin, within the limits of the control loop.
     pub(super) fn link(&self) -> MeasuredLink {
         let needed_ns = self.summary_us.p99 * 1e3 + MARGIN_NS;
         let most_ns = LONGEST_SAMPLE_TIMEOUT_NS as f64;

@@ -1,11 +1,11 @@
 //! The examination of a Qube before a session. It finds faults without driving the arm far.
 //!
 //! The examination runs on the control thread, between motions. To test the watchdog, the motor
-//! gets 48 mV for 50 ms. Pushes of at most 0.1 s each way, which begin with 0.25 V and grow up to
-//! 2.75 V while nothing moves, then test encoders and motor. If the watchdog is the vendor
-//! library's, pushes of 0.05 s in the same range of voltages show before them whether the watchdog
-//! really switches the motor off; a watchdog that fails this test leaves the motor on for 0.3 s.
-//! The motor is off after every step, however the step ends.
+//! gets 48 mV for 50 ms. Then pushes of at most 0.1 s each way test encoders and motor: they begin
+//! with 0.25 V and grow, up to 2.75 V, until the evidence suffices. If the watchdog is the vendor
+//! library's, another test comes before these pushes: pushes of 0.05 s in the same range of
+//! voltages show whether the watchdog really switches the motor off. A watchdog that fails this
+//! test leaves the motor on for 0.3 s. The motor is off after every step, however the step ends.
 
 mod evidence;
 mod link;
@@ -45,7 +45,8 @@ pub struct ExaminationSettings {
 pub struct Examination {
     /// Result of each check, in order.
     pub results: Vec<CheckResult>,
-    /// Signs that the examination found if the arm moved, otherwise the assumed ones.
+    /// Signs that the examination found, if it was to adopt them and arm and pendulum moved;
+    /// otherwise the assumed ones.
     pub signs: Calibration,
     /// Count of the arm before anything moved it; it is the arm's middle if the operator has put
     /// the arm there. `None` if no sample came.
@@ -80,8 +81,9 @@ impl From<DeviceError> for Interruption {
     }
 }
 
-/// Examines a device that has answered a hello, and adds the heat of the pushes to the motor's
-/// heat. The motor is off when this function returns. `Ok(None)`: a stop was requested.
+/// Examines a device that has answered a hello, and adds the heat of the pushes that test encoders
+/// and motor to `heat`. The motor is off when this function returns. `Ok(None)`: a stop was
+/// requested.
 ///
 /// # Errors
 /// The device no longer answers.
@@ -100,7 +102,7 @@ pub fn examine(
         library_watchdog_ms: None,
     };
     let outcome = look_at_everything(device, clock, heat, stop, settings, &mut found);
-    // In every case, a hello switches a device off that still answers.
+    // In every case, a hello switches off a device that still answers.
     let left_off = device.hello();
     match outcome {
         Err(Interruption::Stopped) => Ok(None),

@@ -189,8 +189,8 @@ fn motor(seen: &Evidence) -> CheckResult {
         return CheckResult::fail(
             MOTOR,
             format!("only {value}, and nothing moves"),
-            "switch the Qube's power on and look at its light; if it is on, the motor's wires are \
-             loose",
+            "switch the Qube's power on and look at its light; if the light is on, the motor's \
+             wires are loose",
         );
     }
     if seen.is_weak() {
@@ -261,7 +261,7 @@ fn pendulum(seen: &Evidence) -> CheckResult {
         }
         Pendulum::Unknown if seen.turns_unseen() => CheckResult::fail(
             PENDULUM,
-            "its count stays too",
+            "its count does not change either",
             "plug in its encoder's cable (encoder 1)",
         ),
         Pendulum::Unknown if seen.arm.is_some() => CheckResult::fail(

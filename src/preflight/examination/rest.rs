@@ -9,8 +9,8 @@ use crate::telemetry::CheckResult;
 
 const NAME: &str = "rest";
 
-/// Number of samples in a window, one each control period: 0.6 s, more than one swing of the
-/// pendulum (0.53 s).
+/// Number of samples in a window, one each control period: 0.6 s, more than one period of the
+/// pendulum (0.59 s on an arm at rest).
 const WINDOW_SAMPLES: u32 = 60;
 
 /// Largest motion of the arm, and of the pendulum, in a window at rest, counts: small compared with

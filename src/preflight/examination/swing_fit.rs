@@ -91,7 +91,7 @@ struct Solution {
     coefficients: [f64; TERMS],
     /// Variance of the first term in use, in units of the residuals' variance.
     first_variance: f64,
-    /// Standard deviation of the residuals, with a degree of freedom less for each term.
+    /// Standard deviation of the residuals, rad, with one degree of freedom less for each term.
     residual_rad: f64,
 }
 

@@ -42,7 +42,7 @@ const SAMPLE_AGE_US: u64 = 5_000;
 /// Arms the device, sends a small voltage and then nothing more: the motor must go off by the
 /// watchdog. For a board, the device's own report and clock decide. A device without a clock only
 /// reports that its watchdog has expired, and the time is by the computer's clock. Returns the
-/// result, and the time from the act to the end, ms, if the check passed.
+/// result and, if the check passed, the time from the act until the watchdog had expired, ms.
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -75,7 +75,8 @@ pub(super) fn check(
     let result = CheckResult::fail(
         NAME,
         "computer or link was too slow to see the motor on before the watchdog switched it off",
-        "see to latency first",
+        "close other programs that keep this computer busy, and plug the board in without a hub, \
+         then check again",
     );
     Ok((result, None))
 }

@@ -30,7 +30,7 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         if verified.is_some() { "the best verified policy" } else { "the best policy so far" };
     page.paragraph(&format!(
         "{whose} is from candidate {trained_as}. In its training, each simulated Qube draws its properties from \
-         these distributions; the dashed line marks the nominal Qube, as its maker describes it.",
+         these distributions; the dashed vertical line marks the nominal Qube, as its maker describes it.",
         whose = crate::report::rollout::first_upper(whose)
     ));
     let nominal = settings.plant().nominal();
@@ -75,7 +75,7 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
 
 /// Adds the entries of the chosen psi with units and ranges.
 fn add_psi(page: &mut Page, settings: &SessionSettings, psi: &[f64]) {
-    page.details("Psi, which shapes it", |page| {
+    page.details("Psi, which shapes the distribution", |page| {
         let rows: Vec<Vec<Cell>> = settings
             .psi
             .dimensions()

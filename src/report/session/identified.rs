@@ -19,7 +19,7 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
         Identification::Refused(reason) => {
             page.section("Identification");
             page.paragraph(&format!(
-                "The Qube was not identified, and searched as an unknown one: {reason}"
+                "The Qube was not identified, so the search treated it as an unknown one: {reason}"
             ));
         }
         Identification::Found { recordings, verdict, doubts, .. } => {
@@ -132,8 +132,8 @@ fn add_predictions(page: &mut Page, motions: &[ComparedMotion], model: &QubeMode
         page.heading("Rollouts, predicted piece by piece");
         page.paragraph(
             "Each piece is predicted from a start state of its own: half a second while the pendulum swings, a tenth \
-             of a second while it balances. The error is that of the last sample, root mean square over all pieces, \
-             rad; a dash where no piece is long enough. A rollout that is held out was not used for the fit.",
+             of a second while it balances. The table shows the error at the end of a piece, root mean square over all \
+             pieces, rad; a dash where no piece is long enough. A rollout that is held out was not used for the fit.",
         );
         let heads = ["rollout", "used", "swing, θ", "swing, α", "balance, θ", "balance, α"];
         page.table(&heads, &rows, None);

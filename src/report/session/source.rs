@@ -156,7 +156,7 @@ impl SessionSource {
         });
         let reason = match read {
             Ok(Verdict::Void { reason }) => reason,
-            Ok(_) => "its recording is whole, but the ledger counts it as void".into(),
+            Ok(_) => "the ledger counts it as void, but its recording does not show why".into(),
             Err(error) => error.to_string(),
         };
         self.void.push((candidate, rollout, attempt, reason));

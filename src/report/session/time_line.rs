@@ -98,9 +98,9 @@ pub(super) fn add_time_line(page: &mut Page, source: &SessionSource) {
     let percent = |part: f64, whole: f64| if whole > 0.0 { 100.0 * part / whole } else { 0.0 };
     page.heading("How busy Qube and cores were");
     page.paragraph(&format!(
-        "From the first to the last of them {:.1} min passed. The Qube was driven for {:.1} min of these ({:.0} %), in \
-         {:.0} % of that time while policies were trained. On average {:.2} trainings were under way, each on one core. \
-         Between rollouts the arm returns to its middle and the pendulum comes to rest, which counts as waiting, and so \
+        "From the first training or rollout to the last, {:.1} min passed. The Qube was driven for {:.1} min of these \
+         ({:.0} %); during {:.0} % of that time policies were trained. On average {:.2} trainings were under way, each on \
+         one core. Between rollouts the arm returns to its middle and the pendulum comes to rest, which counts as waiting, and so \
          does the time between an end and a resumption.",
         busy.all_s / S_PER_MIN,
         busy.driven_s / S_PER_MIN,

@@ -108,8 +108,8 @@ impl CalmLanes {
     ///
     /// Brake and friction only take energy. An arm at an end has at least the energy that spring
     /// and cable store there, with a pendulum that hangs at rest. A late brake may add energy while
-    /// the arm's velocity changes sign: at most that of a full voltage for as long as it is late,
-    /// at the largest velocity that the energy allows.
+    /// the arm's velocity changes sign: at most the work of the full voltage for as long as the
+    /// brake is late, at the largest velocity that the energy allows.
     #[inline(always)]
     fn energy_holds(
         &self,
@@ -166,8 +166,8 @@ impl CalmLanes {
     /// momentum.
     ///
     /// Only torques on the arm change the momentum p = (A + q sin^2 a) th' + c cos a a', where A is
-    /// `arm_inertia`, q is `quarter_inertia` and c is `coupling`. The arm's angle at that moment
-    /// follows from th + r sin a with r = c / A.
+    /// `arm_inertia`, q is `quarter_inertia` and c is `coupling`. At the moment at which the arm
+    /// has all the momentum, its angle lies within r = c / A of th + r sin a.
     #[inline(always)]
     fn momentum_holds(&self, lane: usize, own: &Dynamics<f32>, state: &State<f32>) -> bool {
         let (sin, cos) = sin_cos(state.alpha);

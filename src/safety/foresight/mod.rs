@@ -28,9 +28,10 @@ const GROUP: usize = 4;
 /// for some control periods, then the brake takes over. Each of these Qubes is a particle with its
 /// own delay, and its brake acts on the velocities that the estimator would show.
 ///
-/// Trap: the simulation ends at its horizon, and an arm may reach an end later. A pendulum that
-/// comes to rest nearly upright falls later than 0.5 s. Of the arms of Qubes at +-30 % that after
-/// 0.5 s are neither calm (`calm.rs`) nor at an end, one in forty reaches an end within 1.5 s.
+/// Trap: the simulation ends at its horizon, and an arm may reach an end later. With a horizon of
+/// 0.5 s this happens: of the arms of Qubes at +-30 % that are then neither calm (`calm.rs`) nor at
+/// an end, one in forty reaches an end within 1.5 s, because a pendulum that comes to rest nearly
+/// upright falls later.
 ///
 /// A block of sixteen particles ends early once none of their arms can reach an end any more, and a
 /// group of 64 particles ends with its last block. Nothing is allocated after [`Self::new`]. The
@@ -75,12 +76,12 @@ pub struct Ends {
 pub struct Outlook {
     /// Whether the brake keeps every particle's arm short of both ends.
     pub holds: bool,
-    /// Smallest distance of any arm from an end, rad: negative beyond the end, NaN if the
-    /// simulation diverged.
+    /// Smallest distance of any simulated arm from an end, rad: negative beyond the end, NaN if the
+    /// simulation diverged or a voltage was NaN.
     pub clearance_rad: f32,
     /// Index of the particle whose arm came closest.
     pub particle: usize,
-    /// Number of control periods that were simulated.
+    /// Number of control periods that were simulated, summed over the groups of 64 particles.
     pub periods: u32,
 }
 
@@ -99,8 +100,9 @@ struct ParticleLanes {
 }
 
 impl<B: BrakeLaw + Copy> Foresight<B> {
-    /// Prepares the simulation of these particles, which should be sorted with the hardest first.
-    /// The simulated estimator is the guard's, at its own corner frequency.
+    /// Prepares the simulation of these particles, which should be sorted with the hardest to brake
+    /// first. The simulated estimator is the guard's velocity filter with its smallest corner
+    /// frequency.
     ///
     /// # Panics
     /// Panics if there is no particle, if an end lies on the wrong side of 0, if a share of the
@@ -190,8 +192,10 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         self
     }
 
-    /// Simulates this voltage and the brake after it, from the estimated state and with the last
-    /// commands (V, newest first) still on their way.
+    /// Simulates this voltage, V, and the brake after it, from the estimated state and with the
+    /// last commands (V, newest first) still on their way. The simulation ends with the first group
+    /// of particles in which an arm reaches an end. Where a voltage is NaN, the outlook does not
+    /// hold.
     #[must_use]
     pub fn predict(
         &mut self,

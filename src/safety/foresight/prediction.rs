@@ -88,9 +88,11 @@ impl Prediction {
     }
 
     /// Returns whether the Qube's angles lie within the range of the particles' angles, apart from
-    /// the allowed distance. Also returns `true` for the first sample and for one at an unexpected
-    /// time; the particles then restart. Takes the estimated state of the next sample, its time by
-    /// the device's clock, us, and the commands before it (V, newest first).
+    /// the allowed distance. Takes the estimated state of the next sample, its time by the device's
+    /// clock, us, and the commands before it (V, newest first).
+    ///
+    /// Also returns `true` for the first sample and for one at an unexpected time; the particles
+    /// then restart.
     #[must_use]
     pub fn is_kept(
         &mut self,

@@ -15,8 +15,8 @@ pub enum Objective {
     Rosenbrock,
     /// Hartmann in 6 dimensions, with several peaks of which one is global.
     Hartmann,
-    /// One hump in 8 dimensions of very unequal weight, whose height is that of a good return: a
-    /// model of the search over psi.
+    /// One hump in 8 dimensions of very unequal weight, as high as a good return (540): a model of
+    /// the search over psi.
     Hump,
     /// Levy in 12 dimensions, a bowl with ripples (negated).
     Levy,

@@ -41,10 +41,10 @@ impl TwoHumped {
         rollout_correlation: 0.0,
     };
 
-    /// Correlation of two rollouts of a policy, chosen for trainings that differ as those for the
-    /// emulated Qube `lab` do. Of its 20 policies from one psi, 7 succeed, in four or five of five
-    /// rollouts each, and 37 of all 100 rollouts balance (docs/results.md, table 5.3,
-    /// `opt-nominal`). Correlations from 0.33 to 0.94 are compatible with these counts.
+    /// Correlation of two rollouts of a policy, chosen for trainings that differ as they do for the
+    /// emulated Qube `lab`. There 20 policies were trained at one psi. Of these 7 succeed, in four
+    /// or five of five rollouts each, and 37 of all 100 rollouts balance (docs/results.md, table
+    /// 5.3, `opt-nominal`). Correlations from 0.33 to 0.94 are compatible with these counts.
     pub const OF_TRAININGS: f64 = 0.8;
 
     /// The same problem with trainings that differ.

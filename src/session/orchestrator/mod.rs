@@ -37,6 +37,7 @@ pub struct Session {
     settings: SessionSettings,
     /// The rigs that make the rollouts: one, or several that share the session.
     rigs: Vec<SessionRig>,
+    /// Verdicts on the recordings read so far, by candidate, rollout and attempt.
     verdicts: HashMap<(u32, u32, u32), Verdict>,
     stop: Arc<AtomicBool>,
     executor: Arc<dyn Executor>,
@@ -50,7 +51,9 @@ impl Session {
     /// and is bound to the folder's `session.toml`.
     ///
     /// # Errors
-    /// The ledger is damaged or cannot be opened, or it belongs to another `session.toml`.
+    /// The ledger is damaged or cannot be opened, or it belongs to another `session.toml`; a
+    /// profile that the session identified cannot be read or was changed; or a candidate's psi does
+    /// not fit the settings.
     pub fn open(
         folder: SessionFolder,
         settings: SessionSettings,
@@ -85,8 +88,8 @@ impl Session {
         Ok(session)
     }
 
-    /// Compares the rig with its profile after the first rollouts and reports the drift from the
-    /// profile.
+    /// Names the model in the first rig's profile, if it has one. After the rig's first rollouts
+    /// the session reports the drift from this model.
     #[must_use]
     pub fn beside(mut self, profile: Option<QubeModel>) -> Self {
         self.rigs[0].profile = profile;
@@ -115,7 +118,8 @@ impl Session {
         self
     }
 
-    /// Refuses real boards other than those that made this session's first recordings.
+    /// Binds each real rig to the board that made its first recording in this session, so that no
+    /// other board is driven.
     ///
     /// # Errors
     /// A recording cannot be read, or the settings of a rig are for another board.
@@ -137,7 +141,7 @@ impl Session {
     }
 
     /// Serial number of the board that made the first finished recording of this rig, or of any rig
-    /// if `rig` is `None`. `None` if there is no such recording.
+    /// if `rig` is `None`. `None` if there is no such recording or it names no board.
     ///
     /// # Errors
     /// The recording cannot be read.
@@ -399,7 +403,7 @@ fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError>
     }
 }
 
-/// The doubt that the ending of a recorded rollout leaves.
+/// The doubt that the ending of a recorded rollout leaves, if it leaves one.
 fn doubt_of(recording: &Recording) -> Option<Doubt> {
     let Ending::Fault(fault) = recording.outcome.as_ref()?.ending else { return None };
     let board = recording.header.device.get("serial").cloned().unwrap_or_default();

@@ -5,6 +5,8 @@ use crate::search::{Observation, SearchError};
 use crate::session::{Candidate, Entry, Purpose, SessionError, SessionEvent};
 
 impl Session {
+    /// Chooses the psi of `count` candidates for this purpose and enters the proposals into the
+    /// ledger.
     pub(super) fn propose(
         &mut self,
         count: u32,

@@ -101,7 +101,7 @@ impl<'a> LogKnowledgeGradient<'a> {
         let envelope = upper_envelope(lines);
 
         // The expected rise is the sum over neighbouring lines of (b' - b) h(-|c|), where b and b'
-        // are their slopes, c is the z at which they cross, and h is that of `log_improvement`.
+        // are their slopes, c is the z at which they cross, and `log_improvement` is ln h.
         let crossing = |pair: &[Line]| {
             let rise = pair[1].slope - pair[0].slope;
             (rise, (pair[0].height - pair[1].height) / rise)

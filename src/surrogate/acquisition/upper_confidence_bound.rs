@@ -1,7 +1,7 @@
 use super::{Criterion, Score};
 
-/// Upper confidence bound, `UCB = mu + beta sigma`. Source: Srinivas et al. 2010, whose beta is the
-/// square of this one.
+/// The upper confidence bound `mu + beta sigma`, with the posterior mean `mu` and standard
+/// deviation `sigma` (Srinivas et al. 2010, whose beta is the square of this one).
 #[derive(Clone, Copy, Debug)]
 pub struct UpperConfidenceBound {
     /// Weight of the standard deviation.

@@ -128,8 +128,8 @@ fn misnamed(seed: u64) -> Misnamed {
     misnamed
 }
 
-/// Accepted confusions for each 100 encoders that freeze during a check. If both counts are
-/// constant, only the order in which they became so tells them apart.
+/// Accepted wrong names for each 100 defects that begin during a check. If the counts of both
+/// encoders are constant, only the order in which they became so tells which one failed.
 const LATER_PERCENT: usize = 8;
 
 fn single_defects_are_named(seeds: std::ops::Range<u64>) {

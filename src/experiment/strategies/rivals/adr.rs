@@ -13,7 +13,7 @@ use crate::learning::{TrainError, Trained};
 use crate::policy::Network;
 use crate::simulation::SimulationSettings;
 
-/// Stages of the training.
+/// Number of stages of the training.
 const STAGES: u32 = 10;
 
 /// Number of particles; each particle is a point of the space of Qubes.
@@ -35,8 +35,11 @@ const RATE: f64 = 0.5;
 const TEMPERATURE: f64 = 0.3;
 
 /// Active domain randomisation (Mehta et al. 2020, reference 20 of the thesis): particles look for
-/// the Qubes in which the policy behaves most unlike its behaviour in the nominal Qube, and the
-/// policy trains on these.
+/// the Qubes in which the policy behaves most unlike its behaviour in the reference Qube, the mean
+/// of the prior, and the policy trains on these.
+///
+/// The reward of a Qube is the logarithm of the probability with which a discriminator tells the
+/// policy's motion in it from those in the reference Qube.
 pub struct ActiveRandomisation;
 
 impl Rival for ActiveRandomisation {
@@ -102,6 +105,7 @@ struct Behaviour<'a> {
 }
 
 impl Behaviour<'_> {
+    /// The features of the motion in the Qube of each point; the arm starts at `theta` (rad).
     fn of(&self, points: &[DVector<f64>], theta: f64) -> Vec<DVector<f64>> {
         let Self { network, given } = self;
         let (space, simulation): (&Space, &SimulationSettings) = (given.space, given.simulation);

@@ -17,7 +17,7 @@ pub enum Belief {
     Points(Vec<DVector<f64>>),
 }
 
-/// A belief in the form in which files store it.
+/// A belief in the form in which files store it: a covariance column by column.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 enum Written {
@@ -27,7 +27,8 @@ enum Written {
 }
 
 impl Belief {
-    /// Draws points whose Qubes can be simulated.
+    /// Draws points whose Qubes can be simulated. Of a belief that is given by points, evenly
+    /// spaced ones are taken instead; there are none if it has no point.
     pub fn draws(&self, space: &Space, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
         match self {
             Self::Unknown => space.draws(count, random),

@@ -7,7 +7,7 @@ const RATE: f64 = 0.5;
 /// Weight of the squared coefficients in the loss.
 const SHRINKAGE: f64 = 0.01;
 
-/// A logistic regression that tells two kinds of features apart.
+/// A logistic regression that tells two kinds of feature vectors apart.
 pub struct Discriminator {
     centre: DVector<f64>,
     scale: DVector<f64>,
@@ -16,8 +16,8 @@ pub struct Discriminator {
 }
 
 impl Discriminator {
-    /// Fits the discriminator to features of both kinds. Each kind has half of the weight, whatever
-    /// its number of features.
+    /// Fits the discriminator to feature vectors of both kinds. Each kind has half of the weight,
+    /// however many vectors it has.
     pub fn fit(reference: &[DVector<f64>], other: &[DVector<f64>]) -> Self {
         let length = reference.first().map_or(0, DVector::len);
         let all = || reference.iter().chain(other);

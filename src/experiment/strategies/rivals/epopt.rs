@@ -8,7 +8,7 @@ use crate::replay::MotionLog;
 /// Part of an update's trajectories that the policy learns from: those with the lowest returns.
 const WORST_SHARE: f32 = 0.1;
 
-/// Number of particles.
+/// Number of particles: Qubes, as points, whose density stands for the belief.
 const PARTICLES: usize = 400;
 
 /// Largest number of transitions in the likelihood.

@@ -2,7 +2,8 @@ use nalgebra::DVector;
 
 use crate::search::{CmaEs, Observation, SearchError, Strategy as _};
 
-/// The point of least cost in a box among `evaluations` or slightly more, by CMA-ES.
+/// The point of least cost in a box among those that CMA-ES evaluates: `evaluations`, rounded up to
+/// whole generations.
 ///
 /// # Errors
 /// The box is empty, or a cost is not finite.

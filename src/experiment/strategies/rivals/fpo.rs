@@ -119,8 +119,9 @@ fn highest_ucb(data: &[Observation], choices: &[Vec<f64>], print: &[f64], seed: 
 }
 
 /// The fingerprint of a policy, numbers that tell policies apart by their behaviour: mean and
-/// standard deviation of the voltage, mean height of the pendulum, and standard deviation of the
-/// arm's angle, over the Qubes of `points`.
+/// standard deviation of the voltage (as a fraction of 5 V), mean height of the pendulum (from -1
+/// hanging to 1 upright), and standard deviation of the arm's angle (rad), over the Qubes of
+/// `points`.
 fn fingerprint(
     network: &Network,
     given: &RivalInput,

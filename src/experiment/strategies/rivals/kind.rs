@@ -33,8 +33,8 @@ pub enum RivalKind {
     /// Chooses the distribution of each part of a training by Bayesian optimisation (Paul et al.,
     /// reference 21).
     Fpo,
-    /// Trains on Qubes in which the policy behaves unlike its behaviour in the nominal Qube (Mehta
-    /// et al., reference 20).
+    /// Trains on Qubes in which the policy behaves unlike its behaviour in the mean Qube of the
+    /// prior (Mehta et al., reference 20).
     Adr,
     /// Trains one policy that observes the longest history of its commands, to tell Qubes apart
     /// while it acts.

@@ -24,8 +24,8 @@ use crate::storage::{Disk, MachineDisk, write_whole};
 const ROUNDS: [u32; 6] = [0, 1, 2, 5, 10, 20];
 
 /// The recommendations of a rival: after each number of recordings, the distribution of simulations
-/// that the rival has learnt from them. Before any recording the recommendation is the distribution
-/// `robust`.
+/// that the rival has learnt from them. A rival that learns from recordings recommends the
+/// distribution `robust` before the first.
 pub struct FromRival<'a> {
     run: &'a MethodRun<'a>,
     settings: &'a StrategySettings,

@@ -17,7 +17,7 @@ const BATCH: usize = 64;
 /// nothing more.
 const FARTHEST_FEATURE: f64 = 5.0;
 
-/// One sample of so many is held out to choose the weights of the network.
+/// One in this many samples is held out to choose the weights of the network.
 const HELD_OUT_EVERY: usize = 10;
 
 /// Adam's learning rate in the first and the last step.

@@ -3,11 +3,14 @@
 //! has a paragraph about each.
 //!
 //! A `rival` turns recordings into a `belief` about the Qube, in the coordinates of a `space`;
-//! `learned` makes recommendations of beliefs. `universal` alone learns no belief: it searches for
-//! the inputs of a policy. The statistics of the rivals are in files of their own, which know
-//! nothing of a Qube: `gaussian`, `relative_entropy`, `mixture_density`, `offline_likelihood`,
-//! `tempering`, `entropy_trade_off`, `stein`, `discriminator`. `simulator` simulates rollouts again
-//! in other Qubes; `summary` and `discrepancy` compare motions.
+//! `learned` makes recommendations of beliefs. Three rivals leave the belief as it is: `adr` and
+//! `fpo` train policies of their own, in the parts that `stages` provides, and `history` only gives
+//! its policies a longer observation. `universal` is no rival of this form: it searches for the
+//! inputs of a policy. The statistics of the rivals are in files of their own, which know nothing
+//! of a Qube: `gaussian`, `relative_entropy`, `mixture_density`, `offline_likelihood`, `tempering`,
+//! `entropy_trade_off`, `stein`, `discriminator`, `evolution`. `simulator` simulates rollouts again
+//! in other Qubes; `summary` and `discrepancy` compare motions, `transitions` short stretches of
+//! them.
 
 mod adr;
 mod bayessim;

@@ -13,11 +13,12 @@ const DAMPING_LOG_DEVIATION: f64 = 1.0;
 /// the prior.
 const FARTHEST: f64 = 4.0;
 
-/// The coordinates in which rivals learn about a Qube, one for each quantity that varies in the
-/// distribution `robust`. The prior of each coordinate has mean 0 and standard deviation 1, which
-/// stand for mean and standard deviation in `robust`; dampings are wider. Parameters count by their
-/// logarithms, so that none becomes negative; nonidealities are bounded to values that can be
-/// simulated.
+/// The coordinates in which rivals learn about a Qube: one for each quantity that varies in the
+/// distribution `robust`, and one for each damping, which `robust` does not vary. The prior of each
+/// coordinate has mean 0 and standard deviation 1. These two stand for the quantity's mean and
+/// standard deviation in `robust`; for a damping they stand for its nominal value and a factor of
+/// e. Parameters count by their logarithms, so that none becomes negative; nonidealities are
+/// bounded to values that can be simulated.
 #[derive(Clone, Debug)]
 pub struct Space {
     nominal: QubeModel,

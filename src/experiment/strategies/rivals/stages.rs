@@ -21,7 +21,7 @@ pub struct Stages<'a> {
 }
 
 impl<'a> Stages<'a> {
-    /// A training whose updates are divided evenly among `stages` stages.
+    /// A training whose updates are divided evenly among `stages` stages, rounded up.
     pub fn new(settings: &TrainSettings, stages: u32, seed: u64, stop: &'a AtomicBool) -> Self {
         let updates = settings.updates.div_ceil(stages).max(1);
         let settings = TrainSettings { updates, threads: 1, ..settings.clone() };
@@ -51,8 +51,9 @@ impl<'a> Stages<'a> {
     }
 }
 
-/// Points with the returns of a policy in their Qubes, as parts of the largest return. Each
-/// trajectory draws its Qube among the points, so a point may appear several times or not at all.
+/// Points with the returns of a policy in their Qubes, as fractions of the largest possible return.
+/// There are as many trajectories as points, and each draws its Qube among the points, so a point
+/// may appear several times or not at all.
 pub fn scored(
     network: &Network,
     settings: &TrainSettings,

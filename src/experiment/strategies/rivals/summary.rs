@@ -51,8 +51,8 @@ fn add(sums: &mut [f64; 3], value: f64, voltage_v: f64) {
     sums[2] += value * voltage_v;
 }
 
-/// The first `length` features of several motions: the means of the motions' statistics, with the
-/// square root of each mean variance.
+/// The first `length` features of several motions: the means of the motions' statistics, where the
+/// square root of a mean variance stands in its place.
 pub fn features(statistics: &[Vec<f64>], length: usize) -> DVector<f64> {
     let count = statistics.len().max(1) as f64;
     DVector::from_fn(length, |entry, _| {

@@ -103,9 +103,10 @@ fn resampled(weights: &[f64], random: &mut ChaCha8Rng) -> Vec<usize> {
         .collect()
 }
 
-/// The logarithm of the density of Student's t distribution with so many degrees of freedom,
-/// without its constant. Its tails are heavy: one large difference, such as that of an upright
-/// pendulum that falls to the other side, does not outweigh the others.
+/// The logarithm of the density of Student's t distribution with `degrees` degrees of freedom,
+/// without its constant, at a difference in standard deviations. Its tails are heavy: one large
+/// difference, such as that of an upright pendulum that falls to the other side, does not outweigh
+/// the others.
 pub fn log_student(standardised: f64, degrees: f64) -> f64 {
     -0.5 * (degrees + 1.0) * (standardised * standardised / degrees).ln_1p()
 }

@@ -15,8 +15,8 @@ const SLOPE_SAMPLES: usize = 1;
 /// and the velocities at the start; theta_dot and alpha_dot, rad/s, by the differences of angles.
 pub const NOISE: [f64; 4] = [0.007, 0.007, 0.12, 0.12];
 
-/// A short stretch of a recording between two states that its angles determine, under the recorded
-/// voltages.
+/// A short stretch of a recording under the recorded voltages. The states at both ends are computed
+/// from the recorded angles alone.
 pub struct Transition<'a> {
     log: &'a MotionLog,
     range: Range<usize>,

@@ -91,7 +91,8 @@ impl<'a> FromUniversalPolicy<'a> {
         CmaEs::between(&lower, &bounds, derived_seed(self.run.seed, SeedFor::Search))
     }
 
-    /// The candidates that these rollouts evaluated, in order, with their returns.
+    /// The candidates that these rollouts evaluated, in order, with their returns. A rollout
+    /// without a return counts as 0.
     fn candidates(&self, results: &[RolloutResult]) -> Result<Vec<Observation>, SearchError> {
         let mut search = self.search()?;
         let mut data = Vec::with_capacity(results.len());
