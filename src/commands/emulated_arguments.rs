@@ -15,8 +15,7 @@ use crate::session::EmulatedQubeSettings;
 #[command(next_help_heading = "The emulated Qube")]
 pub struct EmulatedArguments {
     /// `ideal` (the thesis's equations), `lab` (a real Qube, from published recordings), or a file
-    /// that `identify` wrote [default: ideal; lab for a `session` that identifies it, if no option of this
-    /// group is given]
+    /// that `identify` wrote [default: ideal; lab for a `session` that identifies it]
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<String>,
 
@@ -144,26 +143,33 @@ impl EmulatedArguments {
     pub fn of_plant(&self, plant: &PlantModel) -> Result<EmulatedQubeSettings, Failure> {
         let nominal =
             EmulatedQubeSettings { model: plant.nominal(), ..EmulatedQubeSettings::default() };
-        Ok(self.settings(plant)?.unwrap_or(nominal))
+        self.applied_to(nominal, plant)
     }
 
-    /// The settings of an emulated Qube of this plant; `None` without any argument.
-    pub fn settings(&self, plant: &PlantModel) -> Result<Option<EmulatedQubeSettings>, Failure> {
-        let asked = self.profile.is_some()
+    /// Whether any argument is given.
+    pub fn are_given(&self) -> bool {
+        self.profile.is_some()
             || self.gap.is_some()
             || self.delay_ms.is_some()
             || self.jitter_ms.is_some()
             || self.cable_drift.is_some()
             || self.play_deg.is_some()
             || !self.effect.is_empty()
-            || !self.scale.is_empty();
-        if !asked {
-            return Ok(None);
+            || !self.scale.is_empty()
+    }
+
+    /// The settings of an emulated Qube of this plant with the changes that the arguments ask for.
+    pub fn applied_to(
+        &self,
+        mut settings: EmulatedQubeSettings,
+        plant: &PlantModel,
+    ) -> Result<EmulatedQubeSettings, Failure> {
+        let model = &mut settings.model;
+        if let Some(name) = &self.profile {
+            *model = profile::named(name, plant)?;
         }
-        let name = self.profile.as_deref().unwrap_or(profile::IDEAL);
-        let mut model = profile::named(name, plant)?;
         if let Some(factor) = self.gap {
-            model = model.scaled_from(&plant.parameters, factor);
+            *model = model.scaled_from(&plant.parameters, factor);
         }
         if let Some(milliseconds) = self.delay_ms {
             model.nonidealities.command_delay_s = 1e-3 * milliseconds;
@@ -182,23 +188,20 @@ impl EmulatedArguments {
         for &(parameter, factor) in &self.scale {
             model.parameters.set(parameter, factor * model.parameters.get(parameter));
         }
-        let command_jitter_s = 1e-3 * self.jitter_ms.unwrap_or_default();
-        let play_rad = self.play_deg.unwrap_or_default().to_radians();
-        let mut effects = Effects::NONE;
+        if let Some(milliseconds) = self.jitter_ms {
+            settings.command_jitter_s = 1e-3 * milliseconds;
+        }
+        if let Some(degrees) = self.play_deg {
+            settings.play_rad = degrees.to_radians();
+        }
         for (name, value) in &self.effect {
-            for (known, slot, _) in effects.named() {
+            for (known, slot, _) in settings.effects.named() {
                 if known == name {
                     *slot = *value;
                 }
             }
         }
-        Ok(Some(EmulatedQubeSettings {
-            model,
-            command_jitter_s,
-            play_rad,
-            effects,
-            ..EmulatedQubeSettings::default()
-        }))
+        Ok(settings)
     }
 }
 
@@ -236,4 +239,29 @@ fn scaling(text: &str) -> Result<(DomainParameter, f64), String> {
         format!("there is no parameter {symbol}; there are {known}")
     })?;
     Ok((parameter, between(factor, 0.1, 10.0)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::{Profile, QubeModel};
+
+    #[test]
+    fn options_change_the_qube_that_they_are_applied_to() {
+        let lab = Profile::lab().model();
+        let base = EmulatedQubeSettings { model: lab, ..EmulatedQubeSettings::default() };
+        let model = |arguments: EmulatedArguments| {
+            arguments.applied_to(base, &PlantModel::QUBE).unwrap().model
+        };
+        assert_eq!(model(EmulatedArguments::default()), lab);
+        let nominal = model(EmulatedArguments { gap: Some(0.0), ..Default::default() });
+        assert_eq!(nominal.parameters, QubeModel::NOMINAL.parameters);
+        let farther = model(EmulatedArguments { gap: Some(1.5), ..Default::default() });
+        assert_eq!(farther, lab.scaled_from(&PlantModel::QUBE.parameters, 1.5));
+        let late = model(EmulatedArguments { delay_ms: Some(16.0), ..Default::default() });
+        assert_eq!(late.parameters, lab.parameters);
+        assert!((late.nonidealities.command_delay_s - 0.016).abs() < 1e-12);
+        let ideal = EmulatedArguments { profile: Some("ideal".into()), ..Default::default() };
+        assert_eq!(model(ideal), QubeModel::NOMINAL);
+    }
 }

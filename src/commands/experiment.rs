@@ -468,7 +468,7 @@ fn resumed(
     arguments: &Arguments,
     device: &ChosenDevice,
 ) -> Result<Opened, Failure> {
-    if arguments.plants.describe_qube(&device.plant)? {
+    if arguments.plants.describe_qube() {
         return Err(Failure::usage(
             "an experiment keeps the emulated Qubes that it began with: leave --profile, --gap, --delay-ms, \
              --jitter-ms, --cable-drift, --play-deg, --effect and --scale out",

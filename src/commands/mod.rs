@@ -227,6 +227,7 @@ fn warn_without_realtime(realtime: &RealtimeReport) {
 fn observer_resets_line(observer_resets: u64) -> String {
     match observer_resets {
         0 => String::new(),
+        1 => "observer diverged once: its model or delay does not match this Qube\n".to_owned(),
         times => format!(
             "observer diverged {times} times: its model or delay does not match this Qube\n"
         ),

@@ -36,8 +36,8 @@ struct PlantsFile {
 
 impl PlantArguments {
     /// Whether the options describe an emulated Qube.
-    pub fn describe_qube(&self, plant: &PlantModel) -> Result<bool, Failure> {
-        Ok(self.emulated.settings(plant)?.is_some())
+    pub fn describe_qube(&self) -> bool {
+        self.emulated.are_given()
     }
 
     /// The emulated specimens of a plant on which policies run: those in the file of `--plants`, or

@@ -72,7 +72,7 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
         settings = settings.seen_through(estimator);
     }
     let unidentified = settings.emulated.unidentified || device.is_unidentified();
-    let emulated = arguments.emulated.settings(&device.plant)?.unwrap_or(settings.emulated);
+    let emulated = arguments.emulated.applied_to(settings.emulated, &device.plant)?;
     settings.emulated = EmulatedQubeSettings { unidentified, ..emulated };
     Ok(settings)
 }
@@ -151,7 +151,7 @@ pub fn reopened(
     arguments: &Arguments,
     device: &ChosenDevice,
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
-    if arguments.emulated.settings(&device.plant)?.is_some() {
+    if arguments.emulated.are_given() {
         return Err(Failure::usage(
             "a session keeps the emulated Qube that it began with: leave --profile, --gap, --delay-ms, \
              --jitter-ms, --cable-drift, --play-deg, --effect and --scale out",

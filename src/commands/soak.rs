@@ -232,7 +232,8 @@ impl Soaked {
 
     /// Growth of the program's memory since the warm-up, bytes; `None` before its end.
     fn growth_bytes(&self) -> Option<i64> {
-        self.memory_at_start_bytes.map(|start| self.memory_bytes - start)
+        let start = self.memory_at_start_bytes.filter(|_| self.rollouts > WARM_UP_ROLLOUTS);
+        start.map(|start| self.memory_bytes - start)
     }
 
     fn verdict(&self) -> Result<(), Failure> {
@@ -254,7 +255,7 @@ impl Soaked {
     fn text(&self) -> String {
         let growth = match self.growth_bytes() {
             Some(growth) => format!("{:+.2} MB", growth as f64 * 1e-6),
-            None => format!("not measured in fewer than {WARM_UP_ROLLOUTS} rollouts"),
+            None => format!("not measured in {WARM_UP_ROLLOUTS} rollouts or fewer"),
         };
         format!(
             "{} ticks ({:.2} h) in {} rollouts: {} lost, {} missed deadlines, {} rollouts void\n\

@@ -32,6 +32,9 @@ pub fn mean(sample: &[f64]) -> f64 {
 /// The sample standard deviation (divided by n - 1); NaN of fewer than two values.
 #[must_use]
 pub fn standard_deviation(sample: &[f64]) -> f64 {
+    if sample.len() < 2 {
+        return f64::NAN;
+    }
     let centre = mean(sample);
     let squares: f64 = sample.iter().map(|x| (x - centre) * (x - centre)).sum();
     (squares / (sample.len() as f64 - 1.0)).sqrt()
@@ -144,6 +147,7 @@ mod tests {
         assert_eq!(median(&sample), 4.5);
         assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
         assert!(mean(&[]).is_nan() && median(&[]).is_nan() && standard_deviation(&[1.0]).is_nan());
+        assert!(standard_deviation(&[]).is_nan());
     }
 
     /// Reference values from R: `prop.test(x, n, correct = FALSE)$conf.int`.

@@ -63,7 +63,9 @@ impl Preset {
     pub fn of(settings: &TrainSettings) -> Self {
         let has_its_budget = |preset: &Self| {
             let named = preset.settings_or(settings.clone());
-            *settings == TrainSettings { simulation: settings.simulation, ..named }
+            // The number of threads changes no result.
+            let TrainSettings { simulation, threads, .. } = *settings;
+            *settings == TrainSettings { simulation, threads, ..named }
         };
         Self::NAMED.into_iter().find(has_its_budget).unwrap_or(Self::Custom)
     }

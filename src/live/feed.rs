@@ -168,12 +168,10 @@ impl Feed {
     pub(super) fn follow(&self, FeedReceiver(events): FeedReceiver) {
         let mut rollout: Option<(Box<RolloutHeader>, Arc<RolloutShown>)> = None;
         let mut origin_ns = None;
-        loop {
+        while !self.closed.load(Ordering::Relaxed) {
             let event = match events.recv_timeout(Duration::from_millis(50)) {
                 Ok(event) => event,
-                Err(error) if error.is_timeout() && !self.closed.load(Ordering::Relaxed) => {
-                    continue;
-                }
+                Err(error) if error.is_timeout() => continue,
                 Err(_) => return,
             };
             match event {

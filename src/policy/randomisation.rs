@@ -38,10 +38,13 @@ impl fmt::Display for Randomisation {
             (true, _) => {}
             (false, _) => f.write_str(&quantities.join(", "))?,
         }
+        if !quantities.is_empty() && !self.directions.is_empty() {
+            f.write_str("; ")?;
+        }
         match self.directions.len() {
             0 => {}
-            1 => write!(f, "; one joint deviation")?,
-            many => write!(f, "; {many} joint deviations")?,
+            1 => write!(f, "one joint deviation")?,
+            many => write!(f, "{many} joint deviations")?,
         }
         match self.specimens.len() {
             0 => Ok(()),
@@ -107,6 +110,7 @@ mod tests {
         let more = "; one joint deviation; each draw is one of 3 Qubes with these moments";
         assert_eq!(randomisation.to_string(), format!("{expected}{more}"));
         randomisation.distributions.retain(|_, drawn| !is_random(drawn));
+        assert_eq!(randomisation.to_string(), more.strip_prefix("; ").unwrap());
         (randomisation.directions, randomisation.specimens) = Default::default();
         assert_eq!(randomisation.to_string(), "always the same Qube");
     }

@@ -59,7 +59,11 @@ fn facts(header: &RolloutHeader) -> Vec<(String, String)> {
             significant(sandbox.alpha),
             significant(sandbox.theta_dot),
             significant(sandbox.alpha_dot),
-            if settings.foresight.is_some() { "foresight" } else { "the box alone" }
+            if sandbox.guard.is_box() {
+                "the box alone".to_owned()
+            } else {
+                format!("{:?}", sandbox.guard).to_lowercase()
+            }
         ),
     ));
     facts.push((

@@ -200,11 +200,7 @@ const STRIDES: [usize; 4] = [1, 2, 4, 10];
 /// out, except the chosen one, and the note says so.
 fn within_budget(motions: Vec<Motion>, first: usize) -> (Vec<Motion>, usize, Option<String>) {
     let bytes: usize = motions.iter().map(Motion::bytes).sum();
-    let Some(stride) =
-        STRIDES.into_iter().find(|stride| bytes / stride <= MOTION_BYTES).or(Some(10))
-    else {
-        return (motions, first, None);
-    };
+    let stride = STRIDES.into_iter().find(|stride| bytes / stride <= MOTION_BYTES).unwrap_or(10);
     if stride == 1 {
         return (motions, first, None);
     }

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 use qube_hil::safety::Guard;
-use qube_hil::telemetry::{TickRules, TickSettings};
+use qube_hil::telemetry::TickSettings;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 

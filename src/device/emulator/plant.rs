@@ -68,6 +68,8 @@ pub struct Plant {
     next_finger_us: u64,
     arm_blocked: bool,
     motor_is_open: bool,
+    /// Resistance of the motor, which may be warm.
+    motor_resistance_ohm: f64,
     stops_rad: [f64; 2],
     encoders: Encoders,
     fault_progress: FaultProgress,
@@ -123,6 +125,7 @@ impl Plant {
             next_finger_us: finger.map_or(u64::MAX, |finger| finger.from_us.max(1)),
             arm_blocked: false,
             motor_is_open: false,
+            motor_resistance_ohm: model.parameters.motor_resistance_ohm,
             stops_rad: settings.stops_rad,
             encoders: settings.encoders,
             fault_progress: FaultProgress::new(settings.fault),
@@ -209,19 +212,22 @@ impl Plant {
         let motor_rad_s = self.play.map_or(self.state.theta_dot, |play| play.motor_rad_s());
         let back_emf_v = self.model.parameters.motor_back_emf_v_s * motor_rad_s;
         let driven_v = self.fault_progress.driven_v(self.voltage_v);
-        (driven_v - back_emf_v) / self.model.parameters.motor_resistance_ohm
+        (driven_v - back_emf_v) / self.motor_resistance_ohm
     }
 
     /// Raises the motor's resistance with the heat of its winding.
     fn warm(&mut self, step_s: f64) {
         let current_a = self.current_a();
         let Some(effects) = self.effects.as_mut().filter(|_| !self.motor_is_open) else { return };
-        let loss_w = current_a * current_a * self.model.parameters.motor_resistance_ohm;
+        let loss_w = current_a * current_a * self.motor_resistance_ohm;
         let factor = effects.resistance_factor(loss_w, step_s);
         if factor != 1.0 {
             let mut warm = self.model;
             warm.parameters.motor_resistance_ohm *= factor;
+            self.motor_resistance_ohm = warm.parameters.motor_resistance_ohm;
+            let cable_rest = self.dynamics.cable_rest;
             self.dynamics = NonidealDynamics::new(&warm);
+            self.dynamics.cable_rest = cable_rest;
         }
     }
 
@@ -376,11 +382,29 @@ fn stable_step_us(dynamics: &NonidealDynamics) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::emulator::Effects;
     use crate::qube::{HARD_STOP_RAD, Nonidealities, RAD_PER_COUNT, control_step};
     use firmware_protocol::scaling::{current_ma, tachometer_counts_s};
 
     fn nominal(seed: u64) -> Plant {
         Plant::new(&EmulatorSettings { seed, ..EmulatorSettings::default() })
+    }
+
+    #[test]
+    fn a_motor_that_warms_lets_the_cable_drift_and_draws_less_current() {
+        let mut model = QubeModel::NOMINAL;
+        model.nonidealities.cable_stiffness_n_m_rad = 1e-3;
+        model.nonidealities.cable_drift_rad_per_min = 0.6;
+        let effects = Effects { warming_per_w: 0.05, ..Effects::NONE };
+        let settings = EmulatorSettings { model, effects, ..EmulatorSettings::default() };
+        let mut plant = Plant::new(&settings);
+        plant.block_arm();
+        plant.set_voltage(5.0);
+        plant.advance_to(30_000_000);
+        let drift_rad = plant.dynamics.cable_rest - model.nonidealities.cable_rest_rad;
+        assert!((drift_rad - 0.3).abs() < 1e-3, "{drift_rad} rad");
+        let cold_a = 5.0 / model.parameters.motor_resistance_ohm;
+        assert!((0.5..0.99).contains(&(plant.current_a() / cold_a)), "{} A", plant.current_a());
     }
 
     #[test]

@@ -370,7 +370,10 @@ impl Session {
 
     fn given_up(&mut self, candidate: u32, rollout: u32) -> SessionError {
         let tries = self.settings.extent.repetitions + 1;
-        let last = score(self.folder.disk(), &self.recording(candidate, rollout, tries - 1));
+        // After a rig was taken out, attempts count on.
+        let attempts = self.ledger.state().candidates()[candidate as usize].void;
+        let last = attempts.saturating_sub(1);
+        let last = score(self.folder.disk(), &self.recording(candidate, rollout, last));
         let reason = match last {
             Ok(Verdict::Void { reason }) => reason,
             Ok(_) | Err(_) => "its recording cannot be read".into(),
