@@ -59,9 +59,9 @@ use crate::simulation::SensorModel;
     starts; search: proposed from the returns so far;\n               \
     recommended: by the search; N again: candidate N's own\n               \
     policy, run once more; nominal: trained on the nominal Qube\n  \
-    mean return  of its rollouts: each step of 10 ms earns at most 1 for a\n               \
-    pendulum that is upright and quiet in the middle, so that\n               \
-    6 s earn at most 600\n  \
+    mean return  of its rollouts: each step of 10 ms earns at most 1, with the\n               \
+    pendulum upright, the arm in the middle and both at rest,\n               \
+    so that 6 s earn at most 600\n  \
     rollouts     how many ended in success, of how many: upright during the\n               \
     last second\n  \
     psi          each entry's place between the ends of its range, from 0 to\n               \

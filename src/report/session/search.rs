@@ -18,7 +18,7 @@ pub(super) fn add_search(page: &mut Page, source: &SessionSource) {
         page.paragraph("No policy has run on the Qube yet.");
     } else {
         let explanation = "A dot is one rollout, the line goes through the means of the candidates. Each step of \
-             10 ms earns at most 1, for a pendulum that is upright and quiet in the middle.";
+             10 ms earns at most 1, with the pendulum upright, the arm in the middle and both at rest.";
         page.chart("Return of each candidate on the Qube", explanation, returns(source, &shown));
     }
     add_table(page, source);
@@ -87,7 +87,7 @@ fn add_table(page: &mut Page, source: &SessionSource) {
         page.paragraph(
             "Purpose: an excitation identifies the Qube; initial candidates are where the search starts; searched ones \
              follow from the returns so far; the recommended one has the highest expected return; \"N again\" is candidate N's \
-             own policy, run once more; nominal is a policy of the nominal Qube. Psi determines the simulations in which \
+             own policy, run once more; nominal is a policy that was trained on the nominal Qube. Psi determines the simulations in which \
              a policy trains.",
         );
     }
