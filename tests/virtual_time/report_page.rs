@@ -197,7 +197,7 @@ fn what_is_no_session_and_what_exists_is_refused() {
         (vec!["report", "folder"], "it has no session.toml"),
         (vec!["report", "no.mcap"], "no.mcap"),
         (vec!["report", "nowhere"], "nowhere"),
-        (vec!["report", "folder", "no.mcap"], "not both"),
+        (vec!["report", "folder", "no.mcap"], "either one folder, or recordings"),
         (vec!["report", "no.mcap", "--out", "mine.html"], "--force"),
     ] {
         let output = qube_hil(directory, &arguments);

@@ -68,8 +68,8 @@ pub struct Plant {
     next_finger_us: u64,
     arm_blocked: bool,
     motor_is_open: bool,
-    /// Resistance of the motor, which may be warm.
-    motor_resistance_ohm: f64,
+    /// Resistance of the motor as a multiple of its cold one.
+    resistance_factor: f64,
     stops_rad: [f64; 2],
     encoders: Encoders,
     fault_progress: FaultProgress,
@@ -125,7 +125,7 @@ impl Plant {
             next_finger_us: finger.map_or(u64::MAX, |finger| finger.from_us.max(1)),
             arm_blocked: false,
             motor_is_open: false,
-            motor_resistance_ohm: model.parameters.motor_resistance_ohm,
+            resistance_factor: 1.0,
             stops_rad: settings.stops_rad,
             encoders: settings.encoders,
             fault_progress: FaultProgress::new(settings.fault),
@@ -212,19 +212,22 @@ impl Plant {
         let motor_rad_s = self.play.map_or(self.state.theta_dot, |play| play.motor_rad_s());
         let back_emf_v = self.model.parameters.motor_back_emf_v_s * motor_rad_s;
         let driven_v = self.fault_progress.driven_v(self.voltage_v);
-        (driven_v - back_emf_v) / self.motor_resistance_ohm
+        (driven_v - back_emf_v) / self.motor_resistance_ohm()
+    }
+
+    fn motor_resistance_ohm(&self) -> f64 {
+        self.resistance_factor * self.model.parameters.motor_resistance_ohm
     }
 
     /// Raises the motor's resistance with the heat of its winding.
     fn warm(&mut self, step_s: f64) {
-        let current_a = self.current_a();
+        let loss_w = self.current_a().powi(2) * self.motor_resistance_ohm();
         let Some(effects) = self.effects.as_mut().filter(|_| !self.motor_is_open) else { return };
-        let loss_w = current_a * current_a * self.motor_resistance_ohm;
         let factor = effects.resistance_factor(loss_w, step_s);
         if factor != 1.0 {
             let mut warm = self.model;
             warm.parameters.motor_resistance_ohm *= factor;
-            self.motor_resistance_ohm = warm.parameters.motor_resistance_ohm;
+            self.resistance_factor = factor;
             let cable_rest = self.dynamics.cable_rest;
             self.dynamics = NonidealDynamics::new(&warm);
             self.dynamics.cable_rest = cable_rest;
