@@ -111,13 +111,21 @@ pub enum Unreadable {
     /// The file was truncated before its header and its policy were complete, or is empty.
     #[error("this recording was cut off before its first tick; nothing of the rollout is in it")]
     CutOffAtStart,
-    /// The recording was changed after it was finished, or a metadata record of it is damaged.
+    /// A part without which no rollout can be read is damaged or unknown.
+    #[error(
+        "this recording cannot be read, not even in part: {reason}. It was changed or damaged, or is from another \
+         version of this program"
+    )]
+    Unusable {
+        /// Part that is wrong, and its defect.
+        reason: String,
+    },
+    /// The recording was changed after it was finished; its header and its policy are intact.
     #[error(
         "this recording was changed or damaged at byte {offset}: {reason}. Its intact part can be saved"
     )]
     Damaged {
-        /// Offset at which the damaged record starts, bytes; 0 for a metadata record whose own
-        /// checksum does not fit.
+        /// Offset at which the first damaged record starts, bytes.
         offset: u64,
         /// Defect that was found.
         reason: String,

@@ -13,7 +13,7 @@ pub(super) const HEADER: &str = "rollout";
 pub(super) const CLOCK: &str = "clock";
 /// Name of the metadata record with the rollout's outcome.
 pub(super) const OUTCOME: &str = "outcome";
-/// Name of the metadata record of a recovered file.
+/// Name of the metadata record that marks a recovered file and lists the losses.
 pub(super) const RECOVERED: &str = "recovered";
 
 /// Key of the checksum over a metadata record. MCAP has no checksum of metadata itself, and a
@@ -36,7 +36,7 @@ where
 
 /// Restores a struct from the map that [`to_map`] made; the error says what is wrong.
 pub(super) fn from_map<T: DeserializeOwned>(map: &BTreeMap<String, String>) -> Result<T, String> {
-    if map.get(CHECKSUM) != Some(&checksum(map)) {
+    if !is_sound(map) {
         return Err("its checksum does not fit".to_owned());
     }
     let mut fields = serde_json::Map::new();
@@ -45,6 +45,11 @@ pub(super) fn from_map<T: DeserializeOwned>(map: &BTreeMap<String, String>) -> R
         fields.insert(name.clone(), value);
     }
     serde_json::from_value(Value::Object(fields)).map_err(|error| error.to_string())
+}
+
+/// Whether the checksum of a map that [`to_map`] made fits its content.
+pub(super) fn is_sound(map: &BTreeMap<String, String>) -> bool {
+    map.get(CHECKSUM) == Some(&checksum(map))
 }
 
 fn checksum(map: &BTreeMap<String, String>) -> String {

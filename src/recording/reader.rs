@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use super::scan::{Scan, scan};
+use super::scan::{Damage, Scan, scan};
 use super::wire_format::MAGIC;
 use super::{FORMAT_VERSION, RecordingError, Unreadable, metadata};
 use crate::storage::{Disk, MachineDisk};
@@ -81,13 +81,14 @@ pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, Record
 /// The bytes are not a recording, or were changed after the recording was finished.
 pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     let scan = checked_scan(bytes)?;
-    if let Some(damage) = &scan.damage
-        && is_finished(bytes)
-    {
-        let (offset, reason) = (damage.offset as u64, damage.reason.clone());
-        return Err(Unreadable::Damaged { offset, reason });
+    let damage = scan.damage.clone();
+    let recording = recording(scan)?;
+    match damage {
+        Some(Damage { offset, reason }) if is_finished(bytes) => {
+            Err(Unreadable::Damaged { offset: offset as u64, reason })
+        }
+        _ => Ok(recording),
     }
-    recording(scan)
 }
 
 /// Whether the bytes end with the mark that only a finished recording has at its end.
@@ -107,9 +108,11 @@ pub(super) fn checked_scan(bytes: &[u8]) -> Result<Scan, Unreadable> {
 }
 
 /// Assembles the recording from the records that a scan found intact.
-pub(super) fn recording(mut scan: Scan) -> Result<Recording, Unreadable> {
-    let missing = |missing| {
-        if scan.closed { Unreadable::Foreign { missing } } else { Unreadable::CutOffAtStart }
+pub(super) fn recording(scan: Scan) -> Result<Recording, Unreadable> {
+    let missing = |missing| match scan.first_damage() {
+        None => Unreadable::Foreign { missing },
+        Some(_) if !scan.closed && scan.ticks.is_empty() => Unreadable::CutOffAtStart,
+        Some(reason) => Unreadable::Unusable { reason },
     };
     let header = scan
         .metadata
@@ -119,22 +122,21 @@ pub(super) fn recording(mut scan: Scan) -> Result<Recording, Unreadable> {
     if format != FORMAT_VERSION.to_string() {
         return Err(Unreadable::OtherFormat { found: format, expected: FORMAT_VERSION });
     }
-    let damaged = |record: &str, reason| Unreadable::Damaged {
-        offset: 0,
+    let unusable = |record: &str, reason| Unreadable::Unusable {
         reason: format!("the metadata `{record}`: {reason}"),
     };
-    let header = metadata::from_map(header).map_err(|reason| damaged(metadata::HEADER, reason))?;
+    let header = metadata::from_map(header).map_err(|reason| unusable(metadata::HEADER, reason))?;
     let outcome = match scan.metadata.get(metadata::OUTCOME) {
         Some(map) => {
-            Some(metadata::from_map(map).map_err(|reason| damaged(metadata::OUTCOME, reason))?)
+            Some(metadata::from_map(map).map_err(|reason| unusable(metadata::OUTCOME, reason))?)
         }
         None => None,
     };
-    let policy = scan.policy.take().ok_or_else(|| missing("it has no policy attached"))?;
+    let Some(policy) = &scan.policy else { return Err(missing("it has no policy attached")) };
     let completeness = match scan.first_damage() {
         Some(reason) => Completeness::CutOff { lost_bytes: scan.lost_bytes, reason },
         None if scan.metadata.contains_key(metadata::RECOVERED) => Completeness::Recovered,
         None => Completeness::Whole,
     };
-    Ok(Recording { header, policy, ticks: scan.ticks, outcome, completeness })
+    Ok(Recording { header, policy: policy.clone(), ticks: scan.ticks, outcome, completeness })
 }

@@ -31,9 +31,9 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
     let bytes = read_bytes(disk, damaged)?;
     let scan = checked_scan(&bytes).map_err(unreadable)?;
-    let Some(damage) = scan.first_damage() else { return Ok(Recovered::WasWhole) };
-    let lost_bytes = scan.lost_bytes;
+    let (damage, lost_bytes) = (scan.first_damage(), scan.lost_bytes);
     let recording = recording(scan).map_err(unreadable)?;
+    let Some(damage) = damage else { return Ok(Recovered::WasWhole) };
     let (ticks, has_outcome) = (recording.ticks.len(), recording.outcome.is_some());
     let lost = BTreeMap::from([
         ("lost_bytes".to_owned(), lost_bytes.to_string()),
@@ -61,4 +61,108 @@ fn write(
         writer.write(tick)?;
     }
     writer.finish_recovered(recording.outcome.as_ref(), lost).map(drop)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::samples::{find_all, outcome, recorded, ticks};
+    use super::super::tests::all_bits;
+    use super::super::{Completeness, Unreadable, read};
+    use super::*;
+    use crate::storage::MachineDisk;
+
+    #[test]
+    fn a_damaged_block_costs_its_own_ticks_only() {
+        let directory = tempfile::tempdir().unwrap();
+        let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
+        let mut bytes = recorded(&ticks(40));
+        // The first block holds only schemas, channels and the scene, so the fourth one holds the third
+        // ten ticks.
+        let inside_third = find_all(&bytes, b"lz4").into_iter().nth(3).unwrap() + 40;
+        bytes[inside_third] ^= 0x55;
+        std::fs::write(&damaged, &bytes).unwrap();
+        assert!(matches!(
+            read(&damaged),
+            Err(RecordingError::Unreadable { why: Unreadable::Damaged { .. }, .. })
+        ));
+
+        let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
+        assert!(
+            matches!(recovered, Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true }),
+            "{recovered:?}"
+        );
+        let recording = read(&saved).unwrap();
+        assert_eq!(recording.completeness, Completeness::Recovered);
+        assert!(recording.has_gaps());
+        assert_eq!(recording.outcome, Some(outcome()));
+        assert_eq!(std::fs::read(&damaged).unwrap(), bytes, "the old file stays");
+        assert_eq!(
+            recover(&MachineDisk, &saved, &damaged.with_extension("c")).unwrap(),
+            Recovered::WasWhole
+        );
+    }
+
+    #[test]
+    fn a_cut_off_recording_is_made_whole() {
+        let directory = tempfile::tempdir().unwrap();
+        let (cut, saved) = (directory.path().join("cut.mcap"), directory.path().join("saved.mcap"));
+        let bytes = recorded(&ticks(35));
+        std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+        let before = read(&cut).unwrap();
+        assert!(before.outcome.is_none() && !before.ticks.is_empty());
+        recover(&MachineDisk, &cut, &saved).unwrap();
+        let after = read(&saved).unwrap();
+        assert_eq!(all_bits(&after.ticks), all_bits(&before.ticks));
+        assert_eq!(after.completeness, Completeness::Recovered);
+        assert_eq!(after.outcome, None);
+        let again = recover(&MachineDisk, &cut, &saved);
+        assert!(matches!(again, Err(RecordingError::Create { .. })), "nothing is overwritten");
+    }
+
+    #[test]
+    fn a_damaged_outcome_costs_no_tick() {
+        let directory = tempfile::tempdir().unwrap();
+        let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
+        let mut bytes = recorded(&ticks(20));
+        let digit = find_all(&bytes, b"crc32").last().unwrap() + b"crc32".len() + 4;
+        bytes[digit] = if bytes[digit] == b'0' { b'1' } else { b'0' };
+        std::fs::write(&damaged, &bytes).unwrap();
+        let error = read(&damaged).unwrap_err().to_string();
+        assert!(
+            error.contains("the metadata `outcome`") && error.contains("can be saved"),
+            "{error}"
+        );
+        let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
+        assert!(
+            matches!(
+                recovered,
+                Recovered::Saved { ticks: 20, lost_bytes: 1.., has_outcome: false }
+            ),
+            "{recovered:?}"
+        );
+    }
+
+    #[test]
+    fn a_recording_with_a_damaged_header_is_not_said_to_be_recoverable() {
+        let directory = tempfile::tempdir().unwrap();
+        let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
+        let mut bytes = recorded(&ticks(20));
+        let digit = find_all(&bytes, b"crc32").first().unwrap() + b"crc32".len() + 4;
+        bytes[digit] = if bytes[digit] == b'0' { b'1' } else { b'0' };
+        std::fs::write(&damaged, &bytes).unwrap();
+        let told = read(&damaged).unwrap_err().to_string();
+        assert!(told.contains("not even in part: the metadata `rollout`"), "{told}");
+        assert_eq!(recover(&MachineDisk, &damaged, &saved).unwrap_err().to_string(), told);
+        assert!(!saved.exists());
+    }
+
+    #[test]
+    fn a_file_of_another_program_is_not_called_complete() {
+        let directory = tempfile::tempdir().unwrap();
+        let (foreign, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
+        mcap::Writer::new(std::fs::File::create(&foreign).unwrap()).unwrap().finish().unwrap();
+        let error = recover(&MachineDisk, &foreign, &saved).unwrap_err();
+        let why = Unreadable::Foreign { missing: "it has no metadata `rollout`" };
+        assert!(matches!(&error, RecordingError::Unreadable { why: found, .. } if *found == why));
+    }
 }

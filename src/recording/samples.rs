@@ -116,3 +116,9 @@ pub(super) fn recorded(ticks: &[TickRecord]) -> Vec<u8> {
     }
     writer.finish(&outcome()).unwrap()
 }
+
+/// Offsets at which the text begins.
+pub(super) fn find_all(bytes: &[u8], text: &[u8]) -> Vec<usize> {
+    let positions = 0..=bytes.len() - text.len();
+    positions.filter(|&start| bytes[start..].starts_with(text)).collect()
+}

@@ -140,6 +140,10 @@ impl Scan {
                 let (Some(name), Some(map)) = (fields.text(), fields.map()) else {
                     return Err("a metadata record is malformed".to_owned());
                 };
+                // The header stays for the reader, without which it can give nothing.
+                if name == metadata::OUTCOME && !metadata::is_sound(&map) {
+                    return Err(format!("the metadata `{name}`: its checksum does not fit"));
+                }
                 if [metadata::HEADER, metadata::OUTCOME, metadata::RECOVERED].contains(&name) {
                     self.metadata.insert(name.to_owned(), map);
                 }
@@ -163,8 +167,11 @@ impl Scan {
         else {
             return Err(malformed());
         };
-        if length != fields.0.len() as u64 || fields.0.len() > MAX_ATTACHMENT_BYTES {
+        if length != fields.0.len() as u64 {
             return Err(malformed());
+        }
+        if fields.0.len() > MAX_ATTACHMENT_BYTES {
+            return Err("an attachment is larger than any that this program writes".to_owned());
         }
         if name == POLICY_ATTACHMENT {
             self.policy = Some(fields.0.to_vec());

@@ -79,7 +79,7 @@ pub(super) struct SceneUpdate {
 }
 
 /// The rotation by no angle.
-const UPRIGHT: Quaternion = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
+const IDENTITY: Quaternion = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
 
 fn time(time_ns: u64) -> Message {
     Message::default().integer(1, time_ns / 1_000_000_000).integer(2, time_ns % 1_000_000_000)
@@ -119,7 +119,7 @@ impl FrameTransforms {
                     rotation: Quaternion {
                         z: libm::sin(half_theta),
                         w: libm::cos(half_theta),
-                        ..UPRIGHT
+                        ..IDENTITY
                     },
                 },
                 FrameTransform {
@@ -129,7 +129,7 @@ impl FrameTransforms {
                     rotation: Quaternion {
                         x: libm::sin(half_alpha),
                         w: libm::cos(half_alpha),
-                        ..UPRIGHT
+                        ..IDENTITY
                     },
                 },
             ],
@@ -197,7 +197,7 @@ impl SceneUpdate {
         let entity = |Entity { frame_id, cube }: &Entity| {
             let pose = Message::default()
                 .message(1, &cube.center.message())
-                .message(2, &UPRIGHT.message());
+                .message(2, &IDENTITY.message());
             let Color { r, g, b, a } = cube.color;
             let color = Message::default().double(1, r).double(2, g).double(3, b).double(4, a);
             let cube = Message::default()

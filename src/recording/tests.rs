@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use proptest::prelude::*;
 use prost_reflect::{DescriptorPool, DynamicMessage, Value};
 
-use super::samples::{POLICY, header, outcome, recorded, tick, ticks};
+use super::samples::{POLICY, find_all, header, outcome, recorded, tick, ticks};
 use super::writer::Sink;
 use super::*;
 use crate::qube::{Measurement, State, Status};
@@ -27,7 +27,7 @@ fn bits(tick: &TickRecord) -> (String, Vec<u64>) {
     (format!("{rest:?}"), numbers)
 }
 
-fn all_bits(ticks: &[TickRecord]) -> Vec<(String, Vec<u64>)> {
+pub(super) fn all_bits(ticks: &[TickRecord]) -> Vec<(String, Vec<u64>)> {
     ticks.iter().map(bits).collect()
 }
 
@@ -185,59 +185,6 @@ fn a_changed_byte_in_a_cut_off_recording_never_changes_a_tick() {
             assert!(recording.outcome.is_none_or(|found| found == outcome()), "byte {position}");
         }
     }
-}
-
-#[test]
-fn a_damaged_block_costs_its_own_ticks_only() {
-    let directory = tempfile::tempdir().unwrap();
-    let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
-    let mut bytes = recorded(&ticks(40));
-    // The first block holds only schemas, channels and the scene, so the fourth one holds the third
-    // ten ticks.
-    let inside_third = find_all(&bytes, b"lz4").into_iter().nth(3).unwrap() + 40;
-    bytes[inside_third] ^= 0x55;
-    std::fs::write(&damaged, &bytes).unwrap();
-    assert!(matches!(
-        read(&damaged),
-        Err(RecordingError::Unreadable { why: Unreadable::Damaged { .. }, .. })
-    ));
-
-    let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
-    assert!(
-        matches!(recovered, Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true }),
-        "{recovered:?}"
-    );
-    let recording = read(&saved).unwrap();
-    assert_eq!(recording.completeness, Completeness::Recovered);
-    assert!(recording.has_gaps());
-    assert_eq!(recording.outcome, Some(outcome()));
-    assert_eq!(std::fs::read(&damaged).unwrap(), bytes, "the old file stays");
-    assert_eq!(
-        recover(&MachineDisk, &saved, &damaged.with_extension("c")).unwrap(),
-        Recovered::WasWhole
-    );
-}
-
-fn find_all(bytes: &[u8], text: &[u8]) -> Vec<usize> {
-    let positions = 0..=bytes.len() - text.len();
-    positions.filter(|&start| bytes[start..].starts_with(text)).collect()
-}
-
-#[test]
-fn a_cut_off_recording_is_made_whole() {
-    let directory = tempfile::tempdir().unwrap();
-    let (cut, saved) = (directory.path().join("cut.mcap"), directory.path().join("saved.mcap"));
-    let bytes = recorded(&ticks(35));
-    std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
-    let before = read(&cut).unwrap();
-    assert!(before.outcome.is_none() && !before.ticks.is_empty());
-    recover(&MachineDisk, &cut, &saved).unwrap();
-    let after = read(&saved).unwrap();
-    assert_eq!(all_bits(&after.ticks), all_bits(&before.ticks));
-    assert_eq!(after.completeness, Completeness::Recovered);
-    assert_eq!(after.outcome, None);
-    let again = recover(&MachineDisk, &cut, &saved);
-    assert!(matches!(again, Err(RecordingError::Create { .. })), "nothing is overwritten");
 }
 
 #[test]
