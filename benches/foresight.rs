@@ -14,8 +14,8 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use qube_hil::elementary::{Level, dispatch};
 use qube_hil::policy::{Controller, Policy};
 use qube_hil::qube::{
-    BLOCK, ControlPeriod, InLanes, MAX_HISTORY, MAX_VOLTAGE_V, Profile, QubeLanes, QubeModel,
-    State, limited_to,
+    BLOCK, ControlPeriod, InLanes, MAX_HISTORY, MAX_VOLTAGE_V, PlantModel, Profile, QubeLanes,
+    QubeModel, State, limited_to,
 };
 use qube_hil::safety::{ForesightSettings, IdentifiedQube, TrustedForesight};
 use rand::{RngExt as _, SeedableRng as _};
@@ -102,13 +102,13 @@ fn foresight(criterion: &mut Criterion) {
     let rollouts: Vec<Vec<Tick>> =
         (0..ROLLOUTS).map(|seed| rollout(&profile.model(), seed)).collect();
     let any = ForesightSettings::default();
-    let identified = Some(IdentifiedQube::of(&profile));
+    let identified = Some(IdentifiedQube::of(&profile, &PlantModel::QUBE));
     for (belief, settings) in
         [("any", any), ("identified", ForesightSettings { identified, ..any })]
     {
         let levels = [Level::Avx512, Level::Avx2].into_iter();
         for level in levels.filter(|level| level.is_available()) {
-            let fresh = settings.foresight(None, &qube_hil::qube::PlantModel::QUBE).at_level(level);
+            let fresh = settings.foresight(None, &PlantModel::QUBE).at_level(level);
             let (mut all_us, mut ending) = (Vec::new(), 0);
             for ticks in &rollouts {
                 let (rollout_us, ends) = times_us(&fresh, ticks);

@@ -19,8 +19,8 @@ use clap::Parser;
 use qube_hil::estimation::{Calibration, Estimator, EstimatorSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use qube_hil::qube::{
-    DomainParameter, MAX_HISTORY, Measurement, Nonidealities, Profile, QubeModel, State, counts,
-    wrap_angle,
+    DomainParameter, MAX_HISTORY, Measurement, Nonidealities, PlantModel, Profile, QubeModel,
+    State, counts, wrap_angle,
 };
 use qube_hil::safety::{Belief, ForesightSettings, IdentifiedQube, SafetyBox};
 
@@ -130,7 +130,7 @@ fn kinds(lab: QubeModel) -> Vec<(&'static str, Kind)> {
 fn ended_unknown(good: &[Vec<Tick>], within: f64) -> usize {
     let belief = Belief::of_any_qube(within);
     let mut foresight = ForesightSettings { belief, ..ForesightSettings::default() }
-        .foresight(None, &qube_hil::qube::PlantModel::QUBE);
+        .foresight(None, &PlantModel::QUBE);
     let mut is_ended = |ticks: &&Vec<Tick>| {
         ticks.iter().any(|tick| {
             let state = tick.state.cast();
@@ -143,14 +143,15 @@ fn ended_unknown(good: &[Vec<Tick>], within: f64) -> usize {
 /// Counts the rollouts that foresight ends for an identified Qube: first those in which the brake
 /// would come too late, then those whose motion the profile did not predict.
 fn ended_identified(good: &[Vec<Tick>], profile: &Profile, guard: &Arguments) -> [usize; 2] {
-    let (known, usual) = (IdentifiedQube::of(profile), ForesightSettings::default());
+    let known = IdentifiedQube::of(profile, &PlantModel::QUBE);
+    let usual = ForesightSettings::default();
     let held_periods = guard.held.unwrap_or(known.held_periods);
     let identified = Some(IdentifiedQube { held_periods, ..known });
     let margin_rad = guard.margin.unwrap_or(usual.margin_rad);
     let settings = ForesightSettings { identified, margin_rad, ..usual };
     let mut ended = [0; 2];
     for ticks in good {
-        let mut foresight = settings.foresight(None, &qube_hil::qube::PlantModel::QUBE);
+        let mut foresight = settings.foresight(None, &PlantModel::QUBE);
         foresight.begin_policy();
         let end = (0_u64..).zip(ticks).find_map(|(index, tick)| {
             let time_us = (index + 1) * 10_000;

@@ -17,8 +17,8 @@ pub struct Profile {
     /// Plant of which this is a specimen; files that name none mean the built-in Qube.
     #[serde(default, skip_serializing_if = "PlantName::is_qube")]
     pub plant: PlantName,
-    /// The nine domain parameters; a parameter that the file does not name has the value of a
-    /// nominal Qube, whatever the plant.
+    /// The nine domain parameters. In the file of a Qube, a parameter that it does not name has the
+    /// nominal value; the file of another plant has to name all but gravity.
     #[serde(default = "nominal", with = "named_parameters")]
     pub parameters: DomainParameters,
     /// The nonidealities; an entry that the file does not name is 0.
@@ -87,6 +87,12 @@ pub enum ProfileError {
         /// Its value.
         value: f64,
     },
+    /// The profile of a plant other than the Qube lacks a parameter.
+    #[error("parameters: name {symbol}, which has no default for a plant other than the Qube")]
+    Unnamed {
+        /// Symbol of the parameter.
+        symbol: &'static str,
+    },
     /// A number of the model is out of range.
     #[error(transparent)]
     Model(#[from] ModelError),
@@ -141,6 +147,16 @@ impl Profile {
     /// The text is not a profile, or its values are outside their ranges.
     pub fn parse(text: &str) -> Result<Self, ProfileError> {
         let profile: Self = toml::from_str(text).map_err(Box::new)?;
+        if !profile.plant.is_qube() {
+            let table: toml::Table = toml::from_str(text).map_err(Box::new)?;
+            let named = table.get("parameters").and_then(toml::Value::as_table);
+            for symbol in DomainParameter::ALL.map(DomainParameter::symbol) {
+                let is_named = named.is_some_and(|named| named.contains_key(symbol));
+                if !is_named && symbol != DomainParameter::Gravity.symbol() {
+                    return Err(ProfileError::Unnamed { symbol });
+                }
+            }
+        }
         profile.model().check()?;
         for (name, &value) in &profile.standard_errors {
             if Quantity::from_name(name).is_none()
@@ -250,6 +266,26 @@ mod named_parameters {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_profile_of_another_plant_names_every_parameter() {
+        let model = QubeModel::NOMINAL;
+        let plant = PlantName::try_from("furuta-130".to_owned()).unwrap();
+        let whole = Profile { plant, ..Profile::exact("mine", &model) };
+        let text = toml::to_string(&whole).unwrap();
+        assert_eq!(Profile::parse(&text).unwrap(), whole);
+        let without = |symbol: &str| {
+            let starts = format!("{symbol} = ");
+            let lines = text.lines().filter(|line| !line.starts_with(&starts));
+            Profile::parse(&lines.collect::<Vec<_>>().join("\n"))
+        };
+        let error = without("M_p").unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "parameters: name M_p, which has no default for a plant other than the Qube"
+        );
+        assert!(without("g").is_ok());
+    }
 
     #[test]
     fn another_qube_is_known_as_well_as_the_one_whose_profile_comes_with_the_program() {

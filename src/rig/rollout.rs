@@ -263,7 +263,7 @@ mod tests {
         assert_eq!(unknown_age_s(None), LONGEST_AGE_S);
 
         let profile = Profile::exact("lab", &crate::qube::QubeModel::NOMINAL);
-        let identified = Some(IdentifiedQube::of(&profile));
+        let identified = Some(IdentifiedQube::of(&profile, &crate::qube::PlantModel::QUBE));
         let known = ForesightSettings { identified, ..ForesightSettings::default() };
         let delay_s = |belief: crate::safety::Belief| belief.high.nonidealities.command_delay_s;
         let older = known.with_sample_age(0.004);

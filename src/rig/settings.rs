@@ -181,10 +181,10 @@ impl RigSettings {
     pub fn identified(&self) -> Option<IdentifiedQube> {
         match &self.profile {
             Some(profile) if self.board.is_some() || !self.is_hardware() => {
-                Some(IdentifiedQube::of(profile))
+                Some(IdentifiedQube::of(profile, &self.plant))
             }
             None if !self.is_hardware() && !self.unidentified => {
-                Some(IdentifiedQube::of(&self.emulated_profile()))
+                Some(IdentifiedQube::of(&self.emulated_profile(), &self.plant))
             }
             _ => None,
         }

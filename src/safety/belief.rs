@@ -92,9 +92,10 @@ pub enum BeliefError {
         /// The longest accepted delay, s.
         longest_s: f64,
     },
-    /// A step is not a finite number, or a part of it exceeds the uncertainty about an unidentified
-    /// Qube.
-    #[error("steps: give each number at most its uncertainty for an unidentified Qube")]
+    /// A step is not a finite number, or a part of it is longer than any belief allows.
+    #[error(
+        "steps: give each parameter at most {UNKNOWN_SHARE}, and each nonideality at most the width of its range"
+    )]
     Step,
 }
 
@@ -144,7 +145,7 @@ impl Belief {
         Self { low, high, least_share: 1.0, steps: no_steps() }
     }
 
-    /// The belief from a profile. Each number except gravity may be off by three standard errors or
+    /// The belief about a specimen of this plant, from its profile. Each number except gravity may be off by three standard errors or
     /// by 10 %, whichever is more, but a parameter by at most 30 %; the delay may be off by at
     /// least 30 % and at least 2 ms. At least 80 % of a voltage arrives at the motor.
     ///
@@ -152,13 +153,13 @@ impl Belief {
     /// directions of the errors. Besides, each number may be off by 10 % minus its three standard
     /// errors, but by at least 5 %.
     #[must_use]
-    pub fn of_profile(profile: &Profile) -> Self {
+    pub fn of_profile(profile: &Profile, plant: &PlantModel) -> Self {
         let model = profile.model();
         let mut belief = Self {
             low: model,
             high: model,
             least_share: IDENTIFIED_SHARE,
-            steps: independent_steps(profile),
+            steps: independent_steps(profile, plant),
         };
         for quantity in Quantity::all() {
             let value = model.get(quantity);
@@ -244,9 +245,14 @@ impl Belief {
         if delay_s > longest_s {
             return Err(BeliefError::Delay { delay_s, longest_s });
         }
-        let widths = unknown_widths();
-        let within = |(part, width): (&f64, &f64)| part.abs() <= width * (1.0 + 1e-9);
-        if !self.steps.iter().all(|step| step.iter().zip(&widths).all(within)) {
+        let within = |(part, quantity): (&f64, Quantity)| {
+            let longest = match quantity {
+                Quantity::Parameter(_) => UNKNOWN_SHARE,
+                Quantity::Nonideality(term) => term.range().end() - term.range().start(),
+            };
+            part.abs() <= longest * (1.0 + 1e-9)
+        };
+        if !self.steps.iter().all(|step| step.iter().zip(Quantity::all()).all(within)) {
             return Err(BeliefError::Step);
         }
         Ok(())
@@ -258,7 +264,8 @@ impl Belief {
     pub fn particles(&self, encoders: Encoders) -> Vec<Particle> {
         let arm_rad_s = velocity_error_rad_s(encoders.theta);
         let pendulum_rad_s = velocity_error_rad_s(encoders.alpha);
-        let widths = unknown_widths();
+        // The Qube's, for every plant: they only tell to which side a particle takes a step.
+        let widths = unknown_widths(&PlantModel::QUBE);
         let share = |place: &[i8; NUMBERS]| place.map(|percent| f64::from(percent) / 100.0);
         let places = PLACES.iter().map(share).enumerate();
         let both = places.flat_map(|(row, place)| {
@@ -315,10 +322,10 @@ fn possible(term: Nonideality, value: f64) -> f64 {
     value.clamp(least, if term == Nonideality::CommandDelay { LONGEST_DELAY_S } else { most })
 }
 
-/// Half-width of each number's range for an unidentified Qube: relative for parameters, in the
-/// number's own unit for nonidealities.
-fn unknown_widths() -> Step {
-    let Belief { low, high, .. } = Belief::of_any_qube(UNKNOWN_SHARE);
+/// Half-width of each number's range for an unidentified specimen of a plant: relative for
+/// parameters, in the number's own unit for nonidealities.
+fn unknown_widths(plant: &PlantModel) -> Step {
+    let Belief { low, high, .. } = Belief::of_any_plant(plant, UNKNOWN_SHARE);
     let mut widths = [UNKNOWN_SHARE; Quantity::COUNT];
     for term in Nonideality::ALL {
         widths[Quantity::Nonideality(term).index()] =
@@ -347,12 +354,12 @@ fn take_step(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths:
 /// Three standard errors of a profile in each independent direction of its errors; all zero without
 /// correlations. The recordings leave one direction undetermined: all masses and forces may grow by
 /// the same factor without a change in any motion. No step is therefore longer than the uncertainty
-/// about an unidentified Qube.
-fn independent_steps(profile: &Profile) -> [Step; Quantity::COUNT] {
+/// about an unidentified specimen of the plant.
+fn independent_steps(profile: &Profile, plant: &PlantModel) -> [Step; Quantity::COUNT] {
     let Some(correlations) = &profile.correlations else { return no_steps() };
     let quantities: Vec<Quantity> = Quantity::all().collect();
-    let (model, widths) = (profile.model(), unknown_widths());
-    // In units of the uncertainty about an unidentified Qube.
+    let (model, widths) = (profile.model(), unknown_widths(plant));
+    // In units of the uncertainty about an unidentified specimen.
     let error = |quantity: Quantity| {
         let value = match quantity {
             Quantity::Parameter(_) => model.get(quantity),
@@ -395,6 +402,10 @@ mod tests {
     use super::*;
     use crate::qube::Correlations;
 
+    fn belief_of(profile: &Profile) -> Belief {
+        Belief::of_profile(profile, &PlantModel::QUBE)
+    }
+
     /// Half the width of a number's range, relative to its value in the profile `lab`.
     fn half_width(belief: &Belief, name: &str) -> f64 {
         let quantity = Quantity::from_name(name).unwrap();
@@ -410,8 +421,8 @@ mod tests {
     fn a_belief_is_as_wide_as_its_profiles_errors_and_ten_percent() {
         let lab = Profile::lab();
         let apart = Profile { correlations: None, ..lab.clone() };
-        let exact = Belief::of_profile(&Profile::exact("exact", &lab.model()));
-        let (correlated, apart) = (Belief::of_profile(&lab), Belief::of_profile(&apart));
+        let exact = belief_of(&Profile::exact("exact", &lab.model()));
+        let (correlated, apart) = (belief_of(&lab), belief_of(&apart));
         assert_ne!(correlated.steps, no_steps());
         // Three standard errors of the resistance are 65 %, those of the pendulum's length 1.9 %.
         let length = 3.0 * lab.standard_errors["L_p"] / lab.parameters.pendulum_length_m;
@@ -433,7 +444,7 @@ mod tests {
     fn a_number_that_identification_was_told_may_be_off_by_ten_percent() {
         let mut fixed = Profile::lab();
         fixed.standard_errors.remove("R_m");
-        assert!(is(half_width(&Belief::of_profile(&fixed), "R_m"), 0.1));
+        assert!(is(half_width(&belief_of(&fixed), "R_m"), 0.1));
     }
 
     #[test]
@@ -450,13 +461,36 @@ mod tests {
             // Far beyond the range that is believed of any Qube.
             let errors = [(quantity.name().to_owned(), 100.0)].into();
             let profile = Profile { standard_errors: errors, ..undetermined.clone() };
-            let belief = Belief::of_profile(&profile);
+            let belief = belief_of(&profile);
             assert_eq!(belief.check(), Ok(()), "{quantity:?}");
             let written = serde_json::to_string(&belief).unwrap();
             assert_eq!(serde_json::from_str::<Belief>(&written).unwrap(), belief);
         }
-        let mut farther = Belief::of_profile(&undetermined);
-        farther.steps[0][0] = 2.0 * unknown_widths()[0];
+        let mut farther = belief_of(&undetermined);
+        farther.steps[0][0] = 2.0 * UNKNOWN_SHARE;
         assert_eq!(farther.check(), Err(BeliefError::Step));
+    }
+
+    #[test]
+    fn the_steps_of_a_plant_with_a_stronger_motor_are_as_long_as_its_errors() {
+        let mut plant = PlantModel::QUBE;
+        plant.parameters.motor_back_emf_v_s *= 3.0;
+        let friction = Quantity::Nonideality(Nonideality::CoulombTorque);
+        let mut model = Profile::lab().model();
+        model.parameters.motor_back_emf_v_s *= 3.0;
+        model.nonidealities.coulomb_torque_n_m *= 3.0;
+        let error_n_m = 3e-4;
+        let profile = Profile {
+            standard_errors: [(friction.name().to_owned(), error_n_m)].into(),
+            correlations: Some(Correlations::new(vec![friction.name().to_owned()], &[vec![1.0]])),
+            ..Profile::exact("strong", &model)
+        };
+        let longest_n_m = |plant: &PlantModel| {
+            let belief = Belief::of_profile(&profile, plant);
+            assert_eq!(belief.check(), Ok(()));
+            belief.steps.iter().map(|step| step[friction.index()].abs()).fold(0.0, f64::max)
+        };
+        assert!(is(longest_n_m(&plant), STANDARD_ERRORS * error_n_m));
+        assert!(is(longest_n_m(&PlantModel::QUBE), 3.5e-4), "the uncertainty about any Qube");
     }
 }

@@ -60,11 +60,12 @@ fn is_no_power(power: &u32) -> bool {
 }
 
 impl IdentifiedQube {
-    /// Derives the belief from a profile. A voltage is held for four periods: its own, and those of
+    /// Derives the belief about a specimen of this plant from its profile. A voltage is held for four periods: its own, and those of
     /// the three samples that a link may lose in a row.
     #[must_use]
-    pub fn of(profile: &Profile) -> Self {
-        Self { belief: Belief::of_profile(profile), tolerance: MODEL_ERROR, held_periods: 4 }
+    pub fn of(profile: &Profile, plant: &PlantModel) -> Self {
+        let belief = Belief::of_profile(profile, plant);
+        Self { belief, tolerance: MODEL_ERROR, held_periods: 4 }
     }
 
     /// The belief whose Qubes do not contradict the profile.
@@ -240,7 +241,7 @@ mod tests {
     #[test]
     fn settings_of_a_file_are_checked_before_anything_is_computed_with_them() {
         let lab = Profile::lab();
-        let identified = Some(IdentifiedQube::of(&lab));
+        let identified = Some(IdentifiedQube::of(&lab, &PlantModel::QUBE));
         let settings = ForesightSettings { identified, ..ForesightSettings::default() };
         let json = serde_json::to_value(settings).unwrap();
         let read = |json: &serde_json::Value| {

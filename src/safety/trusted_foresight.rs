@@ -156,7 +156,7 @@ mod tests {
     /// Simulates a Qube that is pushed to and fro and whose motor gets this fraction of the
     /// voltage. Returns the foresight, and whether the Qube contradicted the profile.
     fn follow(profile: &Profile, plant: &QubeModel, share: f64) -> (TrustedForesight, bool) {
-        let identified = Some(IdentifiedQube::of(profile));
+        let identified = Some(IdentifiedQube::of(profile, &PlantModel::QUBE));
         let settings = ForesightSettings { identified, ..ForesightSettings::default() };
         let mut foresight = settings.foresight(None, &PlantModel::QUBE);
         foresight.begin_policy();

@@ -1,4 +1,4 @@
-use qube_hil::qube::{Profile, Quantity, QubeModel};
+use qube_hil::qube::{PlantModel, Profile, Quantity, QubeModel};
 use qube_hil::safety::{Belief, ForesightSettings, IdentifiedQube};
 
 use super::genes::Genes;
@@ -28,11 +28,11 @@ impl BeliefKind {
     pub fn settings(self) -> ForesightSettings {
         let identified = match self {
             Self::Unknown => None,
-            Self::Identified => Some(IdentifiedQube::of(&Profile::lab())),
+            Self::Identified => Some(IdentifiedQube::of(&Profile::lab(), &PlantModel::QUBE)),
             Self::Precise => {
                 let mut profile = Profile::lab();
                 profile.standard_errors.values_mut().for_each(|error| *error /= 10.0);
-                Some(IdentifiedQube::of(&profile))
+                Some(IdentifiedQube::of(&profile, &PlantModel::QUBE))
             }
         };
         ForesightSettings { identified, ..ForesightSettings::default() }

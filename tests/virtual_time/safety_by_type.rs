@@ -9,10 +9,12 @@ use qube_hil::device::{
     Device, DeviceError, Identity, InProcessWire, LinkFault, SerialLink, Transport,
 };
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::qube::{Measurement, Profile, QubeModel};
+use qube_hil::qube::{Measurement, PlantModel, Profile, QubeModel};
 use qube_hil::recording::{parse, read};
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
-use qube_hil::safety::{Guard, GuardConsent, HardwareLimits, IdentifiedQube, SafetyBox, TooWide};
+use qube_hil::safety::{
+    Guard, GuardConsent, HardwareLimits, HardwareRefusal, IdentifiedQube, SafetyBox,
+};
 use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 
@@ -166,7 +168,7 @@ fn a_rig_on_hardware_refuses_a_wider_box_whoever_asks() {
     for safety_box in [wide, SafetyBox::THESIS, SafetyBox { theta: f64::NAN, ..SafetyBox::GUARDED }]
     {
         let refused = rollout(&rig, safety_box).unwrap_err();
-        assert!(matches!(refused, RigError::TooWide(_)), "{refused}");
+        assert!(matches!(refused, RigError::HardwareRefusal(_)), "{refused}");
     }
     assert!(!rollout(&rig, SafetyBox::GUARDED).unwrap());
 
@@ -181,7 +183,10 @@ fn a_rig_on_hardware_refuses_a_wider_box_whoever_asks() {
     assert!(!rollout(&rig, SafetyBox::THESIS).unwrap());
     let of_the_past = SafetyBox { guard: Guard::Envelope, ..SafetyBox::THESIS };
     let refused = rollout(&rig, of_the_past).unwrap_err();
-    assert!(matches!(refused, RigError::TooWide(TooWide::EnvelopeGone)), "{refused}");
+    assert!(
+        matches!(refused, RigError::HardwareRefusal(HardwareRefusal::EnvelopeGone)),
+        "{refused}"
+    );
 }
 
 /// A file of the fuzzers' corpus, written before there was a guard.
@@ -232,10 +237,10 @@ fn every_written_file_names_its_guard() {
 #[test]
 fn a_real_qubes_profile_counts_for_its_own_board_alone() {
     let profile = Profile::exact("mine", &QubeModel::NOMINAL);
-    let known = Some(IdentifiedQube::of(&profile));
+    let known = Some(IdentifiedQube::of(&profile, &PlantModel::QUBE));
     let emulated = RigSettings::in_virtual_time(DeviceChoice::Emulated);
     let as_well_as_lab = Profile::lab().around("emulated", &QubeModel::NOMINAL);
-    assert_eq!(emulated.identified(), Some(IdentifiedQube::of(&as_well_as_lab)));
+    assert_eq!(emulated.identified(), Some(IdentifiedQube::of(&as_well_as_lab, &PlantModel::QUBE)));
     assert!(RigSettings { unidentified: true, ..emulated }.identified().is_none());
 
     let port = RigSettings::in_virtual_time(DeviceChoice::Port("/dev/null".into()));
