@@ -1,11 +1,11 @@
 use std::collections::BTreeMap;
 
-use libm::{exp, sqrt};
+use libm::sqrt;
 use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 
 use super::distribution::{held_in_range, largest_standard_deviation};
-use super::{Direction, DistributionError, Psi, PsiTarget, reach};
+use super::{Direction, DistributionError, reach};
 use crate::elementary::normal_pair;
 use crate::qube::{Distribution, DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
 
@@ -57,9 +57,9 @@ impl Family {
 #[serde(try_from = "Written", into = "Written")]
 pub struct DomainDistribution {
     /// One distribution a quantity, in the order of [`Quantity::all`].
-    distributions: [Distribution; Quantity::COUNT],
+    pub(super) distributions: [Distribution; Quantity::COUNT],
     /// Joint deviations; each draw multiplies each of them by a standard normal number of its own.
-    directions: Vec<Direction>,
+    pub(super) directions: Vec<Direction>,
     /// Qubes of which each draw takes one; if the list is empty, draws follow the distributions and
     /// directions.
     specimens: Vec<QubeModel>,
@@ -223,96 +223,15 @@ impl DomainDistribution {
         sqrt(own * own + squares.sum::<f64>())
     }
 
-    /// The distribution of the model `opt-nominal`: quantities that psi names follow psi, the
-    /// others are nominal.
-    #[must_use]
-    pub fn opt_nominal(psi: &Psi, family: Family) -> Self {
-        Self::nominal().shaped_by(psi, family)
-    }
-
-    /// The distribution of the model `opt-handcrafted`: quantities that psi names follow psi, the
-    /// others are as in `handcrafted`.
-    #[must_use]
-    pub fn opt_handcrafted(psi: &Psi, family: Family) -> Self {
-        Self::handcrafted(family).shaped_by(psi, family)
-    }
-
-    /// Applies psi to the distribution. A quantity that psi names gets a distribution of this
-    /// family with psi's mean and standard deviation; of these two, the one that psi does not name
-    /// stays. Then the shifts along the directions, the common width and the lag of the command
-    /// follow, as far as psi names them (see [`PsiTarget`]). A standard deviation that is too large
-    /// for its mean is reduced to the largest accepted one.
-    #[must_use]
-    pub fn shaped_by(mut self, psi: &Psi, family: Family) -> Self {
-        for quantity in Quantity::all() {
-            let (mean, standard_deviation) = psi.moments(quantity);
-            if mean.is_none() && standard_deviation.is_none() {
-                continue;
-            }
-            let own = self.get(quantity);
-            let mean = mean.unwrap_or(own.mean());
-            let standard_deviation = standard_deviation
-                .unwrap_or(own.standard_deviation())
-                .min(largest_standard_deviation(quantity, mean));
-            self.distributions[quantity.index()] = family.with_moments(mean, standard_deviation);
-        }
-        for number in 1..=self.directions.len().min(PsiTarget::SHIFTS) {
-            if let Some(shift) = psi.get(PsiTarget::Shift(number as u8)) {
-                self = self.shifted(number - 1, shift, family);
-            }
-        }
-        if let Some(log_width) = psi.get(PsiTarget::LogWidth) {
-            self = self.widened(exp(log_width), family);
-        }
-        let lag = [PsiTarget::MeanLag, PsiTarget::LagDeviation].map(|target| psi.get(target));
-        if lag != [None, None] {
-            let [mean_s, deviation_s] = lag.map(Option::unwrap_or_default);
-            self = self.delayed(mean_s, deviation_s, family);
-        }
-        self
-    }
-
-    /// Moves the means along the direction with this index, by `deviations` times its standard
-    /// deviation. A mean that would leave its range is put at the end of the range.
-    fn shifted(mut self, direction: usize, deviations: f64, family: Family) -> Self {
-        for quantity in Quantity::all() {
-            let moved = deviations * self.directions[direction].of(quantity);
-            if moved != 0.0 {
-                let own = self.get(quantity);
-                let mean = held_in_range(quantity, own.mean(), own.mean() + moved);
-                self = self.moments(quantity, mean, own.standard_deviation(), family);
-            }
-        }
-        self
-    }
-
-    /// Multiplies every standard deviation and every direction by a factor.
-    fn widened(mut self, factor: f64, family: Family) -> Self {
-        for quantity in Quantity::all() {
-            let own = self.get(quantity);
-            if own.standard_deviation() > 0.0 {
-                let deviation = factor * own.standard_deviation();
-                self = self.moments(quantity, own.mean(), deviation, family);
-            }
-        }
-        for direction in &mut self.directions {
-            *direction = direction.scaled(factor);
-        }
-        self
-    }
-
-    /// Adds an independent lag with this mean and standard deviation, s, to the command's delay.
-    fn delayed(self, mean_s: f64, deviation_s: f64, family: Family) -> Self {
-        let delay = Quantity::Nonideality(Nonideality::CommandDelay);
-        let own = self.get(delay);
-        let mean = held_in_range(delay, own.mean(), own.mean() + mean_s);
-        let deviation = sqrt(own.standard_deviation().powi(2) + deviation_s * deviation_s);
-        self.moments(delay, mean, deviation, family)
-    }
-
     /// Gives a quantity a distribution of this family with these moments. A standard deviation that
     /// is too large for the mean is reduced to the largest accepted one.
-    fn moments(mut self, quantity: Quantity, mean: f64, deviation: f64, family: Family) -> Self {
+    pub(super) fn moments(
+        mut self,
+        quantity: Quantity,
+        mean: f64,
+        deviation: f64,
+        family: Family,
+    ) -> Self {
         let deviation = deviation.min(largest_standard_deviation(quantity, mean));
         self.distributions[quantity.index()] = family.with_moments(mean, deviation);
         self
@@ -418,21 +337,10 @@ impl TryFrom<Written> for DomainDistribution {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
-    use crate::simulation::PsiSpace;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
-
-    /// The psi at the centre of its box.
-    fn middle(space: &PsiSpace) -> Psi {
-        let point = space.lower().into_iter().zip(space.upper()).map(|(a, b)| 0.5 * (a + b));
-        space.psi(&point.collect::<Vec<_>>()).unwrap()
-    }
-
-    fn is_random(distribution: &DomainDistribution) -> [bool; 9] {
-        DomainParameter::ALL.map(|parameter| distribution.get(parameter).standard_deviation() > 0.0)
-    }
 
     #[test]
     fn a_distribution_of_specimens_draws_each_of_them_and_nothing_else() {
@@ -453,93 +361,6 @@ mod tests {
         assert_eq!(serde_json::from_str::<DomainDistribution>(&written).unwrap(), distribution);
         heavy.set(Nonideality::CommandDelay.into(), 1.0);
         assert!(DomainDistribution::of_specimens(vec![heavy]).is_err());
-    }
-
-    #[test]
-    fn the_models_randomise_what_the_thesis_says() {
-        let psi = middle(&PsiSpace::thesis());
-        let masses_and_lengths = [false, false, false, false, false, true, true, true, true];
-        for family in [Family::Normal, Family::Uniform] {
-            assert_eq!(is_random(&DomainDistribution::nominal()), [false; 9]);
-            assert_eq!(is_random(&DomainDistribution::handcrafted(family)), [true; 9]);
-            let partly = DomainDistribution::nominal_handcrafted(family);
-            assert_eq!(is_random(&partly), masses_and_lengths);
-            let opt = DomainDistribution::opt_nominal(&psi, family);
-            assert_eq!(is_random(&opt), masses_and_lengths);
-            assert_eq!(is_random(&DomainDistribution::opt_handcrafted(&psi, family)), [true; 9]);
-        }
-    }
-
-    #[test]
-    fn psi_shapes_the_parameter_that_it_names() {
-        let point = [0.020, 0.001, 0.090, 0.002, 0.120, 0.003, 0.080, 0.004];
-        let psi = PsiSpace::thesis().psi(&point).unwrap();
-        let opt = DomainDistribution::opt_nominal(&psi, Family::Normal);
-        for (parameter, mean, standard_deviation) in [
-            (DomainParameter::PendulumMass, 0.020, 0.001),
-            (DomainParameter::RotaryMass, 0.090, 0.002),
-            (DomainParameter::PendulumLength, 0.120, 0.003),
-            (DomainParameter::RotaryLength, 0.080, 0.004),
-        ] {
-            assert_eq!(opt.get(parameter), Distribution::Normal { mean, standard_deviation });
-        }
-    }
-
-    #[test]
-    fn whatever_the_corner_of_the_box_draws_are_physical() {
-        let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let thesis = PsiSpace::thesis();
-        let names = [
-            "mean_delay",
-            "std_delay",
-            "mean_coulomb",
-            "std_coulomb",
-            "mean_cable_rest",
-            "std_R_m",
-        ];
-        let nonidealities = PsiSpace::named(&names).unwrap();
-        for corner in 0..256_u32 {
-            let at_corner = |space: &PsiSpace| {
-                let ends = space.dimensions().iter().enumerate().map(|(i, dimension)| {
-                    if corner >> i & 1 == 1 { dimension.upper } else { dimension.lower }
-                });
-                space.psi(&ends.collect::<Vec<_>>()).unwrap()
-            };
-            let (psi, nonidealities) = (at_corner(&thesis), at_corner(&nonidealities));
-            for family in [Family::Normal, Family::Uniform] {
-                let distribution = DomainDistribution::opt_handcrafted(&psi, family)
-                    .shaped_by(&nonidealities, family);
-                for quantity in Quantity::all() {
-                    assert_eq!(distribution.get(quantity).check(quantity), Ok(()));
-                }
-                for _ in 0..50 {
-                    let model = distribution.sample(&mut rng);
-                    assert_eq!(model.parameters.check(), Ok(()));
-                    for term in Nonideality::ALL {
-                        assert!(term.range().contains(&model.nonidealities.get(term)), "{model:?}");
-                    }
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn one_moment_alone_leaves_the_other_and_what_psi_does_not_name_stays() {
-        let psi = PsiSpace::named(&["mean_delay", "std_M_p"]).unwrap().psi(&[0.01, 0.002]).unwrap();
-        let base = DomainDistribution::robust();
-        let shaped = base.clone().shaped_by(&psi, Family::Normal);
-        let moments = |quantity: Quantity| {
-            let own = shaped.get(quantity);
-            (own.mean(), own.standard_deviation())
-        };
-        let deviation = base.get(Nonideality::CommandDelay).standard_deviation();
-        assert_eq!(moments(Nonideality::CommandDelay.into()), (0.01, deviation));
-        assert_eq!(moments(DomainParameter::PendulumMass.into()), (0.024, 0.002));
-        for quantity in Quantity::all() {
-            let named = quantity == Nonideality::CommandDelay.into()
-                || quantity == DomainParameter::PendulumMass.into();
-            assert_eq!(shaped.get(quantity) == base.get(quantity), !named, "{quantity:?}");
-        }
     }
 
     #[test]
@@ -575,7 +396,7 @@ mod tests {
 
     /// A posterior in which the errors of motor resistance and back-EMF are correlated and the
     /// arm's friction is nearly unknown.
-    fn posterior() -> DomainDistribution {
+    pub(in crate::simulation) fn posterior() -> DomainDistribution {
         let (resistance, back_emf) =
             (DomainParameter::MotorResistance, DomainParameter::MotorBackEmf);
         let together = Direction::new(&[(resistance.into(), 0.4), (back_emf.into(), -0.002)]);
@@ -604,30 +425,6 @@ mod tests {
         assert!((450..550).contains(&without_friction), "{without_friction}");
         let deviation = posterior().standard_deviation(DomainParameter::MotorResistance);
         assert!((deviation - 0.84_f64.hypot(0.4)).abs() < 1e-12, "{deviation}");
-    }
-
-    #[test]
-    fn psi_widens_shifts_and_delays_a_posterior() {
-        let space = PsiSpace::of_posterior(2);
-        assert_eq!(
-            space.names().collect::<Vec<_>>(),
-            ["log_width", "shift_1", "shift_2", "mean_lag", "std_lag"]
-        );
-        let shaped =
-            |point: &[f64]| posterior().shaped_by(&space.psi(point).unwrap(), Family::Normal);
-        assert_eq!(shaped(&space.as_identified()), posterior());
-        let (resistance, delay) = (DomainParameter::MotorResistance, Nonideality::CommandDelay);
-        let nominal = QubeModel::NOMINAL.parameters.motor_resistance_ohm;
-        let wide = shaped(&[2f64.ln(), 0.0, 0.0, 0.0, 0.0]);
-        let twice = 2.0 * posterior().standard_deviation(resistance);
-        assert!((wide.standard_deviation(resistance) - twice).abs() < 1e-12);
-        let moved = shaped(&[0.0, -1.5, 0.0, 0.004, 0.001]);
-        assert!((moved.get(resistance).mean() - (nominal - 0.6)).abs() < 1e-12);
-        assert_eq!(moved.get(delay), Family::Normal.with_moments(0.004, 0.001));
-        // A mean that would fall below its range is put at the range's end.
-        let held = shaped(&[0.0, 0.0, -2.0, -0.004, 0.0]);
-        assert_eq!(held.get(Nonideality::CoulombTorque).mean(), 0.0);
-        assert_eq!(held.get(delay).mean(), 0.0);
     }
 
     #[test]

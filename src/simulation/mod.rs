@@ -35,6 +35,7 @@ mod psi_error;
 mod psi_space;
 mod sensors;
 mod settings;
+mod shaping;
 #[cfg(test)]
 mod tests;
 mod trajectory;
