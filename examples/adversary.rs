@@ -31,7 +31,8 @@ fn main() {
         corner_rad_s: number(3, PROMISED.corner_rad_s),
         safety_box: match arguments.get(4).map(String::as_str) {
             Some("box") => SafetyBox::THESIS,
-            _ => SafetyBox::GUARDED,
+            None | Some("foresight") => SafetyBox::GUARDED,
+            Some(other) => panic!("{other:?} is no guard: give box or foresight"),
         },
         ..PROMISED
     };

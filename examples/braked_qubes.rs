@@ -139,13 +139,18 @@ fn main() {
             }
         }
         rest_periods.sort_unstable();
-        let [half, most] = [2, 100].map(|part| rest_periods.len() - rest_periods.len() / part - 1);
+        // The time within which all but this fraction of the Qubes that came to rest did so, s.
+        let all_but = |fraction: usize| {
+            let (count, last) = (rest_periods.len(), rest_periods.len() / fraction + 1);
+            let periods = count.checked_sub(last).map(|index| rest_periods[index]);
+            periods.map_or(f64::NAN, |periods| CONTROL_PERIOD_S * periods as f64)
+        };
         println!(
             "a brake that {name}: at rest {} (half within {:.2} s, 99 % within {:.2} s), moving after \
              10 s {moving}, at a stop {hits}",
             rest_periods.len(),
-            CONTROL_PERIOD_S * rest_periods[half] as f64,
-            CONTROL_PERIOD_S * rest_periods[most] as f64,
+            all_but(2),
+            all_but(100),
         );
     }
 }

@@ -79,7 +79,6 @@ def session(folder, name, method, seed):
         "real": told["real_rollouts"],
         "verdict": known.get("verdict", "refused"),
         "nominal": (told["baseline"] or [{"returns": [float("nan")]}])[0]["returns"][0],
-        "quiet_v": best["balancing"]["change_v"] if best["balancing"] else float("nan"),
     }
 
 

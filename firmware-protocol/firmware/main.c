@@ -1,7 +1,7 @@
 /* The program of the microcontroller between a computer and a Quanser Qube.
  *
- * Interrupts only move bytes and count time. All decisions are made here, one after the other, so
- * that no data are shared or torn. */
+ * Interrupts only move bytes and count time. The main loop makes all decisions, one after the other,
+ * so that no decision sees data that are half written. */
 #include "board.h"
 #include "device.h"
 #include "link.h"
@@ -36,22 +36,22 @@ static void send(const struct link_frame *reply)
     board_send(bytes, link_encode(reply, bytes));
 }
 
-/* Ends the frame that has arrived, if any. */
+/* If a frame to the Qube has ended, passes the Qube's answer to the device. */
 static void end_qube_frame(void)
 {
     uint8_t answer[QUBE_FRAME_BYTES];
     if (board_qube_ended(answer)) {
         device_frame_ended(&device, answer);
         /* The only place that feeds the hardware watchdog. It is reached only while main loop,
-         * sampling timer and SPI work; without any of them the Qube would keep its last motor
-         * word. */
+         * sampling timer and SPI all work; if one of them failed, the Qube would keep its last
+         * motor word. */
         board_feed_hardware_watchdog();
     }
 }
 
-/* Begins a frame when the sampling timer demands it, and at once for a new command or a waiting
- * sample. A frame in progress is not interrupted: it ends within 0.2 ms, about the time that it
- * takes to read an act and compute its motor word. */
+/* Begins a frame to the Qube when the sampling timer demands it, and at once for a new command or a
+ * waiting sample. A frame in progress is not interrupted: it ends within 0.2 ms, about the time that
+ * the loop takes to read an act and compute its motor word. */
 static void begin_qube_frame(void)
 {
     if (board_qube_is_busy() || !(board_sampling_is_due() || device_wants_frame(&device))) {
@@ -64,8 +64,9 @@ static void begin_qube_frame(void)
     device_frame_began(&device, board_qube_begin(bytes));
 }
 
-/* Takes bytes up to the end of one request and executes it; returns whether there was one. Requests
- * wait in the ring while `device_waits` and while there is no room for an answer. */
+/* Takes received bytes up to the end of one request and executes it; returns whether there was one.
+ * Requests wait in the ring of received bytes while `device_waits` returns true, and while there is
+ * no room for an answer. */
 static bool serve_request(void)
 {
     struct link_frame frame;

@@ -269,7 +269,7 @@ fn bad_frames_are_dropped_as_the_file_says() {
             "garbled" => FrameError::Garbled,
             "checksum" => FrameError::Checksum,
             "too_long" => FrameError::TooLong,
-            other => panic!("{other}"),
+            other => panic!("golden.txt has an unknown reason `{other}`"),
         };
         assert_eq!(decode(&bytes(words[2])), Some(Err(expected)), "{words:?}");
     }

@@ -109,7 +109,7 @@ fn draw_lines(
 mod tests {
     use super::*;
     use crate::qube::QubeModel;
-    use crate::replay::{MotionSample, simulate_beside};
+    use crate::replay::{MotionSample, simulate_from_first_state};
 
     #[test]
     fn all_curves_and_both_errors_are_in_the_picture() {
@@ -121,7 +121,7 @@ mod tests {
             })
             .collect();
         let log = MotionLog { samples, plant: crate::qube::PlantModel::QUBE };
-        let open_loop = simulate_beside(&log, &QubeModel::NOMINAL).unwrap();
+        let open_loop = simulate_from_first_state(&log, &QubeModel::NOMINAL).unwrap();
         let svg = motion_svg("a < b & c", &log, &open_loop).unwrap();
         assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
         for text in [

@@ -14,11 +14,11 @@ const WAKE_UP_US: i32 = 0;
 /// late.
 #[derive(Debug)]
 #[must_use = "the processors may sleep again as soon as it is dropped"]
-pub struct AwakeProcessor {
+pub struct AwakeProcessors {
     _request: File,
 }
 
-impl AwakeProcessor {
+impl AwakeProcessors {
     /// Makes the request through this file, normally [`CPU_DMA_LATENCY`].
     ///
     /// # Errors
@@ -46,9 +46,9 @@ pub(crate) mod tests {
     fn it_writes_zero_and_is_open_until_it_is_dropped() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().canonicalize().unwrap().join("cpu_dma_latency");
-        assert_eq!(AwakeProcessor::hold(&file).unwrap_err().kind(), io::ErrorKind::NotFound);
+        assert_eq!(AwakeProcessors::hold(&file).unwrap_err().kind(), io::ErrorKind::NotFound);
         std::fs::write(&file, "").unwrap();
-        let awake = AwakeProcessor::hold(&file).unwrap();
+        let awake = AwakeProcessors::hold(&file).unwrap();
         assert_eq!(std::fs::read(&file).unwrap(), [0; 4]);
         assert_eq!(openings_of(&file), 1);
         drop(awake);

@@ -19,10 +19,10 @@ mod virtual_clock;
 
 #[cfg(test)]
 pub(crate) use awake::tests::openings_of;
-pub use awake::{AwakeProcessor, CPU_DMA_LATENCY};
+pub use awake::{AwakeProcessors, CPU_DMA_LATENCY};
 pub use monotonic::MonotonicClock;
 pub use punctual::PunctualClock;
-pub use realtime::{RealtimeReport, enter_realtime};
+pub use realtime::{RealtimeRefusals, enter_realtime};
 pub use virtual_clock::VirtualClock;
 
 /// Nanoseconds: a point in time, counted from an arbitrary fixed origin, or a duration.
@@ -40,7 +40,7 @@ pub trait Clock: Send + Sync {
 
     /// Keeps the processors awake until the returned value is dropped. Returns `None` where the
     /// operating system does not permit this or the clock does not need it.
-    fn stay_awake(&self) -> Option<AwakeProcessor> {
+    fn stay_awake(&self) -> Option<AwakeProcessors> {
         None
     }
 }

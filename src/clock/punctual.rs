@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use super::{AwakeProcessor, CPU_DMA_LATENCY, Clock, MonotonicClock, Nanoseconds};
+use super::{AwakeProcessors, CPU_DMA_LATENCY, Clock, MonotonicClock, Nanoseconds};
 
 /// Longest spin before a deadline, ns: 1 % of a control period. On an idle computer a spin of this
 /// length outlasts the wake-up delay in 99 of 100 ticks (`scripts/on-time`).
@@ -63,9 +63,9 @@ impl Clock for PunctualClock {
         }
     }
 
-    fn stay_awake(&self) -> Option<AwakeProcessor> {
+    fn stay_awake(&self) -> Option<AwakeProcessors> {
         // A refusal is silent here, because `enter_realtime` reports it once.
-        AwakeProcessor::hold(&self.latency_file).ok()
+        AwakeProcessors::hold(&self.latency_file).ok()
     }
 }
 

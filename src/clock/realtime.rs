@@ -6,7 +6,7 @@ use std::path::Path;
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::thread::set_current_timer_slack;
 
-use super::{AwakeProcessor, CPU_DMA_LATENCY};
+use super::{AwakeProcessors, CPU_DMA_LATENCY};
 
 /// Priority under SCHED_FIFO: above ordinary threads and below the kernel's interrupt threads
 /// (priority 50 by default on PREEMPT_RT).
@@ -20,7 +20,7 @@ const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 /// The real-time rights that the operating system refused, each as a message with its remedy;
 /// `None` for a right that it granted. The program also runs without them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct RealtimeReport {
+pub struct RealtimeRefusals {
     /// Reason why SCHED_FIFO was refused.
     pub scheduling: Option<String>,
     /// Reason why memory could not be locked.
@@ -31,7 +31,7 @@ pub struct RealtimeReport {
     pub timer_slack: Option<String>,
 }
 
-impl RealtimeReport {
+impl RealtimeRefusals {
     /// The refusals, most serious first.
     pub fn refusals(&self) -> impl Iterator<Item = &str> {
         [&self.scheduling, &self.memory, &self.awake, &self.timer_slack]
@@ -44,7 +44,7 @@ impl RealtimeReport {
 /// where permitted. Whether the processors can be kept awake is only tested here;
 /// [`Clock::stay_awake`](super::Clock::stay_awake) keeps them awake while a device is driven.
 #[must_use]
-pub fn enter_realtime() -> RealtimeReport {
+pub fn enter_realtime() -> RealtimeRefusals {
     let scheduling = schedule_fifo().err().map(|error| {
         format!(
             "the control thread runs without real-time priority ({error}): ticks may be late. \
@@ -64,12 +64,12 @@ pub fn enter_realtime() -> RealtimeReport {
              priority it does not"
         )
     });
-    RealtimeReport { scheduling, memory, awake: sleepy(Path::new(CPU_DMA_LATENCY)), timer_slack }
+    RealtimeRefusals { scheduling, memory, awake: sleepy(Path::new(CPU_DMA_LATENCY)), timer_slack }
 }
 
 /// The reason why the processors cannot be kept awake through this file; `None` if they can.
 fn sleepy(file: &Path) -> Option<String> {
-    let error = AwakeProcessor::hold(file).err()?;
+    let error = AwakeProcessors::hold(file).err()?;
     Some(format!(
         "the processors may sleep between two ticks ({}: {error}): ticks may be 0.1 ms late. Allow \
          the group realtime to write that file with `sudo scripts/install` and membership in that \

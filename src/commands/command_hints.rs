@@ -3,7 +3,7 @@
 
 use crate::recording::{RecordingError, Unreadable};
 use crate::rig::RigSettings;
-use crate::safety::{Guard, Limit, TooWide};
+use crate::safety::{Guard, HardwareRefusal, Limit};
 use crate::session::{Drift, PowerTest, UsbLost, power_warning};
 use crate::telemetry::{CheckResult, Fault};
 
@@ -56,15 +56,15 @@ pub fn recording(error: &RecordingError) -> String {
 }
 
 /// The reason why a box is refused, with the options that allow it.
-pub fn too_wide(error: &TooWide) -> String {
+pub fn too_wide(error: &HardwareRefusal) -> String {
     match error {
-        TooWide::GuardOff => {
+        HardwareRefusal::GuardOff => {
             format!("{error}, or give --guard box and --accept-hard-stop both on this command line")
         }
-        TooWide::Plant { .. } => {
+        HardwareRefusal::Plant { .. } => {
             format!("{error}: if they are right, give --accept-plant on this command line")
         }
-        TooWide::Limit { .. } | TooWide::EnvelopeGone => error.to_string(),
+        HardwareRefusal::Limit { .. } | HardwareRefusal::EnvelopeGone => error.to_string(),
     }
 }
 

@@ -2,14 +2,14 @@ use std::fmt::Write;
 
 use crate::experiment::Comparison;
 
-/// Width of the column of names, characters.
+/// Width of the column of names, characters; longer names are cut.
 const NAMES: usize = 30;
 
 /// Largest number of comparisons that the table shows for a plant; the JSON has all of them.
 const SHOWN: usize = 10;
 
-/// The comparisons of recipes on one plant as a table for people, 80 columns wide, with the
-/// smallest p-values first. The text is empty if the plant has no comparison.
+/// The comparisons of recipes on one plant as a table for people, at most 80 columns wide, sorted
+/// by the smaller of their two p-values. The text is empty if the plant has no comparison.
 pub fn table(comparisons: &[Comparison], plant: &str) -> String {
     let mut comparisons: Vec<_> = comparisons.iter().filter(|it| it.plant == plant).collect();
     if comparisons.is_empty() {
@@ -19,7 +19,7 @@ pub fn table(comparisons: &[Comparison], plant: &str) -> String {
     comparisons.sort_by(|a, b| smaller(a).total_cmp(&smaller(b)));
     let mut text = format!(
         "\n{:NAMES$} {:>8} {:>7} {:>8} {:>7} {:>9}\n",
-        "second less first, paired", "succeed", "p", "return", "p", "higher"
+        "second - first, paired", "succeed", "p", "return", "p", "higher"
     );
     for it in comparisons.iter().take(SHOWN) {
         let names = format!("{} - {}", it.second, it.first);

@@ -14,6 +14,7 @@ use crate::control::{HomingMethod, HomingSettings};
 use crate::device::emulator::EmulatorSettings;
 use crate::device::{Device, HilLink, Tty};
 use crate::estimation::EstimatorSettings;
+use crate::jobs::starter::quoted;
 use crate::qube::{MotorRating, PlantModel, Profile};
 use crate::rig::{ClockChoice, DeviceChoice, DoubtStore, LINK_PATIENCE_S, Recovery, RigSettings};
 use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
@@ -245,6 +246,20 @@ impl ChosenDevice {
     pub fn homing(&self, default: HomingSettings) -> HomingSettings {
         let homing = self.file.as_ref().map_or(default, |file| file.homing(default.estimator));
         HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
+    }
+
+    /// The options that select this device again, each with a space before it; empty for an emulated
+    /// Qube without a file.
+    pub fn options(&self) -> String {
+        let mut options = match (self.choice.name(), &self.path) {
+            (Some(name), _) => format!(" --device {}", quoted(&name)),
+            (None, Some(_)) => format!(" --device {EMULATED}"),
+            (None, None) => String::new(),
+        };
+        if let Some(path) = &self.path {
+            options.push_str(&format!(" --qube {}", quoted(&path.to_string_lossy())));
+        }
+        options
     }
 
     /// Whether the guard is to treat an emulated Qube as not identified.

@@ -10,10 +10,11 @@ use super::plant_file::PlantArgument;
 use super::stop::Stop;
 use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, UsbBridge, Wiring};
 
-/// Serve an emulated Qube on a pty that any program can open like a serial port
+/// Serve an emulated Qube on a pseudo-terminal (pty) that any program can open like a serial port
 ///
-/// It has the nominal parameters unless --profile says otherwise, quantised encoders that start at unknown
-/// counts, hard stops, and the latched watchdog of the real firmware. It runs until it is stopped.
+/// The emulated Qube has the nominal parameters unless --profile says otherwise, quantised encoders that start at
+/// unknown counts, hard stops, and the latched watchdog of the real firmware. The command prints the path of the
+/// pty. It runs until Ctrl-C or SIGTERM stops it, or until a fault such as unplug takes the pty away.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil emulate --link /tmp/qube &\n  \
@@ -41,18 +42,19 @@ pub struct Arguments {
     inverted: Vec<Wire>,
 
     /// Bridge between the board and the computer: `16u2`, the second microcontroller of a genuine Uno or
-    /// Mega, or `slow`, which is too slow for control
+    /// Mega, or `slow`, which is too slow for control [default: none, a plain serial line]
     #[arg(long, value_name = "16u2|slow")]
     bridge: Option<UsbBridge>,
 
-    /// Fault of the emulated Qube, as silent@10; --help lists all of them
+    /// Fault of the emulated Qube, such as silent@10 (no answer from 10 s on); --help lists all faults
     #[arg(long, value_name = "FAULT", long_help = fault_help())]
     fault: Option<EmulatorFault>,
 }
 
 fn fault_help() -> String {
     format!(
-        "Fault of the emulated Qube, S seconds after the start (D seconds, N counts, a factor F, V volts):\n{}",
+        "Fault of the emulated Qube. S is the time after its start, s; D a duration, s; N a number of counts or \
+         replies; F a factor; V a voltage, V:\n{}",
         EmulatorFault::forms()
     )
 }

@@ -38,6 +38,9 @@ use crate::search::BayRnSettings;
 use crate::session::{Extent, SessionError, SessionSettings};
 use crate::simulation::{Family, Model, SensorModel};
 
+/// Name in an experiment's settings of the plant that is a real Qube.
+const REAL_QUBE: &str = "device";
+
 /// Compare recipes: train several policies with each, run them all on the Qube, print the table
 ///
 /// A recipe is a model of the thesis (its table 5.3) or a file of your own. For optimised models a session
@@ -356,6 +359,25 @@ fn narrowed(
     device.limits("the Qube's file", &widest, consent)
 }
 
+/// Refuses an emulated Qube in the place of the real one with which an experiment began, and the
+/// reverse.
+fn check_resumed_device(
+    settings: &ExperimentSettings,
+    device: &ChosenDevice,
+) -> Result<(), Failure> {
+    let is_real = |plant: &Plant| plant.name == REAL_QUBE && plant.emulated == Default::default();
+    let began_on_hardware = settings.plants.iter().all(is_real);
+    match (began_on_hardware, device.choice.is_hardware()) {
+        (true, false) => Err(Failure::usage(
+            "this experiment began on a real Qube: give the --device or --qube of its beginning",
+        )),
+        (false, true) => Err(Failure::usage(
+            "this experiment began on emulated Qubes: leave --device and --qube out",
+        )),
+        _ => Ok(()),
+    }
+}
+
 fn begun(
     arguments: &Arguments,
     consent: Option<GuardConsent>,
@@ -377,7 +399,7 @@ fn begun(
     }
     let mut plants = match is_emulated {
         true => arguments.plants.plants(&device.plant)?,
-        false => vec![Plant { name: "device".into(), emulated: Default::default(), vary: 0.0 }],
+        false => vec![Plant { name: REAL_QUBE.into(), emulated: Default::default(), vary: 0.0 }],
     };
     for plant in &mut plants {
         plant.emulated.unidentified = device.is_unidentified();
@@ -483,7 +505,7 @@ fn resumed(
     let folder = ExperimentFolder::open(directory).map_err(folder_failure)?;
     let load =
         if arguments.table { ExperimentSettings::load } else { ExperimentSettings::load_to_resume };
-    let settings = load(&folder.settings()).map_err(|error| match error {
+    let settings = load(&folder.settings_path()).map_err(|error| match error {
         ExperimentError::NotResumable { .. } => {
             Failure::usage(format!("{error}; --table shows the finished work"))
         }
@@ -503,6 +525,7 @@ fn resumed(
         )));
     }
     check_device(settings.strategies.as_ref(), device)?;
+    check_resumed_device(&settings, device)?;
     let unidentified = settings.plants.iter().any(|it| it.emulated.unidentified);
     if let Some(Recipe { settings: SessionSettings { homing, .. }, .. }) = settings.recipes.first()
     {

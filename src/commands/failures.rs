@@ -48,7 +48,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::WrongBoard { .. } => {
             Failure::usage(format!("{error}, which qube-hil check --write writes"))
         }
-        RigError::TooWide(reason) => {
+        RigError::HardwareRefusal(reason) => {
             Failure::usage(format!("nothing was run: {}", too_wide(&reason)))
         }
         RigError::OtherPlant(_) | RigError::Device(_) => Failure::usage(error),
@@ -162,7 +162,8 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         SessionError::ProfileLost { .. } => Failure::data_lost(error),
         SessionError::Psi(_)
         | SessionError::SettingsChanged { .. }
-        | SessionError::OtherBoard { .. } => Failure::usage(error),
+        | SessionError::OtherBoard { .. }
+        | SessionError::EmulatedInPlace { .. } => Failure::usage(error),
     };
     failure.caused_by(fault)
 }
@@ -177,7 +178,10 @@ fn job(error: JobError, stop: &Stop) -> Failure {
             | StartError::NoWorkerAppeared { .. }
             | StartError::NoResult { .. }
             | StartError::WorkersRefuse { .. } => Failure::usage(error),
-            StartError::Silent { .. } | StartError::Command(_) => Failure::failed(error),
+            StartError::Silent { .. }
+            | StartError::SilentTooLong { .. }
+            | StartError::Log { .. }
+            | StartError::Command(_) => Failure::failed(error),
         },
         error => Failure::failed(error),
     }

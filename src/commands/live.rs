@@ -162,24 +162,22 @@ impl Live {
                     status.doing = match purpose {
                         Purpose::Verification => "verifying the recommendation".to_owned(),
                         Purpose::Incumbent => "verifying the best candidate's policy".to_owned(),
-                        _ => format!("candidate {}", candidate + 1),
+                        _ => format!("candidate {candidate}"),
                     };
                 });
             }
             SessionEvent::Training { candidate, update, .. } => view.update_status(|status| {
                 let (done, mean) = (update.update + 1, update.mean_return);
                 status.time_left_s = left.map(|left| left.as_secs_f64());
-                status.doing = format!(
-                    "training candidate {}: update {done}, return {mean:.0}",
-                    candidate + 1
-                );
+                status.doing =
+                    format!("training candidate {candidate}: update {done}, return {mean:.0}");
             }),
             SessionEvent::Trained { candidate, .. } => view.update_status(|status| {
-                status.doing = format!("candidate {} is trained", candidate + 1);
+                status.doing = format!("candidate {candidate} is trained");
             }),
             SessionEvent::Rollout { candidate, rollout, verdict, .. } => {
                 view.update_status(|status| {
-                    status.doing = format!("candidate {}, rollout {}", candidate + 1, rollout + 1);
+                    status.doing = format!("candidate {candidate}, rollout {rollout}");
                     // An excitation is no attempt to balance.
                     if !self.excitations.contains(candidate) {
                         better(status, verdict.return_());
@@ -198,7 +196,7 @@ impl Live {
                 name,
                 progress: SessionEvent::Proposed { candidate, .. },
             } => {
-                self.doing(&format!("{name}: candidate {}", candidate + 1));
+                self.doing(&format!("{name}: candidate {candidate}"));
             }
             ExperimentEvent::Search { progress: SessionEvent::Rollout { verdict, .. }, .. } => {
                 self.returned(verdict.return_());

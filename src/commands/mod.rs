@@ -80,7 +80,7 @@ use tracing_subscriber::EnvFilter;
 
 use output::Output;
 
-use crate::clock::RealtimeReport;
+use crate::clock::RealtimeRefusals;
 use crate::rig::RigSettings;
 use crate::safety::{LARGEST_LOAD, WARNING_LOAD};
 use crate::scoring::{Latencies, Quietness};
@@ -217,7 +217,7 @@ fn log_to_stderr(verbose: u8) {
 }
 
 /// Prints a warning for each real-time right that the system refused, with its remedy.
-fn warn_without_realtime(realtime: &RealtimeReport) {
+fn warn_without_realtime(realtime: &RealtimeRefusals) {
     for refusal in realtime.refusals() {
         printable::print_message(&format!("warning: {refusal}"));
     }

@@ -4,7 +4,8 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use crate::learning::Preset;
 
-/// A parser of these names. Each has a description for the help, and a value.
+/// A parser that accepts one of these names and returns its value. Each entry is a name, a
+/// description for the help, and the value.
 pub fn named<T: Clone + Send + Sync + 'static>(
     values: impl Iterator<Item = (&'static str, &'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
@@ -16,8 +17,10 @@ pub fn named<T: Clone + Send + Sync + 'static>(
     })
 }
 
-/// A parser of the presets of trainings.
+/// A parser that accepts the name of a preset of trainings.
 pub fn presets() -> impl TypedValueParser<Value = Preset> {
+    /// Preset that older commands and scripts name. The help does not list it, and the parser
+    /// refuses it with the preset to use instead.
     const RETIRED: &str = "machine";
     let named = Preset::NAMED.into_iter();
     let offered = named.map(|it| PossibleValue::new(it.name()).help(it.description()));

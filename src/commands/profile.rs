@@ -4,7 +4,8 @@ use super::exit::Failure;
 use crate::qube::{PlantModel, Profile, QubeModel};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
-/// Name of the nominal specimen of a plant; the nominal Qube has the thesis's parameters.
+/// Name of the nominal specimen of a plant: it has the parameters of the plant's description (for a
+/// Qube, of its name plate), and no friction, cable or delay.
 pub const IDEAL: &str = "ideal";
 
 /// The model of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a profile file.
@@ -19,7 +20,8 @@ pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure>
         IDEAL => Profile::exact(IDEAL, &plant.nominal()),
         "lab" if !plant.name.is_qube() => {
             return Err(Failure::usage(format!(
-                "lab is a Qube, not a {}: give ideal, or a profile that identify wrote for this plant",
+                "lab is the profile of a Qube, and this is the plant {}: give ideal, or a profile that identify wrote \
+                 for this plant",
                 plant.name
             )));
         }
@@ -30,7 +32,7 @@ pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure>
 
 /// The profile with this name, of a specimen of any plant: `lab`, or the path of a profile file.
 /// `None` for `ideal`, which means the nominal specimen of each plant.
-pub fn of_any_plant(name: &str) -> Result<Option<Profile>, Failure> {
+pub fn named_of_any_plant(name: &str) -> Result<Option<Profile>, Failure> {
     match name {
         IDEAL => Ok(None),
         "lab" => named_profile(name, &PlantModel::QUBE).map(Some),
@@ -47,7 +49,7 @@ pub fn check_plant(name: &str, profile: &Profile, plant: &PlantModel) -> Result<
         return Ok(());
     }
     Err(format!(
-        "{name}: it describes a specimen of the plant {} and this is the plant {}: give a profile of this plant",
+        "{name}: the profile is of the plant {}, but this is the plant {}: give a profile of this plant",
         profile.plant, plant.name
     ))
 }

@@ -14,7 +14,9 @@ use super::profile;
 use crate::charts::{animation_svg, motion_svg};
 use crate::qube::{Profile, QubeModel};
 use crate::recording::{Completeness, Recording, RecordingError, read};
-use crate::replay::{AngleError, MotionLog, Rerun, controller_of, rerun, simulate_beside};
+use crate::replay::{
+    AngleError, MotionLog, Rerun, controller_of, rerun, simulate_from_first_state,
+};
 use crate::safety::Foreseen;
 use crate::storage::{MachineDisk, write_whole};
 use crate::telemetry::RolloutOutcome;
@@ -135,7 +137,7 @@ struct Rmse {
 /// Replays every file and prints the results; the first defect decides the exit code.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let profile = match &arguments.profile {
-        Some(name) => profile::of_any_plant(name)?,
+        Some(name) => profile::named_of_any_plant(name)?,
         None => None,
     };
     if let Some(folder) = &arguments.plot {
@@ -315,8 +317,8 @@ fn simulate_file(
     report: &mut Report,
 ) -> Result<(), Problem> {
     let path = report.path.display().to_string();
-    let open_loop =
-        simulate_beside(log, model).map_err(|error| Problem::usage(format!("{path}: {error}")))?;
+    let open_loop = simulate_from_first_state(log, model)
+        .map_err(|error| Problem::usage(format!("{path}: {error}")))?;
     let AngleError { theta_rad, alpha_rad } = open_loop.rmse;
     report.rmse = Some(Rmse { theta_rad, alpha_rad });
     if let Some(folder) = &arguments.plot {

@@ -1,4 +1,3 @@
-use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -13,6 +12,7 @@ use super::profile;
 use super::replay::recording_failure;
 use crate::device::emulator::EmulatorSettings;
 use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings};
+use crate::jobs::starter::quoted;
 use crate::recording::{Recording, read};
 use crate::report::{ReportError, SessionSource, recordings_page, session_page};
 use crate::rig::RigSettings;
@@ -131,7 +131,7 @@ fn page_of_experiment(
     results: &ExperimentReport,
     experiment: &Experiment,
 ) -> Result<String, String> {
-    let root = quoted(experiment.folder().root().as_os_str());
+    let root = path_word(experiment.folder().root());
     let commands = [
         (
             "Continue, or show the table again:".to_owned(),
@@ -151,7 +151,7 @@ fn page_of_experiment(
 /// but nothing is driven.
 fn of_experiment(folder: &Path) -> Result<String, Failure> {
     let folder = ExperimentFolder::open(folder).map_err(Failure::usage)?;
-    let settings = ExperimentSettings::load(&folder.settings()).map_err(Failure::usage)?;
+    let settings = ExperimentSettings::load(&folder.settings_path()).map_err(Failure::usage)?;
     let rig = RigSettings::emulated(EmulatorSettings::default());
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let experiment = Experiment::new(folder, settings, rig, threads, Arc::default());
@@ -169,7 +169,7 @@ fn of_session(folder: &Path) -> Result<String, Failure> {
 
 fn of_recordings(files: &[PathBuf], profile: Option<&str>) -> Result<String, Failure> {
     let known = match profile {
-        Some(name) => profile::of_any_plant(name)?.map(|known| (name, known)),
+        Some(name) => profile::named_of_any_plant(name)?.map(|known| (name, known)),
         None => None,
     };
     let mut recordings: Vec<(String, Recording)> = Vec::new();
@@ -181,7 +181,7 @@ fn of_recordings(files: &[PathBuf], profile: Option<&str>) -> Result<String, Fai
         }
         recordings.push((path.to_string_lossy().into_owned(), recording));
     }
-    let shown: Vec<String> = files.iter().map(|path| quoted(path.as_os_str())).collect();
+    let shown: Vec<String> = files.iter().map(|path| path_word(path)).collect();
     let commands = [(
         "Check that the replay reproduces every recorded voltage:".to_owned(),
         format!("qube-hil replay {}", shown.join(" ")),
@@ -193,15 +193,18 @@ fn of_recordings(files: &[PathBuf], profile: Option<&str>) -> Result<String, Fai
 /// The commands that use and repeat a session, each with its purpose.
 fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, String)> {
     let paths = SessionPaths::new(folder);
-    let root = quoted(folder.as_os_str());
+    let root = path_word(folder);
     let mut commands = Vec::new();
     if !source.is_finished() {
-        commands
-            .push(("Continue this session:".into(), format!("qube-hil session --resume {root}")));
+        commands.push((
+            "Continue this session; for a real Qube add the --device and --qube of its beginning:"
+                .into(),
+            format!("qube-hil session --resume {root}"),
+        ));
     }
     if let Some(best) = ScoredCandidate::best_verified(source.candidates()) {
         let number = source.candidates()[best].candidate.number;
-        let policy = quoted(paths.candidate(number).policy().as_os_str());
+        let policy = path_word(&paths.candidate(number).policy());
         let run = format!("qube-hil run --policy {policy}");
         commands.push((
             "Run the best policy, here on the emulated Qube; add --device PORT for a real one:"
@@ -211,7 +214,7 @@ fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, Strin
     }
     let recordings = format!("qube-hil replay {root}/candidates/*/*.mcap");
     commands.push(("Check that the replay reproduces every recorded voltage:".into(), recordings));
-    let settings = quoted(paths.configuration().as_os_str());
+    let settings = path_word(&paths.configuration());
     let (clock, same) = if source.is_of_computed_time() {
         (" --clock virtual", "Repeat this session; the same program gives the same results:")
     } else {
@@ -223,13 +226,8 @@ fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, Strin
 }
 
 /// A path as one word for a shell, in quotes if it needs them.
-fn quoted(path: &OsStr) -> String {
-    let path = path.to_string_lossy();
-    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-+=:@,".contains(letter);
-    if !path.is_empty() && path.chars().all(is_plain) && !path.starts_with('-') {
-        return path.into_owned();
-    }
-    format!("'{}'", path.replace('\'', "'\\''"))
+fn path_word(path: &Path) -> String {
+    quoted(&path.to_string_lossy())
 }
 
 fn failure(error: ReportError) -> Failure {
@@ -241,23 +239,5 @@ fn failure(error: ReportError) -> Failure {
         ReportError::Configuration(_) => Failure::usage(message),
         ReportError::Ledger(_) => Failure::data_lost(message),
         ReportError::Data(_) => Failure::failed(message),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_path_is_one_word_for_a_shell() {
-        for (path, word) in [
-            ("logs/monday", "logs/monday"),
-            ("my logs", "'my logs'"),
-            ("it's $(rm)", "'it'\\''s $(rm)'"),
-            ("-x", "'-x'"),
-            ("", "''"),
-        ] {
-            assert_eq!(quoted(OsStr::new(path)), word);
-        }
     }
 }

@@ -297,7 +297,7 @@ fn open(
         let session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
             .and_then(Session::on_the_same_boards)
             .map_err(failed)?
-            .beside(device.profile.as_ref().map(Profile::model))
+            .with_profile(device.profile.as_ref().map(Profile::model))
             .trained_by(Arc::clone(&executor));
         rigs.push(Rig {
             number,

@@ -37,22 +37,23 @@ use crate::simulation::SensorModel;
 /// Run the whole method: identify the Qube, and search for the distribution of simulations whose policies have the highest return on it
 ///
 /// First the Qube is excited for ten seconds and identified. Then policies are trained in simulations around the
-/// identified Qube, run on the Qube at 100 Hz, and recorded. A candidate is one psi: the spread of the simulations,
-/// their shift along the identification's errors, and a lag in addition to the identified delay. The first
-/// candidate is the Qube as it was identified; if its policy does not succeed, the recordings so far improve
-/// the identification, and a surrogate of the return over psi proposes the next. The best policy is verified, and
-/// the session ends when one more candidate is expected to gain less than 1 %. A Qube that cannot be identified is
-/// treated as an unknown one, as --method bayrn does from the beginning: then psi contains means and standard
-/// deviations of masses and lengths (--config can choose other quantities). Without arguments this runs on an
-/// emulated Qube that differs from the nominal one as a real Qube does, and takes some minutes. --resume continues
-/// an interrupted session without losing or repeating a finished rollout.
+/// identified Qube, run on the Qube at 100 Hz, and recorded. A candidate is one psi with its policy; psi is the spread
+/// of the simulations, their shift along the identification's errors, and a lag in addition to the identified delay.
+/// The first candidate is the Qube as it was identified; if its policy does not succeed, the recordings so far improve
+/// the identification, and the search proposes the next psi: from the fourth candidate on by a surrogate of the return
+/// over psi. The best policy is verified. The session ends when the verified policy succeeds in each rollout and one
+/// more candidate is expected to gain less than 1 %, or at the largest number of candidates (--candidates). A Qube
+/// that cannot be identified is treated as an unknown one, as --method bayrn does from the beginning: then psi contains
+/// means and standard deviations of masses and lengths (--config can choose other quantities). Without arguments this
+/// runs on an emulated Qube that differs from the nominal one as a real Qube does, and takes some minutes. --resume
+/// continues an interrupted session without losing or repeating a finished rollout.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil session                               # on the emulated Qube\n  \
     qube-hil session --device /dev/ttyACM0 --out logs/monday\n  \
     qube-hil session --method bayrn --preset thesis   # the thesis's search, without identification\n  \
     qube-hil session --device /dev/ttyACM0 --device /dev/ttyACM1   # a policy for each\n  \
-    qube-hil session --resume logs/monday          # after Ctrl-C, crash or fault\n  \
+    qube-hil session --device /dev/ttyACM0 --resume logs/monday   # after Ctrl-C, crash or fault\n  \
     qube-hil session --clock virtual --seed 3      # as fast as the processor can\n\n\
     The table at the end has a line for each candidate:\n  \
     purpose      excitation: it identifies the Qube; initial: where the search\n               \
@@ -62,13 +63,14 @@ use crate::simulation::SensorModel;
     mean return  of its rollouts: each step of 10 ms earns at most 1, with the\n               \
     pendulum upright, the arm in the middle and both at rest,\n               \
     so that 6 s earn at most 600\n  \
-    rollouts     how many ended in success, of how many: upright during the\n               \
-    last second\n  \
+    rollouts     how many succeeded, of how many: upright during the whole\n               \
+    last second, and a return of at least 400\n  \
     psi          each entry's place between the ends of its range, from 0 to\n               \
     9. Around an identified Qube: log_width, the logarithm of the\n               \
     factor of every spread; shift_N, how far the means lie along\n               \
     the identification's Nth widest error, in its standard\n               \
-    deviations; mean_lag and std_lag, a lag beside the delay")]
+    deviations; mean_lag and std_lag, mean and spread of a lag\n               \
+    in addition to the delay")]
 pub struct Arguments {
     /// Extent: `quick` takes minutes, `thesis` is the published extent and budget
     #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
@@ -76,7 +78,7 @@ pub struct Arguments {
 
     /// Method: `identified` excites and identifies the Qube and searches around it; `posterior`
     /// identifies, trains once and does not search; `bayrn` searches psi as configured, for an unknown Qube
-    /// [default: identified; bayrn with --preset thesis, or a --config without the table identification]
+    /// [default: identified; bayrn with --preset thesis or --config, unless the file has the table identification]
     #[arg(long, value_enum, conflicts_with = "resume")]
     pub(super) method: Option<Method>,
 
@@ -84,13 +86,14 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "resume")]
     pub(super) candidates: Option<u32>,
 
-    /// Number of candidates whose returns are still awaited when the search proposes another: the new candidate is trained
-    /// while these run on the Qube. With 0 the Qube waits for each training; for --method bayrn [default: 0, or as --config says]
+    /// For --method bayrn: number of candidates whose returns may still be awaited when the search proposes another.
+    /// The new candidate is trained while these run on the Qube; with 0 the Qube waits for each training [default: 0, or
+    /// as --config says]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1000), conflicts_with = "resume")]
     pub(super) pending: Option<u32>,
 
-    /// At the end run a policy that is trained on the nominal Qube once, for comparison [default: as --config says;
-    /// without it true on the emulated Qube that is identified, otherwise false]
+    /// At the end, train a policy on the nominal Qube and make one rollout of it, for comparison [default: as --config
+    /// says; without --config true if an emulated Qube is identified, otherwise false]
     #[arg(long, value_name = "true|false", num_args = 0..=1, default_missing_value = "true", conflicts_with = "resume")]
     pub(super) baseline: Option<bool>,
 
@@ -197,7 +200,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let root = folder.paths().root().display().to_string();
     let screen = arguments.screen.open(&format!("qube-hil session in {root}"), output, &stop);
-    let resume = format!("qube-hil session --resume {}", folder.paths().root().display());
+    let resume = several_rigs::resume_command(folder.paths().root(), std::slice::from_ref(&device));
     let mut live = match arguments.live.serve("session", &stop) {
         Ok(live) => live,
         Err(failure) => {
@@ -236,8 +239,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
     let mut session =
         Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
+            .and_then(Session::on_the_same_boards)
             .map_err(failed)?
-            .beside(profile);
+            .with_profile(profile);
     if let Some(executor) = executor {
         session = session.trained_by(executor);
     }

@@ -1,8 +1,7 @@
 //! Selects the Qubes of a session that drives several of them, with one policy for each or one for
-//! all.
+//! all, and gives the command that resumes it.
 
-use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::device_arguments::{ChosenDevice, EMULATED};
 use super::exit::Failure;
@@ -12,6 +11,7 @@ use super::rig_arguments::{RigPolicy, name_of};
 use super::session::Arguments;
 use super::session_settings::asked as asked_settings;
 use super::{rig_sessions, shared_session};
+use crate::jobs::starter::quoted;
 use crate::session::{
     EmulatedQubeSettings, FolderError, RigSessions, SeedFor, SessionFolder, SessionPaths,
     SessionSettings, derived_seed,
@@ -36,7 +36,7 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
         let policy = match rigs.rig_policy() {
             Some(RigPolicy::Shared) if identifies => {
                 return Err(Failure::usage(
-                    "--rig-policy shared goes with --method bayrn: an identification describes one Qube. Give \
+                    "--rig-policy shared works only with --method bayrn: an identification describes one Qube. Give \
                      --rig-policy own, and each Qube is identified and gets its own policy",
                 ));
             }
@@ -79,8 +79,11 @@ impl SeveralRigs {
     }
 }
 
-/// Selects the Qubes for a session that is resumed. They must be as many as before and in the same
-/// order, and emulated or real as before.
+/// Selects the Qubes for a session that is resumed: those that the command line names, or emulated
+/// ones if it names none and the session began with emulated ones only. `known` are the devices
+/// with which the session began.
+///
+/// Refuses another number of Qubes, and an emulated Qube in the place of a real one or the reverse.
 fn devices_to_resume(
     arguments: &Arguments,
     root: &Path,
@@ -110,8 +113,8 @@ fn devices_to_resume(
     Ok(devices)
 }
 
-/// The emulated Qube of rig number `rig`, from 1, among several. It differs from the others as
-/// `--vary` says.
+/// The emulated Qube of rig number `rig`, from 1, among several. It differs from the others by as
+/// much as `--vary` allows; with 0 all are the same.
 pub fn emulated_of(
     arguments: &Arguments,
     settings: &SessionSettings,
@@ -126,19 +129,14 @@ pub fn emulated_of(
     }
 }
 
-/// The command that resumes the sessions of several Qubes.
+/// The command that resumes a session on these Qubes. It names no Qube if all are emulated and no
+/// file describes them.
 pub fn resume_command(root: &Path, devices: &[ChosenDevice]) -> String {
-    let mut command = format!("qube-hil session --resume {}", root.display());
-    if devices.iter().all(|device| !device.choice.is_hardware()) {
-        return command;
+    let mut options: Vec<String> = devices.iter().map(ChosenDevice::options).collect();
+    if options.iter().any(|option| !option.is_empty()) {
+        for option in options.iter_mut().filter(|option| option.is_empty()) {
+            *option = format!(" --device {EMULATED}");
+        }
     }
-    let paths: Option<Vec<&PathBuf>> = devices.iter().map(|device| device.path.as_ref()).collect();
-    let named: Vec<String> = match paths {
-        Some(paths) => paths.iter().map(|path| format!("--qube {}", path.display())).collect(),
-        None => devices.iter().map(|device| format!("--device {}", name_of(device))).collect(),
-    };
-    for device in named {
-        let _ = write!(command, " {device}");
-    }
-    command
+    format!("qube-hil session --resume {}{}", quoted(&root.to_string_lossy()), options.concat())
 }

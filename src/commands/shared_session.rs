@@ -97,7 +97,7 @@ pub fn run(
     let (first, profile) = rigs.remove(0);
     let mut session = Session::open(folder, settings, first, Arc::clone(&stop.flag))
         .map_err(failed)?
-        .beside(profile)
+        .with_profile(profile)
         .spread_over(rigs)
         .on_the_same_boards()
         .map_err(failed)?;

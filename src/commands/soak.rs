@@ -108,7 +108,7 @@ impl Folder {
     }
 
     /// Deletes a recording that is checked, unless the recordings are kept.
-    fn is_done_with(&self, recording: &std::path::Path) -> Result<(), Failure> {
+    fn delete_unless_kept(&self, recording: &std::path::Path) -> Result<(), Failure> {
         if self.keeps {
             return Ok(());
         }
@@ -185,7 +185,7 @@ impl Soaked {
                 Err(error) => return Err(failed(error)),
             }
             self.add(&read(&path).map_err(|error| failures::recording(&error))?);
-            folder.is_done_with(&path)?;
+            folder.delete_unless_kept(&path)?;
             if self.rollouts.is_multiple_of(200) {
                 print_message(&format!("{:.1} h of {} h", self.hours(), arguments.hours));
             }

@@ -1,5 +1,5 @@
-//! The terminal of an operator: reads single keys without echo while a Qube is driven, shows the
-//! screen, and restores the terminal afterwards.
+//! The terminal of an operator: sets it to single keys without echo, shows the screen of a long
+//! command on it, and restores it afterwards.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -14,7 +14,7 @@ use rustix::termios::{
 };
 
 /// The terminal's settings before single keys were read; `None` while these settings are in force.
-static COOKED: Mutex<Option<Termios>> = Mutex::new(None);
+static SETTINGS_BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
 
 /// The terminal of the screen; `None` without a screen.
 static SCREEN: Mutex<Option<ScreenTerminal>> = Mutex::new(None);
@@ -22,11 +22,11 @@ static SCREEN: Mutex<Option<ScreenTerminal>> = Mutex::new(None);
 /// Whether the next frame must be drawn whole.
 static REDRAW: AtomicBool = AtomicBool::new(false);
 
-/// Switches to the alternate screen and hides the cursor.
+/// Switches to the alternate screen, hides the cursor and clears the screen.
 const ENTER: &[u8] = b"\x1b[?1049h\x1b[?25l\x1b[2J";
 
-/// Leaves the alternate screen, so that the terminal's earlier contents and its cursor are shown
-/// again.
+/// Resets the style, shows the cursor and leaves the alternate screen, so that the terminal's
+/// earlier contents are shown again.
 const LEAVE: &[u8] = b"\x1b[0m\x1b[?25h\x1b[?1049l";
 
 struct ScreenTerminal {
@@ -82,7 +82,7 @@ pub fn resume_screen() {
     }
 }
 
-/// Writes to the screen while it is shown.
+/// Writes a frame to the screen; does nothing while the screen is not shown.
 pub fn write_screen(frame: &[u8]) {
     let mut screen = SCREEN.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(screen) = screen.as_mut().filter(|screen| screen.is_shown) {
@@ -118,17 +118,18 @@ fn hide_screen() {
 /// function, too.
 pub fn restore() {
     hide_screen();
-    let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(cooked) = cooked.take() {
-        let _ = tcsetattr(stdin(), OptionalActions::Now, &cooked);
+    let mut saved = SETTINGS_BEFORE.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(before) = saved.take() {
+        let _ = tcsetattr(stdin(), OptionalActions::Now, &before);
     }
 }
 
-/// Sets the terminal to single keys without echo. Until [`restore`], Ctrl-\\ is disabled, because
-/// it would end the program without restoring the terminal.
+/// Sets the terminal to single keys without echo; does nothing in the background. Until
+/// [`restore`], Ctrl-\\ is disabled, because it would end the program without restoring the
+/// terminal.
 pub fn set_single_keys() {
-    let mut cooked = COOKED.lock().unwrap_or_else(PoisonError::into_inner);
-    if cooked.is_some() || !is_foreground() {
+    let mut saved = SETTINGS_BEFORE.lock().unwrap_or_else(PoisonError::into_inner);
+    if saved.is_some() || !is_foreground() {
         return;
     }
     let Ok(before) = tcgetattr(stdin()) else { return };
@@ -138,12 +139,12 @@ pub fn set_single_keys() {
     single.special_codes[SpecialCodeIndex::VTIME] = 0;
     single.special_codes[SpecialCodeIndex::VQUIT] = 0;
     if tcsetattr(stdin(), OptionalActions::Now, &single).is_ok() {
-        *cooked = Some(before);
+        *saved = Some(before);
     }
 }
 
-/// Whether the terminal's foreground is this process group. A program in the background that reads
-/// the terminal is stopped by the system.
+/// Whether this process group is in the terminal's foreground. The system stops a program in the
+/// background that reads the terminal.
 pub fn is_foreground() -> bool {
     tcgetpgrp(stdin()).is_ok_and(|group| group == rustix::process::getpgrp())
 }

@@ -33,7 +33,7 @@ use crate::simulation::{
 
 /// Train one policy in randomised simulation
 ///
-/// The same model, preset and seed give the same file, byte for byte.
+/// The same options give the same file, byte for byte; the number of threads does not matter.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil train --model nominal --out policies/mine.safetensors\n  \
@@ -65,8 +65,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
     psi: Option<PathBuf>,
 
-    /// Training budget and simulation: `robust` for a policy that is to run on a Qube, `quick` and `thesis`
-    /// as published
+    /// Training budget and simulation: `robust` for a policy that is to run on a Qube, `quick` for a trial in
+    /// seconds, `thesis` for the published budget; `quick` and `thesis` train on true states
     #[arg(
         long,
         default_value = "robust",
@@ -101,8 +101,8 @@ pub struct Arguments {
     #[arg(long, value_name = "WEIGHT", value_parser = weight)]
     voltage_change_weight: Option<f64>,
 
-    /// Checkpoint file: the training is saved to it every ten updates, resumes from it if it exists, and
-    /// removes it at the end; the policy is the same as without an interruption
+    /// Checkpoint file: the training writes it every ten updates, resumes from it if it exists, and removes it
+    /// at the end; the policy is the same as without an interruption
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
 
@@ -129,8 +129,9 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Whether the simulated Qubes have the nonidealities of real ones.
-    fn has_real_plant(&self) -> bool {
+    /// Whether the arguments ask for effects of a real Qube: a profile, a delay, or the model
+    /// `robust`.
+    fn asks_for_nonidealities(&self) -> bool {
         self.profile.is_some() || self.delay_ms.is_some() || self.model == Model::Robust
     }
 }
@@ -150,11 +151,11 @@ const CHECKPOINT_EVERY: u32 = 10;
 /// The instruction sets by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum InstructionSet {
-    /// The best of this processor
+    /// AVX-512, or the best that this processor has
     Avx512,
-    /// With fused multiply-add
+    /// AVX2 with fused multiply-add
     Avx2,
-    /// The baseline of the architecture
+    /// The baseline of the architecture: SSE2 or NEON
     Plain,
 }
 
@@ -174,7 +175,7 @@ const PSI: &str = "psi";
 /// The parser of `--model`; `psi` stands for the model whose quantities `--psi` gives.
 fn models() -> impl TypedValueParser<Value = Model> {
     let plain = [Model::Nominal, Model::Handcrafted, Model::NominalHandcrafted, Model::Robust];
-    let by_file = "Quantities that the file of --psi names vary as it says, the others are nominal";
+    let by_file = "Quantities that the --psi file names vary as it says, the others are nominal";
     let plain = plain.map(|model| (model.name(), model.description(), model));
     named(plain.into_iter().chain([(PSI, by_file, Model::OptNominal)]))
 }
@@ -184,9 +185,15 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let plant = arguments.plant.plant()?;
     let psi = arguments.psi.as_deref().map(Psi::load).transpose().map_err(Failure::usage)?;
     let distribution = distribution(&arguments, psi.as_ref(), &plant)?;
-    let origin = origin(&arguments, psi);
     let preset = arguments.preset.settings_or(TrainSettings::default());
     let simulation = simulation(&arguments, preset.simulation.of_plant(&plant))?;
+    let simulation = match &psi {
+        Some(psi) if psi.filter_corner_rad_s().is_some() => {
+            with_filter(&arguments, simulation, psi)?
+        }
+        _ => simulation,
+    };
+    let origin = origin(&arguments, psi);
     let voltage_change_weight = arguments
         .voltage_change_weight
         .map_or(preset.voltage_change_weight, |weight| weight as f32);
@@ -294,18 +301,42 @@ fn simulation(
             observes = asked.observer.is_some();
         }
         (SensorModel::TrueState, Some(_)) => {
-            return Err(Failure::usage("--estimator and --filter go with --sensors encoders"));
+            return Err(Failure::usage(
+                "--estimator and --filter need simulated encoders: give --sensors encoders",
+            ));
         }
         (_, None) => {}
     }
     // An observer already compensates for the delay.
-    let default = if arguments.has_real_plant() && !observes {
+    let default = if arguments.asks_for_nonidealities() && !observes {
         SimulationSettings::robust().history
     } else {
         0
     };
     simulation.history = arguments.history.map_or(default, usize::from);
     Ok(simulation)
+}
+
+/// The simulation with the velocity filter that psi names.
+///
+/// # Errors
+/// The simulation has no filter, or `--filter` names one as well.
+fn with_filter(
+    arguments: &Arguments,
+    simulation: SimulationSettings,
+    psi: &Psi,
+) -> Result<SimulationSettings, Failure> {
+    if simulation.sensors == SensorModel::TrueState {
+        return Err(Failure::usage(
+            "--psi names a filter, which needs simulated encoders: give --sensors encoders",
+        ));
+    }
+    if arguments.estimator.settings(&simulation.plant)?.is_some() {
+        return Err(Failure::usage(
+            "--psi names a filter: leave --estimator, --filter, --estimator-profile and --estimator-delay-ms out",
+        ));
+    }
+    Ok(simulation.shaped_by(psi))
 }
 
 /// Parses a weight from 0 to 10, 1/V^2.

@@ -1,5 +1,6 @@
 //! Cross-check of the two encoders: an acceleration of the arm shows in the motion of the pendulum.
 
+use super::momentum_watch::HOLE_US;
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, Measurement, PlantModel};
 
@@ -51,9 +52,6 @@ const DRIFT_RAD_S: f64 = 0.45;
 /// Longest window of the drift test, control periods; half of it is tested, too. An error of the
 /// pendulum's zero acts like a constant weight, whose effect grows with the window.
 const DRIFT: usize = 80;
-
-/// Interval between samples that counts as a hole, us; the samples before a hole are dropped.
-const HOLE_US: u64 = 15_000;
 
 /// Sum of squared changes of the arm's velocity from which on the relative sign of the two encoders
 /// is known, (rad/s)^2.

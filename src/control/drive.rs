@@ -15,9 +15,9 @@ use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
 pub const SAMPLE_TIMEOUT_NS: u64 = 6_000_000;
 
 /// Longest time that a tick waits for its sample, ns, whatever the link needs. This limit leaves
-/// 1.5 ms of the tick's 10 ms: 0.1 ms to decide, and 1.3 ms until an act reaches the motor (a frame
-/// of USB, 14 bytes on the line). An act then follows its sample within 10 ms, inside the 20 ms
-/// that foresight allows for and that a device accepts.
+/// 1.5 ms of the tick's 10 ms: 0.1 ms to decide, and 1.3 ms until an act reaches the motor (1 ms
+/// for a frame of USB, 0.26 ms for 13 bytes on the line). An act then follows its sample within
+/// 10 ms, inside the 20 ms that foresight allows for and that a device accepts.
 pub const LONGEST_SAMPLE_TIMEOUT_NS: u64 = 8_500_000;
 
 /// The result of driving one motion to its end.
@@ -29,13 +29,15 @@ pub struct DriveReport {
     pub last_measurement: Option<Measurement>,
     /// The last second before a fault, oldest tick first; empty without a fault.
     pub last_ticks: Vec<TickRecord>,
-    /// Whether the device confirmed that its amplifier is off. If it did not, its watchdog switches
-    /// the amplifier off about 50 ms after the last act.
+    /// Whether the device confirmed that its amplifier is off. If the device has received no
+    /// disarm, its watchdog switches the amplifier off; on a board at most 55 ms after the last arm
+    /// or act.
     pub disarmed: Result<(), DeviceError>,
 }
 
-/// Arms the device, runs one motion at 100 Hz on absolute deadlines until it ends, and disarms the
-/// device on every way out.
+/// Arms the device, runs one motion at 100 Hz on absolute deadlines until the motion ends, and
+/// disarms the device. After a panic of the motion, the backend of a real Qube switches the
+/// amplifier off when it is dropped.
 ///
 /// Each tick does five things in this order: wait, read, decide, write, record. None of them
 /// allocates, locks, logs or waits for the recorder: `records` is a wait-free ring, and a record
@@ -70,7 +72,7 @@ pub fn drive_warm(
 ) -> Result<DriveReport, DeviceError> {
     let mut lateness = LatencyHistogram::new();
     let mut sample_to_act = LatencyHistogram::new();
-    let mut turns = Turns::default();
+    let mut turns = TickCounts::default();
     let mut last_ticks = LastTicks::new();
     let mut voltage_mv = 0;
     let mut largest_motor_load = heat.load;
@@ -114,7 +116,7 @@ pub fn drive_warm(
         }
         let turnaround_ns = clock.now_ns() - woke_ns;
 
-        // Heat the motor by the voltage that it had until now.
+        // Update the motor's heat by the voltage that acted until now.
         let measurement = input.measurement.as_ref();
         heat.pass(skipped_periods, measurement, voltage_mv, output.state.theta_dot);
         largest_motor_load = largest_motor_load.max(heat.load);
@@ -178,7 +180,7 @@ pub fn drive_warm(
 
 /// Counters over the ticks of one motion.
 #[derive(Debug, Default)]
-struct Turns {
+struct TickCounts {
     ticks: u32,
     steps: u32,
     missed_deadlines: u32,
@@ -186,7 +188,7 @@ struct Turns {
     last_measurement: Option<Measurement>,
 }
 
-impl Turns {
+impl TickCounts {
     fn count(&mut self, record: &TickRecord, pushed: bool) {
         self.ticks += 1;
         self.steps += u32::from(record.phase == Phase::Running);
@@ -208,7 +210,7 @@ mod tests {
     use super::super::plant_device::{PlantDevice, TestFault};
     use super::super::{Homing, HomingMethod, HomingSettings};
     use super::*;
-    use crate::clock::{AwakeProcessor, Nanoseconds, VirtualClock, openings_of};
+    use crate::clock::{AwakeProcessors, Nanoseconds, VirtualClock, openings_of};
     use crate::device::Identity;
     use crate::qube::State;
 
@@ -227,8 +229,8 @@ mod tests {
             self.time.sleep_until(deadline_ns);
         }
 
-        fn stay_awake(&self) -> Option<AwakeProcessor> {
-            AwakeProcessor::hold(&self.file).ok()
+        fn stay_awake(&self) -> Option<AwakeProcessors> {
+            AwakeProcessors::hold(&self.file).ok()
         }
     }
 

@@ -1,7 +1,7 @@
 //! The first pushes of a homing, which show whether the arm follows the voltage and whether
 //! anything moves at all.
 
-use super::homing_watch::standing_rad;
+use super::homing_watch::at_rest_rad;
 use super::rest::RECOIL;
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
@@ -56,7 +56,7 @@ const RECOIL_RAD: f64 = 0.57;
 #[derive(Clone, Copy, Debug)]
 pub struct HomingProbe {
     /// Largest motion of an arm at rest, rad.
-    standing_rad: f64,
+    at_rest_rad: f64,
     direction: f64,
     reach_rad: f64,
     ramp_v_s: f64,
@@ -90,7 +90,7 @@ impl HomingProbe {
     /// A probe for a pendulum that swings over this width, rad.
     pub fn new(plant: &PlantModel, swing_rad: f64) -> Self {
         Self {
-            standing_rad: standing_rad(plant),
+            at_rest_rad: at_rest_rad(plant),
             direction: -1.0,
             reach_rad: REACH_PER_SWING.mul_add(swing_rad, REACH_RAD),
             ramp_v_s: RAMP_V_S / SLOWER_PER_SWING.mul_add(swing_rad, 1.0),
@@ -159,7 +159,7 @@ impl HomingProbe {
         let swing = (sin - Scalar::sin_cos(self.start.alpha).0).abs();
         let gone_rad = (state.theta - self.start.theta).abs();
         let recoils = sin.abs() < THROWING_SWING && gone_rad <= RECOIL.mul_add(swing, RESTING_RAD);
-        let rests = gone_rad <= self.standing_rad || recoils;
+        let rests = gone_rad <= self.at_rest_rad || recoils;
         if self.has_moved && self.ticks > 1 && !rests {
             self.ticks = 0;
         }

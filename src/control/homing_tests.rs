@@ -16,7 +16,7 @@ fn home(device: &mut PlantDevice, settings: &HomingSettings) -> (Ending, Option<
 
 #[test]
 fn the_middle_and_the_hanging_count_are_found_from_anywhere() {
-    // At rest, swinging, just fallen from upright, and still turning over the top.
+    // Deflected, swinging, at rest near a stop, just fallen from upright, and turning over the top.
     for (theta, alpha, alpha_dot) in
         [(-2.0, 0.3, 0.0), (0.4, -0.2, 5.0), (2.3, 0.0, 0.0), (0.5, 3.0, 2.0), (-1.0, 1.0, 25.0)]
     {

@@ -146,6 +146,6 @@ impl LeavingStop {
 }
 
 /// Travel within which an arm counts as not moving, rad.
-pub fn standing_rad(plant: &PlantModel) -> f64 {
+pub fn at_rest_rad(plant: &PlantModel) -> f64 {
     (f64::from(HELD_COUNTS) + 0.5) * plant.encoders.theta.rad_per_count()
 }

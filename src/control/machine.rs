@@ -17,18 +17,18 @@ pub enum ControlState {
     Cleared,
     /// Amplifier on: the arm is watched until it has been at rest for 1 s.
     Resting,
-    /// Amplifier on: the arm is homed.
+    /// Amplifier on: homing is under way.
     Homing,
     /// Homed, amplifier off: a rollout may start.
     Ready,
-    /// Amplifier on: arm and pendulum are brought to rest.
+    /// Amplifier on: the program brings arm and pendulum to rest.
     Settling,
     /// Amplifier on: the policy controls the motor.
     Running,
-    /// Amplifier on: the arm is stopped because the policy's time is up, a limit was left or a stop
-    /// was requested.
+    /// Amplifier on: the brake stops the arm, because the policy's time is up, the guard ended the
+    /// rollout or a stop was requested.
     Braking,
-    /// Amplifier on: the arm is stopped because of a fault.
+    /// Amplifier on: the brake stops the arm because of a fault.
     Faulting,
     /// Amplifier off, latched: only a new hello leaves this state.
     Faulted,
@@ -39,17 +39,18 @@ pub enum ControlState {
 pub enum ControlEvent {
     /// The operator or the session asked for a hello, and the device answered.
     Hello,
-    /// The device did not answer, or did not arm.
+    /// The device did not answer, has restarted, or did not arm.
     NoAnswer,
-    /// The operator asks for an examination.
+    /// The operator or the session asks for an examination.
     Check,
     /// The examination is over.
     Checked,
-    /// The operator asks for homing.
+    /// The operator or the session asks for homing.
     Home,
-    /// The operator asks for a rollout.
+    /// The operator or the session asks for a rollout.
     Rollout,
-    /// Arm, or arm and pendulum, have been at rest for long enough.
+    /// Arm, or arm and pendulum, have been at rest for long enough. In homing: the hanging angle is
+    /// known, and arm and pendulum move little enough for a push.
     AtRest,
     /// Homing has measured both zeros.
     Homed,
@@ -63,7 +64,8 @@ pub enum ControlEvent {
     BrakingEnded,
     /// A fault while link, amplifier and the arm's encoder can be trusted.
     BrakeFault,
-    /// A fault after which link, amplifier, motor or the arm's encoder cannot be trusted.
+    /// A fault after which link, amplifier, motor or the arm's encoder cannot be trusted. In homing
+    /// every fault is this event, because the arm is slow enough to be switched off at once.
     ZeroFault,
     /// The arm's count is doubted, while link and amplifier can be trusted.
     CountDoubted,
@@ -119,10 +121,10 @@ impl ControlState {
 
     /// The next state and the action for an event in this state.
     ///
-    /// Unless a line says otherwise, the operator's commands (`Hello`, `Check`, `Home`, `Rollout`)
-    /// are refused, and all other events are ignored. For each event that must not be missed (a
-    /// stop, a fault, a lost answer, a doubted count) every state is listed, so that a new state
-    /// does not compile before its responses are decided.
+    /// Unless a line says otherwise, the commands (`Hello`, `Check`, `Home`, `Rollout`) are
+    /// refused, and all other events are ignored. For each event that must not be missed (a stop, a
+    /// fault, a lost answer, a doubted count) every state is listed, so that a new state does not
+    /// compile before its responses are decided.
     #[must_use]
     pub fn on(self, event: ControlEvent) -> (Self, ControlAction) {
         use ControlAction as A;
@@ -275,7 +277,8 @@ impl ControlEvent {
     ];
 }
 
-/// The table as a Mermaid state diagram, which SAFETY.md shows; a test compares the two.
+/// All transitions to another state as a Mermaid state diagram, which SAFETY.md shows; a test
+/// compares the two.
 #[must_use]
 pub fn state_diagram() -> String {
     let mut text = String::from("stateDiagram-v2\n    [*] --> Idle\n");
@@ -321,15 +324,16 @@ mod tests {
     fn every_event_in_every_state_keeps_the_rules() {
         for (state, event, next, action) in every_pair() {
             let step = format!("{state:?} on {event:?}: {next:?}, {action:?}");
-            // Only a command of the operator switches the amplifier on, and only the action Off
-            // switches it off.
+            // Only the commands Check, Home and Rollout switch the amplifier on, and only the
+            // action Off switches it off.
             if !state.is_powered() && next.is_powered() {
                 assert!(matches!(event, E::Check | E::Home | E::Rollout), "{step}");
             }
             if state.is_powered() && !next.is_powered() {
                 assert_eq!(action, A::Off, "{step}");
             }
-            // A fault leads to the latch from every state, directly or through the brake.
+            // A ZeroFault leads to the latch at once, from every state. A BrakeFault leads there at
+            // once or through the brake; if the brake is already on, it changes nothing.
             if event == E::ZeroFault {
                 assert_eq!(next, S::Faulted, "{step}");
             }

@@ -3,6 +3,9 @@
 use crate::elementary::Scalar;
 use crate::qube::{Measurement, PlantModel};
 
+/// Interval between samples that counts as a hole, us; the samples before a hole are dropped.
+pub(super) const HOLE_US: u64 = 15_000;
+
 /// Number of samples kept: three more than the longest window, in ticks, that is tested.
 const KEPT: usize = 26;
 
@@ -166,7 +169,7 @@ impl MomentumWatch {
         let elapsed_s = time_s - last.time_s;
         let step = sample.theta_counts.wrapping_sub(self.last_counts);
         self.last_counts = sample.theta_counts;
-        if self.filled == 0 || elapsed_s > 0.015 {
+        if self.filled == 0 || elapsed_s > HOLE_US as f64 * 1e-6 {
             let has_taken_current = self.has_taken_current;
             *self = Self { has_taken_current, ..Self::new(self.coefficients) };
             self.ring[0] = Entry { time_s, alpha, ..Entry::default() };

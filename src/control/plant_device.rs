@@ -11,7 +11,7 @@ use crate::qube::{
 /// A disturbance of a tick's sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TestFault {
-    /// The sample is not answered.
+    /// The request for the sample is not answered in time.
     Lost,
     /// The port is gone.
     Gone,
@@ -21,14 +21,18 @@ pub enum TestFault {
     Reports(Status),
 }
 
+/// A nominal Qube between two hard stops, simulated up to the time of `clock` with each request.
 pub struct PlantDevice {
     pub state: State,
     pub clock: VirtualClock,
+    /// The disturbance of each sample, by its number from 0.
     pub disturbance: Box<dyn Fn(u32) -> Option<TestFault> + Send>,
     /// Counts that both encoders show at zero angle.
     pub offset_counts: i32,
     pub armed: bool,
+    /// Voltages of all acts, mV.
     pub voltages_mv: Vec<i16>,
+    /// Largest distance of the arm from the middle so far, rad.
     pub furthest_rad: f64,
     /// Time until which hellos are not answered, ns.
     pub deaf_until_ns: Nanoseconds,

@@ -5,14 +5,14 @@ use thiserror::Error;
 
 use crate::qube::{CONTROL_PERIOD_S, Encoder, Encoders, Measurement};
 
-/// Samples within the widths below that count as rest: 0.6 s, longer than a swing of the pendulum,
-/// so that the samples of a swing show its full width.
+/// Number of consecutive samples within the widths below that count as rest: 0.6 s, longer than a
+/// swing of the pendulum, so that the samples of a swing show its full width.
 const REST_SAMPLES: u32 = 60;
 
-/// Largest range of the arm's samples at rest. All constants in counts on this page are counts of a
-/// Qube. An arm without dry friction that still creeps this much moves on by 8 counts before it
-/// stops. A smaller width would cost 8 s after each rollout on a Qube whose cable pulls the arm
-/// slowly.
+/// Largest range of the arm's samples at rest, counts. All constants in counts in this file are
+/// counts of a Qube's encoders. An arm without dry friction that still creeps this much moves on by
+/// 8 counts before it stops. A smaller width would cost 8 s after each rollout on a Qube whose
+/// cable pulls the arm slowly.
 const ARM_WIDTH: f64 = 5.0;
 
 /// Largest range of the pendulum's samples at rest, counts: 0.3 rad to either side. On an arm held
@@ -43,16 +43,17 @@ pub struct RestingCounts {
 /// Reason why the zeros of the last motion no longer hold.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum Moved {
-    /// The arm's count has changed since the last motion.
+    /// The arm's count has changed since the last motion, by this angle, rad.
     #[error(
         "the arm's count moved by {0:.2} rad while the motor was off (a hand, or its encoder's cable)"
     )]
     Arm(f64),
-    /// The pendulum rests at a count at which it did not hang before.
+    /// The pendulum rests at a count at which it did not hang before, off by this angle, rad.
     #[error("the pendulum rests {0:.2} rad from where it hung (a hand, or its encoder's cable)")]
     Pendulum(f64),
-    /// Arm and pendulum were not seen at rest, either after the last motion or before this one.
-    #[error("arm and pendulum have not come to rest since the last motion")]
+    /// Arm and pendulum were not seen at rest, either after the last motion or before this one, or
+    /// the arm's count jumped as they came to rest.
+    #[error("arm and pendulum were not seen to come to rest since the last motion")]
     Unseen,
 }
 
@@ -87,13 +88,14 @@ impl RestingCounts {
     }
 }
 
-/// Detector of the rest of arm and pendulum while the amplifier is off.
+/// Detects when arm and pendulum are at rest while the amplifier is off, and whether the arm's
+/// count has jumped meanwhile.
 #[derive(Clone, Copy, Debug)]
 pub struct RestWatch {
     encoders: Encoders,
     last: Option<Last>,
-    theta: Spread,
-    alpha: Spread,
+    theta: CountRange,
+    alpha: CountRange,
     samples: u32,
     has_jumped: bool,
 }
@@ -108,13 +110,13 @@ struct Last {
 
 /// Range of some counts, relative to the first count.
 #[derive(Clone, Copy, Debug, Default)]
-struct Spread {
+struct CountRange {
     origin: i32,
     lowest: i32,
     highest: i32,
 }
 
-impl Spread {
+impl CountRange {
     fn at(counts: i32) -> Self {
         Self { origin: counts, lowest: 0, highest: 0 }
     }
@@ -137,7 +139,7 @@ impl RestWatch {
     /// A watch of a plant with these encoders.
     #[must_use]
     pub fn new(encoders: Encoders) -> Self {
-        let (theta, alpha) = (Spread::default(), Spread::default());
+        let (theta, alpha) = (CountRange::default(), CountRange::default());
         Self { encoders, last: None, theta, alpha, samples: 0, has_jumped: false }
     }
 
@@ -164,8 +166,8 @@ impl RestWatch {
             (self.theta, self.alpha) = (theta, alpha);
             self.samples += 1;
         } else {
-            self.theta = Spread::at(sample.theta_counts);
-            self.alpha = Spread::at(sample.alpha_counts);
+            self.theta = CountRange::at(sample.theta_counts);
+            self.alpha = CountRange::at(sample.alpha_counts);
             self.samples = 1;
         }
         (self.samples >= REST_SAMPLES)

@@ -2,7 +2,7 @@ use super::cross_check::{Contradiction, CrossCheck, RIG_SHARE, WHOLE_DOMAIN_SHAR
 use super::current_watch::draws_no_current;
 use super::momentum_watch::MomentumWatch;
 use super::push::{ArmInput, Push};
-use super::still_pendulum::Pendulum;
+use super::still_pendulum::StillPendulum;
 use super::watch::Alarm;
 use crate::estimation::Calibration;
 use crate::qube::{CONTROL_PERIOD_S, Measurement, PlantModel};
@@ -89,7 +89,7 @@ pub struct SensorWatch {
     without_current_ticks: u32,
     frozen: Push,
     stall: Push,
-    pendulum: Pendulum,
+    pendulum: StillPendulum,
     /// Device time since which counter and tachometer disagree, us.
     disagree_since_us: Option<u64>,
 }
@@ -131,7 +131,7 @@ impl SensorWatch {
             without_current_ticks: 0,
             frozen: Push::default(),
             stall: Push::default(),
-            pendulum: Pendulum::default(),
+            pendulum: StillPendulum::default(),
             disagree_since_us: None,
         }
     }
@@ -191,7 +191,7 @@ impl SensorWatch {
     /// may be moving, and the brake does not need the pendulum.
     pub fn check(&mut self, sample: &Measurement, drive: Option<ArmInput>) -> Option<Alarm> {
         let Some(previous) = self.previous.replace(*sample) else {
-            self.pendulum = Pendulum::seen(sample);
+            self.pendulum = StillPendulum::seen(sample);
             return None;
         };
         let elapsed_us = sample.device_time_us.saturating_sub(previous.device_time_us);
@@ -220,7 +220,7 @@ impl SensorWatch {
             // Whether a step is a jump is known one sample later, so a sudden step is no evidence
             // yet.
             let leaps = |steps: &[i32; 3], step: f64, of_qube: f64| {
-                (step - f64::from(steps[2])).abs() > of_qube * 40.0
+                (step - f64::from(steps[2])).abs() > of_qube * f64::from(SPIKE_COUNTS)
             };
             let step = step.unwrap_or(Step { theta, alpha, elapsed_s: CONTROL_PERIOD_S });
             if leaps(&self.theta_steps, step.theta_of_a_period(), of_theta)

@@ -2,20 +2,22 @@
 
 use crate::qube::Measurement;
 
-/// Range within which a pendulum's count counts as constant, counts.
+/// Range within which the pendulum's count is taken as constant, counts.
 const STAYS_COUNTS: i32 = 2;
 
 /// Change of the arm's velocity that moves the pendulum by more than [`STAYS_COUNTS`], rad/s. The
-/// pendulum takes up the whole change, except when it is nearly horizontal; there gravity moves it.
+/// change also sets the pendulum in motion, except when the pendulum is nearly horizontal; there
+/// gravity moves it.
 const VELOCITY_STEP_RAD_S: f64 = 6.0;
 
-/// Time for which the count of a healthy pendulum may be constant around such a change, us: the
-/// change may come while the pendulum turns back.
-const PENDULUM_US: u64 = 300_000;
+/// Time for which a healthy pendulum's count may be constant although the arm's velocity changes by
+/// [`VELOCITY_STEP_RAD_S`], us: the change may come while the pendulum turns back.
+const CONSTANT_US: u64 = 300_000;
 
-/// Range of the pendulum's count since it last moved, and range of the arm's velocity since then.
+/// The detector: the range of the pendulum's count since the count last moved, and the range of the
+/// arm's velocity since then.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Pendulum {
+pub(super) struct StillPendulum {
     since_us: u64,
     lowest: i32,
     highest: i32,
@@ -23,8 +25,8 @@ pub(super) struct Pendulum {
     fastest_rad_s: f64,
 }
 
-impl Pendulum {
-    /// A detector that starts with the count of this sample.
+impl StillPendulum {
+    /// A detector that starts with the count of this sample and with an arm velocity of 0.
     pub(super) fn seen(sample: &Measurement) -> Self {
         Self {
             since_us: sample.device_time_us,
@@ -34,8 +36,9 @@ impl Pendulum {
         }
     }
 
-    /// Takes the next sample and the arm's velocity, rad/s; returns whether that velocity has
-    /// changed by more than a constant count of a healthy pendulum allows.
+    /// Takes the next sample and the arm's velocity, rad/s. Returns whether the count has been
+    /// constant for at least [`CONSTANT_US`] while the arm's velocity changed by more than
+    /// [`VELOCITY_STEP_RAD_S`].
     pub(super) fn is_frozen(&mut self, sample: &Measurement, arm_rad_s: f64) -> bool {
         let counts = sample.alpha_counts;
         let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));
@@ -57,6 +60,6 @@ impl Pendulum {
             fastest_rad_s: self.fastest_rad_s.max(arm_rad_s),
         };
         self.fastest_rad_s - self.slowest_rad_s > VELOCITY_STEP_RAD_S
-            && sample.device_time_us.saturating_sub(self.since_us) >= PENDULUM_US
+            && sample.device_time_us.saturating_sub(self.since_us) >= CONSTANT_US
     }
 }

@@ -10,7 +10,7 @@ use super::{
     ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
     Motion, ThreadGone, Tick, drive_warm,
 };
-use crate::clock::{Clock, RealtimeReport, enter_realtime};
+use crate::clock::{Clock, RealtimeRefusals, enter_realtime};
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::MeasuredRig;
 use crate::policy::Controller;
@@ -55,7 +55,7 @@ pub struct ControlThread {
     commands: Option<Sender<Command>>,
     events: Receiver<Event>,
     handle: Option<JoinHandle<()>>,
-    realtime: RealtimeReport,
+    realtime: RealtimeRefusals,
     is_hardware: AtomicBool,
 }
 
@@ -76,7 +76,7 @@ impl ControlThread {
         let (outbox, events) = bounded::<Event>(1);
         let (ready, readiness) = bounded(1);
         let handle = std::thread::Builder::new().name("control".into()).spawn(move || {
-            let report = if realtime { enter_realtime() } else { RealtimeReport::default() };
+            let report = if realtime { enter_realtime() } else { RealtimeRefusals::default() };
             let _ = ready.send(report);
             let mut state = ControlState::default();
             let mut motor = Motor::default();
@@ -109,7 +109,7 @@ impl ControlThread {
 
     /// The real-time privileges that the operating system granted.
     #[must_use]
-    pub fn realtime(&self) -> &RealtimeReport {
+    pub fn realtime(&self) -> &RealtimeRefusals {
         &self.realtime
     }
 

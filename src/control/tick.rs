@@ -17,10 +17,11 @@ use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 /// Most ticks for settling: 15 s. Settling takes less from any state in which a rollout may end.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
-/// Most ticks for a brake that only stops the arm: 1 s.
+/// Most ticks for the brake of the guard `box`, which only stops the arm: 1 s.
 const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
-/// Most ticks for a brake that centres the arm and waits for the pendulum: 15 s.
+/// Most ticks for a brake that centres the arm and waits for the pendulum, and for one that damps
+/// an arm whose count is doubted: 15 s.
 const MAX_RETURN_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
 /// Error with which homing measures the stops, rad: homing of a nominal Qube may place a stop this
@@ -34,7 +35,8 @@ const STOPPED_TICKS: u32 = 3;
 /// that, after lost samples, already moves against its estimated velocity.
 const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
 
-/// Velocity after the longest braking above which the arm does not obey the motor, rad/s.
+/// Velocity of the arm above which it does not obey the motor, rad/s, once the time for braking is
+/// up.
 const RUNAWAY_RAD_S: f64 = 5.0;
 
 /// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it. The table
@@ -255,10 +257,10 @@ impl<C: Controller> Tick<C> {
     /// that no simulated Qube's arm hits its stop.
     ///
     /// A firm brake whose voltage is held while samples are lost may throw a light arm back. The
-    /// choice goes by the most likely velocity: if the doubt after lost samples counted here, no
-    /// share would pass when it matters most. If no
-    /// share passes, the brake's full voltage is returned. It is also returned under the rules
-    /// before [`TickRules::BrakeSimulating`] and while the arm's count is doubted.
+    /// simulation takes the velocity to be as exact as any: if it allowed for the larger error of a
+    /// velocity after lost samples, no share would pass when it matters most. If no share passes,
+    /// the brake's full voltage is returned. It is also returned under the rules before
+    /// [`TickRules::BrakeSimulating`], without foresight, and while the arm's count is doubted.
     fn braking_voltage(&mut self) -> f64 {
         let wanted_v = self.brake.voltage_v(&self.estimates.guarded);
         if self.settings.rules < TickRules::BrakeSimulating || self.damps {
@@ -290,8 +292,8 @@ impl<C: Controller> Tick<C> {
         foresight.is_contradicted(&self.estimates.guarded, device_time_us, &self.sent_v)
     }
 
-    /// The first simulated Qube that the brake would stop too late after this voltage, mV; `None`
-    /// if there is none, or without foresight.
+    /// A simulated Qube that the brake would stop too late after this voltage, mV; `None` if there
+    /// is none, or without foresight.
     fn too_late_for(&mut self, voltage_mv: i16) -> Option<Foreseen> {
         let state = self.estimates.guarded.cast();
         let voltage_v = f32::from(voltage_mv) * 1e-3;

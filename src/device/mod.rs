@@ -38,6 +38,9 @@ use thiserror::Error;
 use crate::clock::Nanoseconds;
 use crate::qube::Measurement;
 
+/// [`Identity::kind`] of an emulated Qube's board.
+pub const EMULATOR_KIND: &str = "emulator";
+
 /// Access to a Qube as the control thread needs it: hello, arm, sample, act and disarm, and
 /// settings of the link.
 ///
@@ -102,8 +105,8 @@ pub trait Device: Send {
         true
     }
 
-    /// Time that a tick waits for its sample, ns, if the link has been measured; with `None` the
-    /// tick waits for the longest time that it allows any link.
+    /// Time that a tick waits for its sample, ns; `None` if the link has not been measured, and the
+    /// tick waits for a fixed time.
     fn sample_time_ns(&self) -> Option<Nanoseconds> {
         None
     }

@@ -5,7 +5,7 @@ use firmware_protocol::{
     QUBE_MODULE_ID, RefusalReason, Reply, Request, SampleReply, StatusBits,
 };
 
-use super::{Device, DeviceError, Identity, LinkFault, Transport};
+use super::{Device, DeviceError, EMULATOR_KIND, Identity, LinkFault, Transport};
 use crate::clock::{Clock, Nanoseconds};
 use crate::qube::{Measurement, Status};
 
@@ -479,7 +479,7 @@ fn is_cured_by_greeting(reason: RefusalReason) -> bool {
 
 fn kind_name(kind: u8) -> String {
     match DeviceKind::from_wire(kind) {
-        Some(DeviceKind::Emulator) => "emulator".into(),
+        Some(DeviceKind::Emulator) => EMULATOR_KIND.into(),
         Some(DeviceKind::Atmega328p) => "atmega328p".into(),
         Some(DeviceKind::Atmega2560) => "atmega2560".into(),
         None => format!("kind {kind}"),

@@ -35,7 +35,7 @@ impl ExperimentFolder {
     /// Creates a new folder, or takes an empty one, and writes the experiment's settings into it.
     ///
     /// # Errors
-    /// The folder holds something, or cannot be created.
+    /// The folder is not empty or cannot be created, or another process holds it.
     pub fn create(root: &Path, settings: &str) -> Result<Self, ExperimentError> {
         let exists = || FolderError::Exists { path: root.to_owned() };
         if MachineDisk.exists(root) && !MachineDisk.names(root).is_ok_and(|names| names.is_empty())
@@ -45,10 +45,10 @@ impl ExperimentFolder {
         make(root)?;
         let folder = Self::hold(root)?;
         // Another process may have begun an experiment there before this process held the folder.
-        if MachineDisk.exists(&folder.settings()) {
+        if MachineDisk.exists(&folder.settings_path()) {
             return Err(exists().into());
         }
-        write_whole(&MachineDisk, &folder.settings(), sealed(settings).as_bytes())?;
+        write_whole(&MachineDisk, &folder.settings_path(), sealed(settings).as_bytes())?;
         Ok(folder)
     }
 
@@ -80,7 +80,7 @@ impl ExperimentFolder {
 
     /// Path of the resolved settings.
     #[must_use]
-    pub fn settings(&self) -> PathBuf {
+    pub fn settings_path(&self) -> PathBuf {
         settings_in(&self.root)
     }
 
@@ -158,6 +158,6 @@ pub(super) fn check_name(kind: &str, name: &str) -> Result<(), String> {
         return Ok(());
     }
     Err(format!(
-        "{kind}: {name:?} is not a valid name: use 1 to 60 letters, digits, and - _ . + %, and no dot at the beginning"
+        "{kind}: {name:?} is not a valid name: use 1 to 60 characters of a-z A-Z 0-9 - _ . + %, and no dot at the beginning"
     ))
 }

@@ -11,10 +11,11 @@ use crate::session::{
 use crate::simulation::Psi;
 use crate::storage::{Disk, MachineDisk};
 
-/// Creates or resumes a session, in its own folder, that searches for a psi.
+/// Opens the session that searches for a psi in `folder`: creates it, or resumes the one that has
+/// begun there.
 ///
 /// # Errors
-/// The folder or its content is invalid.
+/// The folder or its content is invalid, or another process holds the folder.
 pub(super) fn open_search(
     folder: &Path,
     settings: SessionSettings,
@@ -51,10 +52,11 @@ impl RecipePsi {
     }
 }
 
-/// The psi that a search with these settings recommends; `None` while the search is unfinished.
+/// The psi that the search in `folder` recommends; `None` while the session of the search is
+/// unfinished, its verification included.
 ///
 /// # Errors
-/// The ledger cannot be read or is damaged.
+/// The ledger cannot be read or is damaged, or its psi does not fit the settings.
 pub(super) fn found_psi(
     folder: &Path,
     settings: &SessionSettings,

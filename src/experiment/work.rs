@@ -88,7 +88,7 @@ pub struct Experiment {
 
 /// Largest number of items of work that run at a time because their trainings run on other
 /// computers; each has a thread.
-const MAX_ITEMS: usize = 1000;
+const MAX_PARALLEL_ITEMS: usize = 1000;
 
 /// A unit of work.
 enum WorkItem {
@@ -157,9 +157,9 @@ impl Experiment {
 
     /// Number of items of work at a time. Items whose trainings run on other computers only wait
     /// here, so they may be more than the threads.
-    fn items_at_a_time(&self) -> usize {
+    fn parallel_items(&self) -> usize {
         let elsewhere = self.executor.as_ref().map_or(0, |executor| executor.concurrency());
-        self.threads.max(elsewhere.min(MAX_ITEMS))
+        self.threads.max(elsewhere.min(MAX_PARALLEL_ITEMS))
     }
 
     /// The experiment's folder.
@@ -210,7 +210,7 @@ impl Experiment {
         }
         let cores = self.threads / searches.max(1);
         Queue::new(items, &self.stop)
-            .run(self.items_at_a_time(), |item| self.work(item, cores, on_event))?;
+            .run(self.parallel_items(), |item| self.work(item, cores, on_event))?;
         if !self.is_virtual() {
             self.run_on_device(on_event)?;
         }

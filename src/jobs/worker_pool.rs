@@ -111,9 +111,8 @@ impl WorkerPool {
         }
         let Some(expected) = workers.expected else {
             if self.silent_since.get_or_insert_with(Instant::now).elapsed() >= PATIENCE {
-                let note = workers.note.unwrap_or_default();
-                let reason = format!("ten minutes of attempts have failed, the last with: {note}");
-                return Err(StartError::Silent { reason }.into());
+                let last = workers.note.unwrap_or_default();
+                return Err(StartError::SilentTooLong { last }.into());
             }
             return Ok(());
         };

@@ -16,16 +16,16 @@ impl Network {
         log_std: f32,
     ) -> Self {
         let mut network = Self::zero(observation_size);
-        orthonormal_rows(generator, HIDDEN_GAIN, &mut network.first[..observation_size]);
-        orthonormal_rows(generator, HIDDEN_GAIN, &mut network.second);
-        orthonormal_rows(generator, output_gain, std::slice::from_mut(&mut network.last));
+        orthogonal_rows(generator, HIDDEN_GAIN, &mut network.first[..observation_size]);
+        orthogonal_rows(generator, HIDDEN_GAIN, &mut network.second);
+        orthogonal_rows(generator, output_gain, std::slice::from_mut(&mut network.last));
         network.tail[LOG_STD] = log_std;
         network
     }
 }
 
 /// Fills rows with orthogonal vectors of length `gain`, by Gram-Schmidt on normal draws.
-fn orthonormal_rows(generator: &mut impl Rng, gain: f64, rows: &mut [Row]) {
+fn orthogonal_rows(generator: &mut impl Rng, gain: f64, rows: &mut [Row]) {
     let mut basis: Vec<Vec<f64>> = Vec::with_capacity(rows.len());
     for row in rows {
         let mut vector: Vec<f64> =

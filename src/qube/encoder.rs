@@ -29,7 +29,7 @@ pub struct Encoders {
     pub alpha: Encoder,
 }
 
-/// The rounding of angles down to the counts of an encoder, in any number type.
+/// Rounds angles down to the counts of an encoder, in any number type.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantiser<T = f64> {
     counts_per_rad: T,
@@ -40,7 +40,8 @@ impl Encoder {
     /// The encoder of a Qube, the same on both axes.
     pub const QUBE: Self = Self { counts_per_revolution: COUNTS_PER_REVOLUTION };
 
-    /// Fewest counts a revolution: a coarser encoder shows no velocity within a control period.
+    /// Fewest counts a revolution. A coarser encoder shows only fast motion within a control period
+    /// of 10 ms: at this limit, one count in a period is 2.5 rad/s.
     const FEWEST: i32 = 256;
 
     /// Most counts a revolution. With more, the count of a pendulum that spins could overflow
@@ -141,7 +142,8 @@ pub fn counts(angle_rad: f64) -> i32 {
     Encoder::QUBE.counts(angle_rad)
 }
 
-/// An angle rounded down to a count of a Qube's encoder, rad: the angle of its [`counts`], for any number type.
+/// Rounds an angle, rad, down to the angle of its count ([`counts`]) on a Qube's encoder, in any
+/// number type.
 #[must_use]
 #[inline(always)]
 pub fn quantised<T: Scalar>(angle_rad: T) -> T {

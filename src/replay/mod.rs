@@ -2,7 +2,7 @@
 //! simulator.
 //!
 //! [`rerun()`] verifies a rollout: it feeds the recorded measurements to the tick that ran on the
-//! machine, and every voltage must come out again, bit for bit. [`simulate_beside`] measures a
+//! machine, and every voltage must come out again, bit for bit. [`simulate_from_first_state`] measures a
 //! model: it gives the simulator the start state and the recorded voltages alone, and compares the
 //! motions.
 //!
@@ -19,7 +19,7 @@ pub use csv::CsvError;
 pub use motion_log::{Incomplete, MotionLog, MotionLogError};
 pub use motion_sample::MotionSample;
 pub use open_loop::{
-    AngleError, Diverged, OpenLoop, simulate_beside, simulate_from, simulate_numbers,
-    simulate_stretch,
+    AngleError, Diverged, OpenLoop, simulate_from, simulate_from_first_state, simulate_stretch,
+    simulate_stretch_in,
 };
 pub use rerun::{Difference, GuardApproach, Rerun, controller_of, rerun};

@@ -6,17 +6,17 @@ use super::{MotionLog, MotionSample};
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, SUBSTEPS, State, runge_kutta_4};
 
-/// The result of a simulation of a log's voltages.
+/// The motion of a model under the voltages of a log, and its distance from the log's own motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OpenLoop {
     /// State of the simulator at each sample of the log; the first one is the start state.
     pub simulated: Vec<State>,
-    /// Error of the simulation.
+    /// Root mean square distance of the simulation from the log.
     pub rmse: AngleError,
 }
 
-/// Root mean square errors of the angles over all samples. Differences are not wrapped: a turn too
-/// many is an error of 2 pi.
+/// Root mean square errors of the angles over all samples; NaN without samples. Differences are not
+/// wrapped: a turn too many is an error of 2 pi.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AngleError {
     /// Error of the arm, rad.
@@ -28,7 +28,7 @@ pub struct AngleError {
 /// The error of a simulated motion that diverges: a state is no longer finite.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error(
-    "the simulated motion diverges after {time_s} s: are the voltages volts, the velocities rad/s?"
+    "the simulated motion diverges after {time_s} s: use voltages in V and velocities in rad/s"
 )]
 pub struct Diverged {
     /// Time of the first sample with a state that is not finite, s from the first sample.
@@ -40,7 +40,7 @@ pub struct Diverged {
 ///
 /// # Errors
 /// The motion diverges.
-pub fn simulate_beside(log: &MotionLog, model: &QubeModel) -> Result<OpenLoop, Diverged> {
+pub fn simulate_from_first_state(log: &MotionLog, model: &QubeModel) -> Result<OpenLoop, Diverged> {
     let start = log.samples.first().map_or_else(State::default, |first| first.state);
     simulate_from(log, model, start)
 }
@@ -90,13 +90,20 @@ pub fn simulate_stretch(
     each: impl FnMut(State),
 ) {
     let dynamics = NonidealDynamics::<f64>::new(model);
-    simulate_numbers(samples, stretch, &dynamics, model.nonidealities.command_delay_s, start, each);
+    simulate_stretch_in(
+        samples,
+        stretch,
+        &dynamics,
+        model.nonidealities.command_delay_s,
+        start,
+        each,
+    );
 }
 
 /// Simulates like [`simulate_stretch`] in any kind of number, such as numbers that carry
 /// derivatives; the delay of commands is `command_delay_s` seconds.
 #[inline(always)]
-pub fn simulate_numbers<T: Scalar>(
+pub fn simulate_stretch_in<T: Scalar>(
     samples: &[MotionSample],
     stretch: Range<usize>,
     dynamics: &NonidealDynamics<T>,
@@ -108,8 +115,8 @@ pub fn simulate_numbers<T: Scalar>(
     let number = T::from_f64;
     let arrival_s = |command: &MotionSample| number(command.time_s) + command_delay_s;
     let (mut state, mut time_s) = (start, first.time_s);
-    // Index of the command that acts at the start. Before the first command has arrived, the first
-    // one acts too, because none precedes it.
+    // Index of the command that acts at the start. The first command of all acts even before its
+    // arrival, because none precedes it.
     let mut command = stretch.start;
     while command > 0 && arrival_s(&samples[command]) > number(time_s) {
         command -= 1;
@@ -178,11 +185,11 @@ mod tests {
     #[test]
     fn the_simulator_agrees_with_itself_and_not_with_another_pendulum() {
         let log = made_by(&DomainParameters::NOMINAL);
-        let same = simulate_beside(&log, &QubeModel::NOMINAL).unwrap();
+        let same = simulate_from_first_state(&log, &QubeModel::NOMINAL).unwrap();
         assert!(same.rmse.theta_rad < 1e-9 && same.rmse.alpha_rad < 1e-9, "{:?}", same.rmse);
         let heavy = DomainParameters { pendulum_mass_kg: 0.03, ..DomainParameters::NOMINAL };
         let heavy = QubeModel { parameters: heavy, ..QubeModel::NOMINAL };
-        let other = simulate_beside(&log, &heavy).unwrap();
+        let other = simulate_from_first_state(&log, &heavy).unwrap();
         assert!(other.rmse.theta_rad > 0.01 && other.rmse.alpha_rad > 0.01, "{:?}", other.rmse);
     }
 
@@ -193,7 +200,7 @@ mod tests {
         let sample = |time_s, state| MotionSample { time_s, state, voltage_v: 0.0 };
         let samples = vec![sample(0.0, hanging), sample(0.1, off)];
         let log = MotionLog { samples, plant: PlantModel::QUBE };
-        let rmse = simulate_beside(&log, &QubeModel::NOMINAL).unwrap().rmse;
+        let rmse = simulate_from_first_state(&log, &QubeModel::NOMINAL).unwrap().rmse;
         assert!((rmse.theta_rad - 0.3 / 2.0_f64.sqrt()).abs() < 1e-15);
         assert!((rmse.alpha_rad - 0.4 / 2.0_f64.sqrt()).abs() < 1e-15);
     }
@@ -246,7 +253,7 @@ mod tests {
         let sample = |time_s| MotionSample { time_s, state, voltage_v: 1e300 };
         let samples = vec![sample(0.0), sample(0.5)];
         let log = MotionLog { samples, plant: PlantModel::QUBE };
-        assert!(simulate_beside(&log, &QubeModel::NOMINAL).is_err());
+        assert!(simulate_from_first_state(&log, &QubeModel::NOMINAL).is_err());
     }
 
     #[test]
@@ -276,7 +283,7 @@ mod tests {
         // With a delay of one and a half periods, the command arrives between two samples.
         let half = run(0..40, 0.015, State::default());
         assert!(half[10].theta < now[9].theta && half[10].theta > now[8].theta);
-        // The stretch starts while the first command is in transit.
+        // The stretch starts while the first command of 3 V is in transit.
         let part = run(2..40, 0.02, later[2]);
         assert_eq!(part[..], later[2..]);
     }

@@ -199,7 +199,7 @@ impl Near {
 #[must_use]
 pub fn simulated(recording: &Recording, model: &QubeModel) -> Option<(MotionLog, OpenLoop)> {
     let log = MotionLog::of_recording(recording)?;
-    let open_loop = crate::replay::simulate_beside(&log, model).ok()?;
+    let open_loop = crate::replay::simulate_from_first_state(&log, model).ok()?;
     Some((log, open_loop))
 }
 

@@ -6,7 +6,7 @@ use crate::device::{DeviceError, LinkFault};
 use crate::policy::{OtherPlant, PolicyFault};
 use crate::preflight::TooSlow;
 use crate::recording::RecordingError;
-use crate::safety::TooWide;
+use crate::safety::HardwareRefusal;
 use crate::telemetry::{CheckResult, Consequence, Fault, TickRecord};
 
 /// An error of a rig.
@@ -129,7 +129,7 @@ pub enum RigError {
     },
     /// The box of a rollout on hardware is too wide.
     #[error("nothing was run: {0}")]
-    TooWide(#[from] TooWide),
+    HardwareRefusal(#[from] HardwareRefusal),
     /// The processor is so slow that the guard would make ticks late.
     #[error("nothing was run: {0}")]
     TooSlow(#[from] TooSlow),
@@ -210,7 +210,7 @@ impl RigError {
             | Self::Thread(_)
             | Self::OtherPlant(_)
             | Self::Stopped { .. }
-            | Self::TooWide(_)
+            | Self::HardwareRefusal(_)
             | Self::TooSlow(_)
             | Self::Recording(_)
             | Self::External { .. }

@@ -5,7 +5,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::connection::connect;
 use super::{ClockChoice, Doubt, DoubtStore, RigError, RigSettings};
-use crate::clock::RealtimeReport;
+use crate::clock::RealtimeRefusals;
 use crate::control::{
     ControlError, ControlThread, HomingSettings, Patience, PressOutcome, StopPress, drive_warm,
 };
@@ -380,7 +380,7 @@ impl Rig {
 
     /// The real-time rights of the control thread.
     #[must_use]
-    pub fn realtime(&self) -> &RealtimeReport {
+    pub fn realtime(&self) -> &RealtimeRefusals {
         self.control.realtime()
     }
 

@@ -33,9 +33,9 @@ pub struct CentringBrake {
     /// Volts towards the middle for each rad.
     pub centring_v_rad: f64,
     /// Angle from the middle beyond which the spring is stiffer, rad.
-    pub wall_rad: f64,
-    /// Additional volts towards the middle for each rad beyond `wall_rad`.
-    pub wall_v_rad: f64,
+    pub stiff_rad: f64,
+    /// Additional volts towards the middle for each rad beyond `stiff_rad`.
+    pub stiff_v_rad: f64,
     /// Largest voltage of the plant, V.
     pub largest_v: f64,
 }
@@ -49,8 +49,8 @@ impl Default for CentringBrake {
             fast_rad_s: 2.0,
             fast_v_s: 1.0,
             centring_v_rad: 0.3,
-            wall_rad: 0.5,
-            wall_v_rad: 8.0,
+            stiff_rad: 0.5,
+            stiff_v_rad: 8.0,
             largest_v: MAX_VOLTAGE_V,
         }
     }
@@ -66,8 +66,8 @@ impl CentringBrake {
             damping_v_s: volts * qube.damping_v_s,
             fast_v_s: volts * qube.fast_v_s,
             centring_v_rad: volts * qube.centring_v_rad,
-            wall_rad: plant.travel_fraction() * qube.wall_rad,
-            wall_v_rad: volts * qube.wall_v_rad,
+            stiff_rad: plant.travel_fraction() * qube.stiff_rad,
+            stiff_v_rad: volts * qube.stiff_v_rad,
             largest_v: plant.limits.largest_voltage_v,
             ..qube
         }
@@ -77,7 +77,7 @@ impl CentringBrake {
     #[inline(always)]
     pub(super) fn unlimited_v<T: Scalar>(&self, state: &State<T>) -> T {
         let zero = T::from_f64(0.0);
-        let beyond = state.theta.abs() - T::from_f64(self.wall_rad);
+        let beyond = state.theta.abs() - T::from_f64(self.stiff_rad);
         let beyond = if beyond > zero { beyond } else { zero };
         let beyond = if state.theta < zero { -beyond } else { beyond };
         let faster = state.theta_dot.abs() - T::from_f64(self.fast_rad_s);
@@ -86,7 +86,7 @@ impl CentringBrake {
         -(T::from_f64(self.damping_v_s) * state.theta_dot
             + T::from_f64(self.fast_v_s) * faster
             + T::from_f64(self.centring_v_rad) * state.theta
-            + T::from_f64(self.wall_v_rad) * beyond)
+            + T::from_f64(self.stiff_v_rad) * beyond)
     }
 }
 
@@ -102,17 +102,17 @@ impl BrakeLaw for CentringBrake {
     #[inline(always)]
     fn potential_v_rad<T: Scalar>(&self, theta: T) -> T {
         // The voltage of the spring reaches its limit at `full_rad` and stays there.
-        let steep = self.centring_v_rad + self.wall_v_rad;
-        let full_rad = (self.largest_v + self.wall_v_rad * self.wall_rad) / steep;
+        let steep = self.centring_v_rad + self.stiff_v_rad;
+        let full_rad = (self.largest_v + self.stiff_v_rad * self.stiff_rad) / steep;
         let (zero, half) = (T::from_f64(0.0), T::from_f64(0.5));
         let angle = theta.abs();
         let above = angle - T::from_f64(full_rad);
         let above = if above > zero { above } else { zero };
         let angle = angle - above;
-        let beyond = angle - T::from_f64(self.wall_rad);
+        let beyond = angle - T::from_f64(self.stiff_rad);
         let beyond = if beyond > zero { beyond } else { zero };
         half * T::from_f64(self.centring_v_rad) * angle * angle
-            + half * T::from_f64(self.wall_v_rad) * beyond * beyond
+            + half * T::from_f64(self.stiff_v_rad) * beyond * beyond
             + T::from_f64(self.largest_v) * above
     }
 

@@ -46,7 +46,7 @@ pub struct HardwareLimits {
 
 /// The reason why a box is refused.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
-pub enum TooWide {
+pub enum HardwareRefusal {
     /// A limit is not a number above 0, or is larger than allowed.
     #[error("safety_box.{name} = {value}: give a number above 0, at most {widest}")]
     Limit {
@@ -87,7 +87,10 @@ impl HardwareLimits {
     /// # Errors
     /// The box is wider than the task's, has no guard without consent, or has a guard that only
     /// serves to replay old recordings.
-    pub fn of(safety_box: SafetyBox, consent: Option<GuardConsent>) -> Result<Self, TooWide> {
+    pub fn of(
+        safety_box: SafetyBox,
+        consent: Option<GuardConsent>,
+    ) -> Result<Self, HardwareRefusal> {
         let guard = if consent.is_some() { Guard::Box } else { Guard::Foresight };
         let of_the_task =
             Self { widest: SafetyBox { guard, ..SafetyBox::GUARDED }, ..Self::default() };
@@ -112,10 +115,10 @@ impl HardwareLimits {
     /// # Errors
     /// The plant differs from a Qube in more than smaller limits and a lower motor rating, and
     /// there is no [`PlantConsent`].
-    pub fn admit_plant(&self, plant: &PlantModel) -> Result<(), TooWide> {
+    pub fn admit_plant(&self, plant: &PlantModel) -> Result<(), HardwareRefusal> {
         match plant.beyond_qube() {
             Some(entry) if self.plant_consent.is_none() => {
-                Err(TooWide::Plant { plant: plant.name, entry })
+                Err(HardwareRefusal::Plant { plant: plant.name, entry })
             }
             _ => Ok(()),
         }
@@ -138,11 +141,11 @@ impl HardwareLimits {
     /// # Errors
     /// The box is wider than these limits, has no guard where they require one, or has a guard that
     /// only serves to replay old recordings.
-    pub fn admit(&self, safety_box: &SafetyBox) -> Result<(), TooWide> {
+    pub fn admit(&self, safety_box: &SafetyBox) -> Result<(), HardwareRefusal> {
         safety_box.check_within(&self.widest)?;
         safety_box.guard.check_driven()?;
         if safety_box.guard.is_box() && !self.widest.guard.is_box() {
-            return Err(TooWide::GuardOff);
+            return Err(HardwareRefusal::GuardOff);
         }
         Ok(())
     }
@@ -153,8 +156,8 @@ impl Guard {
     ///
     /// # Errors
     /// The guard exists only to replay old recordings.
-    pub fn check_driven(self) -> Result<(), TooWide> {
-        if self == Self::Envelope { Err(TooWide::EnvelopeGone) } else { Ok(()) }
+    pub fn check_driven(self) -> Result<(), HardwareRefusal> {
+        if self == Self::Envelope { Err(HardwareRefusal::EnvelopeGone) } else { Ok(()) }
     }
 }
 
@@ -171,7 +174,7 @@ impl SafetyBox {
     ///
     /// # Errors
     /// The first limit that fails the check.
-    pub fn check_within(&self, widest: &Self) -> Result<(), TooWide> {
+    pub fn check_within(&self, widest: &Self) -> Result<(), HardwareRefusal> {
         for (name, value, widest) in [
             ("theta", self.theta, widest.theta),
             ("alpha", self.alpha, widest.alpha),
@@ -180,7 +183,7 @@ impl SafetyBox {
         ] {
             // NaN fails both comparisons.
             if !(value > 0.0 && value <= widest) {
-                return Err(TooWide::Limit { name, value, widest });
+                return Err(HardwareRefusal::Limit { name, value, widest });
             }
         }
         Ok(())
@@ -250,12 +253,18 @@ mod tests {
         ] {
             let consent = GuardConsent::given(guard, accepts);
             assert_eq!(consent, None);
-            assert_eq!(HardwareLimits::of(SafetyBox::THESIS, consent), Err(TooWide::GuardOff));
+            assert_eq!(
+                HardwareLimits::of(SafetyBox::THESIS, consent),
+                Err(HardwareRefusal::GuardOff)
+            );
         }
         let of_the_past = SafetyBox { guard: Guard::Envelope, ..SafetyBox::THESIS };
         let consent = GuardConsent::given(Some(Guard::Box), true);
         for consent in [None, consent] {
-            assert_eq!(HardwareLimits::of(of_the_past, consent), Err(TooWide::EnvelopeGone));
+            assert_eq!(
+                HardwareLimits::of(of_the_past, consent),
+                Err(HardwareRefusal::EnvelopeGone)
+            );
         }
         let limits = HardwareLimits::of(SafetyBox::THESIS, consent).unwrap();
         assert_eq!(limits.admit(&SafetyBox::THESIS), Ok(()));

@@ -2,16 +2,16 @@ use crate::qube::MAX_VOLTAGE_V;
 
 /// The error of a controller that asked for a voltage that is NaN or infinite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NotANumber;
+pub struct NotFinite;
 
 /// Converts a wanted voltage, V, to millivolts and limits it to the plant's largest voltage and to
 /// the wire's: the last step before the wire. A largest voltage that is not above 0 V gives 0 mV.
 ///
 /// # Errors
-/// [`NotANumber`] for NaN and infinities.
-pub fn clamp_to_mv(voltage_v: f64, largest_v: f64) -> Result<i16, NotANumber> {
+/// [`NotFinite`] for NaN and infinities.
+pub fn clamp_to_mv(voltage_v: f64, largest_v: f64) -> Result<i16, NotFinite> {
     if !voltage_v.is_finite() {
-        return Err(NotANumber);
+        return Err(NotFinite);
     }
     // The comparison is false for NaN too.
     let largest_v = if largest_v > 0.0 { largest_v.min(MAX_VOLTAGE_V) } else { 0.0 };
@@ -36,7 +36,7 @@ mod tests {
             assert_eq!(clamp_to_mv(9.0, largest_v), Ok(0));
         }
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            assert_eq!(clamp_to_mv(bad, 5.0), Err(NotANumber));
+            assert_eq!(clamp_to_mv(bad, 5.0), Err(NotFinite));
         }
     }
 
@@ -49,7 +49,7 @@ mod tests {
                 let limited_v = wanted_v.clamp(-5.0, 5.0);
                 assert!((f32::from(millivolts) - 1000.0 * limited_v).abs() <= 0.501, "{bits:#x}");
             }
-            Err(NotANumber) => assert!(!wanted_v.is_finite(), "{bits:#x}"),
+            Err(NotFinite) => assert!(!wanted_v.is_finite(), "{bits:#x}"),
         }
     }
 

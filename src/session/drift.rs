@@ -36,8 +36,8 @@ pub struct Drift {
     /// and with the cable's position.
     pub cable_rest_rad: Compared,
     /// Angle of the hanging pendulum at rest, rad; 0 in any profile. Its standard error is not
-    /// estimated and is 0.
-    pub alpha_zero_rad: Compared,
+    /// estimated and is 0. `None` if no rollout settled for long enough to tell.
+    pub alpha_zero_rad: Option<Compared>,
     /// Number of rollouts used.
     pub rollouts: usize,
 }
@@ -74,8 +74,8 @@ impl Drift {
         let encoder = motions.first().map_or(Encoder::QUBE, |motion| motion.plant.encoders.alpha);
         let alpha_tolerance_rad = ALPHA_TOLERANCE_COUNTS * encoder.rad_per_count();
         let hanging: Vec<f64> = recordings.iter().filter_map(hanging_rad).collect();
-        let count = hanging.len().max(1) as f64;
-        let alpha_rad = hanging.iter().sum::<f64>() / count;
+        let alpha_rad =
+            (!hanging.is_empty()).then(|| hanging.iter().sum::<f64>() / hanging.len() as f64);
         let nonidealities = &profile.nonidealities;
         let compared = |estimate: &crate::identification::Estimate, profile, tolerance| {
             let mut compared =
@@ -95,7 +95,8 @@ impl Drift {
                 nonidealities.cable_rest_rad,
                 REST_TOLERANCE_RAD,
             ),
-            alpha_zero_rad: Compared::new(alpha_rad, 0.0, 0.0, alpha_tolerance_rad),
+            alpha_zero_rad: alpha_rad
+                .map(|today| Compared::new(today, 0.0, 0.0, alpha_tolerance_rad)),
             rollouts: found.motions,
         })
     }
@@ -103,15 +104,15 @@ impl Drift {
     /// Whether the rig has drifted from its profile.
     #[must_use]
     pub fn has_moved(&self) -> bool {
-        self.command_delay_s.moved || self.cable_rest_rad.moved || self.alpha_zero_rad.moved
+        let alpha_zero_moved = self.alpha_zero_rad.is_some_and(|compared| compared.moved);
+        self.command_delay_s.moved || self.cable_rest_rad.moved || alpha_zero_moved
     }
 }
 
 impl fmt::Display for Drift {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let moved = |compared: &Compared| if compared.moved { "  MOVED" } else { "" };
-        let (delay, rest, zero) =
-            (&self.command_delay_s, &self.cable_rest_rad, &self.alpha_zero_rad);
+        let (delay, rest) = (&self.command_delay_s, &self.cable_rest_rad);
         writeln!(f, "today beside the profile, from {} rollouts:", self.rollouts)?;
         writeln!(
             f,
@@ -129,7 +130,10 @@ impl fmt::Display for Drift {
             rest.profile,
             moved(rest)
         )?;
-        write!(f, "  alpha at rest {:6.3} rad{}", zero.today, moved(zero))?;
+        match &self.alpha_zero_rad {
+            Some(zero) => write!(f, "  alpha at rest {:6.3} rad{}", zero.today, moved(zero))?,
+            None => write!(f, "  alpha at rest unknown: no rollout settled for long enough")?,
+        }
         if self.has_moved() {
             write!(
                 f,

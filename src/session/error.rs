@@ -78,6 +78,15 @@ pub enum SessionError {
         /// Board that is named now.
         now: String,
     },
+    /// The rig is an emulated Qube, and a real one made the recordings so far.
+    #[error(
+        "this session began on board {before}, and an emulated Qube cannot take its place: resume it with the port of \
+         that board"
+    )]
+    EmulatedInPlace {
+        /// Board that made the recordings so far.
+        before: String,
+    },
     /// The file of a profile that the session identified was changed or is damaged. If the file is
     /// missing, the error is [`SessionError::Folder`].
     #[error(

@@ -7,9 +7,9 @@ use super::{Dataset, FitSettings, Hyperparameters, Kernel, PriorSet, SurrogateEr
 /// A Gaussian process conditioned on data: the posterior over the function that was observed.
 ///
 /// Public methods take points in the search box's units and return values in the units of the
-/// observations; the unit cube and the standardised outputs are internal. In the comments `X` are
-/// the n observed points, `y` their standardised values, `m` is the prior mean and `K` the
-/// covariance matrix of the data with noise.
+/// observations; only the hyperparameters are for the unit cube and standardised outputs. In the
+/// comments `X` are the n observed points of d coordinates, `y` their standardised values, `m` is
+/// the prior mean and `K` the covariance matrix of the data with noise.
 #[derive(Clone, Debug)]
 pub struct GaussianProcess {
     data: Dataset,
@@ -129,7 +129,7 @@ impl GaussianProcess {
         &self.data
     }
 
-    /// The hyperparameters.
+    /// The hyperparameters, for inputs on the unit cube and standardised outputs.
     #[must_use]
     pub fn hyperparameters(&self) -> &Hyperparameters {
         &self.hyperparameters
@@ -143,13 +143,13 @@ impl GaussianProcess {
         self.posterior_of(&cross, self.factor.whiten(&cross.values).norm_squared())
     }
 
-    /// The posterior mean alone. Costs O(n d).
+    /// The posterior mean at a point, without the variance. Costs O(n d).
     #[must_use]
     pub fn mean(&self, point: &[f64]) -> f64 {
         self.own_value(dot(&self.cross(point).values, self.weights.as_slice()))
     }
 
-    /// Mean and variance with their gradients. Costs O(n^2).
+    /// Mean and variance at a point, with their gradients. Costs O(n^2).
     #[must_use]
     pub fn posterior_slope(&self, point: &[f64]) -> PosteriorSlope {
         let cross = self.cross(point);
@@ -164,8 +164,8 @@ impl GaussianProcess {
         let explained = white.norm_squared();
         let scale = self.data.scale();
         let d_mean = self.pull_back(cross, self.weights.as_slice(), scale);
-        let (_, at_rest) = self.variance_left(explained);
-        let factor = if at_rest { 0.0 } else { -2.0 * scale * scale };
+        let (_, is_rounding) = self.variance_left(explained);
+        let factor = if is_rounding { 0.0 } else { -2.0 * scale * scale };
         let d_variance = self.pull_back(cross, solved.as_slice(), factor);
         (self.posterior_of(cross, explained), d_mean, d_variance, solved)
     }
@@ -185,6 +185,7 @@ impl GaussianProcess {
             .collect()
     }
 
+    /// The prior covariances of a point, in the box's own units, with the n observed points.
     pub(super) fn cross(&self, point: &[f64]) -> Cross {
         let n = self.data.len();
         let unit = self.data.search_box().to_unit(point);
@@ -206,7 +207,8 @@ impl GaussianProcess {
     }
 
     /// Covariance of the function at two points before any data, standardised, and its d
-    /// derivatives with respect to the second point's coordinates.
+    /// derivatives with respect to the second point's coordinates. The points are in the box's own
+    /// units.
     pub(super) fn prior_covariance(&self, a: &[f64], b: &[f64]) -> (f64, Vec<f64>) {
         let lengths: Vec<f64> = (0..a.len())
             .map(|d| self.hyperparameters.lengthscales[d] * self.data.search_box().width(d))
@@ -234,7 +236,7 @@ impl GaussianProcess {
         NOISELESS * self.hyperparameters.signal_variance
     }
 
-    /// Factor of the data's covariance without noise.
+    /// Factor of the data's covariance with [`Self::noiseless_variance`] in place of all noise.
     pub(super) fn noiseless_factor(&self) -> Result<Factor, SurrogateError> {
         let noise_variance = self.noiseless_variance();
         let noiseless = Hyperparameters { noise_variance, ..self.hyperparameters.clone() };
@@ -256,8 +258,8 @@ impl GaussianProcess {
         self.data.targets.add_scalar(-self.hyperparameters.mean)
     }
 
-    /// The standardised variance that remains when the data explain the part `explained` of the
-    /// signal variance, and whether the remainder is only rounding.
+    /// The variance that remains when the data explain the variance `explained` (both
+    /// standardised), and whether the remainder is only rounding.
     pub(super) fn variance_left(&self, explained: f64) -> (f64, bool) {
         let signal = self.hyperparameters.signal_variance;
         let least = signal * RESOLUTION;
@@ -272,6 +274,7 @@ impl GaussianProcess {
         }
     }
 
+    /// The value, in the units of the observations, of a standardised distance from the prior mean.
     fn own_value(&self, above_mean: f64) -> f64 {
         self.data.offset() + self.data.scale() * (self.hyperparameters.mean + above_mean)
     }

@@ -198,7 +198,7 @@ impl Fault {
     /// the Qube: samples or commands came too late, the device was disarmed, or a count moved while
     /// the motor was off.
     #[must_use]
-    pub fn is_timing_fault(self) -> bool {
+    pub fn may_be_repeated(self) -> bool {
         self.consequence() == Consequence::TryAgain
     }
 

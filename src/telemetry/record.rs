@@ -6,7 +6,8 @@ use crate::qube::{Measurement, State};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
-    /// The program moves the arm to its start angle and brings the pendulum to rest.
+    /// The program moves the arm to its start angle and brings the pendulum to rest. Homing and
+    /// every other motion outside of a rollout have this phase, too.
     #[default]
     Settling,
     /// The policy controls the motor; the return is the sum of the rewards of these ticks.
@@ -49,14 +50,15 @@ pub struct TickRecord {
     /// Estimated state that the policy sees, recorded in all phases, rad and rad/s. Guard, settling
     /// and braking use a filter of their own, whose states can be computed from the samples.
     pub state: State,
-    /// Voltage that the controller asked for, before any limit, V; `None` if the last voltage was
-    /// held.
+    /// Voltage that policy, settling or brake asked for in this tick, before any limit, V. Where
+    /// the guard lets the brake take over, it is the brake's voltage. `None` if the last voltage
+    /// was held or the amplifier goes off.
     pub wanted_v: Option<f64>,
-    /// Voltage that was sent, mV, with the sign of the convention: positive turns the arm towards
-    /// positive theta.
+    /// Voltage that was sent, or held if there was no sample, mV; 0 if the amplifier goes off. It
+    /// has the sign of the convention: positive turns the arm towards positive theta.
     pub voltage_mv: i16,
     /// Time from the wake-up, at which the tick requests its sample, until the voltage (the act) is
-    /// written, by the host's clock, ns. Without a sample nothing is written, and the time ends
-    /// with the decision.
+    /// written, by the host's clock, ns. Without a sample, and in the last tick of a motion,
+    /// nothing is written, and the time ends with the decision.
     pub turnaround_ns: u64,
 }

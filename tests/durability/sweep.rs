@@ -44,7 +44,7 @@ fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
         Err(error) => {
             let passed = plan.is_some_and(|plan| !plan.lasting);
             let of_time =
-                matches!(error, RigError::Homing { fault, .. } if fault.is_timing_fault());
+                matches!(error, RigError::Homing { fault, .. } if fault.may_be_repeated());
             assert!(!(passed && of_time), "{plan:?}: homing was not tried again: {error}");
             Outcome::NotOpened(named(&error))
         }

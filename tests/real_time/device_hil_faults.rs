@@ -1,6 +1,6 @@
 //! Tests every function of the vendor's library with every kind of fault: however a run ends, the amplifier is off
-//! and the program has ended by itself. Whole processes in real time, several at once: a late computer only changes
-//! how a run ends.
+//! and the program has ended by itself. Each run is a whole process in real time, and several run at once; a late
+//! computer only changes how a run ends.
 
 use std::process::Stdio;
 use std::sync::Mutex;
@@ -11,15 +11,20 @@ use crate::panel::{Ended, Panel, library};
 /// Time after which a process counts as hung.
 const PATIENCE: Duration = Duration::from_secs(180);
 
-/// Processes at once.
+/// Number of processes that run at once.
 const AT_ONCE: usize = 12;
 
-/// Calls of a run at which a fault begins: at the start, within homing, within the rollout.
+/// Calls of a rarely called function at which a fault begins: at the start, within homing, within
+/// the rollout.
 const RARE: &[u64] = &[1, 2, 4];
+
+/// The same for the function that reads a sample in every tick.
 const FREQUENT: &[u64] = &[1, 260, 420];
+
+/// The same for the functions that every act calls.
 const ACTS: &[u64] = &[1, 3, 150];
 
-/// The functions, and the calls at which each fails.
+/// The functions, and the numbers of the calls from which each fails.
 const FUNCTIONS: [(&str, &[u64]); 14] = [
     ("hil_open", &[1]),
     ("hil_is_valid", RARE),
@@ -41,7 +46,9 @@ const FUNCTIONS: [(&str, &[u64]); 14] = [
 /// within homing that takes so long that the watchdog expires.
 const ASKED_AFTER: [&str; 2] = ["hil_read:error=13:420:1", "hil_read:hang=120:300:1"];
 
-/// The faults of the sweep, as the test library reads them: all, or the lasting ones at each function's last place.
+/// The faults of the sweep, in the notation of the test library (`tests/hil/library.rs`). Without `all`, each function
+/// fails only from its last call in [`FUNCTIONS`] on, and for good; the faults of [`ASKED_AFTER`], of the counts and of
+/// the cable are always included.
 fn faults(all: bool) -> Vec<String> {
     let mut faults = Vec::new();
     for (function, calls) in FUNCTIONS {
@@ -67,9 +74,9 @@ fn faults(all: bool) -> Vec<String> {
     faults
 }
 
-/// A short run under one fault; the panic of a breach names the fault.
+/// Makes a short run under one fault and panics, naming the fault, unless the run ends safely.
 fn run(fault: &str) -> Ended {
-    // Only this card has options.
+    // Only the card `qube_servo3_usb` has options.
     let card =
         if fault.starts_with("hil_set_card") { "qube_servo3_usb" } else { "qube_servo2_usb" };
     let panel = Panel::new(&[("QUBE_TEST_HIL_FAULT", fault), ("QUBE_TEST_HIL_CARD", card)]);
@@ -97,7 +104,7 @@ fn run(fault: &str) -> Ended {
     ended
 }
 
-/// Runs all of these, some at once, and returns how each ended.
+/// Makes a run under each of these faults, [`AT_ONCE`] at a time; returns how each ended.
 fn run_all(faults: Vec<String>) -> Vec<(String, Ended)> {
     library();
     let left = Mutex::new(faults.into_iter());
@@ -147,7 +154,7 @@ fn must_end_safe(faults: Vec<String>) {
     let ended_so = |code| ends.iter().filter(|(_, ended)| ended.code == Some(code)).count();
     let [well, unfit, refused, faulted] = [0, 1, 2, 4].map(ended_so);
     println!(
-        "{} faults: {well} runs went on, {unfit} failed, {refused} refused, {faulted} faults",
+        "{} runs: {well} completed, {unfit} failed, {refused} refused, {faulted} ended by a fault",
         ends.len()
     );
     assert!(refused > 0 && faulted > 0);
@@ -178,14 +185,14 @@ fn a_second_interrupt_ends_the_program_with_the_amplifier_off() {
         .unwrap();
     let begun = Instant::now();
     while !panel.amplifier().is_some_and(|state| state.starts_with("enabled true\n")) {
-        assert!(begun.elapsed() < PATIENCE, "it was never armed");
+        assert!(begun.elapsed() < PATIENCE, "the program never armed the card");
         std::thread::sleep(Duration::from_millis(5));
     }
     let process = rustix::process::Pid::from_child(&child);
     let mut interrupts = 0;
     while child.try_wait().unwrap().is_none() {
-        assert!(begun.elapsed() < PATIENCE, "it goes on");
-        // A second one that comes before the first is handled would count as one.
+        assert!(begun.elapsed() < PATIENCE, "the program did not end");
+        // Two interrupts count as one if the second comes before the first is handled.
         if interrupts < 200 {
             let _ = rustix::process::kill_process(process, rustix::process::Signal::INT);
             interrupts += 1;

@@ -1,5 +1,5 @@
-//! Compares `docs/reference/json.md` with the program: every listed field is printed, and every
-//! printed field is listed.
+//! Compares `docs/reference/json.md` with the program: every printed field is listed, and every
+//! listed field is printed unless the page marks it with *Sometimes*.
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
@@ -13,7 +13,8 @@ use serde_json::Value;
 
 const PAGE: &str = include_str!("../../docs/reference/json.md");
 
-/// The last line that a command prints, and its exit code.
+/// Runs the program with these arguments and `--json`; returns the last line of its standard
+/// output, and its exit code.
 fn told(directory: &Path, arguments: &[&str]) -> (Value, Option<i32>) {
     let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
         .current_dir(directory)
@@ -27,10 +28,10 @@ fn told(directory: &Path, arguments: &[&str]) -> (Value, Option<i32>) {
     (serde_json::from_str(last).unwrap(), output.status.code())
 }
 
-/// The fields in a section of the page, each with whether it is optional.
+/// The fields in a section of the page, each with whether the page marks it with *Sometimes*.
 fn listed(section: &str) -> Vec<(&'static str, bool)> {
     let title = format!("\n## {section}\n");
-    let after = PAGE.split(title.as_str()).nth(1).unwrap_or_else(|| panic!("no {section}"));
+    let after = PAGE.split(title.as_str()).nth(1).unwrap_or_else(|| panic!("no section {section}"));
     let section = after.split("\n## ").next().unwrap();
     let rows = section.lines().filter_map(|line| line.strip_prefix("| `"));
     rows.map(|row| {
@@ -40,7 +41,8 @@ fn listed(section: &str) -> Vec<(&'static str, bool)> {
     .collect()
 }
 
-/// The paths of all values that contain no others.
+/// Adds to `found` the path of each value in `value` that contains no others; `path` is the path of
+/// `value` itself.
 fn printed(value: &Value, path: &str, found: &mut BTreeSet<String>) {
     match value {
         Value::Object(fields) if !fields.is_empty() => {
@@ -56,9 +58,9 @@ fn printed(value: &Value, path: &str, found: &mut BTreeSet<String>) {
     }
 }
 
-/// Whether a printed path belongs to a field of the page: it is the field's, or that of an empty or
-/// missing value which would contain the field. A field that ends with `.*` stands for all below
-/// it.
+/// Whether a printed path belongs to a field of the page: it is the path of the field, or the path
+/// of an empty or missing value that would contain the field. A field that ends with `.*` stands
+/// for every path below it.
 fn is_of(path: &str, field: &str) -> bool {
     let above = |rest: &str| rest.starts_with('.') || rest.starts_with("[]");
     match field.strip_suffix(".*") {
@@ -126,7 +128,7 @@ fn commands_print_the_fields_of_the_page() {
     assert_eq!(code, Some(3), "{recovered}");
     agrees("`recover`", &recovered);
 
-    // One quantity is enough to see the fields.
+    // All quantities but the pendulum's damping stay fixed: one is enough to see the fields.
     let fixed = [
         "R_m",
         "k_m",
@@ -244,6 +246,6 @@ fn every_command_has_its_section() {
     let names: Vec<&str> = names.filter(|name| !name.is_empty() && *name != "help").collect();
     assert!(names.len() >= 13, "{names:?}");
     for name in names {
-        assert!(PAGE.contains(&format!("`{name}`")), "{name} is missing");
+        assert!(PAGE.contains(&format!("`{name}`")), "the page does not name {name}");
     }
 }

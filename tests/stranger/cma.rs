@@ -88,13 +88,14 @@ impl Optimiser for Cma {
         self.step_path = (1.0 - step_rate) * &self.step_path
             + (step_rate * (2.0 - step_rate) * effective).sqrt() * (&self.inverse_root * &moved);
         let faded = 1.0 - (1.0 - step_rate).powi(2 * self.generation);
-        let stalls = self.step_path.norm() / faded.sqrt() >= (1.4 + 2.0 / (genes + 1.0)) * expected;
-        let stalled = if stalls { 0.0 } else { 1.0 };
+        let is_long =
+            self.step_path.norm() / faded.sqrt() >= (1.4 + 2.0 / (genes + 1.0)) * expected;
+        let path_moves = if is_long { 0.0 } else { 1.0 };
         self.covariance_path = (1.0 - path_rate) * &self.covariance_path
-            + stalled * (path_rate * (2.0 - path_rate) * effective).sqrt() * &moved;
+            + path_moves * (path_rate * (2.0 - path_rate) * effective).sqrt() * &moved;
 
-        let kept =
-            1.0 - rank_one - rank_many + (1.0 - stalled) * rank_one * path_rate * (2.0 - path_rate);
+        let kept = 1.0 - rank_one - rank_many
+            + (1.0 - path_moves) * rank_one * path_rate * (2.0 - path_rate);
         self.covariance *= kept;
         self.covariance += rank_one * &self.covariance_path * self.covariance_path.transpose();
         for (weight, step) in weights.iter().zip(&steps) {

@@ -116,6 +116,12 @@ fn a_psi_that_cannot_be() {
     let arguments = ["train", "--model", "psi", "--psi", "psi.toml"];
     refused(directory.path(), &arguments, 2, &["psi.toml", "mean_M_p", "-0.5", "above 0"]);
     refused(directory.path(), &["train", "--model", "psi"], 2, &["--psi"]);
+    let text = text.replace("-0.5", "0.02") + "filter = 120.0\n";
+    std::fs::write(directory.path().join("psi.toml"), text).unwrap();
+    let without = [&arguments[..], &["--sensors", "true"]].concat();
+    refused(directory.path(), &without, 2, &["--psi names a filter", "--sensors encoders"]);
+    let twice = [&arguments[..], &["--sensors", "encoders", "--filter", "50"]].concat();
+    refused(directory.path(), &twice, 2, &["--psi names a filter", "--filter"]);
 }
 
 #[test]

@@ -135,8 +135,8 @@ fn a_computer_that_stands_still_now_and_then_leaves_no_doubt_about_a_healthy_qub
     let first = number("SEED", 1000);
     for seed in first..first + number("RIGS", 40) {
         for fault in faults(seed, folder.path()) {
-            late += usize::from(fault.is_timing_fault());
-            if !fault.is_timing_fault() {
+            late += usize::from(fault.may_be_repeated());
+            if !fault.may_be_repeated() {
                 wrong.push(format!("{seed}: {fault}"));
             }
         }

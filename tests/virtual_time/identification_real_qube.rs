@@ -9,7 +9,7 @@ use qube_hil::control::{ArmInput, SensorWatch};
 use qube_hil::estimation::Calibration;
 use qube_hil::identification::{Phase, Unknown, horizon_error, identify, phase_error};
 use qube_hil::qube::{CONTROL_PERIOD_S, Measurement, PlantModel, QubeModel, RAD_PER_COUNT};
-use qube_hil::replay::{AngleError, MotionLog, simulate_beside};
+use qube_hil::replay::{AngleError, MotionLog, simulate_from_first_state};
 use qube_hil::safety::MotorHeat;
 
 fn recordings() -> Option<PathBuf> {
@@ -28,7 +28,7 @@ fn rmse_of_chirps(folder: &Path) -> Vec<(String, AngleError)> {
         for number in 1..=3 {
             let name = format!("chirp_{direction}1.5V_250Hz_{number}.csv");
             let log = MotionLog::read(&folder.join(&name)).unwrap();
-            let rmse = simulate_beside(&log, &QubeModel::NOMINAL).unwrap().rmse;
+            let rmse = simulate_from_first_state(&log, &QubeModel::NOMINAL).unwrap().rmse;
             chirps.push((name, rmse));
         }
     }

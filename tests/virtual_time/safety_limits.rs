@@ -249,6 +249,13 @@ fn an_experiment_widens_nothing() {
     // Earlier versions wrote no checksum.
     let (whole, _) = sealed.split_once("# checksum").unwrap();
     let resume = ["experiment", "--resume", "experiment"];
+    let other = [&resume, &PORT[..]].concat();
+    refused(directory.path(), &other, &["began on emulated Qubes"]);
+    let emulated = "[[plants]]\nname = \"ideal\"";
+    assert!(whole.contains(emulated), "{whole}");
+    let whole = whole.replace(emulated, "[[plants]]\nname = \"device\"");
+    std::fs::write(&toml, &whole).unwrap();
+    refused(directory.path(), &resume, &["began on a real Qube", "--device"]);
     let wide = whole.replacen("theta_rad = 2.3", "theta_rad = 9.0", 1);
     assert_ne!(wide, whole);
     std::fs::write(&toml, wide).unwrap();

@@ -55,8 +55,9 @@ fn begin(root: &Path) -> SessionFolder {
 
 #[test]
 fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
-    // Each rollout has a new Qube, which is homed within 16 s; an untrained policy is braked soon
-    // after that, and braking takes some seconds.
+    // The fault comes 16.5 s after the Qube's start, during a rollout: each rollout has a new
+    // emulated Qube, which is homed within 16 s; an untrained policy is braked soon after that, and
+    // braking takes some seconds.
     for (fault, warned) in [
         ("silent@16.5", None),
         ("unplug@16.5", Some("Switch the Qube off: its motor may still have its last voltage")),
@@ -68,7 +69,7 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
         let run_logged = || run(begin(&root), Some(fault));
         let error = tracing::subscriber::with_default(log.subscriber(), run_logged).unwrap_err();
         assert!(matches!(error, SessionError::NotStartedAgain { .. }), "{fault}: {error}");
-        // Before the wait for the board, not after it.
+        // The program warns the operator before it waits for the board to come back.
         let logged = log.text();
         let is_warned = logged.contains("Switch the Qube off");
         assert_eq!(is_warned, warned.is_some(), "{fault}: {logged}");
@@ -120,7 +121,8 @@ fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
         }
         let acknowledged = Recovery { acknowledged: true, ..Recovery::default() };
         run_with(SessionFolder::open(&root).unwrap(), None, acknowledged).unwrap();
-        // The Qube was examined first; an emulated one is too.
+        // After the acknowledgement the Qube was examined before the rollout, although it is
+        // emulated.
         let Some(&Entry::RolloutVoid { candidate, rollout, .. }) = before.last() else { panic!() };
         let path =
             SessionFolder::open(&root).unwrap().paths().candidate(candidate).rollout(rollout, 1);

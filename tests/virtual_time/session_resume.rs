@@ -5,6 +5,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use qube_hil::recording::{Recording, RolloutWriter, read};
+use qube_hil::storage::MachineDisk;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Updates of the policies: a session takes a few seconds with the first number. A computer on which it ends
@@ -298,4 +300,25 @@ fn a_resumed_session_guards_an_unidentified_qube_as_one() {
     }
     assert_eq!(ended(directory.path(), &["--resume", "mine"]).0, Some(0));
     assert_eq!(belief(), before);
+}
+
+#[test]
+fn a_session_of_a_real_qube_is_not_resumed_on_an_emulated_one() {
+    let directory = tempfile::tempdir().unwrap();
+    assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
+    // The first recording as a real Qube's board would have made it.
+    let path = directory.path().join("mine/candidates/000/rollout-0-attempt-0.mcap");
+    let Recording { mut header, policy, ticks, outcome, .. } = read(&path).unwrap();
+    header.device.insert("kind".into(), "atmega328p".into());
+    let board = header.device["serial"].clone();
+    std::fs::remove_file(&path).unwrap();
+    let mut writer = RolloutWriter::create(&MachineDisk, &path, header, &policy).unwrap();
+    ticks.iter().for_each(|tick| writer.write(tick).unwrap());
+    writer.finish(&outcome.unwrap()).unwrap();
+    let before = ledger(directory.path(), "mine");
+    let (code, told) = resumed(directory.path(), "mine");
+    assert_eq!(code, Some(2), "{told}");
+    assert!(told.contains(&format!("began on board {board}")), "{told}");
+    assert!(told.contains("an emulated Qube cannot take its place"), "{told}");
+    assert_eq!(ledger(directory.path(), "mine"), before);
 }

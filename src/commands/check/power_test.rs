@@ -124,7 +124,7 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
             rig.press(push_v, STEP_TICKS, true).map_err(|error| failures::rig(error, stop))?;
         match (pressed.ending, pressed.outcome) {
             (Ending::Stopped, _) => return Err(stop.failure("stopped; the motor is off")),
-            (Ending::Fault(fault), _) if fault.is_timing_fault() && disturbed < MAX_REPETITIONS => {
+            (Ending::Fault(fault), _) if fault.may_be_repeated() && disturbed < MAX_REPETITIONS => {
                 disturbed += 1;
                 print_message(&format!(
                     "The motor is off, and nothing is known yet: {fault}. Try once more."

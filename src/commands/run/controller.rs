@@ -10,22 +10,23 @@ use crate::policy::{
 use crate::qube::{MAX_STEPS, PlantModel};
 use crate::rig::RigError;
 
-/// The controller of the rollouts: its name for the header, and the files from which each rollout
-/// loads it.
+/// The controller of the rollouts, with the contents of the policy files from which they load it.
 pub struct RunController {
+    /// Name for the headers of the recordings.
     pub name: String,
-    /// Contents of the files. The rollouts take them in turn: an excitation has two, which start in
-    /// opposite directions.
+    /// Contents of the policy files. The rollouts take them in turn: an excitation has two, which
+    /// start in opposite directions.
     pub files: Vec<Vec<u8>>,
+    /// Most ticks of a rollout under the controller.
     pub steps: u32,
     /// Notes for the operator before the first rollout.
     pub notes: Vec<String>,
-    /// Policy of a file; `None` for an excitation.
+    /// Policy of a file, or the classical controller; `None` for an excitation.
     pub policy: Option<Policy>,
 }
 
 impl RunController {
-    /// The controller that the arguments choose.
+    /// Loads the controller that the arguments choose: an excitation or a policy.
     pub fn chosen(arguments: &Arguments) -> Result<Self, Failure> {
         if let Some(argument) = arguments.excite {
             let shape = ExcitationShape::from(argument);
@@ -54,19 +55,20 @@ impl RunController {
         Ok(Self { files, name, steps: MAX_STEPS as u32, notes, policy: Some(policy) })
     }
 
-    /// Checks that the policy was made for this plant.
+    /// Checks that the policy was made for this plant; an excitation fits every plant.
     pub fn check_plant(&self, plant: &PlantModel) -> Result<(), Failure> {
         let checked = self.policy.as_ref().map_or(Ok(()), |policy| policy.check_plant(plant));
         checked.map_err(|other| Failure::usage(format!("{}: {other}", self.name)))
     }
 
-    /// The contents of a rollout's file.
+    /// Contents of the policy file for this rollout; rollouts count from 0.
     pub fn file(&self, rollout: u32) -> &[u8] {
         &self.files[rollout as usize % self.files.len()]
     }
 }
 
-/// Loads the policy of this name: a file, or `classical`.
+/// Loads the policy of this name: a file, or `classical`. Refuses a file that only names the
+/// controller of another program.
 pub fn policy(name: &str) -> Result<Policy, Failure> {
     if name == "classical" {
         return Ok(Policy::Classical(ClassicalController::new(ClassicalGains::default())));

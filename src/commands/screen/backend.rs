@@ -11,7 +11,7 @@ use rustix::termios::tcgetwinsize;
 
 use super::super::terminal;
 
-/// A terminal to which whole frames are written, so that a slow line does not show half of a frame
+/// A terminal that takes each frame in one write, so that a slow line does not show half of a frame
 /// for long.
 #[derive(Debug, Default)]
 pub struct Ansi {
@@ -20,20 +20,21 @@ pub struct Ansi {
 }
 
 impl Ansi {
-    /// A terminal of this size.
+    /// A terminal before its first frame; `size` counts while the terminal does not tell its own.
     pub fn new(size: Size) -> Self {
         Self { frame: String::new(), size }
     }
 }
 
-/// The size of the terminal behind stdin; `None` if it has none.
+/// The size of the terminal behind stdin, columns and rows; `None` if stdin is no terminal or its
+/// size is not known.
 pub fn size() -> Option<Size> {
     let found = tcgetwinsize(rustix::stdio::stdin()).ok()?;
     (found.ws_col > 0 && found.ws_row > 0).then(|| Size::new(found.ws_col, found.ws_row))
 }
 
-/// The control sequence for the style of a cell. Colours are numbers of the terminal's basic 16,
-/// which the user's theme defines.
+/// The control sequence for the style of a cell. Six of the terminal's basic colours are used; the
+/// user's theme defines their shades. Any other colour becomes the default one.
 fn style(cell: &Cell) -> String {
     let mut codes = String::from("\x1b[0");
     for (modifier, code) in [

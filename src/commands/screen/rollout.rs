@@ -26,14 +26,14 @@ pub struct RolloutState {
     pub tick: TickRecord,
     /// Ticks under the policy so far.
     pub steps: u32,
-    /// Largest fraction of each limit that was reached under the policy: of theta, alpha, theta_dot
-    /// and alpha_dot.
+    /// Largest fraction of each limit of the box that the state, as the policy sees it, has reached
+    /// under the policy: of theta, alpha, theta_dot and alpha_dot.
     pub nearest: [f64; 4],
     /// Lateness of the wake-ups of this rollout, microseconds.
     pub lateness_us: LatencySummary,
-    /// Ticks since the program began.
+    /// Ticks of all rollouts since the program began.
     pub ticks: u64,
-    /// Missed deadlines since the program began.
+    /// Missed deadlines in these ticks.
     pub missed: u64,
 }
 

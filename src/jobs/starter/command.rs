@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 use rustix::process::{Pid, Signal, kill_process_group};
 use thiserror::Error;
 
-use super::{StartError, Starter, WorkerCount};
+use super::{StartError, Starter, WorkerCount, log_folder};
 use crate::jobs::folder::JobFolder;
 
 /// A starter that runs a shell command of the user's, such as GNU parallel over ssh.
@@ -67,16 +67,16 @@ pub fn quoted(text: &str) -> String {
 
 impl Starter for CommandStarter {
     fn start(&mut self, folder: &JobFolder, workers: u32) -> Result<(), StartError> {
-        let logs = folder.root().join("logs");
-        fs::create_dir_all(&logs).map_err(StartError::Command)?;
+        let logs = log_folder(folder)?;
+        let log_error = |source| StartError::Log { folder: logs.display().to_string(), source };
         let number = fs::read_dir(&logs).map_or(0, Iterator::count);
         let log = File::create(logs.join(format!("start-{number}.log")));
-        let log = log.map_err(StartError::Command)?;
+        let log = log.map_err(log_error)?;
         let child = Command::new("/bin/sh")
             .arg("-c")
             .arg(self.command(folder, workers))
             .stdin(Stdio::null())
-            .stdout(log.try_clone().map_err(StartError::Command)?)
+            .stdout(log.try_clone().map_err(log_error)?)
             .stderr(log)
             // Ctrl-C at this program must not end the workers directly: closing the folder of jobs
             // ends them, unless they are to work on without this program.
@@ -126,6 +126,18 @@ mod tests {
     use super::*;
     use crate::jobs::folder::Terms;
     use crate::storage::MachineDisk;
+
+    #[test]
+    fn a_path_is_one_word_for_a_shell() {
+        for (path, word) in [
+            ("logs/monday", "logs/monday"),
+            ("my logs", "'my logs'"),
+            ("it's $(rm)", "'it'\\''s $(rm)'"),
+            ("", "''"),
+        ] {
+            assert_eq!(quoted(path), word);
+        }
+    }
 
     #[test]
     fn a_template_names_the_worker_the_folder_and_the_number() {

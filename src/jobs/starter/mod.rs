@@ -4,6 +4,7 @@ mod command;
 mod slurm;
 
 use std::fmt;
+use std::path::PathBuf;
 
 use thiserror::Error;
 
@@ -69,7 +70,22 @@ pub enum StartError {
         /// Message of the scheduler's command.
         reason: String,
     },
-    /// The operating system cannot run the command that starts workers, or cannot create its log.
+    /// Nobody could count the workers for ten minutes: the scheduler did not answer, or the start
+    /// command failed each time.
+    #[error("for ten minutes the workers could not be counted; the last attempt: {last}")]
+    SilentTooLong {
+        /// Note about the last attempt.
+        last: String,
+    },
+    /// The log of the workers cannot be created.
+    #[error("the workers' log in {folder} cannot be created: {source}")]
+    Log {
+        /// Folder of the logs.
+        folder: String,
+        /// Cause of the failure.
+        source: std::io::Error,
+    },
+    /// The operating system cannot run the command that starts workers.
     #[error("the command that starts workers cannot be run: {0}")]
     Command(std::io::Error),
     /// Workers were started, but none has appeared in the folder.
@@ -100,4 +116,12 @@ pub enum StartError {
         /// Reason that one of the workers gave.
         reason: String,
     },
+}
+
+/// Folder of the workers' logs, made if it is missing.
+fn log_folder(folder: &JobFolder) -> Result<PathBuf, StartError> {
+    let logs = folder.root().join("logs");
+    let log_error = |source| StartError::Log { folder: logs.display().to_string(), source };
+    std::fs::create_dir_all(&logs).map_err(log_error)?;
+    Ok(logs)
 }

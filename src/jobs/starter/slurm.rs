@@ -1,7 +1,7 @@
 use std::io::{self, Write};
 use std::process::{Command, Output, Stdio};
 
-use super::{StartError, Starter, WorkerCount};
+use super::{StartError, Starter, WorkerCount, log_folder};
 use crate::jobs::checksum::checksum;
 use crate::jobs::folder::JobFolder;
 
@@ -92,7 +92,7 @@ fn flag(name: &str) -> String {
 
 impl Starter for SlurmStarter {
     fn start(&mut self, folder: &JobFolder, workers: u32) -> Result<(), StartError> {
-        std::fs::create_dir_all(folder.root().join("logs")).map_err(StartError::Command)?;
+        log_folder(folder)?;
         let options = self.array_options(folder, workers);
         let script = self.script(workers);
         let output = run_command("sbatch", &options, &script)?;

@@ -18,8 +18,9 @@
     const facts = [["connection", root.dataset.connected === "1" ? "live" : "lost"]];
     if (status) {
       facts.push(["command", status.command || "–"]);
-      const of = status.of == null ? "" : ` of ${status.of}`;
-      if (status.candidate != null) facts.push(["candidate", `${status.candidate + 1}${of}`]);
+      // Candidates count from 0 everywhere; the second number is how many have begun.
+      const of = status.of == null ? "" : ` (${status.candidate + 1} of ${status.of})`;
+      if (status.candidate != null) facts.push(["candidate", `${status.candidate}${of}`]);
       facts.push(["best so far", fixed(status.best_return, 1, "of 600")], ["time left", timeLeft(status.time_left_s)]);
     }
     if (rollout) {

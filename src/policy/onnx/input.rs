@@ -38,8 +38,12 @@ impl Input {
         Ok(())
     }
 
-    /// Clips the entries between constants, which are converted to bounds of the original entries
-    /// x.
+    /// Clips the entries, as they are after the factors and offsets so far, between constants: one
+    /// for each entry, or one for all. Stores the constants as bounds of the original entries x.
+    ///
+    /// # Errors
+    /// The number of constants is wrong, or the factor of an entry is 0 or gives a bound that is
+    /// not a number.
     pub fn clip(&mut self, lower: &[f32], upper: &[f32]) -> Result<(), ImportError> {
         let entries = self.factors.len();
         let pairs = spread(lower, entries)?.into_iter().zip(spread(upper, entries)?);
@@ -56,7 +60,8 @@ impl Input {
         Ok(())
     }
 
-    /// Folds factors and offsets into the first layer: W (a x + b) + c = (W a) x + (W b + c).
+    /// Folds the factors a and offsets b of the entries x into the weights W and biases c of the
+    /// first layer: W (a x + b) + c = (W a) x + (W b + c).
     pub fn fold(&self, layer: &mut LayerWeights) {
         if self.factors.iter().all(|it| *it == 1.0) && self.offsets.iter().all(|it| *it == 0.0) {
             return;
@@ -72,7 +77,7 @@ impl Input {
         }
     }
 
-    /// Least and largest value of each entry x; empty if no entry is clipped.
+    /// Least and largest value of each original entry x; empty if no entry is clipped.
     pub fn into_bounds(self) -> Vec<[f32; 2]> {
         let open = [f64::NEG_INFINITY, f64::INFINITY];
         if self.bounds.iter().all(|bounds| *bounds == open) {
@@ -106,7 +111,8 @@ mod tests {
         let mut layer = LayerWeights { weight: vec![1.0, 10.0], bias: vec![0.5] };
         input.fold(&mut layer);
         assert_eq!((layer.weight, layer.bias), (vec![6.0, -120.0], vec![6.0 - 120.0 + 0.5]));
-        // The second clip keeps 6 (x + 1) and -12 (x + 1) at 3 or below.
+        // The first clip keeps 2 (x + 1) between -2 and 4 and -4 (x + 1) between -2 and 8. The
+        // second keeps 6 (x + 1) and -12 (x + 1) at 3 or below.
         assert_eq!(input.into_bounds(), [[-2.0, -0.5], [-1.25, -0.5]]);
         assert!(Input::plain(3).into_bounds().is_empty());
         assert!(Input::plain(3).add(&[1.0, 2.0]).is_err());

@@ -11,8 +11,9 @@ const LATEST_US: u32 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u32 * 1000;
 /// Pause between the samples that show when the watchdog trips, ns: 1 ms.
 const PAUSE_NS: u64 = 1_000_000;
 
-/// Repeats an action until the watchdog has tripped, and fails unless that happens 50 ms after
-/// `fed_us` and at most one poll of the watchdog later. All times are by the device's clock.
+/// Repeats an action until the watchdog has tripped. Fails if it trips earlier than 50 ms after
+/// `fed_us`, or has not tripped one poll of the watchdog (5 ms) later. `fed_us` is the time of the
+/// last arm or act. All times are by the device's clock.
 pub(super) fn trips_while(
     test_host: &mut TestHost<'_>,
     fed_us: u32,
@@ -22,10 +23,10 @@ pub(super) fn trips_while(
         let sample = test_host.sample()?;
         let elapsed_us = sample.device_time_us.wrapping_sub(fed_us);
         if sample.status.has(StatusBits::WATCHDOG_TRIPPED) {
-            ensure!(elapsed_us >= WATCHDOG_US, "it tripped after {elapsed_us} us already");
+            ensure!(elapsed_us >= WATCHDOG_US, "the watchdog tripped early, after {elapsed_us} us");
             ensure!(
                 !sample.status.has(StatusBits::ARMED) && sample.applied_mv == 0,
-                "it tripped, but the motor is not off: {sample:?}"
+                "the watchdog tripped, but the motor is not off: {sample:?}"
             );
             return Ok(());
         }
@@ -33,7 +34,7 @@ pub(super) fn trips_while(
         // difference then wraps round to a huge number.
         ensure!(
             elapsed_us <= LATEST_US || elapsed_us > u32::MAX / 2,
-            "it has not tripped after {elapsed_us} us"
+            "the watchdog has not tripped after {elapsed_us} us"
         );
         meanwhile(test_host)?;
         test_host.wait_ns(PAUSE_NS);
@@ -96,7 +97,7 @@ pub(super) fn fed(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
 pub(super) fn latch(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     let (armed_us, nonce) = test_host.arm()?;
     trips_while(test_host, armed_us, |_| Ok(()))?;
-    let tripped = "after its watchdog";
+    let tripped = "after the watchdog tripped";
     for request in [test_host.act_request(500), Request::Arm { nonce }] {
         match test_host.ask(request)? {
             Reply::Refusal { reason: RefusalReason::WatchdogTripped, .. } => {}
@@ -111,7 +112,7 @@ pub(super) fn latch(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     let greeted = test_host.sample()?;
     ensure!(
         greeted.status.has(StatusBits::WATCHDOG_TRIPPED) && greeted.applied_mv == 0,
-        "a hello alone already hides that the watchdog tripped"
+        "after a hello alone, the device hides that its watchdog tripped, or its motor is on"
     );
     test_host.arm_with(nonce)?;
     test_host.sample_armed()?;

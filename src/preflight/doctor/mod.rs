@@ -9,7 +9,7 @@ use std::sync::atomic::AtomicBool;
 
 use serde::Serialize;
 
-use crate::clock::{CPU_DMA_LATENCY, RealtimeReport};
+use crate::clock::{CPU_DMA_LATENCY, RealtimeRefusals};
 use crate::device::HilAddress;
 use crate::preflight::foresight_time_us;
 
@@ -83,7 +83,7 @@ pub fn diagnose(
 /// limits.
 const RIGHTS_REMEDY: &str = "sudo scripts/install (then log out and in)";
 
-fn rights(realtime: &RealtimeReport) -> Vec<Diagnosis> {
+fn rights(realtime: &RealtimeRefusals) -> Vec<Diagnosis> {
     let scheduling = match &realtime.scheduling {
         None => Diagnosis::well("scheduling", "real-time priority (SCHED_FIFO) is granted"),
         Some(_) => Diagnosis::advice(
@@ -125,7 +125,7 @@ mod tests {
     #[test]
     fn missing_rights_are_advice_with_something_to_type() {
         let no = Some("no".to_owned());
-        let refused = RealtimeReport {
+        let refused = RealtimeRefusals {
             scheduling: no.clone(),
             memory: no.clone(),
             awake: no.clone(),
@@ -136,7 +136,7 @@ mod tests {
             assert_eq!(diagnosis.verdict, Suitability::Advice);
             assert!(diagnosis.remedy.unwrap().contains("sudo"));
         }
-        for diagnosis in rights(&RealtimeReport::default()) {
+        for diagnosis in rights(&RealtimeRefusals::default()) {
             assert_eq!((diagnosis.verdict, diagnosis.remedy), (Suitability::Well, None));
         }
     }

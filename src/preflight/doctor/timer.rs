@@ -1,7 +1,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::Diagnosis;
-use crate::clock::{Clock, PunctualClock, RealtimeReport, enter_realtime};
+use crate::clock::{Clock, PunctualClock, RealtimeRefusals, enter_realtime};
 use crate::control::LatencyHistogram;
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::telemetry::LatencySummary;
@@ -21,7 +21,7 @@ const PERIOD_US: f64 = CONTROL_PERIOD_NS as f64 * 1e-3;
 pub(super) fn watch(
     seconds: u32,
     stop: &AtomicBool,
-) -> std::io::Result<(RealtimeReport, Diagnosis)> {
+) -> std::io::Result<(RealtimeRefusals, Diagnosis)> {
     std::thread::scope(|scope| {
         let watcher = std::thread::Builder::new()
             .name("doctor".into())

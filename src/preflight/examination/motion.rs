@@ -47,7 +47,7 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
 fn give_up(found: &mut Examination, fault: Fault) {
     let value = format!("a fault ended the push: {fault}");
     let remedy = format!("{} Then check again", fault.operator_step());
-    let name = if fault.is_timing_fault() { MOTOR } else { STALL };
+    let name = if fault.may_be_repeated() { MOTOR } else { STALL };
     for each in ALL {
         found.results.push(if each == name {
             CheckResult::fail(name, value.clone(), remedy.clone())
@@ -124,7 +124,7 @@ fn probe(
                 match report.outcome.ending {
                     Ending::Fault(Fault::LinkGone) => return Err(super::link::gone(port)),
                     Ending::Fault(fault)
-                        if fault.is_timing_fault() && disturbed < MAX_REPETITIONS =>
+                        if fault.may_be_repeated() && disturbed < MAX_REPETITIONS =>
                     {
                         disturbed += 1;
                         rest::wait_for_the_arm(device, clock, stop, port)?;

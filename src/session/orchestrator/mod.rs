@@ -7,7 +7,7 @@ mod rollouts;
 mod training;
 mod training_ahead;
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,10 +20,11 @@ use super::{
     Candidate, Entry, FolderError, Ledger, ScoredCandidate, SessionError, SessionEvent,
     SessionFolder, SessionSettings, SessionState, Step, file_checksum, next_step,
 };
+use crate::device::EMULATOR_KIND;
 use crate::jobs::{Executor, LocalExecutor};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, read_on};
-use crate::rig::{ClockChoice, Doubt, RigSettings};
+use crate::rig::{ClockChoice, DeviceChoice, Doubt, RigSettings};
 use crate::scoring::{Verdict, score, score_finished};
 use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;
@@ -91,7 +92,7 @@ impl Session {
     /// Names the model in the first rig's profile, if it has one. After the rig's first rollouts
     /// the session reports the drift from this model.
     #[must_use]
-    pub fn beside(mut self, profile: Option<QubeModel>) -> Self {
+    pub fn with_profile(mut self, profile: Option<QubeModel>) -> Self {
         self.rigs[0].profile = profile;
         self
     }
@@ -119,15 +120,21 @@ impl Session {
     }
 
     /// Binds each real rig to the board that made its first recording in this session, so that no
-    /// other board is driven.
+    /// other board is driven, and no emulated Qube in its place.
     ///
     /// # Errors
-    /// A recording cannot be read, or the settings of a rig are for another board.
+    /// A recording cannot be read, or the settings of a rig are for another board, or for an emulated
+    /// Qube where a real one made the recordings.
     pub fn on_the_same_boards(mut self) -> Result<Self, SessionError> {
         for index in 0..self.rigs.len() {
-            let Some(before) = self.board(self.number_of(index))? else { continue };
+            let Some(device) = self.first_device(self.number_of(index))? else { continue };
+            let Some(before) = device.get("serial").cloned() else { continue };
             let settings = &mut self.rigs[index].settings;
             if !settings.is_hardware() {
+                let is_emulator = matches!(settings.device, DeviceChoice::Emulated);
+                if is_emulator && device.get("kind").is_some_and(|kind| kind != EMULATOR_KIND) {
+                    return Err(SessionError::EmulatedInPlace { before });
+                }
                 continue;
             }
             match settings.board.replace(before.clone()) {
@@ -146,13 +153,21 @@ impl Session {
     /// # Errors
     /// The recording cannot be read.
     pub fn board(&self, rig: Option<u32>) -> Result<Option<String>, SessionError> {
+        Ok(self.first_device(rig)?.and_then(|device| device.get("serial").cloned()))
+    }
+
+    /// The device that made the first finished recording of this rig, or of any rig if `rig` is
+    /// `None`, as the recording describes it. `None` if there is no such recording.
+    fn first_device(
+        &self,
+        rig: Option<u32>,
+    ) -> Result<Option<BTreeMap<String, String>>, SessionError> {
         let first = self.ledger.state().candidates().iter().find_map(|it| {
             let finished = it.finished.iter().find(|it| rig.is_none() || it.rig == rig)?;
             Some(self.recording(it.number, finished.rollout, finished.attempt))
         });
         let Some(first) = first else { return Ok(None) };
-        let recording = read_on(self.folder.disk(), &first)?;
-        Ok(recording.header.device.get("serial").cloned())
+        Ok(Some(read_on(self.folder.disk(), &first)?.header.device))
     }
 
     /// Runs until the best policy is verified, a fault ends the session, or the operator stops it.

@@ -59,7 +59,7 @@ fn a_board_that_loses_its_power_leaves_the_last_voltage_at_the_motor() {
     assert!(board.is_unplugged());
     assert_eq!(send(&mut board, Request::Sample, 6), None);
     let (slammed_us, rad_s) = slam(&mut board, 2_000_000).expect("nothing is left to stop it");
-    println!("power-loss: stop at {rad_s:.1} rad/s, {} us after it", slammed_us - 100_000);
+    println!("arm at a stop with {rad_s:.1} rad/s, {} us after the loss", slammed_us - 100_000);
     assert!(rad_s > 10.0, "{rad_s}");
     board.advance_to(60_000_000);
     assert_eq!(board.applied_mv(), 4997, "for as long as the Qube has power");

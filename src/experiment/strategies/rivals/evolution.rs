@@ -2,11 +2,11 @@ use nalgebra::DVector;
 
 use crate::search::{CmaEs, Observation, SearchError, Strategy as _};
 
-/// The point of least cost in a box among those that CMA-ES evaluates: `evaluations`, rounded up to
-/// whole generations.
+/// Minimises a cost over a box by CMA-ES and returns the evaluated point of least cost. The number
+/// of evaluations is rounded up to whole generations.
 ///
 /// # Errors
-/// The box is empty, or a cost is not finite.
+/// The bounds form no box, a cost is not finite, or `evaluations` is 0.
 pub fn minimise(
     lower: &[f64],
     upper: &[f64],
@@ -16,8 +16,7 @@ pub fn minimise(
 ) -> Result<DVector<f64>, SearchError> {
     let mut search = CmaEs::between(lower, upper, seed)?;
     let mut data: Vec<Observation> = Vec::with_capacity(evaluations);
-    // Each batch of proposals is a whole generation, because the search repeats all its updates for
-    // each batch.
+    // Each call proposes a whole generation, because each call repeats all earlier updates.
     let generation = search.generation();
     while data.len() < evaluations {
         for point in search.propose(&data, &[], generation)? {
