@@ -12,6 +12,9 @@ use firmware_protocol::{
 
 const GOLDEN: &str = include_str!("../golden.txt");
 
+/// The page whose examples are frames of [`GOLDEN`].
+const PAGE: &str = include_str!("../PROTOCOL.md");
+
 fn requests() -> Vec<(&'static str, u16, Request)> {
     vec![
         ("hello", 1, Request::Hello { protocol_version: PROTOCOL_VERSION }),
@@ -198,6 +201,25 @@ fn number<T: TryFrom<i64>>(word: &str) -> T {
 }
 
 /// Rewrites the frames of requests and replies in the file and keeps the other lines.
+#[test]
+fn the_examples_of_the_page_are_golden_frames() {
+    let frames: Vec<&str> =
+        ["request", "reply"].into_iter().flat_map(lines).map(|words| words[2]).collect();
+    let examples: Vec<String> = PAGE
+        .split('`')
+        .filter(|text| text.len() > 2 * 7 && text.split(' ').all(is_hexadecimal_byte))
+        .map(|text| text.replace(' ', ""))
+        .collect();
+    assert!(examples.len() >= 9, "{examples:?}");
+    for example in examples {
+        assert!(frames.contains(&example.as_str()), "{example} is not in golden.txt");
+    }
+}
+
+fn is_hexadecimal_byte(word: &str) -> bool {
+    word.len() == 2 && u8::from_str_radix(word, 16).is_ok()
+}
+
 #[test]
 #[ignore = "writes golden.txt; run it when the wire has changed"]
 fn write_the_frames_anew() {
