@@ -8,8 +8,8 @@
 //! cargo run --release --example learning_study -- specialists quick 60
 //! ```
 //!
-//! SEEDS is a number, or a range such as `5..10`. MODEL is `nominal`, `handcrafted`, or
-//! `specialists`: for each seed one Qube is drawn from `handcrafted`, and a policy is trained for
+//! SEEDS is a number, or a range such as `5..10`. MODEL is `nominal`, `handcrafted`, `robust`,
+//! or `specialists`: for each seed one Qube is drawn from `handcrafted`, and a policy is trained for
 //! that Qube alone. If no such specialist reaches a return, a policy for all of the Qubes cannot be
 //! expected to. PRESET is `thesis`, `quick` or `robust`; settings are those of `TrainSettings`.
 //! With `--against` each seed is trained a second time, with the settings after `--against` in
@@ -62,8 +62,9 @@ fn main() -> anyhow::Result<()> {
         let distribution = match model.as_str() {
             "nominal" => DomainDistribution::nominal(),
             "handcrafted" => DomainDistribution::handcrafted(Family::Normal),
+            "robust" => DomainDistribution::robust(),
             "specialists" => one_of_handcrafted(seed),
-            other => anyhow::bail!("{other} is not nominal, handcrafted or specialists"),
+            other => anyhow::bail!("{other} is not nominal, handcrafted, robust or specialists"),
         };
         rows.push(trained(&distribution, &settings, seed)?);
         if let Some(other) = &other {
