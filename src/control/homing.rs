@@ -38,15 +38,15 @@ const TRAVEL_TOLERANCE: f64 = 0.03;
 /// Measures the arm's middle and the count at which the pendulum hangs. Both have to be measured
 /// after each start, because an encoder counts from the angle at which it was switched on.
 ///
-/// Homing trusts no sensor before testing it. The motor stays at 0 V until the pendulum hardly
-/// swings; then a push that grows from zero shows whether the arm follows. From then on the two
-/// encoders check each other, and the arm moves so slowly that it does no damage if one of them
-/// fails.
+/// Homing trusts no sensor before testing it. The motor stays at 0 V until pendulum and arm move
+/// little enough for a push (`hanging.rs` says how little); then a push that grows from zero shows
+/// whether the arm follows. From then on the two encoders check each other, and the arm moves so
+/// slowly that it does no damage if one of them fails.
 #[derive(Debug)]
 pub struct Homing {
     settings: HomingSettings,
     estimator: Option<Estimator>,
-    /// Zeros at the first sample; `state` is relative to them.
+    /// Signs of the settings, with the zeros at the first sample; `state` is relative to them.
     provisional: Calibration,
     watch: Watch,
     sensors: SensorWatch,
@@ -56,7 +56,7 @@ pub struct Homing {
     stage: Stage,
     /// Angle of the arm at the first push, rad; after some faults the arm is led back there.
     place_rad: f64,
-    /// Middle between the stops, rad, once known.
+    /// Middle of the arm's travel by the stops or by the operator's hand, rad, once known.
     middle_rad: Option<f64>,
     /// Angles of the stops that were touched, lower first, rad.
     stops_rad: Option<(f64, f64)>,
@@ -77,7 +77,8 @@ pub struct Homing {
 
 #[derive(Clone, Copy, Debug)]
 enum Stage {
-    /// Wait at 0 V until the pendulum hardly swings; it hangs in the middle of the swing.
+    /// Wait at 0 V until pendulum and arm move little; the pendulum hangs in the middle of its
+    /// swing.
     Observe(Hanging),
     /// Push until the arm responds.
     Probe(HomingProbe),
@@ -333,11 +334,23 @@ impl Homing {
             ..*signs
         };
         let zero_rad = self.calm_rad() + offset_rad;
-        let stops = self.stops_rad.map(|(lowest_rad, highest_rad)| MeasuredStops {
+        let stops_rad = self.stops_rad.or_else(|| self.stops_by_hand_rad());
+        let stops = stops_rad.map(|(lowest_rad, highest_rad)| MeasuredStops {
             lowest_theta_rad: lowest_rad - zero_rad,
             highest_theta_rad: highest_rad - zero_rad,
         });
         MeasuredRig { calibration, stops }
+    }
+
+    /// Angles of the stops after homing by hand, lower first, rad: the operator's middle and the
+    /// expected travel imply them. `None` where they are the plant's own around the zero, which is
+    /// what guard and brake assume without measured stops.
+    fn stops_by_hand_rad(&self) -> Option<(f64, f64)> {
+        let HomingSettings { method, theta_offset_rad, travel_rad, .. } = self.settings;
+        let are_the_plants = theta_offset_rad == 0.0 && travel_rad.is_none();
+        let (middle_rad, half_rad) = (self.calm_rad(), 0.5 * self.settings.expected_travel_rad());
+        (method == HomingMethod::Hand && !are_the_plants)
+            .then_some((middle_rad - half_rad, middle_rad + half_rad))
     }
 
     /// Target of the arm while the pendulum comes to rest, rad: the middle, or the angle at the

@@ -2,7 +2,8 @@ use serde::{Deserialize, Serialize};
 
 use super::Calibration;
 
-/// Positions of the arm's two hard stops relative to the arm's zero, as homing touched them.
+/// Positions of the arm's two hard stops relative to the arm's zero, as homing touched them, or as
+/// offset and travel in the settings place them around the middle that the operator gave by hand.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredStops {
@@ -30,8 +31,9 @@ impl MeasuredStops {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredRig {
-    /// Signs and zeros.
+    /// Signs, zeros and resolution of the encoders, and the sign of the voltage.
     pub calibration: Calibration,
-    /// Positions of the stops; `None` where the operator centred the arm by hand.
+    /// Positions of the stops; `None` where the operator centred the arm by hand and the
+    /// settings name neither an offset nor a travel.
     pub stops: Option<MeasuredStops>,
 }

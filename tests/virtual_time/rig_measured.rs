@@ -11,7 +11,7 @@ use qube_hil::control::{ControlError, HomingMethod, HomingSettings, Moved};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::qube::{Measurement, Profile, QubeModel};
+use qube_hil::qube::{HARD_STOP_RAD, Measurement, Profile, QubeModel};
 use qube_hil::recording::{Recording, read};
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
 use qube_hil::safety::SafetyBox;
@@ -255,6 +255,37 @@ fn outward() -> Policy {
         lose_rad: 0.002,
         ..ClassicalGains::default()
     }))
+}
+
+#[test]
+fn after_homing_by_hand_offset_and_accepted_travel_bound_the_box() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    for (half_rad, travel_rad) in [(HARD_STOP_RAD, None), (2.1, Some(4.2))] {
+        for theta_offset_rad in [0.0, 0.3, -0.3] {
+            let stops_rad = [-half_rad, half_rad];
+            let emulator = EmulatorSettings { stops_rad, seed: 7, ..EmulatorSettings::default() };
+            let homing = HomingSettings {
+                method: HomingMethod::Hand,
+                travel_rad,
+                theta_offset_rad,
+                ..HomingSettings::default()
+            };
+            let bench = Bench::default();
+            let rig = bench.open(emulator, homing).unwrap();
+            for number in 0..3 {
+                let recording = rollout(&rig, number, &path, &outward()).unwrap();
+                let settings = &recording.header.settings;
+                let nearer_rad = half_rad - theta_offset_rad.abs();
+                let expected_rad = (nearer_rad - 0.09).min(SafetyBox::GUARDED.theta);
+                assert!((settings.safety_box.theta - expected_rad).abs() < 0.02, "{settings:?}");
+                let reached = recording.ticks.iter().map(|tick| tick.state.theta.abs());
+                assert!(reached.fold(0.0, f64::max) > 0.3, "nobody pushed");
+                let contact_rad_s = bench.wire().fastest_contact_rad_s();
+                assert!(contact_rad_s == 0.0, "{half_rad} {theta_offset_rad}: {contact_rad_s}");
+            }
+        }
+    }
 }
 
 #[test]
