@@ -30,9 +30,9 @@ const STYLE: &str = "text{font:13px system-ui,'Noto Sans',Arial,sans-serif;fill:
     @media(prefers-color-scheme:dark){text{fill:#a2abb8}.p{fill:#14171b}.g{stroke:#3a414b}.a{stroke:#a2abb8}\
     .b{stroke:#5ab4ee}.d{fill:#5ab4ee}.t{stroke:#ff9350}.dt{fill:#ff9350}}";
 
-/// Draws a motion as an animated SVG that repeats at the motion's own speed: arm and pendulum on
-/// the left, their angles with a line at the present time on the right. The picture needs no
-/// script, so that pages and slides can show it.
+/// Draws the first 20 s of a motion as an animated SVG that repeats at the motion's own speed: arm
+/// and pendulum on the left, their angles with a line at the present time on the right. The picture
+/// needs no script, so that pages and slides can show it.
 #[must_use]
 pub fn animation_svg(title: &str, log: &MotionLog) -> String {
     let frames = frames(log);
@@ -176,7 +176,8 @@ fn draw_angles(svg: &mut String, frames: &[State], duration_s: f64) {
     );
 }
 
-/// The SVG element that moves an attribute through these values in `duration_s` and repeats.
+/// The SVG element that moves the attribute `name` through these values in `duration_s` and
+/// repeats.
 fn animated(name: &str, values: impl Iterator<Item = f64>, duration_s: f64) -> String {
     let values: Vec<String> = values.map(|value| format!("{value:.1}")).collect();
     format!(

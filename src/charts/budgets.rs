@@ -13,9 +13,9 @@ pub struct ShareOfPlant {
     pub method: String,
     /// Budget: largest number of real rollouts before the recommendation is scored.
     pub budget: u32,
-    /// Share of the repetitions that succeeds, 0 to 1.
+    /// Share of the repetitions that succeed, 0 to 1.
     pub share: f64,
-    /// Lower and upper end of the share's 95 % interval.
+    /// Lower and upper end of the share's 95 % interval, 0 to 1.
     pub interval: [f64; 2],
 }
 

@@ -17,10 +17,10 @@ const SHOWN: [DomainParameter; 4] = [
 const POINTS: usize = 600;
 
 /// Draws the thesis's figure 5.2: the densities of masses and lengths for each recipe, which is
-/// given with its name. A dashed line marks the plant's nominal value. A recipe without spread has
-/// no density and only an entry in the key. Each density is divided by its own peak, because the
-/// recipes differ in the place and width of their densities, and the high peak of a narrow density
-/// would flatten all others.
+/// given with its name. A panel shows 0.3 to 1.7 times the plant's nominal value, which a dashed
+/// line marks. A recipe without spread in a parameter has no curve in its panel; one without spread
+/// in all four has only an entry in the key. Each density is divided by its own peak, because the
+/// high peak of a narrow density would flatten all others.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -1,4 +1,5 @@
-//! Figures as SVG: pure drawing, from data that other rooms computed.
+//! Figures as SVG, drawn from data that other rooms computed. Only the figures of [`toy`] compute
+//! their own data.
 //!
 //! Only the feature `cli` builds this room, so that the library without `cli` needs no drawing
 //! library. The room may import `qube`, `simulation`, `replay`, `search` and `surrogate`.
@@ -32,7 +33,7 @@ use thiserror::Error;
 type Panel<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type PlotError = DrawingAreaErrorKind<std::io::Error>;
 
-/// The drawing library failed.
+/// The error that a figure cannot be drawn, because the drawing library failed.
 #[derive(Debug, Error)]
 #[error("the figure could not be drawn: {reason}")]
 pub struct DrawingError {

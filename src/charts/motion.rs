@@ -5,8 +5,8 @@ use super::{DrawingError, Panel, PlotError};
 use crate::qube::State;
 use crate::replay::{MotionLog, OpenLoop};
 
-/// Draws a recorded motion and its simulation as SVG: theta, alpha, and the voltage that was sent
-/// to both.
+/// Draws a recorded motion and its simulation as SVG: theta, alpha, and the voltage that drove
+/// both.
 ///
 /// The recording is a broad pale line under the line of the simulation, so that a good simulation
 /// does not hide the recording.

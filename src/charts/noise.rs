@@ -9,7 +9,7 @@ const NAMES: u32 = 330;
 
 /// Draws one panel for each problem. A problem is given by its name and the results of the search
 /// variants. Its panel shows, for each variant, the expected return of the recommended point and
-/// the 95 % interval of this return.
+/// the 95 % interval of this return; a single repetition has no interval.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -30,7 +30,7 @@ fn draw(svg: &mut String, problems: &[(String, Vec<VariantResult>)]) -> Result<(
 }
 
 fn noise_panel(panel: &Panel<'_>, name: &str, results: &[VariantResult]) -> Result<(), PlotError> {
-    // A single repetition has no interval.
+    // The half width of a single repetition's interval is not finite.
     let reach = |it: &VariantResult| {
         let half_width = it.expected_return.half_width;
         if half_width.is_finite() { half_width } else { 0.0 }

@@ -5,7 +5,7 @@ use super::{DrawingError, Panel, PlotError};
 use crate::search::StrategyKind;
 use crate::search::benchmark::{Quartiles, RegretCurve};
 
-/// Smallest regret that is drawn; below it the maximum counts as found.
+/// Smallest regret that is drawn; a smaller one, such as 0, is drawn at this value.
 const FLOOR: f64 = 1e-6;
 
 /// The colour of a strategy.
@@ -19,8 +19,10 @@ fn colour(strategy: StrategyKind) -> RGBColor {
     }
 }
 
-/// Draws one panel for each objective: the median of the simple regret after each evaluation, with
-/// a band from the lower to the upper quartile, on a logarithmic axis.
+/// Draws one panel for each objective: for each strategy the median of the simple regret after each
+/// evaluation, with a band from the lower to the upper quartile, on a logarithmic axis. The curves
+/// of one objective follow one another in `curves`, and all curves have the same number of
+/// repetitions.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -3,7 +3,7 @@ use plotters::prelude::*;
 use super::style::{BLUE, FAINT, FONT, GREEN, INK, Key, LIMIT, LINE, TEXT, TITLE, with_key};
 use super::{DrawingError, Panel, PlotError};
 
-/// Mean return from which a policy may count as successful.
+/// Return that a rollout needs to count as a success, if it also balances to the end.
 const SUCCESS: f64 = 400.0;
 
 /// Draws the searches, a row for each recipe. A recipe is given by its name and the returns of each

@@ -12,13 +12,13 @@ pub struct StepLine {
     pub corners: Vec<(f64, f64)>,
 }
 
-/// Vertical offset of each line from the line before it, as a share of the repetitions. It keeps
-/// equal lines from hiding each other.
+/// Distance of each line below the line before it, as a share of the repetitions. It keeps equal
+/// lines from hiding each other.
 const APART: f64 = 0.012;
 
 /// Draws, for each method, the share of repetitions whose recommendation has succeeded, as a step
 /// line over the number of real rollouts. A line that ends below 1 has repetitions that never
-/// succeeded. `last` is the number of rollouts at the right end of the axis.
+/// succeeded. `last` is the number of rollouts at the right end of the axis, above 1.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -1,5 +1,5 @@
-//! The style of all figures: colours that colour-blind people can tell apart (Okabe and Ito 2008),
-//! fonts and strokes.
+//! The style of all figures: colours that colour-blind people can tell apart (after Okabe and Ito
+//! 2008), fonts and strokes.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -39,7 +39,7 @@ pub const TITLE: u32 = 18;
 /// Width of a line, pixels.
 pub const LINE: u32 = 2;
 
-/// The colour of the line with this index.
+/// The colour of the line with this index; after seven lines the colours repeat.
 pub fn colour(index: usize) -> RGBColor {
     PALETTE[index % PALETTE.len()]
 }

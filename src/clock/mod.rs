@@ -28,8 +28,8 @@ pub use virtual_clock::VirtualClock;
 /// Nanoseconds: a point in time, counted from an arbitrary fixed origin, or a duration.
 pub type Nanoseconds = u64;
 
-/// A source of time that a thread can also wait on. Every function of the control
-/// loop that waits takes a clock.
+/// A source of time that a thread can also wait on. Every function of the control loop that waits
+/// takes a clock.
 pub trait Clock: Send + Sync {
     /// The present time, which never goes backwards.
     fn now_ns(&self) -> Nanoseconds;

@@ -30,8 +30,8 @@ impl PunctualClock {
         }
     }
 
-    /// Sets the longest spin before a deadline, ns; values above 100 us count as 100 us, and 0
-    /// disables the spin.
+    /// Sets the longest spin before a deadline, ns, on a single processor too; values above 100 us
+    /// count as 100 us, and 0 disables the spin.
     #[must_use]
     pub fn with_spin_ns(self, spin_ns: Nanoseconds) -> Self {
         Self { spin_ns: spin_ns.min(SPIN_NS), ..self }

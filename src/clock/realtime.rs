@@ -55,7 +55,8 @@ pub fn enter_realtime() -> RealtimeRefusals {
     let memory = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).err().map(|error| {
         format!(
             "memory could not be locked ({error}): a page fault may delay a tick. Allow it with a \
-             line `@realtime - memlock unlimited` in /etc/security/limits.conf"
+             line `@realtime - memlock unlimited` in /etc/security/limits.conf and membership in \
+             that group"
         )
     });
     let timer_slack = set_current_timer_slack(Some(TIMER_SLACK_NS)).err().map(|error| {

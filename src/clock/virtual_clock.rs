@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::{Clock, Nanoseconds};
 
-/// A clock whose time passes only when a thread waits for it, or by [`advance`](Self::advance).
+/// A clock whose time passes only when a thread waits on it, or by [`advance`](Self::advance).
 /// Clones share the same time.
 ///
 /// Only one thread should wait on it; the atomic merely lets other threads read the time.

@@ -30,7 +30,8 @@ pub fn after_limit(limit: Limit) -> Option<&'static str> {
         .then_some("qube-hil run --excite chirp, then qube-hil identify, make a new profile")
 }
 
-/// The remedy of a failed check, with the command that carries the remedy out.
+/// The remedy of a check, with the command that helps, if there is one; `None` if the check has no
+/// remedy.
 pub fn remedy(result: &CheckResult) -> Option<String> {
     let remedy = result.remedy.clone()?;
     Some(match result.name.as_str() {
@@ -55,7 +56,8 @@ pub fn recording(error: &RecordingError) -> String {
     format!("{error}{by}")
 }
 
-/// The reason why a box is refused, with the options that allow it.
+/// The reason why a box or a plant is refused for hardware, with the options that allow it, if there
+/// are any.
 pub fn too_wide(error: &HardwareRefusal) -> String {
     match error {
         HardwareRefusal::GuardOff => {
@@ -69,13 +71,13 @@ pub fn too_wide(error: &HardwareRefusal) -> String {
 }
 
 /// The warning before the program drives a Qube that is not identified, with the commands that make
-/// a profile of the Qube.
+/// a profile of the Qube; `None` if it is identified or the guard is not foresight.
 pub fn unidentified(rig: &RigSettings, guard: Guard) -> Option<String> {
     let warning = rig.identification_warning(guard)?;
     Some(format!("{warning}: qube-hil run --excite chirp, then qube-hil identify"))
 }
 
-/// The drift of a rig from its profile. If the rig has moved, the commands that make a new profile
+/// The drift of a rig from its profile. If the rig has drifted, the commands that make a new profile
 /// follow.
 pub fn drift(drift: &Drift) -> String {
     let made_by = if drift.has_moved() { " with run --excite and identify" } else { "" };
@@ -83,8 +85,8 @@ pub fn drift(drift: &Drift) -> String {
 }
 
 /// The warning before the program drives a real Qube whose motor may keep its voltage when the
-/// board loses power. If the motor's reaction is unknown, the warning names the command that finds
-/// it out.
+/// board loses power; `None` if the motor is known to go off. If its reaction is unknown, the warning
+/// names the command that finds it out.
 pub fn before_driving(power: Option<&PowerTest>) -> Option<String> {
     let warning = power_warning(power)?;
     Some(match power.map(|power| power.usb_lost) {

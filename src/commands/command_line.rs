@@ -1,4 +1,4 @@
-//! Parses the command line. Every error names the option that it is about.
+//! Parses the command line. Errors about the value of an option name the option.
 
 use std::error::Error;
 use std::ffi::OsString;
@@ -13,7 +13,8 @@ use super::exit::Failure;
 use super::output::Output;
 use super::printable::print_message;
 
-/// Parses these arguments. An error or the help is printed, and the exit code is returned as `Err`.
+/// Parses these arguments, of which the first is the program's name. An error, the help or the version
+/// is printed, and the exit code is returned as `Err`.
 pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     let mut command = command();
     let matches = command.try_get_matches_from_mut(&arguments);

@@ -13,7 +13,7 @@ use super::output::Output;
     source <(qube-hil completions bash)                  # in this shell\n  \
     qube-hil completions fish > ~/.config/fish/completions/qube-hil.fish")]
 pub struct Arguments {
-    /// Shell
+    /// Shell that reads the completions
     shell: Shell,
 }
 

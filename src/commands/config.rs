@@ -28,7 +28,7 @@ pub struct Arguments {
 enum Action {
     /// Print every setting with default, unit, accepted values and meaning
     Print {
-        /// Extent whose defaults are printed
+        /// Preset whose settings are printed as the defaults
         #[arg(long, value_enum, default_value_t = Preset::Quick)]
         preset: Preset,
     },
@@ -38,7 +38,7 @@ enum Action {
         #[arg(required = true, value_name = "FILE")]
         files: Vec<PathBuf>,
 
-        /// Extent whose entries the files override
+        /// Preset whose settings the files override
         #[arg(long, value_enum, default_value_t = Preset::Quick)]
         preset: Preset,
     },
@@ -46,7 +46,8 @@ enum Action {
 
 const HEAD: &str = "\
 # The settings of a session, each with its meaning, unit and accepted values. Keep only the lines that you change:
-# what a file does not name comes from the preset. Lines with # and no space are absent by default, with an example.
+# what a file does not name comes from the preset. But without the table [identification] the default method is
+# bayrn, a search that does not identify the Qube. Lines with # and no space are absent by default, with an example.
 # A plant other than the Qube is described in a file of its own (--plant).";
 
 /// Prints the settings or checks files of them.
@@ -57,8 +58,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
 }
 
-/// The settings that `print` shows: those of the preset, and for the preset `quick` also the
-/// identification, which a session has that is started without arguments.
+/// The settings that `print` shows: those of the preset, and for `quick` also the table
+/// `[identification]`, because a session without arguments identifies its Qube.
 fn printed(preset: Preset) -> SessionSettings {
     let identification = match preset {
         Preset::Quick => Some(IdentificationSettings::DEFAULT),

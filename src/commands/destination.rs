@@ -54,8 +54,9 @@ impl OutputFile {
         Ok(Self { path: path.to_owned(), replace })
     }
 
-    /// Writes the file, which appears whole or not at all. If that fails, the bytes go into the
-    /// folder for temporary files, and the failure names the file there.
+    /// Writes the file, which appears whole or not at all. If that fails, or another process has
+    /// created the file meanwhile, the bytes go into the folder for temporary files. The failure
+    /// names the file there, or says that the result is lost.
     pub fn write(&self, bytes: &[u8]) -> Result<(), Failure> {
         self.write_or_keep_in(&std::env::temp_dir(), bytes)
     }
@@ -67,7 +68,10 @@ impl OutputFile {
                 Err(error) => failures::folder(&error.into()),
             }
         } else {
-            Failure::usage(format!("{} was created by another process", self.path.display()))
+            Failure::usage(format!(
+                "{} was created by another process meanwhile",
+                self.path.display()
+            ))
         };
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let name = self.path.file_name().unwrap_or(OsStr::new("result")).to_string_lossy();
@@ -84,8 +88,8 @@ impl OutputFile {
     }
 }
 
-/// The folder that a command writes into during its work. Folders that this type has created are
-/// removed again if they stay empty.
+/// The folder that a command writes into during its work. Dropping it removes those of the folders
+/// that it has created which are still empty.
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,

@@ -68,8 +68,8 @@ pub struct QubeArguments {
     #[arg(long, value_name = "emulated|PORT|hil:CARD@ID")]
     device: Option<String>,
 
-    /// File with this Qube's properties (signs, port, limits), as `check --write` writes it [default with a
-    /// PORT: qube.toml, if it exists]
+    /// File with this Qube's properties (signs, port, limits), as `check --write` writes it [default if
+    /// --device names a real Qube: qube.toml, if it exists]
     #[arg(long, value_name = "FILE")]
     qube: Option<PathBuf>,
 
@@ -140,7 +140,7 @@ pub struct ChosenDevice {
     plant_consent: Option<PlantConsent>,
     /// Properties of the Qube, if a file describes it.
     pub file: Option<QubeFile>,
-    /// Path of the file with the Qube's properties.
+    /// Path of the file with the Qube's properties, if there is one.
     pub path: Option<PathBuf>,
     home: Option<HomingMethod>,
     /// Profile that the file with the Qube's properties names, if any.
@@ -178,8 +178,8 @@ impl QubeArguments {
     /// Reads the file with the Qube's properties, if there is one, and selects the Qube, or the
     /// other plant that is driven in its place. An emulated Qube is put into virtual time.
     ///
-    /// The file `qube.toml` in the working directory counts only with a port: without `--device`
-    /// and `--qube` nothing but the emulated Qube moves, even if that file exists.
+    /// The file `qube.toml` in the working directory counts only if `--device` names a real Qube:
+    /// without `--device` and `--qube` nothing but the emulated Qube moves, even if that file exists.
     pub fn choose(&self, driven: &DrivenPlantArguments) -> Result<ChosenDevice, Failure> {
         let given = driven.plant.given()?;
         let chosen = ChosenDevice {
@@ -241,8 +241,8 @@ impl QubeArguments {
 }
 
 impl ChosenDevice {
-    /// Homing settings: those of the Qube's file or else `default`, with the method that the
-    /// arguments name, if any.
+    /// Homing settings: those of the Qube's file with the estimator of `default`, or else `default`;
+    /// a method that the arguments name replaces theirs.
     pub fn homing(&self, default: HomingSettings) -> HomingSettings {
         let homing = self.file.as_ref().map_or(default, |file| file.homing(default.estimator));
         HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
@@ -303,7 +303,8 @@ impl ChosenDevice {
             .map_err(|error| Failure::usage(format!("--plant: {}", too_wide(&error))))
     }
 
-    /// Checks that a port or a card can be opened, before a command trains or writes anything. Nothing moves.
+    /// Checks that a port can be opened, or that a card answers, before a command trains. Nothing moves. Any other
+    /// device passes.
     pub fn check_port(&self) -> Result<(), Failure> {
         let clock: Arc<dyn Clock> = Arc::new(MonotonicClock);
         let opened = match &self.choice {
@@ -316,14 +317,14 @@ impl ChosenDevice {
         opened.map_err(Failure::usage)
     }
 
-    /// The task's box, narrowed to the limits in the Qube's file.
+    /// The task's box, narrowed to the limits in the Qube's file, if there is one.
     pub fn safety_box(&self, of_the_task: SafetyBox) -> SafetyBox {
         self.file.as_ref().map_or(of_the_task, |file| file.within_limits(&of_the_task))
     }
 
-    /// The limits of a rig with this device, after a check that `safety_box` keeps them. `origin`
-    /// names the source of the box in the error. The box is checked for hardware only, because an
-    /// emulated Qube has no stop that could break.
+    /// The limits of a rig with this device: for hardware no box may be wider than `safety_box`, which
+    /// must itself be allowed; for an emulated Qube, which has no stop that could break, the limits
+    /// are the default ones. `origin` names the source of the box in the error.
     pub fn limits(
         &self,
         origin: &str,
@@ -354,7 +355,8 @@ impl ChosenDevice {
         self.file.as_ref().map_or(of_plant, |file| file.motor.lower(&of_plant))
     }
 
-    /// The settings with which a rig is opened.
+    /// The settings with which a rig is opened. The widest box is the task's; callers with a
+    /// narrower box replace the limits.
     pub fn rig_settings(
         &self,
         emulator: EmulatorSettings,
@@ -393,7 +395,7 @@ pub struct CheckArguments {
     #[arg(long)]
     pub acknowledge: bool,
 
-    /// Time for which a lost link is retried, s [default: 30]
+    /// Time for which the program tries to reach a lost link again, s [default: 30]
     #[arg(long, value_name = "S", value_parser = patience)]
     pub link_patience: Option<f64>,
 }
@@ -405,8 +407,8 @@ impl CheckArguments {
         let memory = doubts_folder().filter(|_| outlives).map(DoubtStore::new);
         if outlives && memory.is_none() {
             print_message(
-                "warning: there is no folder for the record of a doubt after a fault: set HOME or \
-                 XDG_STATE_HOME",
+                "warning: a doubt after a fault cannot be recorded, because there is no folder for it: set \
+                 HOME or XDG_STATE_HOME",
             );
         }
         Recovery {
@@ -422,8 +424,8 @@ fn patience(text: &str) -> Result<f64, String> {
     between(text, 0.0, 3600.0)
 }
 
-/// Folder for the doubts about boards: the service's state folder, else the user's; `None` if the
-/// environment names none by an absolute path.
+/// Folder for the doubts about boards: the service's state folder, else `qube-hil` in the user's;
+/// `None` if the environment names none by an absolute path.
 fn doubts_folder() -> Option<PathBuf> {
     let folder = |name: &str| {
         let value = std::env::var_os(name).filter(|value| !value.is_empty())?;

@@ -20,7 +20,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=3600))]
     seconds: u32,
 
-    /// Port to check, or hil:CARD@ID for a Qube with the USB panel (may be repeated) [default: all USB ports]
+    /// Port to check, or hil:CARD@ID for a Qube with the USB panel; may be repeated [default: all USB serial ports]
     #[arg(long, value_name = "PORT")]
     device: Vec<String>,
 }

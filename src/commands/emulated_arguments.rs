@@ -24,7 +24,7 @@ pub struct EmulatedArguments {
     #[arg(long, value_name = "FACTOR", value_parser = factor)]
     gap: Option<f64>,
 
-    /// Delay from command to motor [default: the profile's]
+    /// Delay from command to motor, ms [default: the profile's]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     delay_ms: Option<f64>,
 
@@ -32,28 +32,28 @@ pub struct EmulatedArguments {
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     jitter_ms: Option<f64>,
 
-    /// Drift of the cable's rest angle while the Qube is on; needs a profile with a cable, such as `lab`
+    /// Drift of the cable's rest angle while the Qube is on, rad/min; needs a profile with a cable, such as `lab`
     /// [default: the profile's cable_drift_rad_per_min, mostly 0]
     #[arg(long, value_name = "RAD/MIN", value_parser = drift, allow_negative_numbers = true)]
     cable_drift: Option<f64>,
 
-    /// Backlash between motor and arm: the angle in which one turns without the other; the encoder is on
-    /// the arm's side [default: 0]
+    /// Backlash between motor and arm, degrees: the angle in which one turns without the other; the encoder is
+    /// on the arm's side [default: 0]
     #[arg(long, value_name = "DEGREES", value_parser = play)]
     play_deg: Option<f64>,
 
-    /// Effect that no simulation of the program has: presliding_rad, stribeck, hysteresis_n_m, slack, warming_per_w or
-    /// eccentricity_rad (docs/hardware.md), for instance presliding_rad=0.02; may be repeated
+    /// Effect that the simulations of training and identification lack: presliding_rad, stribeck, hysteresis_n_m,
+    /// slack, warming_per_w or eccentricity_rad (docs/hardware.md), for instance presliding_rad=0.02; may be repeated
     #[arg(long, value_name = "NAME=VALUE", value_parser = effect)]
     effect: Vec<(String, f64)>,
 
-    /// Multiply a parameter (R_m, k_m, D_r, D_p, M_r, M_p, L_r, L_p or g), for instance M_p=1.1; may be
-    /// repeated
+    /// Multiply a parameter (R_m, k_m, D_r, D_p, M_r, M_p, L_r, L_p or g) by 0.1 to 10, for instance M_p=1.1;
+    /// may be repeated
     #[arg(long, value_name = "NAME=FACTOR", value_parser = scaling)]
     scale: Vec<(DomainParameter, f64)>,
 }
 
-/// An emulated Qube as an entry of a file of plants describes it. Keys that the entry leaves out
+/// An entry of a file of plants, which describes one emulated Qube. Keys that the entry leaves out
 /// have the defaults of the command line.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -71,8 +71,8 @@ pub struct PlantEntry {
     #[serde(default)]
     scale: BTreeMap<String, f64>,
     #[serde(default)]
-    /// Relative width of the range from which each policy's own Qube is drawn; 0 gives all policies
-    /// the same Qube.
+    /// Relative half width of the range from which each policy's own Qube is drawn, 0 to 0.5; 0 gives
+    /// all policies the same Qube.
     pub vary: f64,
 }
 

@@ -15,8 +15,8 @@ pub struct EstimatorArguments {
     #[arg(long, value_enum)]
     estimator: Option<EstimatorArgument>,
 
-    /// Corner of the velocity filter, rad/s (the thesis uses 50) [default: 200; `experiment` without
-    /// --preset robust: 50]
+    /// Corner of the velocity filter, rad/s (the thesis uses 50) [default: 200, or as --config says;
+    /// `experiment` without --preset robust: 50]
     #[arg(long, value_name = "CORNER", value_parser = corner)]
     filter: Option<f64>,
 
@@ -25,7 +25,7 @@ pub struct EstimatorArguments {
     #[arg(long, value_name = "ideal|lab|FILE")]
     estimator_profile: Option<String>,
 
-    /// Delay that the observer predicts over: from a sample until the voltage that answers it acts at the
+    /// Delay that the observer predicts over, ms: from a sample until the voltage that answers it acts at the
     /// motor [default: the delay in --estimator-profile]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     estimator_delay_ms: Option<f64>,
@@ -41,7 +41,8 @@ enum EstimatorArgument {
 }
 
 impl EstimatorArguments {
-    /// The settings of the estimator for this plant; `None` without any argument.
+    /// The settings of the estimator for this plant; `None` without any argument. The arguments of an
+    /// estimator that is not selected are refused.
     pub fn settings(&self, plant: &PlantModel) -> Result<Option<EstimatorSettings>, Failure> {
         let observes = self.estimator == Some(EstimatorArgument::Observer);
         if observes && self.filter.is_some() {

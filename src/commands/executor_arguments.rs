@@ -17,7 +17,8 @@ use crate::storage::MachineDisk;
 pub struct ExecutorArguments {
     /// Where policies are trained: `local` on this computer; `slurm` by job arrays of Slurm; `folder` by workers that
     /// you start by hand; any other text is a command that starts workers, in which {work} stands for a worker's
-    /// command, {workers} for their number and {folder} for the folder of jobs. Policies do not depend on it
+    /// command, {workers} for their number and {folder} for the folder of jobs. The policies are the same
+    /// wherever they are trained
     #[arg(long, value_name = "local|slurm|folder|COMMAND", default_value = "local")]
     executor: String,
 
@@ -29,7 +30,7 @@ pub struct ExecutorArguments {
     #[arg(long, value_name = "DIR")]
     jobs: Option<PathBuf>,
 
-    /// The program on the workers' computers [default: the path of this one]
+    /// Path of the program on the workers' computers [default: the path of this program here]
     #[arg(long, value_name = "PATH")]
     worker_program: Option<PathBuf>,
 
@@ -37,7 +38,7 @@ pub struct ExecutorArguments {
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     tries: u32,
 
-    /// Time without a sign of life after which a worker counts as dead, s
+    /// Time without a sign of life after which a worker counts as dead, s; 1 to 86400
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = stale_seconds)]
     stale: f64,
 
@@ -68,8 +69,8 @@ fn stale_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl ExecutorArguments {
-    /// The executor of the trainings, or `None` for this computer's cores. `results` is the folder
-    /// of the session or experiment.
+    /// The executor of the trainings, or `None` for this computer's cores. It becomes the coordinator
+    /// of the folder of jobs. `results` is the folder of the session or experiment.
     pub fn executor(
         &self,
         results: &Path,

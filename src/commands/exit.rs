@@ -17,27 +17,28 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// Exit code 1: the attempt did not succeed (a failed check, a full disk).
+    /// A failure with exit code 1: the attempt did not succeed (a failed check, a full disk).
     pub fn failed(message: impl ToString) -> Self {
         Self { code: 1, message: message.to_string(), fault: None }
     }
 
-    /// Exit code 2: the request is invalid (bad usage, bad input, no such port).
+    /// A failure with exit code 2: the request is invalid (bad usage, bad input, no such port).
     pub fn usage(message: impl ToString) -> Self {
         Self { code: 2, message: message.to_string(), fault: None }
     }
 
-    /// Exit code 3: finished, but data was lost or a replay differs.
+    /// A failure with exit code 3: finished, but data was lost or a replay differs.
     pub fn data_lost(message: impl ToString) -> Self {
         Self { code: 3, message: message.to_string(), fault: None }
     }
 
-    /// Exit code 4: stopped by a latched safety fault.
+    /// A failure with exit code 4: stopped by a latched safety fault. [`caused_by`](Self::caused_by)
+    /// adds the fault.
     pub fn fault(message: impl ToString) -> Self {
         Self { code: 4, message: message.to_string(), fault: None }
     }
 
-    /// Exit code 128 + signal: stopped by a signal; finished work is on disk.
+    /// A failure with exit code 128 + signal: stopped by a signal; finished work is on disk.
     pub fn interrupted(signal: i32, message: impl ToString) -> Self {
         let code = 128_u8.wrapping_add(signal as u8);
         Self { code, message: message.to_string(), fault: None }
@@ -45,7 +46,7 @@ impl Failure {
 
     /// The failure of work that consists of several named parts, some of which failed; `None` if
     /// none failed. The exit code is the largest of the parts: a stop by a signal comes before a
-    /// fault, and a fault before other failures.
+    /// fault, and a fault before other failures. The fault is the first part's that has one.
     pub fn of_parts(parts: &[(String, Self)]) -> Option<Self> {
         let code = parts.iter().map(|(_, failure)| failure.code).max()?;
         let causes: Vec<String> =
@@ -54,7 +55,8 @@ impl Failure {
         Some(Self { code, message: causes.join("\n"), fault })
     }
 
-    /// Adds the fault that caused the failure, and the command that helps after it.
+    /// Sets the fault that caused the failure, and adds the command that helps after it, if there is
+    /// one.
     pub fn caused_by(self, fault: Option<Fault>) -> Self {
         let failure = Self { fault, ..self };
         match fault.and_then(after_fault) {
@@ -84,7 +86,8 @@ impl Failure {
         self.code == 2
     }
 
-    /// The cause of a run's end as JSON, for scripts.
+    /// The failure as JSON for scripts: exit code, cause, and of a fault its operator's step and its
+    /// consequence.
     pub fn ended_by(&self) -> Value {
         json!({
             "exit_code": self.code,
@@ -95,7 +98,7 @@ impl Failure {
         })
     }
 
-    /// Prints the message and returns the exit code.
+    /// Prints the message on stderr and returns the exit code.
     pub fn report(&self) -> u8 {
         print_message(&format!("qube-hil: {}", with_short_numbers(&self.message)));
         self.code

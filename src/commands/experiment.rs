@@ -35,7 +35,7 @@ use crate::learning::{Preset, TrainSettings};
 use crate::rig::RigSettings;
 use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
-use crate::session::{Extent, SessionError, SessionSettings};
+use crate::session::{EmulatedQubeSettings, Extent, SessionError, SessionSettings};
 use crate::simulation::{Family, Model, SensorModel};
 
 /// Name in an experiment's settings of the plant that is a real Qube.
@@ -50,9 +50,10 @@ const REAL_QUBE: &str = "device";
 /// need. A policy succeeds when its mean return is at least 400 (of at most 600) and at least 4 of 5 of its
 /// rollouts balance to the end.
 ///
-/// Without other flags everything is as published: true states in training, the plain box, a velocity
-/// filter of 50 rad/s on the Qube. --preset robust trains with the Qube's sensors, guards by foresight,
-/// and uses a filter of 200 rad/s.
+/// Without other flags everything but the training budget is as published: true states in training, the plain
+/// box (foresight on a real Qube), a velocity filter of 50 rad/s on the Qube. --preset thesis has the published
+/// budget, too. --preset robust trains with the Qube's sensors, guards by foresight, and uses a filter of
+/// 200 rad/s.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil experiment --profile lab              # the thesis's table, on a Qube with friction, cable and delay\n  \
@@ -82,7 +83,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     recipe: Vec<PathBuf>,
 
-    /// Family of all distributions
+    /// Family of the distributions of simulations
     #[arg(long, value_enum, default_value_t = FamilyArgument::Normal, conflicts_with = "resume")]
     family: FamilyArgument,
 
@@ -130,7 +131,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
-    /// Only print the table of finished work
+    /// Do no work: print the table of the finished work, and write its report again
     #[arg(long, requires = "resume")]
     table: bool,
 
@@ -138,7 +139,8 @@ pub struct Arguments {
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
 
-    /// Also write a CSV file with a line for each policy, or recommendation; without --force it replaces only such a file
+    /// At the end also write a CSV file with a line for each policy on each plant, or for each recommendation; without
+    /// --force it replaces only such a file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 
@@ -146,8 +148,8 @@ pub struct Arguments {
     #[arg(long, requires = "csv")]
     force: bool,
 
-    /// Also draw figures into this folder: the thesis's 5.2 (distributions) and 5.3 (training progress) and the searches,
-    /// or the lines of the strategies
+    /// At the end also draw figures into this folder: the thesis's 5.2 (distributions) and 5.3 (training progress) and
+    /// the searches; with --strategies the success of each over its real rollouts
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
 
@@ -196,7 +198,7 @@ enum Sensors {
 }
 
 /// The parser of model names. Models around an identified Qube are left out, because they need a
-/// recipe that names the Qube.
+/// recipe that names the Qube's profile.
 fn model_parser() -> impl TypedValueParser<Value = Model> {
     let offered = Model::ALL.into_iter().filter(|model| !model.needs_profile());
     named(offered.map(|model| (model.name(), model.description(), model)))
@@ -325,11 +327,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// An experiment in its folder, and the file for its CSV table.
+/// An experiment that begins or is resumed: its folder, its settings, and the file of `--csv`, if it is
+/// given.
 type Opened = (ExperimentFolder, ExperimentSettings, Option<OutputFile>);
 
-/// Checks before any work that figures and CSV table can be written; returns the file for the table. The folder of the
-/// experiment may hold both, so it must exist when this function is called.
+/// Checks before any work that figures and CSV table can be written; returns the file of `--csv`, if it is given.
+/// Figures and table may go into the folder of the experiment, so that folder must exist when this is called.
 fn check_places(arguments: &Arguments) -> Result<Option<OutputFile>, Failure> {
     if let Some(folder) = &arguments.figures {
         let existing = folder.ancestors().find(|it| it.exists());
@@ -365,11 +368,16 @@ fn check_resumed_device(
     settings: &ExperimentSettings,
     device: &ChosenDevice,
 ) -> Result<(), Failure> {
-    let is_real = |plant: &Plant| plant.name == REAL_QUBE && plant.emulated == Default::default();
+    // `--unidentified` is stored with the plant, whichever it is.
+    let is_real = |plant: &Plant| {
+        let unidentified = plant.emulated.unidentified;
+        let nothing_emulated = EmulatedQubeSettings { unidentified, ..Default::default() };
+        plant.name == REAL_QUBE && plant.emulated == nothing_emulated
+    };
     let began_on_hardware = settings.plants.iter().all(is_real);
     match (began_on_hardware, device.choice.is_hardware()) {
         (true, false) => Err(Failure::usage(
-            "this experiment began on a real Qube: give the --device or --qube of its beginning",
+            "this experiment began on a real Qube: give --device or --qube as when it began",
         )),
         (false, true) => Err(Failure::usage(
             "this experiment began on emulated Qubes: leave --device and --qube out",
@@ -444,7 +452,7 @@ fn folder_failure(error: ExperimentError) -> Failure {
     }
 }
 
-/// The settings that the flags give, to which each recipe adds its model.
+/// The settings that the flags give; each recipe sets its model and what its file overrides.
 fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let is_emulated = !device.choice.is_hardware();
     let knows_the_machine = arguments.preset == Preset::Robust;

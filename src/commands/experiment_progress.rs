@@ -23,14 +23,15 @@ pub struct ExperimentProgress {
     began: Instant,
     count: u64,
     done: AtomicU64,
-    /// Number of updates of a training: by the name of its recipe, and for any other name.
+    /// Number of updates of a training: by the name of its recipe, and for any other name those of
+    /// the first recipe.
     updates: (BTreeMap<String, u32>, u32),
-    /// The best mean return so far.
+    /// The best mean return of a policy on a plant so far.
     best: Mutex<Option<f64>>,
 }
 
 impl ExperimentProgress {
-    /// A display for an experiment of this extent.
+    /// A display for an experiment with these settings.
     pub fn new(settings: &ExperimentSettings, progress: &Progress, stop: &Stop) -> Self {
         let (count, item) = match &settings.strategies {
             Some(it) if it.has_budgets() => {

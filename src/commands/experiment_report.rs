@@ -76,7 +76,7 @@ impl ExperimentReport {
     /// The page for a browser, with the commands that repeat the experiment.
     ///
     /// # Errors
-    /// A search or the data of a figure cannot be read or written.
+    /// A search cannot be read, or the data of a figure cannot be written.
     pub fn page(
         &self,
         experiment: &Experiment,
@@ -97,8 +97,8 @@ impl ExperimentReport {
         .map_err(|error| error.to_string())
     }
 
-    /// The data of the figures; figures of recipes need the searches, distributions and trainings,
-    /// too.
+    /// The data of the figures. For recipes they also contain the searches, distributions and
+    /// trainings, which are read here.
     ///
     /// # Errors
     /// A search or a learning curve cannot be read.
@@ -121,8 +121,8 @@ impl ExperimentReport {
 /// Largest number of pairs of recipe and plant whose rollouts a page shows.
 const SHOWN: usize = 20;
 
-/// The first rollout of the best and of the worst policy of each recipe on each plant. Rollouts
-/// that cannot be read are left out.
+/// The first rollout of the best and of the worst policy, by mean return, of each of the first `SHOWN`
+/// pairs of recipe and plant. Rollouts that cannot be read are left out.
 fn examples(results: &Results) -> NamedRollouts {
     let mut rollouts = NamedRollouts::new();
     // The rows for all plants together repeat the policies of the other rows.
@@ -163,9 +163,10 @@ fn share_of_plant(result: &RecipeResult) -> Option<ShareOfPlant> {
 
 /// The figures of an experiment as data.
 pub enum Figures<'a> {
-    /// Success against the number of real rollouts, for a comparison of strategies.
+    /// Success against the number of real rollouts, for methods that are scored until their first
+    /// success.
     Strategies(&'a StrategyResults),
-    /// Success after fixed numbers of real rollouts, for a comparison of methods.
+    /// Success after fixed numbers of real rollouts, for methods that are scored at budgets.
     Budgets(Vec<ShareOfPlant>),
     /// The distributions, searches and trainings of recipes.
     Recipes {
@@ -212,7 +213,7 @@ impl Figures<'_> {
         Ok(drawn)
     }
 
-    /// Draws the figures and writes them into a folder.
+    /// Draws the figures and writes them into a folder, which is created if it is missing.
     pub fn write(&self, folder: &Path) -> Result<(), Failure> {
         let drawn = self.drawn().map_err(Failure::failed)?;
         MachineDisk

@@ -9,7 +9,7 @@ use crate::scoring::{Behaviour, Quietness};
 /// Width of the column of names, characters; longer names are cut.
 const NAME: usize = 20;
 
-/// The table for people, 80 columns wide: a block for each plant.
+/// The table for people, up to 80 columns wide: a block for each plant.
 pub fn table(results: &Results) -> String {
     let comparisons = results.comparisons();
     let mut text = String::new();
@@ -82,10 +82,11 @@ fn quietness_columns(quietness: &Quietness) -> String {
 }
 
 fn line(recipe: &RecipeResult) -> String {
-    let spread = |(mean, deviation): (f64, f64)| match recipe.policies.len() {
-        0 => "-".into(),
-        1 => format!("{mean:.1}"),
-        _ => format!("{mean:.1} ± {deviation:5.1}"),
+    // Policies whose rollouts are all void have no return, and one return has no deviation.
+    let spread = |(mean, deviation): (f64, f64)| match (mean.is_finite(), deviation.is_finite()) {
+        (false, _) => "-".into(),
+        (true, false) => format!("{mean:.1}"),
+        (true, true) => format!("{mean:.1} ± {deviation:5.1}"),
     };
     let returns = recipe.return_interval();
     let success = recipe.success_interval();

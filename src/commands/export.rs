@@ -39,7 +39,7 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = Format::Csv)]
     format: Format,
 
-    /// The files are policies of networks; write each as an ONNX model
+    /// The files are policies that are networks; write each as an ONNX model
     #[arg(long, conflicts_with = "format")]
     onnx: bool,
 

@@ -1,4 +1,5 @@
-//! Maps each error of the library to an exit code.
+//! Maps each error of the library to a failure with its exit code, and to advice that names commands
+//! and options.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Write};
@@ -59,9 +60,9 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
     failure.caused_by(fault)
 }
 
-/// Writes the last second before a fault or a lost link ended homing, which has no recording, to a
-/// file with one tick a line. Returns a sentence with its path for the error message; empty for
-/// other errors.
+/// Writes the ticks of the last second before a fault or a lost link ended homing to a file, one tick a
+/// line, because homing has no recording. Returns a sentence for the error message: the path of the
+/// file, or why it could not be written. Empty for other errors and without ticks.
 pub fn with_last_ticks(error: &RigError) -> String {
     let last_ticks = match error {
         RigError::Homing { last_ticks, .. } | RigError::LinkLost { last_ticks, .. } => last_ticks,
@@ -77,8 +78,8 @@ pub fn with_last_ticks(error: &RigError) -> String {
     let text: String = lines.collect();
     let written = File::create_new(&path).and_then(|mut file| file.write_all(text.as_bytes()));
     match written {
-        Ok(()) => format!(" The last second before it is in {}", path.display()),
-        Err(reason) => format!(" The last second before it could not be kept: {reason}"),
+        Ok(()) => format!(" The last second of the homing is in {}", path.display()),
+        Err(reason) => format!(" The last second of the homing could not be kept: {reason}"),
     }
 }
 
@@ -103,7 +104,7 @@ pub fn policy(error: &PolicyError) -> Failure {
 pub fn folder(error: &FolderError) -> Failure {
     let advice = match error {
         FolderError::Exists { path } => format!(
-            ". Choose another --out, or continue a session with --resume {}",
+            ". Choose another --out, or continue what is there with --resume {}",
             path.display()
         ),
         FolderError::NotASession { .. } => ". Give the folder of a session to --resume".into(),
@@ -121,7 +122,8 @@ pub fn not_written(path: &Path, error: &io::Error) -> Failure {
     if is_bad_place(error) { Failure::usage(message) } else { Failure::failed(message) }
 }
 
-/// Whether this user can never write to the place; false for a disk that is full or fails.
+/// Whether the place itself is wrong, so that this user cannot write there at any time; false for a
+/// disk that is full or fails.
 fn is_bad_place(error: &io::Error) -> bool {
     use ErrorKind::*;
     matches!(
@@ -137,7 +139,7 @@ fn is_bad_place(error: &io::Error) -> bool {
     )
 }
 
-/// The failure for an error of a session.
+/// The failure for an error of a session; `resume` is the command that continues the session.
 pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     let fault = error.fault();
     let failure = match error {
@@ -199,7 +201,7 @@ pub fn job_folder(error: &JobFolderError, stop: &Stop) -> Failure {
     }
 }
 
-/// The failure for an error of an experiment.
+/// The failure for an error of an experiment; `resume` is the command that continues the experiment.
 pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure {
     match error {
         _ if error.is_stop() => stop.failure(format!("stopped; continue with {resume}")),

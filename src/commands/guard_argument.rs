@@ -39,7 +39,8 @@ pub struct ConsentArgument {
 }
 
 impl ConsentArgument {
-    /// The operator's consent, if both arguments are on this command line.
+    /// The operator's consent, if both arguments are on this command line. Consent without
+    /// `--guard box` is refused.
     pub fn beside(self, guard: Option<GuardArgument>) -> Result<Option<GuardConsent>, Failure> {
         if self.accept_hard_stop && guard != Some(GuardArgument::Box) {
             return Err(Failure::usage(

@@ -20,19 +20,21 @@ use crate::qube::{PlantModel, QubeModel};
 use crate::replay::{Incomplete, MotionLog, simulate_from};
 use crate::storage::{MachineDisk, write_whole};
 
-/// Horizons of the predictions of chirps and steps in the table, s. The longest is the rest of an
-/// excitation of 10 s after the 0.2 s from which the start state is estimated.
+/// Horizons at which the table shows the predictions of recordings whose pendulum stays down, such as
+/// chirps and steps, s. The longest is the rest of an excitation of 10 s after the 0.2 s from which the
+/// start state is estimated.
 const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 
 /// Identify the Qube, or another plant, that made recordings: parameters, friction, dead zone, cable and delay
 ///
 /// `run --excite chirp` and `--excite steps` make such recordings; swing-ups, balancing and rollouts of policies
-/// can be used as well, in any mixture. Recordings name their plant, and all must be of the same plant. The result is a profile: `train`, `run`, `session`,
-/// `emulate` and `replay` read it with --profile. Verify it with recordings that it was not fitted to
-/// (--holdout): for each, the start state is estimated from the first 0.2 s, and the model then receives only
-/// the voltages. The cable rests as in the fitted recordings of the same series; the names of a series differ in
-/// the last number only. A recording whose pendulum comes upright is predicted piece by piece: 0.5 s of its
-/// swing, 0.1 s of its balance.
+/// can be used as well, in any mixture. All must be of the same plant: a .mcap names its plant; a .csv is taken to
+/// be of --plant, else of the plant of the recordings before it, else of the Qube. The result is a profile: `train`,
+/// `run`, `session`, `experiment`, `emulate`, `replay` and `report` read it with --profile. Verify it with recordings
+/// that it was not fitted to (--holdout): every 0.1 s a start state is estimated from 0.2 s of the recording, and the
+/// model then receives only the voltages. The cable rests as in the fitted recordings of the same series; the names
+/// of a series differ in the last number only. A recording whose pendulum comes upright is predicted piece by piece:
+/// 0.5 s of its swing, 0.1 s of its balance.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil identify chirp-[12].mcap --holdout chirp-3.mcap --out mine.toml\n  \
@@ -52,7 +54,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", default_value = "profile.toml")]
     out: PathBuf,
 
-    /// Replace --out where there is such a file already
+    /// Replace the file of --out, if it exists
     #[arg(long)]
     force: bool,
 
@@ -150,7 +152,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         text += &errors.lines();
     }
     let _ = write!(text, "\n{}", assessment(&identified));
-    let _ = write!(text, "\n{} in {seconds:.1} s", arguments.out.display());
+    let _ = write!(text, "\nwrote {} after a fit of {seconds:.1} s", arguments.out.display());
     let mut result = result(&identified, &errors, seconds, arguments);
     result["incomplete"] = incomplete.iter().map(IncompleteRecording::json).collect();
     output.print(&text, &result);
@@ -204,8 +206,9 @@ impl IncompleteRecording {
     }
 }
 
-/// Reads recordings and refuses those that cannot be fitted; lists those that are incomplete. All
-/// must be of the plant in `plant`; if that is `None`, the first recording sets the plant.
+/// Reads recordings and refuses those that cannot be fitted; adds those that hold only a part of their
+/// rollout to `incomplete`. All must be of the plant in `plant`; if that is `None`, the first recording
+/// sets it.
 fn read(
     files: &[PathBuf],
     plant: &mut Option<PlantModel>,
@@ -274,7 +277,8 @@ fn table(identified: &Identified) -> String {
 /// Absolute correlation from which two estimates are listed as hard to tell apart.
 const STRONG_CORRELATION: f64 = 0.8;
 
-/// The pairs of estimates that the recordings hardly tell apart.
+/// The pairs of estimates that the recordings hardly tell apart, as lines for people; empty without
+/// any.
 fn correlated(identified: &Identified) -> String {
     let mut text = String::new();
     let name = |index: usize| identified.estimates[index].unknown.name();

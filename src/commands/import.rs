@@ -17,8 +17,9 @@ use crate::storage::read_bounded;
 /// Import a policy from an ONNX file of another program, or from a file that `export --onnx` wrote
 ///
 /// The network is a multilayer perceptron with one output: Gemm or MatMul and Add, Tanh, Relu, Elu or Silu, and at
-/// the end Tanh or nothing. Constants before the first layer (a normalisation, and Clip) become a part of it. Any
-/// other operator is refused, by its name. A file that `export --onnx` wrote names its conventions and needs no option.
+/// the end Tanh or nothing. A normalisation and a Clip before the first layer, and a factor and a Clip after the last,
+/// become a part of the policy. Any other operator is refused, by its name. A file that `export --onnx` wrote
+/// names its conventions and needs no option.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil import model.onnx --action-scale 5 --out mine.safetensors\n  \
@@ -65,7 +66,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", default_value = "policy.safetensors")]
     out: PathBuf,
 
-    /// Replace --out where there is such a file already
+    /// Replace the file of --out, if it exists
     #[arg(long)]
     force: bool,
 }

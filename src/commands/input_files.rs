@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-/// The first file that is named twice, even if by different paths.
+/// The first of these paths that names the file of an earlier path, even in another spelling; `None`
+/// if each file is named once.
 pub fn duplicate<'a>(files: impl IntoIterator<Item = &'a PathBuf>) -> Option<&'a PathBuf> {
     let mut seen = BTreeSet::new();
     files.into_iter().find(|path| {

@@ -1,5 +1,5 @@
 //! The keys of an operator at a terminal: the space bar requests a stop, and `a` acknowledges a
-//! doubt.
+//! doubt. With a screen its keys work, too.
 
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
@@ -78,7 +78,7 @@ impl Keyboard {
     }
 
     /// Asks at a terminal whether the operator has looked at the Qube; returns whether the answer
-    /// is `a`. False without a terminal or after a stop request.
+    /// is `a` or `A`. False without a terminal or after a stop request.
     pub fn acknowledges(&self, doubt: &Doubt, stop: &Stop) -> bool {
         let Some(Watched { shared, keys, .. }) = &self.watched else { return false };
         let question = format!(
@@ -117,8 +117,8 @@ impl Watched {
         });
         let (sender, keys) = bounded(16);
         let watched = Arc::clone(&shared);
-        // Set here rather than in the thread, so that from the first line on no key is lost or
-        // echoed.
+        // The terminal is set here rather than in the thread, so that no key is lost or echoed once
+        // this function has returned.
         terminal::set_single_keys();
         let spawned = std::thread::Builder::new()
             .name("keyboard".into())

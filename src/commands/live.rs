@@ -21,8 +21,8 @@ const PORT: u16 = 8765;
 #[command(next_help_heading = "Watching")]
 pub struct LiveArguments {
     /// Show what happens while it happens: a page for browsers with a Stop button, and all channels for Foxglove and
-    /// Lichtblick. ADDR is a port or IP:PORT; other computers reach it only if ADDR is no loopback address
-    /// [default: 127.0.0.1:8765]
+    /// Lichtblick. ADDR is a port, an IP address or IP:PORT; other computers reach it only if ADDR is no loopback
+    /// address [without ADDR: 127.0.0.1:8765]
     #[arg(
         long,
         value_name = "ADDR",
@@ -64,8 +64,8 @@ impl LiveArguments {
         self.live.is_some()
     }
 
-    /// The arguments for the live view of one rig of several, from 1. Each rig has its own port,
-    /// counted up from the given one.
+    /// The arguments for the live view of rig number `rig`, from 1, of several. Each rig has its own
+    /// port, counted up from the given one; with port 0 the system chooses each.
     ///
     /// # Errors
     /// The port would be larger than 65 535.
@@ -144,7 +144,8 @@ impl Live {
         self.change(|status| better(status, return_));
     }
 
-    /// Shows one event of a session. `left` is the time until its last candidate is done.
+    /// Shows one event of a session. `left` is the time until the session's last candidate is done, if
+    /// it is known.
     pub fn update(&mut self, event: &SessionEvent, left: Option<Duration>) {
         let Some(view) = &self.view else { return };
         match event {

@@ -1,5 +1,5 @@
 //! A replacement of the live view in a program that is built without it: the option `--live` is
-//! refused with the way to get it.
+//! refused, and the error says how to build the program with it.
 
 use std::sync::Arc;
 use std::time::Duration;

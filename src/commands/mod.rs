@@ -1,7 +1,7 @@
 //! The command line: one file for each subcommand, with its arguments, a call into the library, and
 //! printing.
 //!
-//! The room may import every other room; no room imports it.
+//! The room may import every other room; no room of the library imports it.
 
 mod benchmark;
 mod check;
@@ -108,7 +108,7 @@ struct CommandLine {
     #[arg(long, global = true)]
     json: bool,
 
-    /// Log more on stderr (twice: log everything)
+    /// Log information on stderr, too (twice: also debug messages); RUST_LOG replaces this
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
 }

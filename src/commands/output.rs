@@ -22,7 +22,7 @@ impl Output {
         Self { json, printed: Cell::new(false), error: RefCell::new(None) }
     }
 
-    /// Whether results are for scripts.
+    /// Whether results are printed for scripts, as JSON.
     pub fn is_for_scripts(&self) -> bool {
         self.json
     }
@@ -41,8 +41,8 @@ impl Output {
         }
     }
 
-    /// Prints a result: `text` for people, or `value` for scripts as JSON on one line.
-    /// [`Self::finish`] reports an error of printing.
+    /// Prints a result: `text` for people, or `value` for scripts as JSON on one line (`text` if
+    /// `value` cannot be JSON). [`Self::finish`] reports an error of printing.
     pub fn print(&self, text: &str, value: &impl Serialize) {
         let mut stdout = io::stdout().lock();
         let written = match (self.json, serde_json::to_string(value)) {
@@ -60,7 +60,7 @@ impl Output {
     }
 
     /// Completes a command: returns its outcome, or the failure to print its result. For scripts, a
-    /// failure without a result is printed as an object.
+    /// failure before anything was printed is printed as an object with the key `ended_by`.
     pub fn finish(&self, outcome: Result<(), Failure>) -> Result<(), Failure> {
         let outcome = outcome.and_then(|()| match self.error.take() {
             Some(error) => {

@@ -22,6 +22,7 @@ pub fn parquet_table(recording: &Recording) -> Result<Vec<u8>> {
     whole_file(first, &rows)
 }
 
+/// The file with these rows. Each field of `kinds` has the kind of its column.
 fn whole_file(kinds: &[Field], rows: &[[Field; COLUMNS.len()]]) -> Result<Vec<u8>> {
     let columns = COLUMNS.iter().enumerate().map(|(index, name)| {
         // A recording without a tick has no row that shows the kinds of its columns; any kind will

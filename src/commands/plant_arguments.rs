@@ -15,7 +15,7 @@ pub struct PlantArguments {
     emulated: EmulatedArguments,
 
     /// Draw each policy's own Qube: each parameter, the friction, the dead zones, the cable's stiffness and the delay
-    /// are uniform within this part of their values, 0 to 0.5
+    /// are uniform between 1 - PART and 1 + PART times their values; 0 to 0.5
     #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = part, conflicts_with = "resume")]
     vary: f64,
 
@@ -35,7 +35,7 @@ struct PlantsFile {
 }
 
 impl PlantArguments {
-    /// Whether the options describe an emulated Qube.
+    /// Whether an option other than `--vary` and `--plants` describes an emulated Qube.
     pub fn describe_qube(&self) -> bool {
         self.emulated.are_given()
     }

@@ -42,7 +42,8 @@ pub fn printable_json(line: &str) -> Cow<'_, str> {
 /// most 20.
 const MAX_DIGITS: usize = 24;
 
-/// The text with its very long numbers, such as `1e300` written in full, in scientific notation.
+/// The text with each number of more than `MAX_DIGITS` digits in scientific notation: 1 with 300
+/// zeros becomes `1e300`.
 pub fn with_short_numbers(text: &str) -> String {
     let mut short = String::with_capacity(text.len());
     let mut rest = text;

@@ -10,7 +10,7 @@ use crate::storage::MachineDisk;
 
 /// Recover a truncated recording: save every intact tick into a new file
 ///
-/// The old file stays unchanged. Exit code 0 when nothing of the rollout is lost, else 3.
+/// The old file stays unchanged. Exit code 0 when nothing of the rollout is lost, 3 when a part is lost.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil recover logs/monday/rollout-3.mcap\n  \
@@ -20,12 +20,12 @@ pub struct Arguments {
     #[arg(value_name = "FILE")]
     file: PathBuf,
 
-    /// New file [default: FILE with the ending `.recovered.mcap`]
+    /// New file, which must not exist yet [default: FILE with the ending `.recovered.mcap` in place of its own]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
 
-/// Saves the intact part and reports the losses.
+/// Saves the intact part of a damaged recording in a new file, and reports the losses.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let out = arguments.out.clone().unwrap_or_else(|| recovered_name(&arguments.file));
     let recovered =

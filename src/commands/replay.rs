@@ -28,7 +28,7 @@ use crate::telemetry::RolloutOutcome;
 /// recorded one. --simulate and --animate accept CSV files too, with the columns time_s, theta_rad,
 /// alpha_rad, theta_dot_rad_s, alpha_dot_rad_s, voltage_v.
 ///
-/// Exit code 3 when a recording was truncated or a decision differs.
+/// Exit code 3 when a part of a recording is missing, or its replay differs from it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil replay logs/monday/*.mcap\n  \
@@ -53,7 +53,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     animate: Option<PathBuf>,
 
-    /// Replace --animate where there is such a file already
+    /// Replace the file of --animate if it exists
     #[arg(long, requires = "animate")]
     force: bool,
 
@@ -71,7 +71,7 @@ struct Report {
     return_recomputed: Option<f64>,
     actions_compared: usize,
     actions_different: usize,
-    /// Number of actions that could not be compared.
+    /// Number of actions that could not be compared, because ticks before them are missing.
     #[serde(skip)]
     not_compared: usize,
     /// Note on the comparison, if any.
@@ -104,7 +104,8 @@ impl Report {
     }
 }
 
-/// Note on a recording under the speed envelope, a guard that this program does not have.
+/// Note on a recording that braked under the speed envelope, a guard that this program does not
+/// have.
 const ENVELOPE_NOTE: &str = "this rollout ran under the speed envelope, a guard that this program does not \
      have: it is compared up to its first braking tick, and its end is taken from the file";
 
@@ -296,17 +297,14 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
 /// The prediction for which foresight ended a rollout, in a sentence for people.
 fn foreseen_text(foreseen: &Foreseen) -> String {
     let Foreseen { identified, particle, beyond_rad } = foreseen;
-    let whose = if *identified {
-        "its profile's Qubes"
-    } else {
-        "the Qubes that an unidentified one may be"
-    };
+    let whose =
+        if *identified { "the belief from its profile" } else { "the belief about any Qube" };
     let reach = beyond_rad.map_or_else(
         || "would have moved without bounds".to_owned(),
         |beyond_rad| format!("would have come {beyond_rad:.3} rad beyond the end of its travel"),
     );
     format!(
-        "foresight ended it: with a brake one tick later, the arm of particle {particle} of {whose} {reach}"
+        "foresight ended the rollout: with a brake one tick later, the arm of particle {particle} of {whose} {reach}"
     )
 }
 
@@ -330,7 +328,8 @@ fn simulate_file(
     Ok(())
 }
 
-/// The name of a file's picture, with a number in front where several files share a name.
+/// The name of a file's picture, without its ending. Where several files share a name, the file's
+/// place in the list, from 0, stands in front of it.
 fn picture_name(files: &[PathBuf], path: &Path) -> String {
     let name = path.file_stem().unwrap_or_default();
     let is_unique = files.iter().filter(|file| file.file_stem() == Some(name)).count() == 1;
@@ -364,13 +363,15 @@ fn recording_problem(error: &RecordingError) -> Problem {
     if is_bad_input(error) { Problem::usage(message) } else { Problem::failed(message) }
 }
 
-/// The failure for an error of a recording that the user named: a bad file is bad input.
+/// The failure for an error of a recording that the user named: a file that cannot be
+/// created, is missing, unreadable or damaged is bad input; other errors, such as a full disk, are
+/// failures.
 pub fn recording_failure(error: &RecordingError) -> Failure {
     let Problem { failure, message } = recording_problem(error);
     failure(message)
 }
 
-/// Whether the error lies in the file; a failing disk is not bad input.
+/// Whether the error lies in the place or the content of the file; errors of writing it do not.
 fn is_bad_input(error: &RecordingError) -> bool {
     match error {
         RecordingError::Create { .. }

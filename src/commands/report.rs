@@ -19,7 +19,7 @@ use crate::rig::RigSettings;
 use crate::session::{RigSessions, ScoredCandidate, SessionPaths};
 use crate::storage::{MachineDisk, write_whole};
 
-/// Name of a session's report in its folder.
+/// Name of a report in the folder of its session or experiment.
 const REPORT: &str = "report.html";
 
 /// Write a session, an experiment or recordings as one page for a browser, with figures to zoom and rollouts to play back
@@ -37,11 +37,12 @@ pub struct Arguments {
     #[arg(required = true, value_name = "DIR|FILE")]
     paths: Vec<PathBuf>,
 
-    /// File for the page [default: report.html in the session's folder; beside a recording, with its name]
+    /// File for the page [default: report.html in the folder of the session or experiment; beside the first recording,
+    /// with its name; an older page there is replaced]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 
-    /// Replace the file of --out
+    /// Replace the file of --out if it exists
     #[arg(long, requires = "out")]
     force: bool,
 
@@ -105,7 +106,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 /// Writes the report of a session into its folder, and returns its path.
 ///
 /// # Errors
-/// The reason in a sentence.
+/// A file cannot be read or written; the text says which and why.
 pub fn write_into_session(folder: &Path) -> Result<PathBuf, String> {
     let page = of_session(folder).map_err(|failure| failure.cause().to_owned())?;
     let path = folder.join(REPORT);
@@ -116,7 +117,7 @@ pub fn write_into_session(folder: &Path) -> Result<PathBuf, String> {
 /// Writes the report of an experiment into its folder, and returns its path.
 ///
 /// # Errors
-/// The reason in a sentence.
+/// A file cannot be read or written; the text says which and why.
 pub fn write_into_experiment(
     results: &ExperimentReport,
     experiment: &Experiment,
@@ -147,8 +148,8 @@ fn page_of_experiment(
     results.page(experiment, &commands)
 }
 
-/// The page of the finished work of an experiment. [`Experiment::new`] requires settings of a rig,
-/// but nothing is driven.
+/// The page of the finished work of an experiment. Nothing is driven: the settings of an emulated
+/// rig are there only because [`Experiment::new`] takes some.
 fn of_experiment(folder: &Path) -> Result<String, Failure> {
     let folder = ExperimentFolder::open(folder).map_err(Failure::usage)?;
     let settings = ExperimentSettings::load(&folder.settings_path()).map_err(Failure::usage)?;

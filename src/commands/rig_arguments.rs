@@ -13,7 +13,7 @@ use super::number_arguments::between;
 use crate::rig::{ClockChoice, DeviceChoice};
 use crate::session::{QUBE_FILE, RigSessions};
 
-/// Relative width in which several emulated Qubes differ without `--vary`.
+/// Default of `--vary`: each value of an emulated Qube differs by at most this fraction.
 const VARY: f64 = 0.05;
 
 /// The arguments that select the Qubes of a session.
@@ -37,8 +37,8 @@ pub struct RigArguments {
     #[arg(long, value_enum, conflicts_with = "resume")]
     rig_policy: Option<RigPolicy>,
 
-    /// Relative width in which several emulated Qubes differ: each parameter, the friction, the dead zones, the
-    /// cable's stiffness and the delay are uniform within this part of their values, 0 to 0.5 [default: 0.05]
+    /// Difference between several emulated Qubes: each parameter, the friction, the dead zones, the cable's stiffness
+    /// and the delay are uniform between 1 - FRACTION and 1 + FRACTION times their values; 0 to 0.5 [default: 0.05]
     #[arg(long, value_name = "FRACTION", value_parser = fraction, conflicts_with = "resume")]
     vary: Option<f64>,
 
@@ -63,22 +63,23 @@ fn fraction(text: &str) -> Result<f64, String> {
 }
 
 impl RigArguments {
-    /// Number of Qubes that are named; 1 if none is.
+    /// Number of Qubes that `--device` or `--qube` names; 1 if neither names one.
     pub fn count(&self) -> usize {
         self.device.len().max(self.qube.len()).max(1)
     }
 
-    /// Whether a Qube is named.
+    /// Whether `--device` or `--qube` names a Qube.
     pub fn are_named(&self) -> bool {
         !self.device.is_empty() || !self.qube.is_empty()
     }
 
-    /// The requested policies of several Qubes.
+    /// The policies that `--rig-policy` asks for; `None` without the option.
     pub fn rig_policy(&self) -> Option<RigPolicy> {
         self.rig_policy
     }
 
-    /// Relative width in which several emulated Qubes differ.
+    /// Largest deviation of an emulated Qube's values among several Qubes, as a fraction of each
+    /// value.
     pub fn vary(&self) -> f64 {
         self.vary.unwrap_or(VARY)
     }
@@ -98,7 +99,7 @@ impl RigArguments {
         self.choose(1).map(|mut chosen| chosen.remove(0))
     }
 
-    /// Selects this number of Qubes: those that are named, or emulated ones if none is.
+    /// Selects `count` Qubes: those that are named, or emulated ones if none is.
     pub fn choose(&self, count: usize) -> Result<Vec<ChosenDevice>, Failure> {
         let (devices, files) = (self.device.len(), self.qube.len());
         if count > RigSessions::MOST as usize {
@@ -136,7 +137,7 @@ impl RigArguments {
     }
 }
 
-/// Refuses a port or card that is named twice, a port also by different paths.
+/// Refuses a port or card that is named twice, also if two paths lead to one port.
 fn refuse_duplicates(chosen: &[ChosenDevice]) -> Result<(), Failure> {
     let mut known = BTreeSet::new();
     for device in chosen {

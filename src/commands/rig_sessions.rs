@@ -146,7 +146,8 @@ fn print_results(
             }
             Err(failure) => (json!({ "best": null }), Err(failure)),
         };
-        // In virtual time an emulated Qube has a new serial number in each rollout.
+        // The serial number of an emulated board identifies no Qube: in virtual time each rollout
+        // has a new one.
         let board = rig.session.board(None).ok().flatten().filter(|_| rig.is_hardware);
         result["rig"] = json!(rig.number);
         result["device"] = json!(rig.device);
@@ -212,7 +213,7 @@ fn of_each(
     Ok(all)
 }
 
-/// A seed without its highest bit, because integers in a TOML file are signed.
+/// The seed without its highest bit, because integers in a TOML file are signed.
 fn in_toml(seed: u64) -> u64 {
     seed & i64::MAX as u64
 }
@@ -245,7 +246,7 @@ fn begin(
     ended.map(|()| sessions)
 }
 
-/// Opens the folders of the sessions that are resumed.
+/// Opens the folders of the sessions that are resumed on these Qubes, and reads their settings.
 fn resume_all(
     arguments: &Arguments,
     root: &Path,

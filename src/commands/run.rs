@@ -37,7 +37,7 @@ use crate::session::RolloutPlan;
 /// braking; or excite the Qube for `identify`
 ///
 /// Exit code 0 also if the box or the guard ended a rollout, because such a rollout has a result; 4 if
-/// a fault ended the last rollout.
+/// a fault ended the command, or the last rollout is void.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil run --policy classical              # a swing-up without any training\n  \
@@ -121,7 +121,8 @@ fn volts(text: &str) -> Result<f64, String> {
     between(text, 0.1, 3.0)
 }
 
-/// Runs the rollouts and prints their returns, whatever ends them.
+/// Runs the rollouts and prints their results, whatever ends them, unless the command was refused
+/// before the first rollout ended.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let controller = RunController::chosen(&arguments)?;
     let stop = Stop::on_signals()?;

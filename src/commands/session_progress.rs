@@ -31,7 +31,7 @@ pub struct SessionProgress {
     /// Numbers of the candidates that are excitations: their rollouts are recordings and no
     /// attempts to balance.
     excitations: Vec<u32>,
-    /// Number of updates of a training.
+    /// Number of updates of one training.
     updates: u32,
     pace: TrainingPace,
     /// Returns of each candidate's rollouts, and how many of them balanced.
@@ -240,7 +240,7 @@ impl SessionProgress {
     }
 }
 
-/// The candidate with the largest mean return, in words.
+/// The candidate with the largest mean return, in words; empty without a candidate.
 fn best(candidates: &BTreeMap<u32, (Vec<f64>, u32)>) -> String {
     let mean = |returns: &[f64]| returns.iter().sum::<f64>() / returns.len().max(1) as f64;
     let best = candidates.iter().max_by(|a, b| mean(&a.1.0).total_cmp(&mean(&b.1.0)));
@@ -258,7 +258,7 @@ fn of_rig(rig: Option<u32>) -> String {
     rig.map_or(String::new(), |rig| format!("rig {rig}: "))
 }
 
-/// The outcome of an identification as a sentence.
+/// The outcome of a successful identification as a sentence.
 pub fn identified(recordings: u32, doubts: &[String]) -> String {
     let from =
         if recordings == 1 { "1 recording".into() } else { format!("{recordings} recordings") };

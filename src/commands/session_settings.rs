@@ -33,7 +33,7 @@ pub fn origin_of_guard(arguments: &Arguments) -> String {
     }
 }
 
-/// The settings of a new session, without those of the Qube's own file.
+/// The settings of a new session, without the homing and limits of the Qube's own file.
 pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let preset = arguments.preset.settings().of_plant(&device.plant);
     let mut settings = match &arguments.config {
@@ -57,9 +57,9 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
         settings.extent.baseline = emulated && settings.identification.is_some();
     }
     if arguments.config.is_none() && settings.identification.is_some() {
-        // The emulated Qube of a first session differs from the nominal Qube, as a real one does:
-        // it has the model `lab`. Another plant differs from its nominal model in the same
-        // proportions.
+        // Where a session identifies its Qube, the emulated Qube differs from the nominal one, as a
+        // real Qube does: it has the model `lab`. Another plant differs from its nominal model in
+        // the same proportions.
         let lab = profile::named("lab", &PlantModel::QUBE)?;
         settings.emulated =
             EmulatedQubeSettings { model: device.plant.in_proportion(&lab), ..settings.emulated };
@@ -108,15 +108,15 @@ fn identification(
     Ok(Some(plan))
 }
 
-/// Begins a session with this name: creates its folder and writes the settings there.
+/// Begins a session with this name: checks the settings, creates its folder and writes them there.
 pub fn begun(
     root: &Path,
     name: String,
     settings: SessionSettings,
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     let settings = SessionSettings { name, ..settings };
-    // Options that are each in their range may together give a Qube that is not, and a session that
-    // could not be resumed.
+    // Options that are each within their range may together describe a Qube that is outside of its
+    // range. A session with it could not be resumed.
     settings.check().map_err(Failure::usage)?;
     let configuration = settings.to_toml().map_err(Failure::failed)?;
     let folder =
@@ -124,7 +124,7 @@ pub fn begun(
     Ok((folder, settings))
 }
 
-/// Name of a session in a folder.
+/// Name of the session in a folder: the folder's own name, or `session` if its path has none.
 pub fn name_in(root: &Path) -> String {
     root.file_name().map_or_else(|| "session".into(), |name| name.to_string_lossy().into_owned())
 }
@@ -141,11 +141,12 @@ pub fn resumed(
     Ok((folder, on_this_qube(settings, device)))
 }
 
-/// Opens the folder of a session that is resumed, and reads its settings, without those of the
-/// Qube's own file.
+/// Opens the folder of a session that is resumed, and reads its settings, without the homing and
+/// limits of the Qube's own file.
 ///
 /// # Errors
-/// An option contradicts the stored settings, or the folder or its settings cannot be read.
+/// An option names an emulated Qube or an estimator, or another guard or plant than the stored
+/// settings; or the folder or its settings cannot be read.
 pub fn reopened(
     directory: &Path,
     arguments: &Arguments,
@@ -180,8 +181,8 @@ pub fn reopened(
     Ok((folder, settings))
 }
 
-/// Applies signs, homing and limits of the Qube's own file, which take precedence over the
-/// session's.
+/// The settings with the homing and signs of the Qube's own file and the method of `--home` in
+/// place of the session's, and with the safety box narrowed to the file's limits.
 fn on_this_qube(settings: SessionSettings, device: &ChosenDevice) -> SessionSettings {
     SessionSettings {
         homing: device.homing(settings.homing),

@@ -15,7 +15,7 @@ use crate::simulation::PsiSpace;
 pub struct SessionTable(pub SessionReport);
 
 impl SessionTable {
-    /// Checks that the policy that the table names as the best can be run.
+    /// Checks that the policy that the table names as the best, if any, can be run.
     pub fn check_best_policy(&self) -> Result<(), Failure> {
         let checked = self.0.best.as_ref().map_or(Ok(()), BestPolicy::check);
         checked.map_err(|error| {
@@ -24,7 +24,8 @@ impl SessionTable {
         })
     }
 
-    /// The table for people, 80 columns wide.
+    /// The table for people. Its rows fit into 80 columns if psi has at most 19 entries; paths and
+    /// the names in psi may be longer.
     pub fn text(&self) -> String {
         let mut text =
             String::from("\n   #  purpose      mean return  rollouts  psi in its box, 0 to 9\n");
@@ -134,8 +135,8 @@ impl SessionTable {
         text
     }
 
-    /// The identification, and why the search ended; empty if the session was not to identify its
-    /// Qube.
+    /// The identification, and why the search ended; empty before an identification, and if the
+    /// session was not to identify its Qube.
     fn identification_lines(&self) -> String {
         let report = &self.0;
         let mut text = match &report.identification {
@@ -248,7 +249,8 @@ fn valued(psi: &PsiSpace, scored: &ScoredCandidate) -> Value {
     value
 }
 
-/// The position of each entry of psi within its box, as a digit from 0 to 9.
+/// The position of each entry of psi within its box, as a digit from 0 (lower end) to 9 (upper
+/// end).
 fn digits(space: &PsiSpace, psi: &[f64]) -> String {
     space
         .dimensions()

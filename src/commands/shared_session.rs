@@ -30,7 +30,7 @@ use crate::session::{
     derived_seed,
 };
 
-/// A rig with the model in its profile, if any.
+/// The settings of a rig, and the model in its profile, if it has one.
 type RigWithProfile = (RigSettings, Option<QubeModel>);
 
 /// Runs or resumes the session and prints its table.
@@ -145,7 +145,7 @@ fn rig_of(event: &SessionEvent) -> Option<u32> {
     }
 }
 
-/// The settings of a new session that is spread over these Qubes.
+/// The settings of a new session whose rollouts are spread over these Qubes.
 fn spread(
     arguments: &Arguments,
     consent: Option<GuardConsent>,
@@ -193,8 +193,8 @@ fn homing_of(rig: &SharedRig, settings: &SessionSettings) -> HomingSettings {
     }
 }
 
-/// Narrows the safety box to the limits of all Qubes, because their rollouts are compared. Homing
-/// and signs stay those of each Qube.
+/// The settings with the safety box narrowed to the limits of all Qubes, because their rollouts are
+/// compared. Each Qube keeps its own homing and signs.
 fn inside_all(settings: SessionSettings, devices: &[ChosenDevice]) -> SessionSettings {
     let narrowed = |safety_box, device: &ChosenDevice| device.safety_box(safety_box);
     let safety_box = devices.iter().fold(settings.safety_box, narrowed);

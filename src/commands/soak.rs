@@ -23,7 +23,7 @@ use crate::session::RolloutPlan;
 use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
 
-/// Largest growth of the program's memory over a soak, bytes.
+/// Largest growth of the program's memory after the warm-up, bytes.
 const MAX_GROWTH_BYTES: i64 = 5_000_000;
 
 /// Number of rollouts after which buffers, stacks and caches have their final size; the growth of
@@ -31,10 +31,10 @@ const MAX_GROWTH_BYTES: i64 = 5_000_000;
 const WARM_UP_ROLLOUTS: u64 = 20;
 
 /// Run for hours: rollout after rollout by the classical controller, each recorded, read back and checked;
-/// fails if a tick is lost or the memory grows
+/// fails if a tick is lost, a fault ends a rollout, or the memory grows
 ///
 /// With `--clock virtual` a day takes minutes. Exit code 3 when a tick was lost, 4 when a fault ended a
-/// rollout, 1 when the memory grew by more than 5 MB.
+/// rollout, 1 when the memory grew by more than 5 MB after the first 20 rollouts.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil soak --clock virtual                # 24 hours of ticks\n  \
@@ -60,12 +60,12 @@ pub struct Arguments {
     check: CheckArguments,
 }
 
-/// Parses hours, up to more than a year.
+/// Parses a number of hours above 0, at most 10,000 (417 days).
 fn hours(text: &str) -> Result<f64, String> {
     positive(text, 10_000.0)
 }
 
-/// Runs until the hours are over and prints the summary.
+/// Runs rollouts until the hours are over, a failure or a stop ends them, and prints the summary.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let folder = Folder::new(arguments.keep.clone())?;
@@ -88,7 +88,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     ended.and_then(|()| soaked.verdict())
 }
 
-/// Folder of the recordings.
+/// Folder of the recordings; dropping it deletes it unless the recordings are kept.
 struct Folder {
     path: PathBuf,
     keeps: bool,
@@ -99,8 +99,8 @@ impl Folder {
         let keeps = keep.is_some();
         let name = format!("qube-hil-soak-{}", std::process::id());
         let path = keep.unwrap_or_else(|| std::env::temp_dir().join(name));
-        // Other programs may create folders in the temporary folder, too. So `create_dir` must have
-        // made this one before the soak may delete it in the end.
+        // The soak deletes its temporary folder in the end, so the folder must be new: `create_dir`
+        // refuses one that another program has created.
         let made = if keeps { std::fs::create_dir_all(&path) } else { std::fs::create_dir(&path) };
         made.map_err(|error| failures::not_written(&path, &error))?;
         OutputFolder::make(Some(&path), "soak")?.check_for_recordings(u64::MAX)?;
@@ -125,8 +125,8 @@ impl Drop for Folder {
     }
 }
 
-/// The statistics so far. Their size is constant, so that they add nothing to the growth of the
-/// memory.
+/// The statistics of the rollouts so far. Their size does not grow with the number of rollouts, so
+/// they add nothing to the growth of the memory.
 #[derive(Debug, Default)]
 struct Soaked {
     rollouts: u64,

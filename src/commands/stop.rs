@@ -1,5 +1,5 @@
-//! Stop requests by Ctrl-C, SIGTERM, SIGHUP and the space bar: the motor is braked, the state is
-//! kept, and the exit code names the signal.
+//! Stop requests by Ctrl-C, SIGTERM, SIGHUP, a key or the live view: the arm is braked, the state
+//! is kept, and the exit code names the signal.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -10,18 +10,18 @@ use super::exit::Failure;
 use super::printable::print_message;
 use super::terminal;
 
-/// A request to stop, set by a signal or a key.
+/// A request to stop, set by a signal, a key or the live view.
 #[derive(Clone, Debug, Default)]
 pub struct Stop {
-    /// Flag that the control thread and the training watch.
+    /// Flag of the request, which the control thread and the trainings watch.
     pub flag: Arc<AtomicBool>,
     signal: Arc<AtomicUsize>,
 }
 
 impl Stop {
-    /// Installs the handlers of the signals. The first Ctrl-C requests a stop, also after a stop by
-    /// a key, the live view or another signal. A second Ctrl-C ends the program at once; the
-    /// device's watchdog then switches the motor off.
+    /// Installs the handlers of the signals. The first Ctrl-C requests a stop, even if a key, the
+    /// live view or another signal has already done so. A second Ctrl-C ends the program at once;
+    /// the device's watchdog then switches the motor off.
     pub fn on_signals() -> Result<Self, Failure> {
         let flag = Arc::new(AtomicBool::new(false));
         let signal = Arc::new(AtomicUsize::new(0));

@@ -12,10 +12,11 @@ const SPREAD: f64 = 0.1;
 pub struct StrategyArguments {
     /// Compare methods instead of recipes. bayrn, cem, cmaes, random and sobol search for the psi of one model of
     /// --models. Others take recordings and train around the Qube that these identify: on its values alone
-    /// (identify-mean), with a spread (identify), along the fit's errors (posterior), with rollouts of their own
-    /// policies as further recordings (sequential). robust takes no real rollout. simopt, bayessim, dropo, epopt,
-    /// npdr, lsdr, fpo, adr, so-cma and history are methods from the literature (docs/rivals.md). The result is the number of real
-    /// rollouts until the recommendation succeeds in 90 % of --policies x --rollouts separate rollouts
+    /// (identify-mean), with a spread (identify), along the fit's errors as well (posterior), and with rollouts of
+    /// their own policies as further recordings (sequential). robust takes no real rollout. simopt, bayessim, dropo,
+    /// epopt, npdr, lsdr, fpo, adr, so-cma and history are methods from the literature (docs/rivals.md). Without
+    /// --budgets, the result is the number of real rollouts until the recommendation succeeds in 90 % of --policies x
+    /// --rollouts separate rollouts
     #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "resume")]
     pub strategies: Vec<Method>,
 
@@ -23,7 +24,7 @@ pub struct StrategyArguments {
     #[arg(long, default_value_t = 10, requires = "strategies", conflicts_with = "resume")]
     repetitions: u32,
 
-    /// Largest number of recordings for methods that identify the Qube
+    /// Largest number of recordings for methods that learn from recordings, without --budgets
     #[arg(long, default_value_t = 6, requires = "strategies", conflicts_with_all = ["budgets", "resume"])]
     recordings: u32,
 
@@ -57,7 +58,7 @@ impl StrategyArguments {
     }
 }
 
-/// Refuses a device: methods are compared on emulated Qubes only.
+/// Refuses a comparison of methods on a real Qube; they are compared on emulated Qubes only.
 pub fn check_device(
     strategies: Option<&StrategySettings>,
     device: &ChosenDevice,

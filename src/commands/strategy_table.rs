@@ -4,7 +4,8 @@ use serde_json::{Value, json};
 
 use crate::experiment::{RecommendationResult, Repetition, Score, StrategyResult, StrategyResults};
 
-/// The table for people, 80 columns wide: a line for each method.
+/// The table for people: a line of at most 80 columns for each method, then the reasons why
+/// recommendations could not be scored.
 pub fn table(results: &StrategyResults) -> String {
     let mut text = format!(
         "\nreal rollouts until the recommendation succeeds, {} on {}\n\n{:10} {:>8} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
@@ -84,7 +85,8 @@ pub fn value(results: &StrategyResults) -> Value {
 /// First columns of the CSV file, by which it is recognised.
 pub const CSV_BEGINS: &str = "strategy,repetition,budget,";
 
-/// The results as CSV, with a line for each recommendation.
+/// The results as CSV, with a line for each recommendation. `refused` is the reason why a
+/// recommendation could not be scored.
 pub fn csv(results: &StrategyResults) -> String {
     let mut text = format!("{CSV_BEGINS}real_rollouts,judges_stood,judges_ran,succeeds,refused\n");
     for strategy in &results.strategies {

@@ -23,7 +23,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", default_value = "figures")]
     out: PathBuf,
 
-    /// Seed of the samples: their positions and their noise
+    /// Seed of the samples: the positions of those that are drawn at random, and the noise of all
     #[arg(long, default_value_t = 0)]
     seed: u64,
 }

@@ -5,21 +5,21 @@ use super::screen::time_left;
 
 /// The pace at which a session trains its candidates, from which its time left is estimated.
 ///
-/// Only trainings that take place in this process count. Proposals do not: several candidates may
-/// be proposed at once, and an excitation takes less time.
+/// Only the trainings of this process, or of its workers, count. Proposals do not: several
+/// candidates may be proposed at once, and an excitation takes less time.
 pub struct TrainingPace {
     /// Number of updates of a candidate, over all its trainings.
     updates: u32,
     /// When the first update was made, and the number of its candidate.
     began: Option<(Instant, u32)>,
-    /// Number of candidates whose trainings this process has finished.
+    /// Number of candidates whose trainings have ended since this process began.
     trained: u32,
     /// Updates so far of each candidate that is in training.
     in_training: BTreeMap<u32, u32>,
 }
 
 impl TrainingPace {
-    /// The pace before the first training, of candidates with this number of updates each.
+    /// The pace before the first training. Each candidate has this number of updates.
     pub fn new(updates: u32) -> Self {
         Self { updates, began: None, trained: 0, in_training: BTreeMap::new() }
     }
@@ -32,8 +32,8 @@ impl TrainingPace {
         }
     }
 
-    /// Ends the trainings of a candidate. `by_this_process` is false if its policy was found
-    /// finished.
+    /// Ends the trainings of a candidate. `by_this_process` is false if its policy was already
+    /// finished when this process began.
     pub fn trained(&mut self, candidate: u32, by_this_process: bool) {
         self.in_training.remove(&candidate);
         self.trained += u32::from(by_this_process);

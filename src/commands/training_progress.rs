@@ -3,10 +3,10 @@ use std::time::Instant;
 use super::screen::{Progress, in_words, time_left};
 use crate::learning::TrainUpdate;
 
-/// Number of lines that a training without a screen writes.
+/// Largest number of lines that a training without a screen writes.
 const LINES: u32 = 10;
 
-/// The display of a single training: a curve on the screen, or ten lines.
+/// The display of a single training: a curve on the screen, or at most ten lines.
 pub struct TrainingProgress {
     progress: Progress,
     updates: u32,
@@ -16,8 +16,8 @@ pub struct TrainingProgress {
 }
 
 impl TrainingProgress {
-    /// A display of a training with this number of updates. A stopped training can be resumed if it
-    /// has a checkpoint.
+    /// A display of a training with this number of updates. `has_checkpoint` says whether a stopped
+    /// training can be resumed.
     pub fn new(updates: u32, has_checkpoint: bool, progress: &Progress) -> Self {
         progress.update(|state| {
             state.has_rollouts = false;

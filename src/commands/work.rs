@@ -18,9 +18,9 @@ use crate::storage::MachineDisk;
 /// Train policies of a session or experiment that runs on another computer
 ///
 /// A session or experiment with --executor puts its trainings into a folder on a file system that all computers share,
-/// and any number of workers do them, one core each. Policies do not depend on the worker. A training whose worker
-/// dies is done by another one. The worker ends after a time without work (--linger), or when the session has ended;
-/// on SIGTERM it gives its training back and exits with 143.
+/// and any number of workers do them, one core each. Policies do not depend on the worker. A training whose worker dies
+/// is done by another one. The worker ends after a time without work (--linger), or when the session or experiment has
+/// ended; on SIGTERM it gives its training back and exits with 143.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil work /shared/monday/jobs                    # one worker\n  \
@@ -50,7 +50,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 /// Trains policies from a folder of jobs until there was no work for the time `--linger`, the
-/// session has ended, or a stop is requested.
+/// session or experiment has ended, or a stop is requested.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     crate::elementary::Level::from(arguments.instruction_set).forbid_better();

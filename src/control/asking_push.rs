@@ -6,7 +6,8 @@
 use crate::elementary::Scalar;
 use crate::qube::{DomainParameters, Dynamics, Measurement, PlantModel};
 
-/// Time for which the count stays within one count under voltage before a push tests the arm, us.
+/// Time, us, after a driven tick for which the count stays within one count before a push tests the
+/// arm.
 const CONSTANT_US: u64 = 55_000;
 
 /// Voltage below which the motor counts as not driven, so that an arm at rest is normal, mV.
@@ -15,8 +16,8 @@ const DRIVEN_MV: i16 = 20;
 /// Growth of the push in each tick, V.
 const GROWS_V: f64 = 0.4;
 
-/// Voltage that friction, dead zone and cable may take up, V: four times the friction of the
-/// profile `lab` and 1.5 times its dead zone.
+/// Voltage that friction, dead zone and cable may take up in addition to the voltage that holds the
+/// arm in place, V: four times the friction of the profile `lab` and 1.5 times its dead zone.
 const ABSORBED_V: f64 = 0.9;
 
 /// Voltage with which the pendulum's weight may hold the arm, V, as a factor on sin(alpha)
@@ -27,18 +28,19 @@ const WEIGHT_HOLDS_V: f64 = 3.0;
 /// alpha_dot^2: M_p L_r L_p / 2 over the motor's torque per volt.
 const SWING_HOLDS_V_S2: f64 = 0.026;
 
-/// Longest delay from a command to the motor, control periods: 20 ms.
+/// Longest delay from a command to the motor that is assumed, control periods: 20 ms.
 const SLOWEST_TICKS: usize = 2;
 
 /// Least acceleration per volt of an arm that its pendulum neither loads nor unloads, rad/s^2/V:
 /// half of the motor's torque per volt over M_p L_r^2 + J_r.
 const LEAST_RAD_S2_V: f64 = 11.0;
 
-/// Fraction of the arm's inertia that a vertical pendulum removes by giving way.
+/// Fraction of its inertia that a Qube's arm loses while the pendulum is vertical, because the
+/// pendulum then gives way.
 const INERTIA_RELIEF: f64 = 0.56;
 
-/// Largest fraction that is assumed for any plant: beyond it an arm would hardly have any inertia
-/// left.
+/// Largest inertia relief that is assumed for any plant: beyond it an arm would hardly have any
+/// inertia left.
 const LARGEST_INERTIA_RELIEF: f64 = 0.75;
 
 /// Travel of the slowest possible arm from which a constant count proves a fault, counts.
@@ -51,6 +53,7 @@ struct SlowestArm {
     weight_holds_v: f64,
     swing_holds_v_s2: f64,
     least_rad_s2_v: f64,
+    /// This plant's inertia relief; see [`INERTIA_RELIEF`].
     gives_way: f64,
     must_have_gone_rad: f64,
     /// Largest push, V.
@@ -90,16 +93,18 @@ impl SlowestArm {
 /// Watches for a constant count of the arm, and pushes harder and harder until the arm moves.
 ///
 /// A push replaces the policy's voltage: a balancing policy would respond to the pendulum's tilt
-/// and cancel the push. The push ends, and the policy continues, once the count has changed by two.
+/// and cancel the push. The push ends, and the policy continues, once the count has changed by two
+/// or more.
 #[derive(Clone, Copy, Debug)]
 pub struct AskingPush {
     slowest: SlowestArm,
     counts: i32,
-    /// Device time since which the count has been constant under voltage, us.
+    /// Device time of the driven tick since which the count has been constant, us; `None` while no
+    /// tick has been driven.
     since_us: Option<u64>,
     previous_us: u64,
     previous_alpha: f64,
-    /// Sum and number of the voltages sent between that time and the push, V. Their mean is the
+    /// Sum, V, and number of the voltages sent from `since_us` until the push. Their mean is the
     /// voltage that holds the arm in place.
     sent_v: f64,
     sent_ticks: u32,
@@ -178,8 +183,10 @@ impl AskingPush {
         self.least_rad > self.slowest.must_have_gone_rad
     }
 
-    /// The motor voltage of this tick, V: `wanted_v` or a push. The push is directed away from the
-    /// nearer stop, or to the side on which the voltage can still grow.
+    /// The motor voltage of this tick, V: `wanted_v`, or the mean of the last voltages plus a push.
+    /// The push keeps its direction: against that mean where it exceeds half of the largest
+    /// voltage, because the voltage has more room on that side; otherwise towards the middle, from
+    /// the arm's angle `theta`, rad. The sum may exceed the largest voltage.
     pub fn voltage_v(&mut self, wanted_v: f64, theta: f64) -> f64 {
         let is_constant = self
             .since_us

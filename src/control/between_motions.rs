@@ -47,7 +47,8 @@ impl Motor {
         }
     }
 
-    /// Waits with the amplifier off while the motor is too hot for the next motion.
+    /// Waits with the amplifier off while the motor is too hot for the next motion, or until `stop`
+    /// is set.
     pub fn cool_down(&mut self, clock: &dyn Clock, stop: &AtomicBool) {
         self.cool(clock);
         let end_ns = clock.now_ns() + (self.heat.cooling_s() * 1e9) as Nanoseconds;
@@ -64,7 +65,7 @@ pub(super) struct RestMonitor {
     /// Name of the port for errors.
     pub port: String,
     /// Counts at which arm and pendulum came to rest after the last motion; `None` if they were not
-    /// seen at rest.
+    /// seen at rest, or if the arm's count jumped meanwhile.
     pub left_at: Option<RestingCounts>,
     /// Encoders of the plant that was homed.
     pub encoders: Encoders,
@@ -90,8 +91,8 @@ impl RestMonitor {
     /// Checks before a rollout arms the device that arm and pendulum are where they were left.
     ///
     /// # Errors
-    /// Arm or pendulum has moved or does not come to rest, the port is gone, or the board has
-    /// restarted.
+    /// Arm or pendulum has moved, does not come to rest, or was not seen at rest after the last
+    /// motion; a stop is requested; the port is gone; or the board has restarted.
     pub fn compare(
         &self,
         settings: &TickSettings,

@@ -19,12 +19,12 @@ const KEPT: usize = DRIFT + 1;
 /// degree of play between motor and arm 0.35 rad/s.
 const LONG_RAD_S: f64 = 0.5;
 
-/// Largest difference that is no contradiction in the short window, rad/s: quantisation explains
-/// 0.4 rad/s, and one degree of play 1.2 rad/s.
+/// Largest difference that is no contradiction in the short window, on top of the uncertainties,
+/// rad/s. Quantisation explains 0.4 rad/s, and one degree of play 1.2 rad/s.
 const SHORT_RAD_S: f64 = 1.8;
 
-/// Relative uncertainty of the comparison when lengths or gravity are up to 30 % off, which is the
-/// domain in which a rollout is safe.
+/// Relative uncertainty of the comparison when lengths or gravity are up to 30 % off, the domain
+/// in which a rollout is safe. It applies until the policy of a rollout starts.
 pub const WIDE_DOMAIN_SHARE: f64 = 0.65;
 
 /// Relative uncertainty of the comparison while a policy moves the arm and all lengths may be off
@@ -46,7 +46,7 @@ const CONSTANT_TICKS: u32 = 4;
 const STREAK: u32 = 2;
 
 /// Largest change of the arm's velocity that the pendulum may imply while the arm's count is
-/// constant, rad/s.
+/// constant, on top of the uncertainties, rad/s.
 const DRIFT_RAD_S: f64 = 0.45;
 
 /// Longest window of the drift test, control periods; half of it is tested, too. An error of the
@@ -61,8 +61,8 @@ const SIGN_KNOWN_FROM: f64 = 2.0;
 /// accumulates such changes.
 const ROUNDING_RAD_S: f64 = 0.15;
 
-/// Least negative correlation, as a fraction of the expected one, that proves a wrong sign: with
-/// less, the pendulum's encoder may be frozen.
+/// Fraction of the expected correlation; a negative correlation of at least this size proves a
+/// wrong sign. A smaller one may come from a frozen pendulum encoder.
 const LEAD_CORRELATION: f64 = 0.4;
 
 /// Largest uncertain fraction of a change of velocity that takes part in the comparison of scales.
@@ -86,8 +86,8 @@ pub fn zero_within_rad(plant: &PlantModel) -> f64 {
     2.0 * plant.encoders.alpha.rad_per_count()
 }
 
-/// Last step of the pendulum's count before the count became constant, counts a period, from which
-/// on the pendulum cannot have come to rest by itself.
+/// Least last step of the pendulum's count, counts a period, after which a constant count means a
+/// frozen encoder: a pendulum that came to rest by itself would have made smaller steps before.
 const SWINGING_COUNTS: i32 = 3;
 
 /// Coefficients of the pendulum's equation: they depend on lengths and gravity, on no mass.
@@ -143,10 +143,12 @@ pub struct CrossCheck {
     previous: Option<Previous>,
     /// Largest error of the pendulum's zero, rad; it acts like a constant weight.
     zero_within_rad: f64,
+    /// Relative uncertainty of the comparison.
     unknown_share: f64,
     /// Size of the pendulum's last step, counts.
     last_step_counts: i32,
-    /// Integral of the equation's weight and centrifugal terms, rad/s.
+    /// Integral of the pull, rad/s: of the terms that remain beside the derivatives of cos a th'
+    /// and a', namely sin a a' th', the centrifugal term and the weight.
     pull_rad_s: f64,
     arm_constant_ticks: u32,
     pendulum_constant_ticks: u32,
@@ -200,11 +202,11 @@ struct Entry {
     arm_rad: f64,
     /// The pendulum's angle times 2 L_p / 3 L_r, rad.
     swing_rad: f64,
-    /// Double integral of the weight and centrifugal terms, rad.
+    /// Double integral of the pull, rad; see `CrossCheck::pull_rad_s`.
     pull_rad: f64,
-    /// Integral of the absolute value of these terms, rad/s.
+    /// Integral of the absolute value of the pull, rad/s.
     strain_rad_s: f64,
-    /// Integral of these terms, rad/s.
+    /// Integral of the pull, rad/s.
     pulled_rad_s: f64,
 }
 
@@ -223,11 +225,13 @@ struct Previous {
 struct Change {
     arm_rad_s: f64,
     implied_rad_s: f64,
+    /// Uncertainty of the comparison of the two.
     unknown_rad_s: f64,
 }
 
 impl CrossCheck {
-    /// A cross-check of a plant whose pendulum's zero is known as exactly as after homing.
+    /// A cross-check of a plant whose pendulum's zero is known as exactly as after homing, with
+    /// [`WIDE_DOMAIN_SHARE`].
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
         Self::with_zero_within(plant, zero_within_rad(plant), WIDE_DOMAIN_SHARE)
@@ -287,7 +291,8 @@ impl CrossCheck {
         self.scale.is_known()
     }
 
-    /// Whether the arm's encoder counts about half or twice the motion that the pendulum implies.
+    /// Whether the arm's encoder counts more than 1.5 times the motion that the pendulum implies,
+    /// or less than two thirds of it.
     #[must_use]
     pub fn scale_is_wrong(&self) -> bool {
         self.scale.is_wrong()
@@ -315,7 +320,8 @@ impl CrossCheck {
     }
 
     /// Takes the next sample with its angles, rad, where `alpha` is 0 at hanging; returns a
-    /// contradiction that has lasted long enough.
+    /// contradiction that has lasted long enough. After a hole between samples the windows begin
+    /// anew; the sums for signs and scale continue.
     pub fn update(
         &mut self,
         sample: &Measurement,
@@ -454,7 +460,8 @@ impl CrossCheck {
         };
     }
 
-    /// Changes of velocity between the two halves of the last `2 * half` periods.
+    /// Changes of velocity between the two halves of the last `2 * half` periods; `None` until as
+    /// many are kept.
     fn change(&self, half: usize) -> Option<Change> {
         if self.filled <= 2 * half {
             return None;

@@ -23,7 +23,8 @@ const STILL_COUNTS: i32 = 3;
 /// reported.
 const STILL_TICKS: u32 = 25;
 
-/// Largest reading of a current sensor that shows nothing although the motor moved the arm, A.
+/// Current below which a sensor counts as blind if the motor has moved the arm, and below which the
+/// motor of a fast arm draws no current, A.
 const BLIND_A: f64 = 0.004;
 
 /// Whether the current is less than that of a connected motor at rest under this voltage, mV.

@@ -6,7 +6,8 @@ use super::rest::RECOIL;
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
 
-/// Ticks at 0 V before a push: the cross-check of the encoders needs both halves of its window.
+/// Ticks at 0 V before the first push, and after a push that moved nothing: the cross-check of the
+/// encoders needs both halves of its window.
 const WAIT_TICKS: u32 = 22;
 
 /// Ticks at rest between a push that moved the arm and the next push: longer than a period of the
@@ -80,7 +81,7 @@ pub enum PushResponse {
     Follows,
     /// The arm moves against the push.
     Opposes,
-    /// The arm moves in neither direction.
+    /// The arm moves in neither direction, under a push to each side.
     Stays,
     /// The arm does not come to rest although nothing pushes it.
     Moves,

@@ -28,7 +28,7 @@ pub struct HomingSettings {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub travel_rad: Option<f64>,
     /// Encoder count at the place where the operator put the arm by hand, if the arm has moved
-    /// since.
+    /// since; `None` takes the count of the first sample. Only for [`HomingMethod::Hand`].
     #[serde(skip)]
     pub hand_counts: Option<i32>,
     /// Signs of the rig; homing measures the zeros.

@@ -4,7 +4,8 @@
 use crate::qube::{PlantModel, State};
 use crate::telemetry::Fault;
 
-/// Voltage towards its target above which an arm that does not move is held, V.
+/// Voltage of either sign, V, from which on an arm that is off its target and does not move counts
+/// as held.
 const HELD_V: f64 = 1.3;
 
 /// Travel within which an arm counts as not moving, counts.
@@ -13,11 +14,11 @@ const HELD_COUNTS: i32 = 3;
 /// Ticks without motion, at `HELD_V` or more, after which an arm is held: 2 s.
 const HELD_TICKS: u32 = 200;
 
-/// Ticks without motion after which an arm is held at any voltage, because the swinging pendulum
-/// would move a free arm: 10 s.
+/// Ticks without motion, at any voltage, after which a homing whose time is up reports a held arm:
+/// 10 s, in which a swinging pendulum would have moved a free arm.
 const MOTIONLESS_TICKS: u32 = 1000;
 
-/// Velocity that a healthy arm does not reach during homing, rad/s.
+/// Velocity against its voltage that a healthy arm does not exceed during homing, rad/s.
 const RUNAWAY_RAD_S: f64 = 4.0;
 
 /// Ticks above `RUNAWAY_RAD_S` after which the arm runs away.
@@ -33,13 +34,13 @@ const OFF_STOP_RAD: f64 = 0.05;
 /// Shortest way off a stop, rad.
 const LEAST_WAY_RAD: f64 = 0.3;
 
-/// Distance from its former place within which the arm has come back, rad.
+/// Distance from its target within which an arm that leaves a stop has arrived, rad.
 const BACK_RAD: f64 = 0.15;
 
 /// Velocity below which a released arm stays in place, rad/s.
 const SLOW_RAD_S: f64 = 0.5;
 
-/// Most ticks for leaving a stop.
+/// Most ticks for leaving a stop: 6 s.
 const MAX_LEAVING_TICKS: u32 = 600;
 
 /// Counts the ticks for which the arm has not moved although the motor drives it to its target.
@@ -50,8 +51,8 @@ pub struct Held {
 }
 
 impl Held {
-    /// Takes the arm's next count, the voltage, and whether the arm is off its target by more than
-    /// friction explains; returns whether the arm is held.
+    /// Takes the arm's next count, the previous voltage, V, and whether the arm is off its target
+    /// by more than friction explains; returns whether the arm is held.
     pub fn lasts(&mut self, counts: i32, voltage_v: f64, is_off: bool) -> bool {
         let is_pushed = is_off && voltage_v.abs() >= HELD_V;
         let stays = counts.wrapping_sub(self.counts).wrapping_abs() <= HELD_COUNTS;
@@ -79,7 +80,8 @@ impl Motionless {
             if stays { Self { ticks: self.ticks + 1, ..*self } } else { Self { counts, ticks: 0 } };
     }
 
-    /// Whether the arm has not moved for so long, while its pendulum swung, that it must be held.
+    /// Whether the arm has not moved for `MOTIONLESS_TICKS`, so that it must be held if its
+    /// pendulum swings.
     pub fn is_held(&self) -> bool {
         self.ticks >= MOTIONLESS_TICKS
     }
@@ -94,7 +96,7 @@ pub struct Runaway {
 
 impl Runaway {
     /// Takes the next state, with alpha relative to hanging, and the previous voltage, V; returns
-    /// whether something other than the motor moves the arm.
+    /// whether something other than the motor has moved the arm for `RUNAWAY_TICKS`.
     pub fn lasts(&mut self, state: &State, voltage_v: f64) -> bool {
         let swings = state.alpha.sin().abs() + state.alpha_dot.abs() / 15.0 > THROWING_SWING;
         let against = state.theta_dot * voltage_v < 0.0;

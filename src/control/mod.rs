@@ -1,5 +1,5 @@
-//! The real-time thread: ticks (read, estimate, decide, guard, write, record), deadlines, and the
-//! homing of the arm.
+//! The real-time thread: the loop of ticks (wait, read, decide, write, record), the motions that it
+//! drives (homing, rollouts, the pushes of an examination), and the watches that end a motion.
 //!
 //! May import `clock`, `device`, `estimation`, `policy`, `safety`, `telemetry`, `qube`,
 //! `elementary`; never anything that allocates, locks or touches a file.
@@ -56,8 +56,9 @@ pub use thread::{ControlThread, Homed};
 pub use tick::Tick;
 pub use watch::Alarm;
 
-/// Capacity of the ring from the tick to the recorder, in records. It holds the longest rollout (15
-/// s of settling, 6 s of running, 15 s of braking), so that even a stalled recorder loses nothing.
+/// Capacity of the ring from the tick to the recorder, in records. It holds the longest rollout
+/// (15 s of settling, 10 s of an excitation, 15 s of braking: 4000 ticks), so that even a stalled
+/// recorder loses nothing.
 pub const RING_CAPACITY: usize = 4096;
 
 #[cfg(test)]

@@ -107,16 +107,19 @@ impl Coefficients {
 /// While the arm is at rest, both sides of both equations are zero. The watch integrates the right
 /// sides over windows in which the arm's count is constant; if both show a change of velocity, in
 /// the same direction, the arm moves and its encoder is frozen. An arm that is held violates the
-/// first equation only.
+/// first equation only. Without the equations the watch detects a count that was constant and then
+/// makes two steps that only an arm already in motion can make.
 #[derive(Clone, Copy, Debug)]
 pub struct MomentumWatch {
     coefficients: Coefficients,
     ring: [Entry; KEPT],
     newest: usize,
     filled: usize,
+    /// Ticks for which the arm's count has been within one count of `stood_at`.
     stood_ticks: usize,
     stood_at: i32,
     last_counts: i32,
+    /// Last step, counts, if it was large and came after a constant count; otherwise 0.
     resumed_counts: i32,
     has_taken_current: bool,
 }
@@ -156,7 +159,7 @@ impl MomentumWatch {
 
     /// Takes a sample with the pendulum's angle `alpha`, rad, 0 at hanging, the last voltage sent,
     /// V, and the motor current, A, both in the signs of the equations of motion. Returns whether
-    /// the arm's count is constant although the arm moves.
+    /// the arm's count is constant although the arm moves, or has resumed a motion after it was.
     pub fn is_frozen(
         &mut self,
         sample: &Measurement,
@@ -180,8 +183,8 @@ impl MomentumWatch {
         self.push(time_s, elapsed_s, alpha, self.accelerates_rad_s2(voltage_v, current_a));
         self.has_taken_current |= current_a.abs() > ALIVE_A;
 
-        // The arm has speed in the first period in which its count changes, so the count was
-        // frozen.
+        // The arm already had speed in the first period in which its count changed, so the count
+        // had been frozen.
         let resumed = self.resumed_counts;
         self.resumed_counts = 0;
         if resumed != 0

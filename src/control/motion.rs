@@ -45,8 +45,8 @@ pub struct TickOutput {
 }
 
 impl TickOutput {
-    /// The output of a motion other than a rollout, in a tick that asks for no voltage and does not
-    /// end the motion.
+    /// The output of a motion other than a rollout, in a tick that keeps `voltage_mv`, mV, asks for
+    /// no other voltage and does not end the motion.
     pub fn settling(state: State, voltage_mv: i16) -> Self {
         Self { phase: Phase::Settling, state, wanted_v: None, voltage_mv, ending: None }
     }

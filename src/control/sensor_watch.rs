@@ -16,7 +16,8 @@ const JUMP_COUNTS: f64 = 200.0;
 /// jump, too. A blow changes the arm's velocity for more than one period.
 const SPIKE_COUNTS: i32 = 40;
 
-/// Voltage at which no arm is fast enough for its back EMF to cancel the current for long, mV.
+/// Voltage from which on a motor must draw current, mV: no arm is fast enough for its back EMF to
+/// cancel the current for long.
 const DRIVEN_MV: i16 = 800;
 
 /// Current of a driven motor below which it counts as zero, A.
@@ -25,7 +26,7 @@ const LEAST_DRIVEN_A: f32 = 0.012;
 /// Consecutive driven samples without current after which the motor counts as dead.
 const WITHOUT_CURRENT_TICKS: u32 = 15;
 
-/// Voltage that moves every arm, mV: no friction holds an arm against 1 V.
+/// Voltage from which on every arm must move, mV: no friction holds an arm against 1 V.
 const FROZEN_DRIVE_MV: i16 = 1000;
 
 /// Duration of `FROZEN_DRIVE_MV` in one direction within which the arm's count must move, us.
@@ -44,8 +45,8 @@ const STALL_US: u64 = 500_000;
 /// Velocity below which an arm hardly turns, rad/s.
 const STALL_RAD_S: f64 = 0.5;
 
-/// Shortest interval over which a velocity is computed, us: one count in it is 0.6 rad/s. The tick
-/// after a late tick may follow within 0.2 ms, where one count would be 15 rad/s.
+/// Shortest interval over which a step is counted, us: one count in it is 0.6 rad/s. The tick after
+/// a late tick may follow within 0.2 ms, where one count would be 15 rad/s.
 const LEAST_STEP_US: u64 = 5_000;
 
 /// Absolute tolerance between counter and tachometer, counts/s of a Qube (1.5 rad/s).
@@ -183,8 +184,8 @@ impl SensorWatch {
         }
     }
 
-    /// Checks one sample. `drive` is `None` while the arm is meant to push against its stops; the
-    /// tests of an arm that does not follow its voltage are then left out.
+    /// Checks one sample. `drive` is `None` during homing, which pushes the arm against its stops;
+    /// the tests that compare the arm's motion with its voltage are then left out.
     ///
     /// A fault of the arm gives [`Alarm::Zero`]: a brake would rely on the doubtful count, or work
     /// against the hand that holds the arm. A fault of the pendulum gives [`Alarm::Brake`]: the arm
@@ -323,7 +324,7 @@ impl SensorWatch {
         stalls.then_some(if is_dead { Fault::MotorDead } else { Fault::Stall })
     }
 
-    /// Whether a motor that drew current before now draws none under voltage.
+    /// Whether a motor that has drawn current earlier draws none under voltage.
     fn takes_no_current(&mut self, sample: &Measurement) -> bool {
         if sample.applied_mv.saturating_abs() < DRIVEN_MV {
             return false;

@@ -9,7 +9,7 @@ use crate::telemetry::Ending;
 /// Ticks at 0 V before the push, which show how pendulum and arm move by themselves.
 const LISTEN_TICKS: u32 = 20;
 
-/// Longest push, ticks; the push the other way lasts as long.
+/// Longest push, ticks; the push the other way lasts as long as the first one did.
 const PUSH_TICKS: u32 = 10;
 
 /// Longest braking, ticks.
@@ -48,7 +48,8 @@ const CURRENT_ERROR_A: f64 = 0.005;
 ///
 /// The probe waits at 0 V, pushes until arm or pendulum has moved a little but for at most 0.1 s,
 /// pushes for as long the other way, brakes an arm whose motion it has measured, and waits at 0 V
-/// again. It only records; the examination evaluates the samples.
+/// again. It only records; the examination evaluates the samples. A requested stop ends the probe
+/// only in a stage at 0 V; a fault ends it at once.
 #[derive(Debug)]
 pub struct SignProbe {
     plant: PlantModel,

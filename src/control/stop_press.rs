@@ -8,7 +8,8 @@ use crate::telemetry::Ending;
 /// Distance from a nominal stop within which the arm counts as at the stop, rad.
 const NEAR_STOP_RAD: f64 = 0.3;
 
-/// Ticks after which the arm is at rest against its stop and its angle is stored.
+/// Ticks after which the arm is taken to be at rest against its stop and its angle is stored: 0.5
+/// s.
 const REST_TICKS: u32 = 50;
 
 /// Distance from the stored angle that only a push by hand explains, rad: 4 mm at the arm's end.
@@ -28,7 +29,8 @@ const RETURN_TICKS: u32 = 300;
 /// The arm is at its stop already, so it cannot move far even if the host vanishes while the
 /// voltage is on. A rehearsal tests the voltage before the operator unplugs the board: it ends when
 /// a hand has pushed the arm off its stop and the motor has brought the arm back. Any press ends
-/// when the voltage does not hold the arm, when time is up, or when the link is lost.
+/// when the arm is at no stop, when the voltage does not hold it, when time is up, or on a stop
+/// request or a fault.
 #[derive(Debug)]
 pub struct StopPress {
     plant: PlantModel,
@@ -53,20 +55,21 @@ pub struct StopPress {
 /// The result of pressing the arm against its stop.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PressOutcome {
-    /// The arm stayed at its stop until the end.
+    /// The arm has stayed at its stop so far.
     #[default]
     Stayed,
     /// The arm was not at a stop.
     NotAtStop,
     /// The arm was pushed off its stop by hand, and the motor brought it back.
     CameBack,
-    /// The arm was pushed off its stop by hand and did not come back: the voltage is too small.
+    /// The arm was pushed off its stop by hand and did not come back within 3 s, or went 0.5 rad
+    /// away: the voltage is too small.
     StayedAway,
 }
 
 impl StopPress {
-    /// A press with `push_v` volts, above 0, for at most `most_ticks` ticks. A rehearsal ends as
-    /// soon as a pushed arm has come back or has failed to come back.
+    /// A press with `push_v` volts, above 0, for at most `most_ticks` ticks. A rehearsal also ends
+    /// as soon as a pushed arm has come back.
     #[must_use]
     pub fn new(
         plant: &PlantModel,

@@ -107,7 +107,8 @@ impl ControlThread {
         })
     }
 
-    /// The real-time privileges that the operating system granted.
+    /// The real-time rights that the operating system refused to the thread; none if it asked for
+    /// none.
     #[must_use]
     pub fn realtime(&self) -> &RealtimeRefusals {
         &self.realtime
@@ -122,7 +123,7 @@ impl ControlThread {
     }
 
     /// Sends hellos to the device until it answers, the time of `patience` is over, or `stop` is
-    /// set.
+    /// set. A device that speaks another version of the protocol ends the attempts at once.
     ///
     /// # Errors
     /// As for [`hello`](Self::hello).
@@ -136,14 +137,16 @@ impl ControlThread {
         }
     }
 
-    /// Whether the device that answered the last hello is hardware, by [`Device::is_hardware`];
-    /// true before the first answer.
+    /// Whether the device counted as hardware after the last hello, by [`Device::is_hardware`];
+    /// true before the first hello.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         self.is_hardware.load(Ordering::Relaxed)
     }
 
-    /// Measures the zeros of the encoders and the stops.
+    /// Measures the zeros of the encoders and, unless the operator has put the arm into the middle
+    /// by hand, the stops. A fault or a stop of homing is no error; the report gives it as the
+    /// ending.
     ///
     /// # Errors
     /// The thread is gone; the device has not answered a hello since the start or since a fault, or
@@ -155,11 +158,13 @@ impl ControlThread {
         }
     }
 
-    /// Runs one rollout to its end and writes a record of each tick to `records`.
+    /// Runs one rollout to its end and writes a record of each tick to `records`. Before it, arm
+    /// and pendulum must be at rest where the last motion left them.
     ///
     /// # Errors
-    /// The thread is gone; the device has not been homed since its hello or could not be armed; arm
-    /// or pendulum has moved since the last motion; or the link failed.
+    /// The thread is gone; the device has not been homed since its last hello or loan, or could not
+    /// be armed; arm or pendulum has moved or was not seen at rest since the last motion; a stop
+    /// was requested before the rollout began; or the link failed.
     pub fn rollout(
         &self,
         settings: TickSettings,
@@ -193,8 +198,9 @@ impl ControlThread {
     }
 
     /// Lends the device to a task between motions, once the motor is cool enough. The task runs on
-    /// this thread with its priority, so that a check measures the latencies that a tick will have.
-    /// A task that drives the motor updates the motor's heat.
+    /// the control thread with its priority, so that a check measures the latencies that a tick
+    /// will have. A task that drives the motor must update the motor's heat. Afterwards the arm
+    /// must be homed before a rollout.
     ///
     /// # Errors
     /// The thread is gone; the device has not answered a hello; or a fault occurred after which the
@@ -308,6 +314,9 @@ fn execute(
 }
 
 /// Applies a command to the state table.
+///
+/// # Errors
+/// The table refuses the command.
 fn allowed(state: &mut ControlState, wanted: ControlEvent) -> Result<(), ControlError> {
     match state.take(wanted) {
         ControlAction::Refuse => Err(ControlError::Refused { wanted, state: *state }),
@@ -315,7 +324,10 @@ fn allowed(state: &mut ControlState, wanted: ControlEvent) -> Result<(), Control
     }
 }
 
-/// Drives a motion and adopts the state in which the motion ends.
+/// Drives a motion and adopts the state of control in which the motion ends.
+///
+/// # Errors
+/// The device could not be armed; the fault is latched.
 fn driven(
     state: &mut ControlState,
     motor: &mut Motor,

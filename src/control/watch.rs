@@ -30,8 +30,8 @@ const LONG_PACE_SHARE: f64 = 0.1;
 /// The reaction that a fault requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alarm {
-    /// Switch the amplifier off at once, because link, amplifier, motor or the arm's count cannot
-    /// be trusted. A rollout first damps the arm if only the arm's count is in doubt.
+    /// Switch the amplifier off at once, because link, clock, amplifier, motor or the arm's count
+    /// cannot be trusted. A rollout first damps the arm if only the arm's count is in doubt.
     Zero(Fault),
     /// Stop the arm first, because link, amplifier and the arm's count can be trusted; then switch
     /// the amplifier off.

@@ -21,8 +21,9 @@ const BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 /// An emulated board on a line in memory, in virtual time.
 ///
 /// Each byte takes its time at the line's rate in either direction, and a reply starts a fixed
-/// turnaround after its request. Writing takes no time, as with a port's buffer; reading moves the
-/// clock to the arrival of the bytes or to the deadline.
+/// turnaround after its request. A USB bridge, if the settings name one, delays the bytes further.
+/// Writing takes no time, as with a port's buffer; reading moves the clock to the arrival of the
+/// next byte, but no further than the deadline.
 #[derive(Debug)]
 pub struct InProcessWire {
     board: Board,
@@ -38,6 +39,8 @@ const BUFFER_BYTES: usize = 4096;
 /// Bytes in transit, each with its time of arrival.
 #[derive(Debug)]
 struct Line {
+    /// Time at which the last byte has left the line, ns; the next byte starts then at the
+    /// earliest.
     free_ns: Nanoseconds,
     under_way: VecDeque<(Nanoseconds, u8)>,
 }

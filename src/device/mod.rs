@@ -138,7 +138,7 @@ pub struct Identity {
     /// hello reveals a restart.
     #[serde(default)]
     pub boot_id: u16,
-    /// Port under which the device was opened.
+    /// Port under which the device was opened, or address of the card.
     pub port: String,
 }
 

@@ -30,7 +30,8 @@ const READ_BYTES: usize = 256;
 /// The host's end of the wire: a [`Device`] over any [`Transport`].
 ///
 /// The link accepts only replies with the sequence number of the current request and drops late
-/// replies.
+/// replies. The refusal of an act arrives during a later request and only updates the amplifier's
+/// known state.
 pub struct SerialLink<T: Transport> {
     transport: T,
     clock: Arc<dyn Clock>,
@@ -38,11 +39,11 @@ pub struct SerialLink<T: Transport> {
     sequence: u16,
     /// Nonce for the next arm, while one is valid.
     nonce: Option<u32>,
-    /// Whether the last device that answered is an emulator.
+    /// Whether the last hello was answered by an emulator; `false` if the hello failed.
     is_emulator: bool,
     /// Boot id that the caller's last hello returned.
     boot_id: Option<u16>,
-    /// Whether the device has restarted since that hello.
+    /// Whether an arm or disarm has found that the device has restarted since that hello.
     has_restarted: bool,
     motor: Motor,
     device_time: DeviceTime,

@@ -63,8 +63,8 @@ impl Level {
         allowed.iter().copied().find(|level| level.is_available()).unwrap_or(Self::Plain)
     }
 
-    /// Forbids every better level in this process for all later calls, to reproduce another
-    /// processor's behaviour.
+    /// Makes this the best allowed level ([`Self::best`]) in this process until the next call, to
+    /// reproduce another processor's behaviour.
     pub fn forbid_better(self) {
         FIRST_ALLOWED.store(self as u8, Ordering::Relaxed);
     }
@@ -98,8 +98,8 @@ pub fn dispatch<K: VectorKernel>(kernel: K) -> K::Output {
     dispatch_at(Level::best(), kernel)
 }
 
-/// Runs a kernel with the given instruction set, for comparisons; runs the plain path if the
-/// processor does not support that set.
+/// Runs a kernel with the given instruction set, even if [`Level::forbid_better`] forbids it; runs
+/// the plain path if the processor does not support that set.
 #[inline]
 pub fn dispatch_at<K: VectorKernel>(level: Level, kernel: K) -> K::Output {
     if !level.is_available() {

@@ -1,15 +1,16 @@
 //! Elementary functions for `f32`.
 //!
-//! Each function is a polynomial (or a quotient of two) after a range reduction, built only from
-//! [`f32::mul_add`], division and bit operations in a fixed order, so every processor computes the
+//! Each function is a polynomial or a quotient of two after a range reduction; the inverse square
+//! root is two Newton steps after a first guess. All are built only from basic arithmetic,
+//! [`f32::mul_add`], clamping and bit operations in a fixed order, so every processor computes the
 //! same bits. No function has a branch, so a loop over a slice becomes vector code when it is
 //! compiled for vectors (see [`super::VectorKernel`]).
 //!
-//! The coefficients are minimax fits of this project: iteratively reweighted least squares
-//! (Lawson's algorithm) in double precision on 4,000 Chebyshev-spaced points, the quotient
-//! linearised with the denominator of the previous round. The fitted coefficients are then rounded
-//! to `f32`; those of cos one after the other, with the remaining ones fitted again each time. The
-//! error bounds below include `f32` rounding and are tested on dense grids.
+//! The coefficients of the polynomials are minimax fits of this project: iteratively reweighted
+//! least squares (Lawson's algorithm) in double precision on 4,000 Chebyshev-spaced points, the
+//! quotient linearised with the denominator of the previous round. The fitted coefficients are then
+//! rounded to `f32`; those of cos one after the other, with the remaining ones fitted again each
+//! time. The error bounds below include `f32` rounding and are tested on dense grids.
 
 use super::Scalar;
 

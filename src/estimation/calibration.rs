@@ -7,15 +7,15 @@ use crate::qube::{Encoder, Encoders, Measurement};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
-    /// Count of the arm's encoder in the middle between the stops.
+    /// Count of the arm's encoder at theta 0, the middle between the stops.
     pub theta_zero_counts: i32,
-    /// Count of the pendulum's encoder while it hangs.
+    /// Count of the pendulum's encoder at alpha 0: while it hangs, or whole turns away from there.
     pub alpha_zero_counts: i32,
     /// Whether the arm's encoder counts down while theta grows.
     pub theta_inverted: bool,
     /// Whether the pendulum's encoder counts down while alpha grows.
     pub alpha_inverted: bool,
-    /// Whether a positive voltage turns the arm towards negative theta.
+    /// Whether a positive voltage of the device turns the arm towards negative theta.
     pub voltage_inverted: bool,
     /// Resolution of the encoders; a file without this entry means a Qube's encoders.
     #[serde(default, skip_serializing_if = "Encoders::are_qube")]
@@ -48,7 +48,7 @@ impl Calibration {
         )
     }
 
-    /// The arm encoder's count at an angle in rad.
+    /// The arm encoder's count that is nearest to an angle, rad.
     #[must_use]
     pub fn theta_counts_at(&self, theta_rad: f64) -> i32 {
         let off_counts = (theta_rad / self.encoders.theta.rad_per_count()).round() as i32;

@@ -75,7 +75,7 @@ impl Estimator {
     }
 
     /// Records the voltage that was sent in answer to the last measurement, V, for the observer's
-    /// prediction.
+    /// prediction; does nothing without an observer or before the first measurement.
     pub fn send(&mut self, voltage_v: f64) {
         if let (Some(observer), Some(previous)) = (&mut self.observer, &self.previous) {
             observer.send(previous.device_time_us, voltage_v);
@@ -105,8 +105,8 @@ impl Estimator {
         *estimates
     }
 
-    /// Number of times that the observer lost the Qube and restarted from encoders and filter; 0
-    /// without an observer.
+    /// Number of times that the observer diverged and was reset to encoders and filter; 0 without
+    /// an observer.
     #[must_use]
     pub fn observer_resets(&self) -> u32 {
         self.observer.as_ref().map_or(0, Observer::observer_resets)

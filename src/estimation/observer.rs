@@ -171,7 +171,7 @@ impl Observer {
         self.estimate.alpha += by_rad;
     }
 
-    /// Number of times that the observer lost the Qube and was reset.
+    /// Number of times that the observer diverged and was reset.
     pub(super) fn observer_resets(&self) -> u32 {
         self.observer_resets
     }

@@ -23,7 +23,7 @@ struct Command<V> {
 /// A voltage and the time for which it acts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Piece<V = f64> {
-    /// Voltage, V.
+    /// Voltage, V, or the number of a command in its place.
     pub voltage: V,
     /// Duration, us.
     pub duration_us: u64,

@@ -6,8 +6,8 @@ use crate::qube::{ModelError, Nonidealities, QubeModel};
 /// Smallest corner of the guard's velocity filter, rad/s.
 pub const GUARD_CORNER_RAD_S: f64 = 200.0;
 
-/// Largest corner of a velocity filter that is accepted, rad/s. At 100 Hz one of 1,000 rad/s already
-/// filters nothing.
+/// Largest corner of a velocity filter that is accepted, rad/s. At 100 Hz a corner of 1,000 rad/s
+/// already filters nothing.
 pub const LARGEST_CORNER_RAD_S: f64 = 1e6;
 
 /// Settings of the estimator whose state the policy sees.
@@ -15,7 +15,9 @@ pub const LARGEST_CORNER_RAD_S: f64 = 1e6;
 #[serde(deny_unknown_fields, default)]
 pub struct EstimatorSettings {
     /// Corner of the velocity filter, rad/s; above 0 and up to 1e6. The default is 200. The thesis
-    /// uses 50, whose longer lag makes many policies fail (docs/estimation.md).
+    /// uses 50, whose longer lag makes many policies fail (docs/estimation.md). The guard's filter
+    /// has this corner, too, but at least [`GUARD_CORNER_RAD_S`]; with an observer, only that
+    /// filter has it.
     pub corner_rad_s: f64,
     /// Model observer that replaces the filter for the policy; `None`, which files without this
     /// entry mean, selects the filter.

@@ -13,19 +13,19 @@ const PERMUTATIONS: usize = 9_999;
 /// Seed of the random signs: the same results give the same p-value.
 const SEED: u64 = 0x7065_726d_7574_6531;
 
-/// Two recipes on one plant, compared over pairs of policies with the same number, and so with the
-/// same seed.
+/// The comparison of two recipes on one plant, or of two methods at one budget, over pairs of
+/// policies with the same number, and so with the same seed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Name of the plant.
+    /// Name of the plant, or [`ALL_PLANTS`](super::ALL_PLANTS).
     pub plant: String,
-    /// Name of the first recipe.
+    /// Name of the first recipe, or of the first method with its budget.
     pub first: String,
-    /// Name of the second recipe.
+    /// Name of the second recipe, or of the second method with its budget.
     pub second: String,
     /// Number of pairs of policies.
     pub pairs: usize,
-    /// Success rate of the second less that of the first.
+    /// Success rate of the second recipe less the first's, over the pairs.
     pub success_difference: f64,
     /// p-value of `success_difference`: McNemar's exact test (1947), two-sided, corrected by Holm
     /// (1979) for the number of comparisons in the experiment.
@@ -34,7 +34,7 @@ pub struct Comparison {
     /// have a return; NaN without such a pair.
     pub return_difference: f64,
     /// p-value of `return_difference`: a permutation test of the signs of the pairs' differences
-    /// (Fisher 1935), two-sided, corrected by Holm in the same way.
+    /// (Fisher 1935), two-sided, corrected by Holm in the same way; 1 where there is no difference.
     pub return_p: f64,
     /// Share of all combinations of one policy of each recipe, whatever their numbers, in which the
     /// second's return is higher; ties count half (Vargha and Delaney 2000). Equal recipes have
@@ -95,7 +95,8 @@ fn compare(first: &RecipeResult, second: &RecipeResult) -> Option<Comparison> {
     })
 }
 
-/// McNemar's exact p-value, two-sided, of `gained` against `lost` among the pairs that differ.
+/// McNemar's exact p-value, two-sided, of `gained` against `lost` among the pairs that differ; 1 if
+/// none differs.
 fn mcnemar(gained: usize, lost: usize) -> f64 {
     let differing = gained + lost;
     // The probability of each count under a fair coin, from the one before it.
@@ -108,8 +109,8 @@ fn mcnemar(gained: usize, lost: usize) -> f64 {
     (2.0 * tail).min(1.0)
 }
 
-/// The two-sided p-value of the mean of paired differences under random signs; 1 without any
-/// difference.
+/// The two-sided p-value of the mean of paired differences under random signs; 1 if there are no
+/// differences or all are 0.
 fn sign_permutation(differences: &[f64]) -> f64 {
     let observed = differences.iter().sum::<f64>().abs();
     let mut random = ChaCha8Rng::seed_from_u64(SEED);
@@ -123,6 +124,8 @@ fn sign_permutation(differences: &[f64]) -> f64 {
     (as_extreme + 1) as f64 / (PERMUTATIONS + 1) as f64
 }
 
+/// Share of all pairs of a value of `first` and a value of `second` in which the second is higher;
+/// ties count half. NaN if a sample is empty.
 fn superiority(first: &[f64], second: &[f64]) -> f64 {
     let score = |one: f64, other: f64| match other.total_cmp(&one) {
         std::cmp::Ordering::Greater => 1.0,

@@ -23,8 +23,9 @@ pub enum ExperimentError {
         /// Reason why it is refused.
         reason: String,
     },
-    /// The settings file was changed, or names a setting or guard that does not exist any more. The
-    /// experiment cannot continue, but its results can be shown.
+    /// The settings file was changed after the experiment began, or names a guard, or a setting
+    /// with an effect, that this version does not offer. The experiment cannot continue, but its
+    /// results can be shown.
     #[error("{path}: {reason}")]
     NotResumable {
         /// Path of the file.
@@ -32,8 +33,8 @@ pub enum ExperimentError {
         /// Reason why the experiment cannot continue.
         reason: String,
     },
-    /// A recipe is invalid.
-    #[error("{path} is not a recipe: {reason}")]
+    /// A recipe cannot be read or is invalid.
+    #[error("the recipe {path} cannot be used: {reason}")]
     Recipe {
         /// Path of the file.
         path: PathBuf,
@@ -57,10 +58,10 @@ pub enum ExperimentError {
     /// A worker thread panicked.
     #[error("a thread of the experiment has ended unexpectedly: resume the experiment")]
     WorkerGone,
-    /// The search for a psi ended early.
+    /// A search for psi ended early.
     #[error("the search of {name}: {source}")]
     Search {
-        /// Name of the search.
+        /// Name of the search: a recipe, or a method with the number of a repetition.
         name: String,
         /// Cause of the end.
         source: Box<SessionError>,

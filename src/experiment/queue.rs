@@ -26,7 +26,8 @@ impl<'a, Item: Send> Queue<'a, Item> {
     }
 
     /// Processes all items on several threads. `work` does one item and returns the items that
-    /// follow from it. No further item begins after the first failure or a stop request.
+    /// follow from it. No further item begins after the first failure or a stop request; after a
+    /// panic the other threads go on.
     ///
     /// # Errors
     /// An item failed or panicked, or a stop was requested while items were waiting.
@@ -90,6 +91,7 @@ impl<'a, Item: Send> Queue<'a, Item> {
     }
 }
 
+/// Marks an item as done when it is dropped, and wakes the threads that wait for further items.
 struct Done<'q, 'a, Item: Send>(&'q Queue<'a, Item>);
 
 impl<Item: Send> Drop for Done<'_, '_, Item> {
@@ -110,7 +112,7 @@ mod tests {
         for threads in [1, 2, 5] {
             let stop = AtomicBool::new(false);
             let done = AtomicUsize::new(0);
-            // Each item of size n makes two of size n - 1: 2^5 - 1 in all.
+            // Each item of size n makes two of size n - 1, down to size 0: 2^5 - 1 in all.
             let outcome = Queue::new([4_u32], &stop).run(threads, |size| {
                 done.fetch_add(1, Ordering::Relaxed);
                 Ok(if size == 0 { Vec::new() } else { vec![size - 1; 2] })

@@ -20,7 +20,8 @@ pub struct Recipe {
     /// Named distribution of the recipe's simulations.
     pub model: Model,
     /// All other settings, as in a `session.toml`. Name, seed and emulated Qube come from the
-    /// experiment; the extent is that of the search for psi.
+    /// experiment. The extent is that of the search for psi; its steps and repetitions also hold
+    /// for the policies' rollouts.
     #[serde(default)]
     pub settings: SessionSettings,
 }
@@ -38,7 +39,7 @@ struct RecipeFile {
 
 impl Recipe {
     /// A recipe with a model's name and the settings of `base`. Where the model has nonidealities,
-    /// and so a delay, policies observe their last commands.
+    /// and so a delay, policies observe their last two commands.
     #[must_use]
     pub fn of(model: Model, base: &SessionSettings) -> Self {
         let mut settings = base.clone();
@@ -53,7 +54,7 @@ impl Recipe {
     /// `base`, with the names of a `session.toml`.
     ///
     /// # Errors
-    /// The file cannot be read or is not a recipe.
+    /// The file cannot be read or is not a recipe, or its settings are invalid.
     pub fn load(path: &Path, base: &SessionSettings) -> Result<Self, ExperimentError> {
         let unreadable = |reason: String| ExperimentError::Recipe { path: path.to_owned(), reason };
         let text =
@@ -80,13 +81,15 @@ impl Recipe {
     /// models, `psi` is the result of the search.
     ///
     /// # Errors
-    /// The psi of a searched model or a profile is missing.
+    /// The psi of a searched model or a profile is missing, or a value of the profile or the plant
+    /// cannot be simulated.
     pub fn distribution(&self, psi: Option<&Psi>) -> Result<DomainDistribution, PsiError> {
         let SessionSettings { family, profile, .. } = &self.settings;
         self.model.distribution(self.settings.plant(), *family, profile.as_ref(), psi)
     }
 
-    /// The simulation settings besides the distribution.
+    /// The simulation settings besides the distribution, with the velocity filter's corner of psi
+    /// if psi names one.
     #[must_use]
     pub fn simulation(&self, psi: Option<&Psi>) -> SimulationSettings {
         let simulation = &self.settings.training.simulation;

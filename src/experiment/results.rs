@@ -24,8 +24,9 @@ const FRESH_SEED: u64 = 1_000_003;
 /// The results of an experiment so far, computed from its policies and recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Results {
-    /// Results of each recipe on each plant, in the order of the settings; at fixed budgets the
-    /// results of each method at each budget on each plant.
+    /// Results of each recipe on each plant, in the order of the settings. At fixed budgets: the
+    /// results of each method at each budget on each plant, as far as there are any, and with
+    /// several plants those on [all of them](super::ALL_PLANTS).
     pub recipes: Vec<RecipeResult>,
 }
 
@@ -49,7 +50,8 @@ pub struct RecipeResult {
 /// The results of a policy on a plant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicyResult {
-    /// Number of the policy, or of the repetition whose recommendation it scores.
+    /// Number of the policy, or of the repetition whose recommendation it scores. On
+    /// [all plants](super::ALL_PLANTS) the numbers continue from plant to plant.
     pub number: u32,
     /// Mean return in simulation, from fresh starts; NaN for a policy that is no network.
     pub simulated_return: f64,
@@ -60,7 +62,7 @@ pub struct PolicyResult {
 }
 
 impl PolicyResult {
-    /// The mean return of the policy's rollouts; `None` where faults ended every rollout.
+    /// The mean return of the policy's rollouts; `None` where no rollout has a return.
     #[must_use]
     pub fn mean_return(&self) -> Option<f64> {
         let returns: Vec<f64> = self.rollouts.iter().filter_map(|it| it.return_).collect();
@@ -96,7 +98,7 @@ impl RecipeResult {
         self.policies.iter().map(|policy| policy.simulated_return).collect()
     }
 
-    /// Mean returns on the plant, one for each policy; policies whose rollouts all ended by faults
+    /// Mean returns on the plant, one for each policy; policies of which no rollout has a return
     /// are left out.
     #[must_use]
     pub fn returns(&self) -> Vec<f64> {
@@ -159,10 +161,11 @@ impl RecipeResult {
 }
 
 impl Results {
-    /// Reads all finished work, on as many threads as the experiment has.
+    /// Reads all finished work and evaluates its policies in simulation, on as many threads as the
+    /// experiment has.
     ///
     /// # Errors
-    /// An existing policy or recording cannot be read.
+    /// An existing search, policy or recording cannot be read.
     pub fn read(experiment: &Experiment) -> Result<Self, ExperimentError> {
         let settings = experiment.settings();
         if let Some(strategies) = settings.strategies.as_ref().filter(|it| it.has_budgets()) {

@@ -30,7 +30,7 @@ impl RolloutResult {
 
 /// The state of a rollout according to the recordings in its folder.
 enum RolloutState {
-    /// The rollout has a result.
+    /// The rollout has a result, or all its attempts are void.
     Finished(RolloutResult),
     /// The rollout needs an attempt.
     Due {
@@ -86,7 +86,7 @@ pub(super) fn all_of(
         .collect()
 }
 
-/// Whether a rollout has a result.
+/// Whether a rollout needs no further attempt: it has a result, or all its attempts are void.
 ///
 /// # Errors
 /// A recording cannot be read.
@@ -98,7 +98,7 @@ pub(super) fn is_complete(
     Ok(matches!(state_of(folder, rollout, repetitions)?, RolloutState::Finished(_)))
 }
 
-/// A rollout, together with the repetitions that faults make necessary.
+/// A rollout, together with the repetitions that void attempts make necessary.
 pub(super) struct Repeated<'a> {
     /// Folder of the rollout's recordings.
     pub folder: &'a Path,
@@ -116,8 +116,9 @@ pub(super) struct Repeated<'a> {
 pub(super) type Record<'a> = dyn FnMut(&Rig) -> Result<Ending, ExperimentError> + 'a;
 
 impl Repeated<'_> {
-    /// Attempts the rollout until there is a result, or until faults have ended it as often as
-    /// allowed. `with_rig` provides the rig for an attempt.
+    /// Attempts the rollout until there is a result, or until all allowed attempts are void.
+    /// `with_rig` gets the number of an attempt and calls the given function with the rig that
+    /// makes it.
     ///
     /// # Errors
     /// The work ends early, for instance by a stop request.

@@ -10,8 +10,8 @@ pub(super) fn sealed(settings: &str) -> String {
     format!("{settings}{MARK}{}\n", file_checksum(settings.as_bytes()))
 }
 
-/// Whether the lines above the checksum are unchanged. A file without a checksum, as early versions
-/// wrote it, passes.
+/// Whether the lines above the checksum are unchanged and no line follows it. A file without a
+/// checksum, as early versions wrote it, passes.
 pub(super) fn is_unchanged(text: &str) -> bool {
     text.rsplit_once(MARK).is_none_or(|(settings, checksum)| {
         file_checksum(settings.as_bytes()) == checksum.trim_end()

@@ -73,6 +73,7 @@ impl Series<'_> {
         let curve = curve_csv(&trained.curve);
         write_whole(&MachineDisk, &paths.curve(), curve.as_bytes())?;
         let mut origin = self.recipe.origin(self.psi);
+        // The recipe's model did not draw these simulations, so the origin names the recipe.
         if self.distribution.is_some() {
             origin.model.clone_from(&self.recipe.name);
         }
@@ -92,7 +93,7 @@ impl Series<'_> {
         }
     }
 
-    /// The simulation settings besides the distribution.
+    /// The simulation settings besides the distribution ([`Recipe::simulation`]).
     pub fn simulation(&self) -> SimulationSettings {
         self.recipe.simulation(self.psi)
     }
@@ -180,7 +181,8 @@ impl Series<'_> {
             };
             let opened = rig.insert(opened);
             match record(opened) {
-                // A rollout that could not begin is due again.
+                // A rollout that could not begin is due again, at most `MAX_NOT_BEGUN` times in a
+                // row.
                 Err(ExperimentError::Session(SessionError::Rig(RigError::NotBegun { .. })))
                     if not_begun < MAX_NOT_BEGUN =>
                 {

@@ -26,14 +26,14 @@ pub struct ExperimentSettings {
     /// Number of fresh starts from which a policy's return in simulation is evaluated, 1 to
     /// 100,000.
     pub simulated_starts: u32,
-    /// Plants on which policies run; the search for psi runs on the first. A real Qube is the only
-    /// plant of its experiment.
+    /// Plants on which policies run; a recipe's search for psi runs on the first, without its
+    /// `vary`. A real Qube is the only plant of its experiment.
     pub plants: Vec<Plant>,
     /// Recipes that are compared.
     pub recipes: Vec<Recipe>,
-    /// Methods that are compared instead of recipes. They start from one recipe and one or more
-    /// emulated plants. `policies` policies with `rollouts` rollouts each score a recommendation;
-    /// at fixed budgets it is one policy with `rollouts` rollouts.
+    /// Methods that are compared instead of recipes. They start from one recipe on an emulated
+    /// plant, at fixed budgets on one or more. Up to `policies` policies with `rollouts` rollouts
+    /// each score a recommendation; at fixed budgets it is one policy with `rollouts` rollouts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub strategies: Option<StrategySettings>,
 }
@@ -51,7 +51,7 @@ impl ExperimentSettings {
     ///
     /// # Errors
     /// The file cannot be read, is not an experiment, was changed since the experiment began, or
-    /// has a setting that no longer exists.
+    /// names a guard, or a setting with an effect, that this version does not offer.
     pub fn load_to_resume(path: &Path) -> Result<Self, ExperimentError> {
         let text = text_of(path)?;
         let (settings, retired) = Self::parsed(path, &text)?;
@@ -73,7 +73,8 @@ impl ExperimentSettings {
         }
     }
 
-    /// Reads the settings; also returns the entries of the file that are no longer settings.
+    /// Reads and checks the settings; also returns the entries of the file that are no longer
+    /// settings.
     fn parsed(path: &Path, text: &str) -> Result<(Self, Vec<Retired>), ExperimentError> {
         let unreadable =
             |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
@@ -181,6 +182,7 @@ impl ExperimentSettings {
     }
 }
 
+/// Checks that the names are valid and that no two are equal; `kind` names them in the error.
 fn distinct(kind: &str, names: &[&str]) -> Result<(), String> {
     for (index, name) in names.iter().enumerate() {
         check_name(kind, name)?;

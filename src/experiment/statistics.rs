@@ -7,8 +7,8 @@ use serde::Serialize;
 /// The quantile of the normal distribution that leaves 2.5 % above it.
 const NORMAL_975: f64 = 1.959_963_984_540_054;
 
-/// Number of random draws behind an interval of a mean. With 10,000, any two seeds give ends of the
-/// interval that agree within a hundredth of its width.
+/// Number of random draws behind an interval of a mean. With 10,000, an end of the interval
+/// typically varies from seed to seed by less than a hundredth of the interval's width.
 const DRAWS: usize = 10_000;
 
 /// Seed of the random draws: the same sample gives the same interval.
@@ -77,9 +77,9 @@ pub fn wilson_interval(successes: usize, trials: usize) -> Interval {
 ///
 /// Returns have two humps, one of policies that balance and one of policies that fall, and a sample
 /// may show only the more frequent hump by chance. A bootstrap knows nothing of a hump that the
-/// sample lacks: at n = 20 and a success rate of 0.95, its interval covers two thirds of the true
-/// means. This interval uses the bounds of the quantity and so allows for a missing hump; it is
-/// wider for that.
+/// sample lacks: at n = 20 and a success rate of 0.95, its interval contains the true mean for two
+/// samples of three only. This interval uses the bounds of the quantity and so allows for a missing
+/// hump; it is wider for that.
 #[must_use]
 pub fn bounded_mean_interval(sample: &[f64], most: f64) -> Interval {
     BoundedMean::of(sample.len()).interval(sample, most)

@@ -140,7 +140,9 @@ impl Experiment {
         Self { folder, settings, rig, threads: threads.max(1), stop, executor: None }
     }
 
-    /// Trains on an executor other than this computer's cores; the policies do not depend on it.
+    /// Trains on this executor, or with `None` on this computer's cores; the policies do not depend
+    /// on it. Methods that train in a way of their own, such as `adr` and `so-cma`, do so on this
+    /// computer in any case.
     #[must_use]
     pub fn trained_by(mut self, executor: Option<Arc<dyn Executor>>) -> Self {
         self.executor = executor;
@@ -155,8 +157,8 @@ impl Experiment {
         }
     }
 
-    /// Number of items of work at a time. Items whose trainings run on other computers only wait
-    /// here, so they may be more than the threads.
+    /// Number of items of work at a time. While the training of an item runs on another computer,
+    /// the item only waits here, so there may be more items than threads.
     fn parallel_items(&self) -> usize {
         let elsewhere = self.executor.as_ref().map_or(0, |executor| executor.concurrency());
         self.threads.max(elsewhere.min(MAX_PARALLEL_ITEMS))
@@ -315,7 +317,7 @@ impl Experiment {
     /// its psi yet is left out.
     ///
     /// # Errors
-    /// A search cannot be read.
+    /// A search cannot be read, or [`Recipe::distribution`] fails.
     pub fn distributions(&self) -> Result<Vec<(String, DomainDistribution)>, ExperimentError> {
         let mut known = Vec::new();
         for recipe in &self.settings.recipes {
@@ -343,7 +345,7 @@ impl Experiment {
     }
 
     /// The training progress of the policies of each recipe, by the recipes' names: the mean return
-    /// in simulation after each update.
+    /// in simulation after each update. A recipe without a learning curve is left out.
     ///
     /// # Errors
     /// A learning curve cannot be read.

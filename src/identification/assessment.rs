@@ -6,17 +6,17 @@ use super::fit::Fit;
 use super::residuals::{Noise, Residual, scale_of};
 use super::stretch::{Regime, Stretch};
 
-/// Largest residual (root mean square) of a model that fits over windows of half a second, in
-/// standard deviations of the encoder's quantisation.
+/// Largest [`Assessment::noise_ratio`] of a model that fits.
 const LARGEST_NOISE_RATIO: f64 = 1.2;
 
 /// Largest [`Assessment::whiteness`] of a model that fits, over long recordings. The fit of the
 /// start states makes the correlation a little negative.
 const LARGEST_WHITENESS: f64 = 0.02;
 
-/// Largest correlation of neighbouring residuals times the root of the number of samples: over
-/// short recordings chance alone exceeds [`LARGEST_WHITENESS`]. It is about
-/// two standard deviations of the mean over [`LAGS`] lags of white residuals.
+/// Largest [`Assessment::whiteness`] of a model that fits, times the root of the number of samples.
+/// It replaces [`LARGEST_WHITENESS`] over recordings of fewer than 2,025 samples, where chance
+/// alone exceeds that limit: it is about two standard deviations of the mean over [`LAGS`] lags of
+/// white residuals.
 const LARGEST_CHANCE: f64 = 0.9;
 
 /// Largest distance, in samples, of residuals whose correlation is tested.
@@ -26,7 +26,8 @@ const LAGS: usize = 5;
 /// leave smaller residuals over short windows and allow more growth in proportion.
 const LARGEST_GROWTH: f64 = 2.0;
 
-/// Residual over windows of half a second beyond which a model does not fit, rad.
+/// Residual (root mean square, the larger of the two angles) over windows of half a second beyond
+/// which a model does not fit, rad.
 const UNFIT_RAD: f64 = 0.03;
 
 /// Smallest score that counts as evidence for an effect outside the equations; if the model holds,
@@ -40,7 +41,8 @@ const NAMED_SHARE: f64 = 0.2;
 /// Whether the model describes the Qube that made the recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelVerdict {
-    /// The residuals are as large and as little correlated as the encoders' rounding.
+    /// The residuals are about as small and as uncorrelated as the encoders' rounding, and no test
+    /// finds a sign of a missing effect.
     Fits,
     /// The model predicts windows of half a second, but the tests find signs of a missing effect.
     FitsBut,
@@ -69,7 +71,7 @@ pub enum MissingEffect {
     /// A torque builds up after the arm turns back: friction that yields before it slides, or a
     /// cable with hysteresis.
     Reversals,
-    /// The motor changes in the course of the recordings: it warms.
+    /// The motor changes in the course of each recording, as when it warms.
     Warming,
     /// The arm's measured angle has an error that is periodic in the angle.
     Angle,
@@ -111,13 +113,14 @@ impl fmt::Display for MissingEffect {
 pub struct Assessment {
     /// Result of the tests.
     pub verdict: ModelVerdict,
-    /// Effects that the model lacks, as far as the tests find any.
+    /// Effects that the model may lack; empty if the tests find no sign of any.
     pub doubts: Vec<MissingEffect>,
-    /// Residual over windows of half a second, in standard deviations of the encoder's
-    /// quantisation.
+    /// Residual (root mean square) over windows of half a second, or of a quarter where the
+    /// pendulum is upright, in standard deviations of the encoder's quantisation; the larger value
+    /// of the two angles.
     pub noise_ratio: f64,
-    /// Mean correlation of residuals of one angle that are one to five samples apart, in windows of
-    /// half a second; the larger value of the two angles. White noise has about 0.
+    /// Mean correlation of residuals of one angle that are one to five samples apart, in the same
+    /// windows; the larger value of the two angles. White noise has about 0.
     pub whiteness: f64,
     /// Residual over the fitted windows of chirps and steps, divided by the residual over their
     /// windows of half a second; the larger value of the two angles, and 1 without such recordings.
@@ -125,7 +128,7 @@ pub struct Assessment {
 }
 
 /// Tests the residuals of a fit over its own windows and, with start states fitted anew, over the
-/// windows `short` of half a second.
+/// windows `short` of half a second, or of a quarter where the pendulum is upright.
 pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     let mut check = fit.with_unknowns(&[], short);
     check.noise = [Noise::of_resolution(fit.plant.encoders); 3];
@@ -218,7 +221,8 @@ fn correlation(fit: &Fit<'_>, residuals: &[Vec<Residual>], angle: usize) -> f64 
 }
 
 /// The effect outside the equations that explains the residuals best, when it is significant and
-/// explains a good part of the residuals beyond the encoders' rounding.
+/// explains a good part of the residuals beyond the encoders' rounding. `residuals` is the number
+/// of residuals of `check`, two for each sample.
 fn named(check: &Fit<'_>, residuals: f64, noise_ratio: f64) -> Option<MissingEffect> {
     let scores = scores(check);
     let (effect, score) = scores.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;

@@ -32,8 +32,9 @@ pub struct DriftEstimate {
     pub motions: usize,
 }
 
-/// Estimates the quantities that change from day to day; all others are as in `reference`. Rollouts
-/// of a policy suffice as motions. Motions that cannot be fitted are left out.
+/// Estimates the quantities that change from day to day; all others are as in `reference`. The
+/// motions must be of one plant; rollouts of a policy suffice. Motions that cannot be fitted are
+/// left out.
 ///
 /// # Errors
 /// No motion can be fitted: the reason of the last one, or [`Unfit::Short`] without any motion.

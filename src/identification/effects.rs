@@ -9,7 +9,8 @@ use super::stretch::Stretch;
 use crate::qube::QubeModel;
 use crate::replay::MotionSample;
 
-/// Disturbance of the voltage for the finite difference of a motion, V.
+/// Scale of the disturbances of the voltage by which the effects on a motion are computed as finite
+/// differences, V.
 const DISTURBANCE_V: f64 = 0.02;
 
 /// Angles of the arm over which a torque builds up after a reversal, rad: the first for presliding
@@ -21,7 +22,7 @@ const BUILD_UPS_RAD: [f64; 2] = [0.03, 0.2];
 pub(super) enum Effect {
     /// A torque that builds up while the arm moves on after a reversal.
     Reversals,
-    /// A motor whose torque changes in proportion to time.
+    /// A motor whose torque changes in proportion to the time since the recording's start.
     Warming,
     /// An error of the arm's encoder that is periodic in the arm's angle.
     Angle,
@@ -160,7 +161,8 @@ fn all_disturbed(samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<MotionS
 }
 
 /// The reduction by each effect, from the products of all columns: those of the unknowns, of the
-/// effects, and of the residuals.
+/// effects, and of the residuals. `count` is the number of residuals less that of the entries of
+/// the start states.
 fn reductions(check: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effect, f64)> {
     let unknowns = check.unknowns.len();
     let size = squares.nrows();

@@ -16,7 +16,8 @@ const ARRIVED: f64 = 1e-5;
 /// Largest number of steps with one scale of the residuals.
 const MAX_STEPS: usize = 30;
 
-/// Number of times a step is shortened before the fit counts as converged.
+/// Number of attempts at a step, each shorter than the one before, after which the fit counts as
+/// converged.
 const MAX_SHORTENINGS: usize = 10;
 
 /// Number of rounds in which model and residual scales are estimated in turn.
@@ -33,8 +34,8 @@ const LEAST_DETERMINED: f64 = 0.01;
 /// posterior for normal residuals of unknown scale and the priors of [`Unknown::prior`]. Each
 /// stretch has its own start state, and each regime its own scale and correlation in time of the
 /// residuals. A stretch that the model explains much worse than others of its regime loses weight.
-/// With [`Fit::with_offsets`], each recording has its own rest angle of the cable and its own zero
-/// of the pendulum's angle.
+/// With [`Fit::with_offsets`], each recording has its own zero of the pendulum's angle, and may
+/// have its own rest angle of the cable ([`Fit::locals`]).
 #[derive(Clone, Debug)]
 pub(super) struct Fit<'a> {
     pub unknowns: &'a [Unknown],
@@ -116,7 +117,8 @@ impl<'a> Fit<'a> {
         next
     }
 
-    /// Fits model, start states and scales in turn, in [`SCALES`] rounds.
+    /// Fits in [`SCALES`] rounds: each fits model, start states and offsets, then the scales of the
+    /// residuals and the scatter of the offsets.
     pub fn run(&mut self) {
         for _ in 0..SCALES {
             self.minimise();
@@ -286,7 +288,9 @@ impl<'a> Fit<'a> {
         &self.noise[regime as usize]
     }
 
-    /// The cost; NaN when the motion diverges.
+    /// The cost that a fit minimises: the robust costs of the stretches, and the squared distances
+    /// of unknowns and offsets from their priors, in standard deviations. NaN when the motion
+    /// diverges.
     fn cost(&self, model: &QubeModel, starts: &[State], offsets: &[Offset]) -> f64 {
         let costs = side_by_side(&self.pieces(starts), |&(stretch, start, recording)| {
             let own = self.own(model, recording, offsets);
@@ -465,7 +469,8 @@ fn side_by_side<T: Sync, R: Send>(items: &[T], map: impl Fn(&T) -> R + Sync) -> 
     }
     thread::scope(|scope| {
         let map = &map;
-        // Neighbouring items differ in length, so each thread takes every n-th.
+        // Items differ in length. Each of n threads takes every n-th item, so that all have about
+        // the same work.
         let parts: Vec<_> = (0..threads)
             .map(|thread| {
                 scope.spawn(move || {

@@ -17,7 +17,7 @@ const LONGEST_GAP_S: f64 = 0.045;
 /// Largest share of the steps that are gaps.
 const GAPS_SHARE: f64 = 0.02;
 
-/// Voltage that a recording must reach at least once, V.
+/// Voltage, of either sign, that a recording must reach at least once, V.
 const LEAST_VOLTAGE_V: f64 = 0.5;
 /// Smallest range of the motion of each angle in a recording, rad.
 const LEAST_MOTION_RAD: f64 = 0.1;
@@ -28,7 +28,7 @@ const STOP_MARGIN_RAD: f64 = 0.02;
 /// Longest time for which a count may stay constant while it should move, s.
 const LONGEST_STILL_S: f64 = 0.3;
 
-/// Voltage that turns any arm while it keeps its sign, V.
+/// Voltage that turns any arm as long as its sign does not change, V.
 const TURNING_VOLTAGE_V: f64 = 1.0;
 
 /// Largest motion of the arm while the pendulum's count stays constant, rad.
@@ -38,7 +38,7 @@ const ARM_ALONE_RAD: f64 = 0.3;
 /// farther pulls on the arm with several times any friction.
 const PENDULUM_ALONE_RAD: f64 = 0.6;
 
-/// Largest velocity of a Qube, rad/s.
+/// Largest velocity of a Qube's arm or pendulum, rad/s.
 const FASTEST_RAD_S: f64 = 80.0;
 
 /// Tolerance for noise in a single step, rad.
@@ -70,21 +70,23 @@ pub enum Unfit {
         /// Smallest accepted duration, s.
         shortest_s: f64,
     },
-    /// Too many samples are missing, or the sampling is too slow.
+    /// Too many samples are missing, a gap is too long, or the sampling is too slow.
     #[error(
-        "{step_s:.3} s without a sample at {at_s:.3} s: give at least 50 samples a second, of which at most \
-         2 % come later, and none more than {LONGEST_GAP_S} s after the one before"
+        "{step_s:.3} s without a sample at {at_s:.3} s: give at least 50 samples a second; at most 2 % of them \
+         may come more than {LONGEST_STEP_S} s after the one before, and none more than {LONGEST_GAP_S} s"
     )]
     Gap {
-        /// Time since the start, s.
+        /// Time since the start at which the longest gap begins, s.
         at_s: f64,
-        /// Time between two samples, s.
+        /// Length of the longest gap, from sample to sample, s.
         step_s: f64,
     },
-    /// The motor was not excited.
-    #[error("no excitation: the voltage never went beyond {LEAST_VOLTAGE_V} V")]
+    /// The voltage never reached 0.5 V.
+    #[error(
+        "no excitation: the voltage never reached {LEAST_VOLTAGE_V} V; give a motion under larger voltages"
+    )]
     NoVoltage,
-    /// An angle did not move.
+    /// An angle moved by less than 0.1 rad.
     #[error(
         "no excitation: {angle} moved by {moved_rad:.3} rad; at least {LEAST_MOTION_RAD} rad are needed"
     )]
@@ -96,7 +98,8 @@ pub enum Unfit {
     },
     /// The arm came within 0.02 rad of its stop, whose contact the equations do not describe.
     #[error(
-        "clipped: the arm came to {theta_rad:.2} rad at {at_s:.3} s, the hard stop is at {hard_stop_rad} rad"
+        "the arm came to {theta_rad:.2} rad at {at_s:.3} s, too close to its hard stop at {hard_stop_rad} rad: \
+         give a motion that keeps away from the stop"
     )]
     AtStop {
         /// Time since the start, s.
@@ -129,7 +132,7 @@ pub enum Unfit {
         /// Value at which it stops, rad.
         value_rad: f64,
     },
-    /// The velocities do not match the sampling times.
+    /// The recorded velocities of an angle do not match its motion between the sampling times.
     #[error(
         "its times are not those it was recorded at: {angle} moves {factor:.2} times as fast as its \
          velocities say. Was it recorded at another rate?"
@@ -137,7 +140,8 @@ pub enum Unfit {
     OtherRate {
         /// Name of the angle.
         angle: &'static str,
-        /// Slope of the angle over the integrated velocity.
+        /// Velocity that follows from angle and times, divided by the recorded velocity (root mean
+        /// squares).
         factor: f64,
     },
     /// The arm's count stays constant under voltage.
@@ -288,7 +292,7 @@ fn clipped(
 }
 
 /// Compares the motion of an angle in 50 ms with its integrated velocities, which a filter delays
-/// but hardly scales. Recordings without velocities are not checked.
+/// but hardly scales. Slow motions and recordings without velocities are not checked.
 fn other_rate(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
     let (mut slopes, mut velocities, mut count) = (0.0, 0.0, 0);
     let mut first = 0;
@@ -324,7 +328,8 @@ fn frozen(samples: &[MotionSample], start_s: f64, encoders: Encoders) -> Result<
     let [theta_rad, alpha_rad] = [encoders.theta, encoders.alpha].map(|own| own.rad_per_count());
     // Indices of three samples: since the first the arm's count has been constant under a turning
     // voltage of one sign, since the second the pendulum's count has been constant, and since the
-    // third the arm's count has been constant under any voltage.
+    // third the arm's count has been constant under any voltage. A change of the arm's count by up
+    // to two counts is no motion.
     let (mut arm_since, mut pendulum_since, mut held_since) = (0, 0, 0);
     for (now, sample) in samples.iter().enumerate() {
         let of = |index: usize| &samples[index];

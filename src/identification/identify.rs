@@ -19,8 +19,8 @@ use crate::replay::MotionLog;
 /// predicts an upright pendulum for long.
 const STAGES_S: [f64; 3] = [0.5, 2.0, f64::INFINITY];
 
-/// Largest residual over the shortest stretches, rad (root mean square), beyond which the fit
-/// explains nothing. The real Qube's chirps leave 0.01.
+/// Residual (root mean square) over the shortest stretches beyond which the fit explains nothing,
+/// rad. The real Qube's chirps leave 0.01.
 const LARGEST_RESIDUAL_RAD: f64 = 0.1;
 
 /// Largest share of the motion that a fit may leave unexplained over whole chirps and steps; the
@@ -76,7 +76,7 @@ pub struct Identified {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum IdentifyError {
     /// A recording cannot be fitted.
-    #[error("recording {index}: {why}")]
+    #[error("recording {index}, counted from 0: {why}")]
     Unfit {
         /// Index of the recording, from 0.
         index: usize,
@@ -85,8 +85,8 @@ pub enum IdentifyError {
     },
     /// The recordings are of different plants.
     #[error(
-        "recording {index} is of the plant {plant} and the first one of the plant {first}, which is described \
-         otherwise: identify one plant at a time"
+        "recording {index}, counted from 0, is of the plant {plant}, and the first one is of the plant {first}, \
+         which is described otherwise: identify one plant at a time"
     )]
     OtherPlant {
         /// Index of the recording, from 0.
@@ -107,20 +107,20 @@ pub enum IdentifyError {
         theta_rad: f64,
         /// Root mean square error of the pendulum over stretches of half a second, rad.
         alpha_rad: f64,
-        /// Sign whose reversal would explain the recordings.
+        /// Sign whose reversal would explain the recordings, if there is one.
         cause: Cause,
     },
     /// The best fit is hardly better than a Qube that the voltage does not move.
     #[error(
-        "no Qube explains the recordings: beside the whole of them the best fit is off by {theta_rad:.2} rad \
-         (arm) and {alpha_rad:.2} rad (pendulum), as much as a Qube that the voltage does not move. {cause}"
+        "no Qube explains the recordings: the best fit is off by {theta_rad:.2} rad (arm) and {alpha_rad:.2} rad \
+         (pendulum), which is hardly better than a Qube that the voltage does not move. {cause}"
     )]
     NothingExplained {
         /// Root mean square error of the arm, rad.
         theta_rad: f64,
         /// Root mean square error of the pendulum, rad.
         alpha_rad: f64,
-        /// Sign whose reversal would explain the recordings.
+        /// Sign whose reversal would explain the recordings, if there is one.
         cause: Cause,
     },
     /// The best fit has a value that no Qube has.
@@ -133,9 +133,9 @@ pub enum IdentifyError {
         name: &'static str,
         /// Value of the quantity in SI units.
         value: f64,
-        /// Most likely value before any data.
+        /// Most likely value before any data, in SI units.
         likely: f64,
-        /// Sign whose reversal would explain the recordings.
+        /// Sign whose reversal would explain the recordings, if there is one.
         cause: Cause,
     },
     /// The list of recordings is empty.
@@ -195,9 +195,9 @@ impl fmt::Display for Cause {
 }
 
 /// Identifies the Qube, or the specimen of another plant, that made recordings, by maximum
-/// likelihood: the estimates of `unknowns` start from `first_guess`, and the weak priors of
-/// [`Unknown::prior`] decide where the data leave a quantity open. Recordings may be any mixture of
-/// chirps, steps, swing-ups and balancing.
+/// likelihood. The estimates of `unknowns` start from `first_guess`, whose other quantities stay as
+/// they are. The weak priors of [`Unknown::prior`] decide where the data leave a quantity open.
+/// Recordings may be any mixture of chirps, steps, swing-ups and balancing.
 ///
 /// # Errors
 /// There is no recording, the recordings are of different plants, a recording cannot be fitted, or

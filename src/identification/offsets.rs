@@ -61,7 +61,8 @@ pub struct Scatter {
 }
 
 impl Scatter {
-    /// The scatter before any data: the cable's own prior, and a count of the pendulum's encoder.
+    /// The scatter before any data: for the cable's rest angle the width of its prior, for the
+    /// pendulum's zero one count of its encoder.
     pub(super) fn likely(encoders: Encoders) -> Self {
         Self { cable_rest_rad: 0.5, alpha_zero_rad: 3e-3 / encoders.alpha.counts_per_qube_count() }
     }
@@ -77,7 +78,7 @@ impl Scatter {
         }
     }
 
-    /// Sets the scatter of one of the offsets, rad.
+    /// Sets the scatter of one of the offsets, rad; a smaller value becomes [`Self::SMALLEST`].
     pub(super) fn set(&mut self, local: Local, value_rad: f64) {
         let value_rad = value_rad.max(Self::SMALLEST.get(local));
         match local {

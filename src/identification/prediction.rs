@@ -129,9 +129,9 @@ impl Phase {
     }
 }
 
-/// The error of predictions that begin every 0.1 s of a phase, in the recordings whose pendulum
-/// comes upright. Only the last sample of each prediction counts, unlike in [`horizon_error`],
-/// where all samples do.
+/// The error of predictions that begin every 0.1 s and lie within a phase, in the recordings whose
+/// pendulum comes upright. Only the last sample of each prediction counts, unlike in
+/// [`horizon_error`], where all samples do.
 #[must_use]
 pub fn phase_error(logs: &[MotionLog], model: &QubeModel, phase: Phase) -> HorizonError {
     let [known_s, horizon_s] = phase.times_s();

@@ -130,8 +130,8 @@ pub(super) fn scale_of(residuals: &[Vec<Residual>]) -> ResidualScale {
     ResidualScale { theta_rad: rms(0), alpha_rad: rms(1) }
 }
 
-/// Integrated autocorrelation time in samples: 1 + 2 (r1 + r2 + ...) up to the first negative r,
-/// averaged over both angles and all stretches.
+/// Integrated autocorrelation time in samples: 1 + 2 (r1 + r2 + ...) up to the first r that is not
+/// above 0, averaged over both angles and all stretches.
 fn correlated(residuals: &[&Vec<Residual>]) -> f64 {
     let of_angle = |angle: usize| {
         let (mut total, mut weight) = (0.0, 0.0);

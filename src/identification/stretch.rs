@@ -6,8 +6,8 @@ use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 /// Cosine of the pendulum's angle below which a window counts as upright: 60 degrees from the top.
 const UPRIGHT_COS: f64 = -0.5;
 
-/// Length of a window with an upright pendulum, s: about twice the time constant of the pendulum's
-/// fall. No model predicts a fall for longer.
+/// Length of a window with an upright pendulum, s: 2.7 times the time constant with which a Qube's
+/// pendulum falls beside a resting arm, 0.094 s. No model predicts a fall for longer.
 const UPRIGHT_S: f64 = 0.25;
 
 /// Length of a window of a swing-up whose pendulum is not upright, s.
@@ -56,8 +56,9 @@ impl<'a> Stretch<'a> {
     }
 
     /// Cuts a recording into windows. They last about `hanging_s` if the pendulum never comes
-    /// upright, otherwise 0.5 s, or 0.25 s where the pendulum is upright. Neighbouring windows
-    /// share a sample.
+    /// upright, otherwise 0.5 s, or 0.25 s where the pendulum comes upright within 0.5 s.
+    /// Neighbouring windows share a sample. A rest shorter than 0.125 s at the end of a recording
+    /// with an upright pendulum is left out.
     pub fn windows(recording: &'a [MotionSample], hanging_s: f64) -> Vec<Self> {
         if !is_upright(recording) {
             return Self::cut(recording, hanging_s, |_| Regime::Hanging);

@@ -40,7 +40,8 @@ impl Estimate {
 }
 
 /// A combination of unknowns that the recordings do not determine: moving each unknown by this many
-/// of its prior standard deviations at once hardly changes the simulated motion.
+/// of its prior standard deviations at once hardly changes the simulated motion. Unknowns that move
+/// by less than 0.25 are left out.
 pub type Blind = Vec<(Unknown, f64)>;
 
 /// Information matrix and gradient of a window or a recording.

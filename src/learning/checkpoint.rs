@@ -36,7 +36,7 @@ impl Checkpointing {
         updates.is_multiple_of(self.every.max(1) as usize)
     }
 
-    /// Removes the file of a finished training.
+    /// Removes the file of a finished training, if there is one.
     pub(super) fn remove(&self) -> Result<(), TrainError> {
         match fs::remove_file(&self.path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(self.file_error(error)),

@@ -15,7 +15,7 @@ use crate::elementary::{dispatch, exp, normal_pair};
 use crate::qube::MAX_STEPS;
 use crate::simulation::{DomainDistribution, LaneStatus, Pendulums, Trajectory};
 
-/// The transitions of one update, lane by lane and each lane in order of time.
+/// The transitions of one update, one trajectory after the other, each in order of time.
 pub(super) struct Batch {
     pub transitions: Vec<Transition>,
     /// Inputs of the networks beyond those of an [`Observation`], at each transition; empty if the
@@ -50,8 +50,8 @@ pub(super) struct Collector<'a> {
 }
 
 impl Collector<'_> {
-    /// Collects the transitions of all lanes, spread over `threads` threads. The result does not
-    /// depend on the number of threads.
+    /// Collects the transitions of all lanes, spread over at most `threads` threads. The result
+    /// does not depend on the number of threads.
     pub fn collect(&self, threads: usize) -> Batch {
         let lanes = usize::from(self.settings.num_envs);
         let share = lanes.div_ceil(threads.max(1)).next_multiple_of(16);
@@ -214,7 +214,7 @@ impl Collector<'_> {
 
 /// The end of a trajectory that the time limit or the end of the batch cut short.
 struct Truncated {
-    /// Index of this end among the ends of all trajectories.
+    /// Index of this end among the ends of all trajectories, in the order in which they ended.
     place: usize,
     /// Observation after the last transition.
     observation: Observation,

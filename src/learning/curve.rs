@@ -139,7 +139,7 @@ pub struct CurvePoint {
 /// The defect of a file that should have a learning curve.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum CurveError {
-    /// The header line does not name a column.
+    /// The header line lacks the column of this name.
     #[error("there is no column {0}")]
     NoColumn(&'static str),
     /// A line has no number in one of the columns.

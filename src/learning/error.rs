@@ -15,7 +15,7 @@ pub enum TrainError {
     /// the networks of this training.
     #[error(
         "the policy to start from has the layers {sizes:?}: a training starts from {expected:?} with tanh, a linear output, \
-         a scale of 5 V and an observation that is not clipped. Give it the history that it was trained with, or give another policy"
+         a scale of 5 V and an observation that is not clipped. Set the history that this policy was trained with, or give another policy"
     )]
     Start {
         /// Layers of the policy.

@@ -11,7 +11,8 @@ use super::network::{LOG_STD, Network};
 use super::random::Stream;
 use crate::elementary::{Level, dispatch_at, prefetch};
 
-/// Improves both networks on the batch of one update, in minibatches, until `stop` is set.
+/// Improves both networks on the batch of one update, in minibatches, for all epochs or until
+/// `stop` is set.
 ///
 /// Policy and value network learn from the same minibatches but share nothing else, so that each
 /// can run on its own processor.

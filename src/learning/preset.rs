@@ -45,7 +45,7 @@ impl Preset {
         }
     }
 
-    /// The preset's settings; for [`Self::Custom`] it is `custom`.
+    /// The preset's settings; for [`Self::Custom`], the settings `custom`.
     #[must_use]
     pub fn settings_or(self, custom: TrainSettings) -> TrainSettings {
         match self {

@@ -57,8 +57,8 @@ pub struct TrainSettings {
     pub smallest_log_std: f32,
     /// Weight of a change of voltage in the training reward, 1/V^2: a step whose voltage differs by
     /// dV from the previous step's voltage earns exp(-weight dV^2) times its reward. The weight
-    /// grows over the first half of the updates. The weighted reward also decides which policy is
-    /// chosen; the reported returns of evaluations do not include the weight.
+    /// grows over the first half of the updates. Rewards with the full weight also decide which
+    /// policy is chosen; the reported returns of evaluations do not include the weight.
     pub voltage_change_weight: f32,
     /// Number of fixed starts in the evaluation after each update.
     pub evaluation_starts: u16,
@@ -109,7 +109,7 @@ impl TrainSettings {
         }
     }
 
-    /// Checks that every setting is in its range.
+    /// Checks that every setting is in its range, except the simulation's safety box and plant.
     ///
     /// # Errors
     /// Names the first setting that is out of range.

@@ -28,8 +28,8 @@ const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
 /// `on_update` is called after each update. `stop` is read before each gradient step.
 ///
 /// # Errors
-/// A setting is out of range; `stop` was set; a checkpoint cannot be read or written, is damaged or
-/// belongs to another training; or the weights are no longer finite.
+/// A setting is out of range; `stop` was set; a checkpoint cannot be read, written or removed, is
+/// damaged or belongs to another training; or the weights are not finite.
 pub fn train(
     distribution: &DomainDistribution,
     settings: &TrainSettings,
@@ -46,13 +46,13 @@ pub fn train(
     finished(training, checkpointing, stop, on_update)
 }
 
-/// Trains like [`train`], but starts from the weights of a policy instead of random weights and
-/// without checkpoints. Exploration begins at the smallest standard deviation. The best network of
-/// the result is `start` itself if no update improves on it.
+/// Trains like [`train`], but without checkpoints, and with the weights of a policy at the start;
+/// the value network starts from random weights. Exploration begins at the smallest standard
+/// deviation. The best network of the result is `start` itself if no update improves on it.
 ///
 /// # Errors
 /// `start` has other layers, functions, scale or bounds than a trained network; a setting is out of
-/// range; `stop` was set; or the weights are no longer finite.
+/// range; `stop` was set; or the weights are not finite.
 pub fn train_from(
     start: &policy::Network,
     distribution: &DomainDistribution,
@@ -170,7 +170,7 @@ impl TrainingState<'_> {
     }
 
     /// Runs the policy without exploration from the fixed starts. Returns the evaluation and the
-    /// mean return with the weight on voltage changes.
+    /// mean return with the full weight on voltage changes.
     pub fn evaluate(&self) -> (Evaluation, f64) {
         let starts = usize::from(self.settings.evaluation_starts);
         let weight = self.settings.voltage_change_weight;

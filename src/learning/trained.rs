@@ -32,7 +32,8 @@ pub struct Trained {
     pub plant: PlantModel,
     /// Weight of a change of voltage in the training reward, 1/V^2.
     pub voltage_change_weight: f32,
-    /// Seed of every random number in the training.
+    /// Seed of the training's random numbers. The starts of its evaluations are the same with every
+    /// seed.
     pub seed: u64,
 }
 

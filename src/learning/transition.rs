@@ -4,8 +4,9 @@ use super::network::{Inputs, MAX_INPUTS, MAX_OBSERVATION_SIZE, MAX_PHYSICS_INPUT
 /// The first inputs of a network; entries beyond the network's number of inputs are zero.
 pub(super) type Observation = [f32; MAX_OBSERVATION_SIZE];
 
-/// The inputs that follow those of an [`Observation`]. Only networks with many physics inputs have
-/// them. They are stored beside the transitions, so that a transition fits into one cache line.
+/// The inputs that follow those of an [`Observation`]. Only networks with more than
+/// [`MAX_OBSERVATION_SIZE`] inputs have them. They are stored beside the transitions, so that a
+/// transition fits into one cache line.
 pub(super) type ExtraInputs = [f32; MAX_PHYSICS_INPUTS];
 
 /// One step of one simulated pendulum. It fills one cache line, because minibatches pick

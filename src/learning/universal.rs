@@ -27,8 +27,8 @@ pub struct UniversalPolicy {
 /// `distribution`: policy and value network are given the physics inputs of the simulated Qube.
 ///
 /// # Errors
-/// A setting or the number of inputs is out of range; `stop` was set; or the weights are no longer
-/// finite.
+/// A setting or the number of physics inputs is out of range; `stop` was set; or the weights are
+/// not finite.
 pub fn train_universal(
     distribution: &DomainDistribution,
     settings: &TrainSettings,
@@ -60,7 +60,9 @@ impl UniversalPolicy {
         self.at_zero.best_return
     }
 
-    /// The ordinary policy at these physics inputs; inputs that are not given are 0.
+    /// The ordinary policy at these physics inputs; inputs that are not given are 0. Its returns
+    /// and its curve are those of the training, in which the network had the inputs of each
+    /// simulated Qube.
     ///
     /// # Errors
     /// The inputs make a bias infinite or NaN.

@@ -71,7 +71,7 @@ impl<'a> Workbench<'a> {
     /// Performs one complete update.
     ///
     /// # Errors
-    /// The update fails; [`TrainError`] lists the reasons.
+    /// None: only a stop ends an update early, and nothing requests one here.
     pub fn update(&mut self) -> Result<(), TrainError> {
         self.training.update(&AtomicBool::new(false)).map(|_| ())
     }

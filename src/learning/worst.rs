@@ -3,7 +3,7 @@ use super::transition::{ExtraInputs, Transition};
 use crate::qube::MAX_STEPS;
 
 /// Selects the transitions of the trajectories with the lowest returns: `share` of a batch's
-/// trajectories, at least one (EPOpt's percentile, Rajeswaran et al. 2017, algorithm 1).
+/// trajectories, rounded up (EPOpt's percentile, Rajeswaran et al. 2017, algorithm 1).
 ///
 /// Trajectories are compared by their reward a step: over the steps taken if the trajectory was cut
 /// short, because it would have gone on earning; over the 600 steps of a whole rollout if it left

@@ -22,7 +22,7 @@ pub(super) struct Shared {
     pub(super) admission: Admission,
     /// Token with which clients of other computers may stop.
     pub(super) token: String,
-    /// Requests a stop.
+    /// Requests a stop for the client at this address.
     pub(super) stop: Box<dyn Fn(SocketAddr) + Send + Sync>,
     /// Numbers of open connections: from this computer, and from others.
     pub(super) open: [AtomicUsize; 2],
@@ -52,7 +52,8 @@ fn is_of_this_computer(peer: SocketAddr) -> bool {
     peer.ip().to_canonical().is_loopback()
 }
 
-/// Serves one client until it goes, or the view closes.
+/// Serves one client: answers one request, or sends the feed until the client goes or the view
+/// closes.
 pub(super) fn serve(slot: &Slot, mut stream: TcpStream, peer: SocketAddr) {
     let shared = &slot.0;
     if stream.set_write_timeout(Some(STUCK_WITHIN)).is_err() || stream.set_nodelay(true).is_err() {
@@ -93,8 +94,8 @@ pub(super) fn serve(slot: &Slot, mut stream: TcpStream, peer: SocketAddr) {
 }
 
 /// Requests a stop if the client may do so: it is on this computer or has the token. The request
-/// must come from the view's own page or a program, and have a header that no form and no link can
-/// send, which keeps other web pages out.
+/// must come from the view's own page or from a program that is no browser. It must also have a
+/// header that no form and no link can send, which keeps other web pages out.
 fn stop(shared: &Shared, request: &Request, peer: SocketAddr) -> Answer {
     if !Admission::is_own_page(request) || request.header("x-qube-hil") != Some("stop") {
         return Answer::refusal("403 Forbidden");

@@ -19,8 +19,9 @@ const KEPT_TICKS: usize = 1024;
 /// Largest number of ticks that a connection takes at once.
 const TICKS_AT_ONCE: usize = 128;
 
-/// Time for which the start or the end of a rollout may wait for room in the queue. The tick does
-/// not wait with it: the recorder's ring has room for the longest rollout.
+/// Time for which the start or the end of a rollout may wait for room in the queue. Only the
+/// recorder's thread waits, not the control thread: the ring between them has room for the longest
+/// rollout.
 const PATIENCE: Duration = Duration::from_millis(50);
 
 /// A message from the recorder's thread to the view's thread.
@@ -40,8 +41,8 @@ pub(super) struct FeedSender {
 impl Viewer for FeedSender {
     fn begins(&self, header: &RolloutHeader, time_ns: u64) {
         let event = Event::Begins(Box::new(header.clone()), time_ns);
-        // If this event is lost, the view shows the next ticks as those of the rollout before;
-        // nothing else depends on the event.
+        // If this event is lost, the view shows the next ticks as those of the rollout before, or
+        // not at all if there was none; nothing else depends on the event.
         let _ = self.events.send_timeout(event, PATIENCE);
     }
 
@@ -89,8 +90,8 @@ pub(super) struct EndShown {
 #[derive(Debug)]
 pub(super) struct TickShown {
     pub(super) time_ns: u64,
-    /// Time since the first tick (s), theta (rad), alpha (rad), voltage (V), phase, number of the
-    /// rollout.
+    /// Time since the rollout's first tick (s), theta (rad), alpha (rad), voltage (V), phase,
+    /// number of the rollout.
     pub(super) point: [f64; 6],
     /// Messages for Foxglove; empty while nobody listens.
     pub(super) messages: Vec<(Channel, Vec<u8>)>,
@@ -109,8 +110,8 @@ struct Shown {
     first: u64,
 }
 
-/// The place of a connection in the feed: the numbers up to which it has been sent rollouts, ends
-/// and ticks, and the number of the next status that it is to be sent.
+/// The place of a connection in the feed: the numbers of the last rollout and the last end that it
+/// has been sent, and of the next status and the next tick that it is to be sent.
 #[derive(Debug, Default)]
 pub(super) struct FeedPosition {
     status: u64,
@@ -126,7 +127,8 @@ pub(super) struct Changes {
     pub(super) rollout: Option<Arc<RolloutShown>>,
     pub(super) ticks: Vec<Arc<TickShown>>,
     pub(super) end: Option<Arc<EndShown>>,
-    /// Number of ticks that the connection has lost because it was too slow.
+    /// Number of ticks that the connection has lost since the last changes, because it was too
+    /// slow.
     pub(super) lost: u64,
 }
 

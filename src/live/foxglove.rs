@@ -22,11 +22,11 @@ use crate::recording::Channel;
 
 // Foxglove's WebSocket protocol (github.com/foxglove/ws-protocol, docs/spec.md) as far as a source
 // of data needs it: the server sends its name, advertises channels with their schemas, and sends
-// messages of those that a client subscribes to. The server offers no other capability, and answers
-// no other message.
+// the messages of the channels that a client subscribes to. It offers no other capability, and
+// ignores all other requests.
 
-/// Names of the protocol: that of Foxglove's SDK, and the older one of Lichtblick and others. The
-/// part of the protocol that is used here is the same under both names.
+/// Names of the protocol: the one that Foxglove's SDK uses, and the older one that Lichtblick and
+/// others use. The part of the protocol that is used here is the same under both names.
 const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 
 /// Largest message of a client, bytes. A subscription to every channel has some hundred bytes.
@@ -86,7 +86,8 @@ impl Drop for Listening<'_> {
     }
 }
 
-/// Answers a client that asks for a WebSocket, and serves it until it goes.
+/// Answers a client that asks for a WebSocket, and serves it until it goes, breaks a limit, or the
+/// view closes.
 pub(super) fn serve(feed: &Feed, mut stream: TcpStream, request: &Request, rest: Vec<u8>) {
     let offered = request.header("sec-websocket-protocol").unwrap_or_default();
     let chosen =

@@ -19,9 +19,9 @@ pub(super) struct Admission {
 /// The reason why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Refusal {
-    /// The name under which the client connects is not one of this computer's.
+    /// The header `Host` is missing or repeated, or names neither an IP address nor this computer.
     Host,
-    /// The page that connects is of another site.
+    /// The page that connects is neither the view's own nor one that may read the view.
     Origin,
 }
 
@@ -39,8 +39,8 @@ impl Admission {
         let is_allowed = is_same(origin, host)
             || self.origins.iter().any(|allowed| allowed == origin)
             // Viewers on the operator's computer: pages of servers there, and programs whose origin
-            // has a scheme of its own. The origin of a web site is neither; that of a page in a
-            // sandbox is `null`.
+            // has a scheme of its own, which may only open a WebSocket. A web site has a host of
+            // its own with `http` or `https`, and a page in a sandbox has the origin `null`.
             || match origin.split_once("://") {
                 Some(("http" | "https", host)) => is_loopback(name_of(host)),
                 Some(_) => request.is_upgrade(),

@@ -15,11 +15,12 @@ const INTERVAL: Duration = Duration::from_millis(40);
 /// Time without events after which a comment shows the client that the stream is alive.
 const ALIVE: Duration = Duration::from_secs(5);
 
-/// Time that a client has to take its answer before the connection is closed.
+/// Time for which the view reads on after an answer before it closes the connection; the last read
+/// may take as long again.
 const LINGER: Duration = Duration::from_millis(500);
 
 /// The content security policy of the page, which lets the page load scripts, styles and data from
-/// this address alone.
+/// this address alone, and images from `data:` URLs alone.
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
      img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
@@ -41,7 +42,7 @@ impl Answer {
     }
 }
 
-/// The page, or one of its parts.
+/// The page or one of its parts; `None` if there is none at this path.
 pub(super) fn asset(path: &str) -> Option<Answer> {
     let (kind, body) = match path {
         "/" => ("text/html; charset=utf-8", include_str!("assets/live.html")),

@@ -2,7 +2,7 @@ use std::io::{self, Read};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// Largest size of a request's head, bytes.
+/// Number of bytes after which a request whose head is still incomplete is refused.
 pub(super) const MAX_HEAD_BYTES: usize = 8192;
 
 /// Largest number of headers.
@@ -25,7 +25,7 @@ pub(super) struct Request {
 pub(super) enum BadRequest {
     /// The client has gone, or is too slow.
     Gone,
-    /// The head is too large.
+    /// The head is too long, or has too many headers.
     TooLarge,
     /// The bytes are not an HTTP request.
     Malformed,

@@ -14,20 +14,21 @@ use super::connection::{Shared, Slot, serve};
 /// Pause after each connection, which bounds the work that a flood of connections causes.
 const PAUSE: Duration = Duration::from_millis(5);
 
-/// Time between two checks whether the view closes.
+/// Longest time between two checks whether the view closes.
 const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
-/// Size of the stack of a client's thread, bytes. A program that locks its memory for the control
-/// thread fills each new stack at once, on a processor that the tick may want, so it is small.
+/// Size of the stack of a client's thread, bytes. It is small because the program may have locked
+/// its memory for the control thread: each new stack is then filled at once, on a processor that
+/// the tick may need.
 const STACK_BYTES: usize = 256 * 1024;
 
-/// Niceness of the view's threads: the threads that drive the Qube or train come first.
+/// Niceness of the view's threads: the threads that drive the Qube come first.
 const NICENESS: i32 = 10;
 
 /// The reason why the live view cannot be served.
 #[derive(Debug, Error)]
 pub enum LiveError {
-    /// The address cannot be listened on.
+    /// The view cannot listen on the address.
     #[error("{address}: {source}")]
     Address {
         /// Address that was asked for.

@@ -15,7 +15,7 @@ pub struct Status {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "u32")]
     pub candidate: Option<u32>,
-    /// Number of candidates, or of rollouts where there are no candidates. It is absent where the search may end early.
+    /// Number of candidates, or of rollouts without candidates. Absent in an experiment and where a search may end early.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "u32")]
     pub of: Option<u32>,

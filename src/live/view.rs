@@ -21,8 +21,8 @@ const CLOSING_TIME: Duration = Duration::from_millis(500);
 pub struct LiveSettings {
     /// Address to listen on; port 0 takes any free port.
     pub address: SocketAddr,
-    /// Origins of web pages that may read the feed, beside the view's own page and pages of servers
-    /// on this computer; for example `https://app.foxglove.dev`.
+    /// Origins of further web pages that may read the feed, for example `https://app.foxglove.dev`.
+    /// The view's own page, and pages that a browser loads from its own computer, always may.
     pub origins: Vec<String>,
 }
 
@@ -39,7 +39,7 @@ impl LiveView {
     /// the address of a client that asks to stop.
     ///
     /// # Errors
-    /// The address cannot be listened on, or the system refuses threads or randomness.
+    /// The view cannot listen on the address, or the system refuses threads or randomness.
     pub fn serve(
         settings: &LiveSettings,
         stop: impl Fn(SocketAddr) + Send + Sync + 'static,
@@ -115,7 +115,8 @@ impl LiveView {
         self.shared.feed.update_status(change);
     }
 
-    /// Number of ticks that were not shown because the view's own thread was late.
+    /// Number of ticks that were not shown because the view's own thread was late and its queue was
+    /// full.
     #[must_use]
     pub fn lost(&self) -> u64 {
         self.shared.feed.lost.load(Ordering::Relaxed)

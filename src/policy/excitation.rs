@@ -8,8 +8,8 @@ use crate::qube::{CONTROL_PERIOD_S, State};
 /// Length of an excitation in steps: 10 s.
 pub const EXCITATION_STEPS: u32 = 1000;
 
-/// First and last frequency of a chirp, Hz. At lower frequencies 1.5 V would carry the arm to a
-/// limit of the safety box.
+/// First and last frequency of a chirp, Hz. At lower frequencies 1.5 V, the default of `run`, would
+/// carry the arm to a limit of the safety box.
 const FREQUENCIES_HZ: [f64; 2] = [5.0, 1.0];
 
 /// Centring voltage, V/rad: it keeps the cable and an uneven dead zone from carrying the arm to a
@@ -164,7 +164,7 @@ mod tests {
             let at =
                 |level: f64| voltages_v.iter().any(|voltage_v| (voltage_v - level).abs() < 0.01);
             assert!(at(1.5) && at(-1.5), "{shape:?}");
-            // The mean voltage is zero, so that a free arm does not drift.
+            // The mean voltage is near zero, so that a free arm hardly drifts.
             let mean_v = voltages_v.iter().sum::<f64>() / 1000.0;
             assert!(mean_v.abs() < 0.2, "{shape:?}: {mean_v}");
             excitation.start();

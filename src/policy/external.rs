@@ -20,7 +20,8 @@ pub struct External {
 }
 
 impl External {
-    /// A controller of this name, without answers. A name longer than 200 bytes is cut off.
+    /// A controller of this name, without answers. A name longer than 200 bytes is cut after the
+    /// last letter that fits.
     #[must_use]
     pub fn new(name: &str) -> Self {
         let cut = name.floor_char_boundary(MAX_NAME_BYTES);

@@ -23,8 +23,9 @@ use super::{
 use crate::qube::MAX_VOLTAGE_V;
 
 /// Newest version of the format; files of later versions are refused. A policy that version 1 can
-/// express is written in version 1, so that its bytes stay the same. Version 1 has no other
-/// functions than tanh and a linear output, no bounds and no randomisation.
+/// express is written in version 1, so that a later version of the format does not change its
+/// bytes. Version 1 has no other functions than tanh and a linear output, no bounds and no
+/// randomisation.
 pub const FORMAT_VERSION: u32 = 2;
 
 /// Largest file that is read, bytes: ten times the largest network within the limits.
@@ -65,9 +66,7 @@ pub enum PolicyFault {
     )]
     TooLarge,
     /// The file is not in the safetensors format, or damaged.
-    #[error(
-        "is not a safetensors file, or is truncated ({source}). Give a file that `train` wrote"
-    )]
+    #[error("is not a safetensors file, or is damaged ({source}). Give a file that `train` wrote")]
     NotSafetensors {
         /// Cause of the failure.
         source: SafeTensorError,
@@ -110,7 +109,8 @@ pub enum PolicyFault {
         /// Layer sizes of the network.
         sizes: Vec<usize>,
     },
-    /// The file lacks the conventions of its version, or has others.
+    /// The file names other conventions than this program's, or the entries of its metadata are not
+    /// those of its version.
     #[error(
         "does not name the conventions of this program in format version {version}: signs, zeros, units and period must be \
          its own. Train or import it again"

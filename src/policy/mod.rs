@@ -95,7 +95,7 @@ use crate::qube::State;
 use crate::storage::read_bounded;
 
 /// The controller of a rollout. All kinds of controller share one file format, so that a recording
-/// always contains the controller that drove it.
+/// always contains the controller that drove it; of an external one it contains the name.
 #[derive(Clone, Debug)]
 #[expect(
     clippy::large_enum_variant,
@@ -106,7 +106,7 @@ pub enum Policy {
     Network(NetworkPolicy),
     /// The classical controller.
     Classical(ClassicalController),
-    /// A voltage over time without feedback from the pendulum.
+    /// A voltage over time, without feedback from the pendulum.
     Excitation(Excitation),
     /// A controller outside of this program, which only a replay can run again.
     External(External),
@@ -129,12 +129,13 @@ pub trait Controller: Send {
     fn start(&mut self) {}
 
     /// Receives the voltage that acted at the motor during one control period, V: the last
-    /// requested voltage after guard and limits. The tick calls this method once more for each
-    /// period without a decision, but at most [`crate::qube::MAX_HISTORY`] times more.
+    /// requested voltage after guard and limits. While the controller drives, the tick calls this
+    /// method once for each period, also for a period without a sample; of periods that the loop
+    /// skipped in a row, for at most [`crate::qube::MAX_HISTORY`].
     fn applied(&mut self, _voltage_v: f64) {}
 
-    /// Returns the voltage for a state, V. Implementations do not allocate. The voltage gate of
-    /// `safety` limits the result.
+    /// Returns the voltage for a state, V. Implementations must not allocate, because the control
+    /// loop calls them. The voltage gate of `safety` limits the result.
     fn voltage_v(&mut self, state: &State) -> f64;
 }
 

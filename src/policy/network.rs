@@ -26,14 +26,14 @@ pub enum NetworkError {
     /// The length of an array does not match the sizes.
     #[error("{array} has {length} values where the network's sizes require {expected}")]
     Length {
-        /// Name of the array, such as `layers.0.weight`.
+        /// Name of the array, such as `layers.0.weight`, or `layers` for the list of layers.
         array: String,
         /// Length of the array.
         length: usize,
         /// Length that the sizes require.
         expected: usize,
     },
-    /// A weight is not a finite number.
+    /// A weight or bias is not a finite number.
     #[error("{array} holds {value} at index {index}: the network is invalid, so train again")]
     NotFinite {
         /// Name of the array, such as `layers.0.weight`.
@@ -49,8 +49,8 @@ pub enum NetworkError {
         /// Scale given, V.
         action_scale_v: f32,
     },
-    /// There is not one pair of bounds for each entry of the observation, or a pair is not a lower
-    /// and an upper number.
+    /// There are bounds, but not one pair for each entry of the observation, or a lower bound is
+    /// not at most its upper bound.
     #[error(
         "the observation is clipped by {given} pairs of bounds: it has {entries} entries, and each pair must be two numbers, \
          the lower one first"
@@ -72,8 +72,8 @@ pub enum NetworkError {
 /// reported since the last call of [`Self::start`]. A network with bounds clips each entry of the
 /// observation before the first layer.
 ///
-/// The sum of each neuron starts from the neuron's bias and adds the weighted inputs in ascending
-/// order, each with one fused multiply-add, which gives the same bits on any processor. An
+/// The sum of each neuron starts from the neuron's bias and adds the weighted inputs from the first
+/// to the last, each with one fused multiply-add, which gives the same bits on any processor. An
 /// inference allocates nothing.
 #[derive(Clone, Debug)]
 pub struct Network {
@@ -84,7 +84,7 @@ pub struct Network {
     /// Least and largest value of each entry of the observation; empty where none is clipped.
     bounds: Vec<[f32; 2]>,
     layers: Vec<Layer>,
-    /// Inputs and outputs of the current layer, each as wide as the widest layer.
+    /// Inputs and outputs of the current layer, each as wide as the widest layer after padding.
     activations: [Vec<f32>; 2],
     /// Last commands as fractions of 5 V, newest first; the network sees as many as it has inputs
     /// beyond the state.
@@ -189,7 +189,8 @@ impl Network {
         self.commands = [0.0; MAX_HISTORY];
     }
 
-    /// Reports the voltage that acted at the motor for one control period, V.
+    /// Remembers the voltage that acted at the motor for one control period, V, as the newest of
+    /// the last commands.
     pub fn applied(&mut self, voltage_v: f64) {
         self.commands.rotate_right(1);
         self.commands[0] = (voltage_v / MAX_VOLTAGE_V) as f32;

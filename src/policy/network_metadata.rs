@@ -36,7 +36,7 @@ pub(super) struct NetworkMetadata {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     output: Option<OutputKind>,
     /// Least and largest value of each entry of the observation, `null` for an entry that is not
-    /// clipped. `None` in version 1 and where no entry is clipped.
+    /// clipped. `None` in version 1 and for a network without bounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     observation_bounds: Option<Vec<Option<[f32; 2]>>>,
     /// Conventions for readers in other programs; `None` in version 1.

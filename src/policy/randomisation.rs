@@ -27,7 +27,8 @@ pub struct Randomisation {
     pub specimens: Vec<QubeModel>,
 }
 
-/// Writes the random quantities with means, standard deviations and units, in one line.
+/// Writes the random quantities with means, standard deviations and units, and the numbers of
+/// directions and specimens, in one line.
 impl fmt::Display for Randomisation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let random = self.distributions.iter().filter(|(_, drawn)| is_random(drawn));

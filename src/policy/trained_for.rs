@@ -21,8 +21,8 @@ pub enum OtherPlant {
     },
     /// The plants have the same name and different numbers.
     #[error(
-        "the policy was made for the plant {plant} with another description than the file that was given: train a policy \
-         again, or give the earlier file"
+        "the policy was made for the plant {plant} with another description than the one in use: train a policy \
+         for this description, or give the plant's file that the policy was trained with"
     )]
     Description {
         /// Name of both plants.

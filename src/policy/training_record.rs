@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::Randomisation;
 use crate::qube::{PlantModel, QubeModel};
 
-/// The record of a network's training, which is part of the policy file. Commands show it, and
-/// `run` compares it with the rig.
+/// The record of a network's training, which is part of the policy file. Commands show it. A rig
+/// refuses a network of another plant, and `run` warns of one that was trained on true states.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingRecord {
@@ -79,7 +79,7 @@ fn is_zero(weight: &f32) -> bool {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SimulatedGuard {
-    /// The safety box alone, as in all simulations of this version; files that name no guard mean
+    /// The safety box alone, as in every simulation of this program; files that name no guard mean
     /// this one.
     #[default]
     Box,

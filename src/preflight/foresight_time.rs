@@ -9,7 +9,8 @@ use crate::safety::ForesightSettings;
 /// processor.
 const TRIES: usize = 25;
 
-/// Longest prediction of the guard on a fast processor, us, out of the 10 ms of a control period.
+/// Longest prediction of the guard on a processor that needs no advice, us, out of the 10 ms of a
+/// control period.
 pub const SLOW_US: f64 = 500.0;
 
 /// Longest prediction of the guard that is accepted for hardware, us: four tenths of a control
@@ -18,7 +19,7 @@ pub const TOO_SLOW_US: f64 = 4000.0;
 
 /// Measures how long this processor needs for the longest prediction that the guard may have to
 /// make in a tick, us: one in which every particle (a Qube that this one may be) is simulated to
-/// the horizon.
+/// the horizon. The result is the shortest of 25 measurements.
 #[must_use]
 pub fn foresight_time_us() -> f64 {
     let mut foresight = ForesightSettings::default().foresight(None, &PlantModel::QUBE);

@@ -3,9 +3,9 @@
 //! May import `clock`, `device`, `control`, `estimation`, `safety`, `telemetry`, `qube` and the
 //! crate `firmware_protocol`.
 //!
-//! [`conformance`] tests whether a device keeps the protocol. [`examine`] tests before each session
-//! whether this Qube is wired as its settings say and answers fast enough. [`doctor`] tests whether
-//! this computer can drive a Qube at 100 Hz.
+//! [`conformance`] tests whether a device keeps the protocol. [`examine`] tests whether a Qube is
+//! wired as its settings say, answers fast enough, and has a watchdog that switches its motor off.
+//! [`doctor`] tests whether this computer can drive a Qube at 100 Hz.
 
 pub mod conformance;
 pub mod doctor;

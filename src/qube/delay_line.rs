@@ -57,7 +57,8 @@ impl DelayLine {
         self.largest_v
     }
 
-    /// Restarts a lane with a new delay and no commands in its past.
+    /// Restarts a lane with no commands in its past and a new delay, s, of at most [`MAX_HISTORY`]
+    /// periods.
     pub(super) fn restart(&mut self, lane: usize, delay_s: f64) {
         for sent_v in &mut self.sent_v {
             sent_v[lane] = 0.0;

@@ -71,8 +71,8 @@ impl Distribution {
         }
     }
 
-    /// The probability density at a value, before truncation; 0 for a constant, which has no
-    /// density.
+    /// The probability density at a value, before truncation; 0 for a constant or a standard
+    /// deviation of 0, which have no density.
     #[must_use]
     pub fn density(&self, value: f64) -> f64 {
         let (mean, deviation) = (self.mean(), self.standard_deviation());

@@ -5,7 +5,7 @@ use crate::elementary::Scalar;
 ///
 /// With three, a control period ends within 1e-6 rad of a reference with steps 200 times finer,
 /// over the whole range of a swing-up: a pendulum that falls from upright passes the bottom at 21
-/// rad/s (tested below). With two, it does so only up to 13 rad/s.
+/// rad/s (tested below). With two steps this holds only up to 13 rad/s.
 pub const SUBSTEPS: usize = 3;
 
 /// Returns the state after one control period of 10 ms at constant voltage, V, by [`SUBSTEPS`]

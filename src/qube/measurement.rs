@@ -3,7 +3,8 @@ use serde::{Deserialize, Serialize};
 /// One sample of a Qube: raw encoder counts, and what the device reports beside them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measurement {
-    /// Time at which the encoders were read, by the device's clock, microseconds since its start.
+    /// Time at which the encoders were read, by the device's clock, microseconds since its start. A
+    /// USB panel has no clock: with it, the time of the request by the computer's clock.
     pub device_time_us: u64,
     /// Count of the arm's encoder; signs and zero are not applied.
     pub theta_counts: i32,
@@ -27,8 +28,8 @@ pub struct Measurement {
 pub struct Status {
     /// The amplifier may drive the motor.
     pub armed: bool,
-    /// The watchdog switched the amplifier off; the flag stays until the host sends a hello and
-    /// then an arm.
+    /// The watchdog switched the amplifier off. On a board the flag stays until the next arm or
+    /// restart, on a USB panel until the next hello or disarm.
     pub watchdog_tripped: bool,
     /// The amplifier reports a fault.
     pub amplifier_fault: bool,

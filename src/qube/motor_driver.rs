@@ -5,7 +5,7 @@ const FULL_DUTY_STEPS: i32 = 999;
 const SUPPLY_MV: i32 = 24_000;
 
 /// The voltage that the Qube's motor driver applies for a commanded voltage, mV: the nearest whole
-/// step of its duty cycle. A step is 24 mV.
+/// step of its duty cycle. A step is about 24 mV.
 #[must_use]
 pub fn applied_voltage_mv(commanded_mv: i16) -> i16 {
     let steps = rounded_quotient(i32::from(commanded_mv) * FULL_DUTY_STEPS, SUPPLY_MV);

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 pub struct MotorRating {
     /// Current that the motor can carry indefinitely, A.
     pub continuous_a: f64,
-    /// Thermal time constant of the winding, s: the time to reach 63 % of the final temperature.
-    /// With a value below the true one the motor counts as overheated sooner than necessary.
+    /// Thermal time constant of the winding, s: the time to reach 63 % of the final temperature
+    /// rise. With a value below the true one the motor counts as overheated sooner than necessary.
     pub time_constant_s: f64,
 }
 

@@ -13,7 +13,7 @@ use crate::elementary::Scalar;
 const FRICTION_VELOCITY_RAD_S: f64 = 0.05;
 
 /// The effects in a real Qube that the thesis's equations leave out: friction, dead zone, cable and delay.
-/// All zero gives the thesis's Qube.
+/// With all of them 0 the equations are the thesis's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Nonidealities {
@@ -33,7 +33,7 @@ pub struct Nonidealities {
     /// its board.
     pub command_delay_s: f64,
     /// Drift of the cable's rest angle, rad/min. Only the emulated Qube drifts; the equations use the rest
-    /// angle itself, and training draws a new one for each trajectory.
+    /// angle itself, and a training may draw another one for each trajectory.
     #[serde(skip_serializing_if = "is_zero")]
     pub cable_drift_rad_per_min: f64,
 }

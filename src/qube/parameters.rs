@@ -174,7 +174,8 @@ impl DomainParameters {
     /// Checks that the values are physical.
     ///
     /// # Errors
-    /// Names the first parameter that is not a number, not above zero, below zero, or too large.
+    /// Names the first parameter that is not a number, too large, below 0, or 0 where it must be
+    /// above.
     pub fn check(&self) -> Result<(), ParameterError> {
         for parameter in DomainParameter::ALL {
             let (symbol, value) = (parameter.symbol(), self.get(parameter));

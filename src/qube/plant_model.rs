@@ -28,7 +28,7 @@ pub struct PlantModel {
     pub motor: PlantMotor,
 }
 
-/// The limits of a plant.
+/// The limits of a plant's arm and of its motor's voltage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlantLimits {
@@ -78,7 +78,8 @@ impl PlantModel {
     /// Reads a plant from TOML.
     ///
     /// # Errors
-    /// A key is missing or unknown, or has a value outside its range. The message names the line.
+    /// The text is not TOML, a key is missing or unknown, or a value has the wrong type or lies
+    /// outside its range. The message names the line.
     pub fn parse(text: &str) -> Result<Self, PlantError> {
         Ok(toml::from_str(text).map_err(Box::new)?)
     }
@@ -146,7 +147,7 @@ impl PlantModel {
     }
 
     /// The specimen that differs from the nominal plant in the same proportions in which `qube`
-    /// differs from the nominal Qube.
+    /// differs from the nominal Qube ([`Self::proportion`]). The cable drifts as in `qube`.
     #[must_use]
     pub fn in_proportion(&self, qube: &QubeModel) -> QubeModel {
         let mut specimen = *qube;

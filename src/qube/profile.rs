@@ -8,7 +8,7 @@ use super::{
 };
 
 /// One Qube, as a file describes it: its model, the uncertainty of its values, and their
-/// provenance. `identify` writes the file; simulation and emulator read it.
+/// provenance. `identify` writes the file; simulation, emulator and guard read it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Profile {
@@ -55,8 +55,8 @@ pub struct Provenance {
     pub recordings: Vec<String>,
     /// Version of the program that fitted it.
     pub program_version: String,
-    /// Root mean square error of simulating held-out recordings for 10 s, from a start state estimated from
-    /// their first 0.2 s: arm and pendulum, rad.
+    /// Root mean square error of predictions over 9.8 s, each from a start state estimated from the 0.2 s
+    /// before: arm and pendulum, rad. They cover the held-out recordings whose pendulum never comes upright.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out_rms_rad: Option<[f64; 2]>,
     /// Note for the reader.
@@ -67,10 +67,11 @@ pub struct Provenance {
 /// The reason why a text is not a profile.
 #[derive(Debug, Error)]
 pub enum ProfileError {
-    /// The text is not TOML, or has an unknown name or a value of the wrong type.
+    /// The text is not TOML, lacks `name`, or has an unknown entry or a value of the wrong type.
     #[error("{}", .0.to_string().trim_end())]
     Invalid(#[from] Box<toml::de::Error>),
-    /// The correlations name unknown quantities or do not form a correlation matrix.
+    /// The correlations name an unknown quantity, or a row has the wrong length or a number out of
+    /// its range.
     #[error(
         "correlations: name quantities of a profile, and give one row for each name; row N has N numbers \
          from -1 to 1, of which the last is 1"

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{DomainParameter, Nonidealities, QubeModel};
 
-/// Names one term of the [`Nonidealities`] in the equations of motion.
+/// Names one entry of the [`Nonidealities`]: any but the cable's drift.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Nonideality {
     /// Coulomb friction of the arm, N m.
@@ -22,7 +22,7 @@ pub enum Nonideality {
 }
 
 impl Nonideality {
-    /// All terms of the equations, in order. The cable's drift is not among them: only the emulator has it.
+    /// All terms, in order. The cable's drift is not among them: only the emulator has it.
     pub const ALL: [Self; 6] = [
         Self::CoulombTorque,
         Self::PositiveDeadZone,

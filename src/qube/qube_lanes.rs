@@ -23,8 +23,8 @@ pub struct QubeLanes {
     pub state: State<Lanes>,
     dynamics: NonidealDynamics<Lanes>,
     commands: DelayLine,
-    /// Whether each lane holds the thesis's ideal Qube. If all do, a shorter path integrates the
-    /// block and gives the same bits.
+    /// Whether the Qube in each lane follows the thesis's equations: without friction, dead zone,
+    /// cable and delay. If all do, a shorter path integrates the block and gives the same bits.
     ideal: [bool; BLOCK],
 }
 
@@ -55,7 +55,8 @@ impl QubeLanes {
     }
 
     /// Puts another Qube into a lane, without any past commands. The delay of the Qube must be at
-    /// most [`MAX_HISTORY`] control periods; a longer one is not simulated.
+    /// most [`MAX_HISTORY`] control periods. A delay that is less than one period longer counts as
+    /// this many periods, and any longer one as no delay.
     ///
     /// # Panics
     /// Panics if the lane does not exist.
@@ -94,16 +95,16 @@ impl QubeLanes {
         self.commands.all_sent_v()
     }
 
-    /// Whether all lanes hold the thesis's ideal Qube, so that [`Self::advance_ideal`] may
-    /// integrate them.
+    /// Whether no lane has a Qube with friction, dead zone, cable or delay, so that
+    /// [`Self::advance_ideal`] may integrate them.
     #[must_use]
     #[inline(always)]
     pub fn are_ideal(&self) -> bool {
         self.ideal == [true; BLOCK]
     }
 
-    /// Integrates one of [`SUBSTEPS`] steps of a control period of ideal Qubes, whose voltages are constant
-    /// over the period.
+    /// Integrates one of [`SUBSTEPS`] steps of a control period of Qubes that [are
+    /// ideal](Self::are_ideal), whose voltages are constant over the period.
     #[inline(always)]
     pub fn advance_ideal(&mut self, commands_v: &Lanes) {
         let largest_v = self.commands.largest_v();

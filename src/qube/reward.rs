@@ -44,7 +44,8 @@ impl RewardWeights {
 
 impl<T: Scalar> RewardWeights<T> {
     /// The reward of one step, from 0 to 1, for the state before the step and the voltage applied
-    /// in it, V. 1 is a pendulum that balances at rest over the arm's middle at 0 V.
+    /// in it, V. It is 1 with the pendulum upright and at rest, the arm at rest in its middle, and
+    /// 0 V.
     #[must_use]
     #[inline(always)]
     pub fn reward(&self, state: &State<T>, voltage_v: T) -> T {

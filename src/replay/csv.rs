@@ -18,11 +18,11 @@ pub enum CsvError {
     MissingColumn {
         /// Name of the column.
         column: &'static str,
-        /// Header of the file.
+        /// Header of the file, at most 200 characters of it.
         found: String,
     },
     /// A field is not a finite number.
-    #[error("line {line}: `{text}` in column `{column}` is not a number")]
+    #[error("line {line}: `{text}` in column `{column}` is not a finite number")]
     BadNumber {
         /// Number of the line.
         line: usize,
@@ -31,12 +31,12 @@ pub enum CsvError {
         /// Text of the field.
         text: String,
     },
-    /// A row ends before its last column.
+    /// A row ends before a required column.
     #[error("line {line} ends before column `{column}`")]
     ShortRow {
         /// Number of the line.
         line: usize,
-        /// First missing column.
+        /// Name of a required column that the row lacks.
         column: &'static str,
     },
     /// The table has fewer than two rows.
@@ -45,7 +45,7 @@ pub enum CsvError {
         /// Number of rows.
         rows: usize,
     },
-    /// The time of a row is not later than that of the row before.
+    /// The time of a row is not later than the time of the row before.
     #[error("line {line}: time goes from {before_s} s to {time_s} s; it has to grow")]
     TimeBackwards {
         /// Number of the line.
@@ -159,9 +159,15 @@ mod tests {
     #[test]
     fn every_fault_is_named_with_its_line() {
         let cases = [
-            ("0,0,0,0,0,1\n0.1,0,x,0,0,\n", "line 3: `x` in column `alpha_rad` is not a number"),
+            (
+                "0,0,0,0,0,1\n0.1,0,x,0,0,\n",
+                "line 3: `x` in column `alpha_rad` is not a finite number",
+            ),
             ("0,0,0,0,0,1\n0.1,0,0,nan,0,\n", "line 3: `nan` in column `theta_dot_rad_s`"),
-            ("0,0,0,0,0,\n0.1,0,0,0,0,\n", "line 2: `` in column `voltage_v` is not a number"),
+            (
+                "0,0,0,0,0,\n0.1,0,0,0,0,\n",
+                "line 2: `` in column `voltage_v` is not a finite number",
+            ),
             ("0,0,0\n", "line 2 ends before column `theta_dot_rad_s`"),
             ("", "there are 0 rows"),
             ("0,0,0,0,0,1\n", "there are 1 rows"),

@@ -1,10 +1,10 @@
 //! Replays a recording through the code of the control tick, and compares a recording with the
 //! simulator.
 //!
-//! [`rerun()`] verifies a rollout: it feeds the recorded measurements to the tick that ran on the
-//! machine, and every voltage must come out again, bit for bit. [`simulate_from_first_state`] measures a
-//! model: it gives the simulator the start state and the recorded voltages alone, and compares the
-//! motions.
+//! [`rerun()`] verifies a rollout: it feeds the recorded measurements to the code of the tick
+//! that ran on the machine, and every voltage must come out again, bit for bit.
+//! [`simulate_from_first_state`] measures a model: it gives the simulator the start state and the
+//! recorded voltages alone, and compares the motions.
 //!
 //! The room may import `scoring`, `recording`, `control`, `policy`, `safety`, `estimation`,
 //! `telemetry`, `qube`, `elementary` and `storage`.

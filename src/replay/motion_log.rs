@@ -76,7 +76,7 @@ pub enum MotionLogError {
     Recording(#[from] RecordingError),
     /// The recording has fewer than two samples from the time in which the policy had the motor.
     #[error(
-        "{path}: the policy never controlled the motor in this rollout, so the recording has no motion that can be used"
+        "{path}: the recording has fewer than two samples under the policy, so it has no motion that can be used: give another recording"
     )]
     NeverRan {
         /// Path of the file.
@@ -129,12 +129,12 @@ impl MotionLog {
     /// fewer than two samples. The angles are those of the encoders, because the policy may have
     /// seen predicted ones; the velocities are those that the policy saw.
     ///
-    /// The voltages are those that the Qube's motor driver applied, in steps of 24 mV
-    /// ([`applied_voltage_mv`]). The commanded ones would not do: the rounding of a command lasts
+    /// The voltages are those that the Qube's motor driver applied, in steps of about 24 mV
+    /// ([`applied_voltage_mv`]). Commanded voltages would not do: the rounding of a command lasts
     /// until the next command, and over seconds its effect on the arm exceeds an encoder count.
     ///
-    /// A tick without a sample is left out: the motor kept the previous voltage, so the previous
-    /// sample already describes it.
+    /// A tick without a sample is left out: the motor kept the previous voltage, which the previous
+    /// sample gives. A sample whose device time is not later than the previous one is left out too.
     #[must_use]
     pub fn of_recording(recording: &Recording) -> Option<Self> {
         let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);

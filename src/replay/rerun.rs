@@ -23,7 +23,8 @@ pub struct Rerun {
     /// Number of ticks that could not be compared because earlier ones are missing.
     pub not_compared: usize,
     /// Ending of the rollout: the recomputed one, or the recorded one where `ending_of_the_file` is
-    /// set; `None` if ticks are missing, at the end or before.
+    /// set. `None` if the last compared tick ends nothing, as where ticks are missing at the end or
+    /// before.
     pub ending: Option<Ending>,
     /// Recomputed prediction for which foresight ended the rollout; `None` if foresight did not end
     /// it.
@@ -58,8 +59,8 @@ pub struct Difference {
 }
 
 impl Rerun {
-    /// Whether every tick was compared, and every decision and the return came out again, bit for
-    /// bit.
+    /// Whether every tick was compared that this program can compute, and every decision and the
+    /// return came out again, bit for bit.
     #[must_use]
     pub fn agrees(&self) -> bool {
         self.actions_different == 0

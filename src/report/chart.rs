@@ -7,7 +7,8 @@ pub struct Chart {
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// Positions on the horizontal axis, in increasing order; a position may occur more than once.
+    /// Positions on the horizontal axis, none below the one before it; a position may occur more than
+    /// once.
     pub xs: Vec<f64>,
     /// Series, each with a value or a gap for every position of `xs`.
     pub series: Vec<Series>,
@@ -19,7 +20,7 @@ pub struct Chart {
     pub logarithmic: bool,
     /// Whether the vertical axis is logarithmic.
     pub y_logarithmic: bool,
-    /// Whether the horizontal axis has whole numbers only.
+    /// Whether the horizontal axis has numbers at whole positions only.
     pub whole: bool,
     /// Range of the horizontal axis; `None` fits the data.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -27,7 +28,7 @@ pub struct Chart {
     /// Range of the vertical axis; `None` fits the data.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub y_range: Option<[f64; 2]>,
-    /// Height, pixels; `None` for the usual height.
+    /// Height, pixels; `None` for the height that the script chooses.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
 }
@@ -91,7 +92,7 @@ pub struct Mark {
     limit: bool,
 }
 
-/// A map of a function of two numbers: its values on a grid, as colours.
+/// A map of a function of two numbers, which shows the function's values on a grid as colours.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Map {
     /// Horizontal axis.
@@ -156,7 +157,7 @@ impl Mark {
     }
 }
 
-/// Writes each value with six significant digits, which is finer than any screen.
+/// Writes each value with six significant digits, which is finer than any screen; a gap is `null`.
 fn short<S: serde::Serializer>(values: &[Option<f64>], serializer: S) -> Result<S::Ok, S::Error> {
     let digits = |value: f64| format!("{value:.5e}").parse().unwrap_or(value);
     serializer.collect_seq(values.iter().map(|value| value.map(digits)))

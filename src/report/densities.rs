@@ -11,11 +11,11 @@ pub const FIRST: [DomainParameter; 4] = [
     DomainParameter::PendulumLength,
 ];
 
-/// Standard deviation below which a quantity counts as constant, in any of the SI units; nobody
-/// knows a quantity that precisely.
+/// Largest standard deviation, in a quantity's SI unit, of a quantity that counts as constant; nobody
+/// knows one that precisely. Tables show numbers below it as 0.
 pub const NEGLIGIBLE: f64 = 1e-12;
 
-/// Number of points over the range of the figure, and over the range of each density.
+/// Number of points over the range of the figure, and again over the range of each density.
 const PLACES: usize = 121;
 
 /// Whether a distribution has a density to draw. The limit is above 0 because of fits: for a
@@ -25,8 +25,8 @@ pub fn has_spread(distribution: &Distribution) -> bool {
     distribution.standard_deviation() > NEGLIGIBLE && distribution.mean().is_finite()
 }
 
-/// A figure of named densities of a quantity, without those that have no spread. A line marks the
-/// nominal value.
+/// A figure of named densities of a quantity, without those that have no spread. It reaches at least
+/// 3.5 standard deviations to both sides of each mean. A line marks the nominal value.
 pub fn density_chart(quantity: Quantity, curves: &[(&str, Distribution)], nominal: f64) -> Chart {
     let spread = || {
         let named = curves.iter().enumerate();
@@ -68,7 +68,7 @@ pub fn density_chart(quantity: Quantity, curves: &[(&str, Distribution)], nomina
     }
 }
 
-/// The unit of a density over a quantity with this unit.
+/// The unit of the density of a quantity with this unit.
 fn per(unit: &str) -> String {
     if unit.contains([' ', '/']) { format!("1/({unit})") } else { format!("1/{unit}") }
 }

@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use crate::session::{ConfigurationError, LedgerError};
 
-/// The reason why no report can be written.
+/// The reason why no report on a session, an experiment or recordings can be made.
 #[derive(Debug, Error)]
 pub enum ReportError {
     /// The folder is not a session.

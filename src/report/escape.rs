@@ -27,7 +27,7 @@ pub fn inert(json: &str) -> String {
 
 /// Whether a browser or terminal acts on the character instead of showing it: Unicode's control
 /// characters including C1; line and paragraph separators; characters that change the direction of
-/// writing (UAX 9); characters without width; tags.
+/// writing (UAX 9); characters without width; marks of annotations; tags.
 #[must_use]
 pub fn is_obeyed(letter: char) -> bool {
     letter.is_control()

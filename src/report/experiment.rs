@@ -18,9 +18,10 @@ use crate::simulation::DomainDistribution;
 /// Rollouts of an experiment that a page shows, each under the name of its group.
 pub type NamedRollouts = Vec<(String, RolloutView)>;
 
-/// The HTML page of an experiment that compares recipes. `distributions` are those of the
-/// simulations, each with a name, and `plant` is the plant that they describe; `rollouts` are
-/// examples; `commands` are pairs of a purpose and a command that repeats a part of the experiment.
+/// The HTML page of an experiment that compares recipes, or methods at fixed budgets. `distributions`
+/// are the recipes' distributions of simulations, each with its recipe's name, and `plant` is the plant
+/// that they describe; `rollouts` are examples; `commands` are pairs of a purpose and a command that
+/// repeats a part of the experiment.
 ///
 /// # Errors
 /// The data of the figures cannot be written.
@@ -33,8 +34,9 @@ pub fn recipes_page(
     commands: &[(String, String)],
 ) -> Result<String, ReportError> {
     let mut page = Page::new(format!("Experiment {name}"));
-    let with_policies = || results.recipes.iter().filter(|it| !it.policies.is_empty());
-    let best = with_policies().max_by(|one, other| one.real().0.total_cmp(&other.real().0));
+    // A recipe whose rollouts are all void has no mean return.
+    let scored = results.recipes.iter().filter(|it| it.real().0.is_finite());
+    let best = scored.max_by(|one, other| one.real().0.total_cmp(&other.real().0));
     page.outcome(&match best {
         None => "No policy has completed its rollouts yet.".into(),
         Some(best) => format!(
@@ -74,8 +76,8 @@ pub fn recipes_page(
     Ok(page.finish()?)
 }
 
-/// The HTML page of an experiment that compares search strategies. `commands` are pairs of a
-/// purpose and a command that repeats a part of the experiment.
+/// The HTML page of an experiment that compares methods up to their first success. `commands` are pairs
+/// of a purpose and a command that repeats a part of the experiment.
 ///
 /// # Errors
 /// The data of the figures cannot be written.
@@ -179,11 +181,18 @@ fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
             let some = |text: String| {
                 Cell::Number(if recipe.policies.is_empty() { "–".into() } else { text })
             };
+            let spread = |(mean, deviation): (f64, f64)| {
+                Cell::Number(match (mean.is_finite(), deviation.is_finite()) {
+                    (false, _) => "–".into(),
+                    (true, false) => format!("{mean:.1}"),
+                    (true, true) => format!("{mean:.1} ± {deviation:.1}"),
+                })
+            };
             vec![
                 recipe.recipe.as_str().into(),
                 Cell::Number(recipe.policies.len().to_string()),
-                some(format!("{:.1} ± {:.1}", simulated.0, simulated.1)),
-                some(format!("{:.1} ± {:.1}", real.0, real.1)),
+                spread(simulated),
+                spread(real),
                 some(format!("{:.0} to {:.0}", returns.lower, returns.upper)),
                 some(format!("{} of {}", recipe.successes(), recipe.policies.len())),
                 some(format!("{:.0} to {:.0} %", 100.0 * success.lower, 100.0 * success.upper)),
@@ -275,9 +284,10 @@ fn add_comparisons(page: &mut Page, comparisons: &[&Comparison]) {
     }
     page.heading("Recipes in pairs");
     page.paragraph(
-        "Policies of equal number have equal seeds. The p-values are McNemar's exact test and a permutation test, \
-         corrected by Holm. The last column is the share of all pairs in which the second's return is higher; \
-         ties count half.",
+        "The differences are over pairs of policies of equal number, which have equal seeds. Their p-values are \
+         McNemar's exact test and a permutation test, corrected by Holm. The last column compares each policy of \
+         the first recipe with each of the second: the share of these pairs in which the second's return is \
+         higher; ties count half.",
     );
     let p = |value: f64| {
         Cell::Number(if value < 0.001 { "< 0.001".into() } else { format!("{value:.3}") })

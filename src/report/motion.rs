@@ -71,7 +71,8 @@ struct Limits {
 
 impl Motion {
     /// The motion of a recording, with the simulation of its voltages if there is one. Times count
-    /// from the first tick of the policy. `nearest` are the approaches to mark.
+    /// from the first tick of the policy, or from the first of all if the policy never had the motor.
+    /// `nearest` are the approaches to mark. Ticks beyond `MAX_TICKS` are left out.
     #[must_use]
     pub fn of(
         recording: &Recording,
@@ -157,7 +158,7 @@ impl Motion {
         Self { group, name, note, ..self }
     }
 
-    /// Estimate of the bytes that the motion takes in the page.
+    /// Number of bytes that the motion takes in the page, as an estimate.
     pub fn bytes(&self) -> usize {
         let columns =
             [&self.theta, &self.alpha, &self.voltage, &self.simulated_theta, &self.simulated_alpha];
@@ -165,7 +166,7 @@ impl Motion {
         600 + columns.iter().map(|column| 8 * column.len() / 3).sum::<usize>()
     }
 
-    /// The motion thinned to every `stride`th tick.
+    /// The motion thinned to every `stride`th tick; `stride` is at least 1.
     #[must_use]
     pub fn every(mut self, stride: usize) -> Self {
         let columns = [
@@ -203,8 +204,8 @@ pub fn simulated(recording: &Recording, model: &QubeModel) -> Option<(MotionLog,
     Some((log, open_loop))
 }
 
-/// Whole turns by which alpha falls when the policy begins, rad: the tick then forgets the turns
-/// that the pendulum has made before.
+/// Angle of the whole turns by which alpha falls when the policy begins, rad: the tick then forgets the
+/// turns that the pendulum has made before. 0 if the policy never begins.
 fn turned_before_policy(ticks: &[TickRecord]) -> f64 {
     let begins =
         |pair: &&[TickRecord]| pair[0].phase != Phase::Running && pair[1].phase == Phase::Running;

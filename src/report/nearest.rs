@@ -23,8 +23,8 @@ pub struct Nearest {
     pub time_s: f64,
 }
 
-/// The nearest approaches of a recording to the four limits of its box; empty if the policy never
-/// had the motor.
+/// The nearest approaches of a recording to the four limits of its box, in the order arm's and
+/// pendulum's angle, arm's and pendulum's velocity; empty if the policy never had the motor.
 #[must_use]
 pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
     let limits = recording.header.settings.safety_box;
@@ -59,8 +59,8 @@ pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
 
 /// The tick at which the guard was nearest to ending the policy, and its time from the policy's
 /// first tick, s. A replay of the recording finds it. `None` if the guard was not foresight, if the
-/// recorded policy cannot be read, or if the replay decides differently from the recording, because
-/// then nobody knows what the guard predicted.
+/// recorded policy cannot be read, or if the replay cannot repeat every decision of the recording,
+/// because then nobody knows what the guard predicted.
 #[must_use]
 pub fn guard_approach(recording: &Recording) -> Option<(GuardApproach, f64)> {
     if recording.header.settings.safety_box.guard.is_box() {

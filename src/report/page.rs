@@ -55,7 +55,7 @@ impl Cell {
         })
     }
 
-    /// A number with four significant digits.
+    /// A number with about four significant digits, as [`significant`] writes it.
     pub fn significant(value: f64) -> Self {
         Self::Number(significant(value))
     }
@@ -75,7 +75,7 @@ impl From<String> for Cell {
 
 /// Formats a number with four significant digits, or as a whole number from 1e4 on. Below 1e-4 and
 /// from 1e6 on, where zeros would hide the digits, it is written with a power of ten. Magnitudes
-/// below [`NEGLIGIBLE`] become 0.
+/// below [`NEGLIGIBLE`] become 0; a number that is not finite is written as `NaN`, `inf` or `-inf`.
 pub fn significant(value: f64) -> String {
     let size = value.abs();
     if size < NEGLIGIBLE {
@@ -190,7 +190,7 @@ impl Page {
         self.figure(caption, explanation, &format!("<canvas class=\"map\" data-map=\"{index}\" role=\"img\" aria-label=\"{}\"></canvas>", escaped(caption)));
     }
 
-    /// Adds a picture of the lower triangle of a symmetric matrix, whose entries are from -1 to 1.
+    /// Adds a picture of a symmetric matrix with entries from -1 to 1: its part below the diagonal.
     pub fn matrix(
         &mut self,
         caption: &str,
@@ -259,12 +259,13 @@ impl Page {
     }
 }
 
-/// Side of a square of the matrix, and width of the names to the left of it, pixels.
+/// Side of a square of the matrix, pixels.
 const SQUARE: usize = 34;
+/// Width of the names to the left of the matrix, pixels.
 const NAMES: usize = 250;
 
-/// The lower triangle of a matrix as an SVG picture: a square for each entry, darker the farther
-/// the entry is from 0, with the entry's number.
+/// The part of a matrix below its diagonal as an SVG picture: a square for each entry with the entry's
+/// number, darker the farther the entry is from 0.
 fn matrix_svg(names: &[String], entry: impl Fn(usize, usize) -> f64) -> String {
     let side = SQUARE * names.len();
     let mut svg = format!(

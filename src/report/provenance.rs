@@ -1,8 +1,8 @@
 use super::page::{Cell, Page, significant};
 use crate::telemetry::{CheckVerdict, Preflight, RolloutHeader};
 
-/// Adds the section on the origin of the data: the facts of one recording's header, and `commands`,
-/// pairs of a purpose and a command that repeats a part.
+/// Adds the section on the origin of the data: the facts of one recording's header, if there is one,
+/// and `commands`, pairs of a purpose and a command that repeats a part of the work.
 pub fn add_provenance(
     page: &mut Page,
     header: Option<&RolloutHeader>,

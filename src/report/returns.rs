@@ -8,7 +8,7 @@ pub struct CandidateReturns {
     pub number: u32,
     /// Returns of its rollouts; at least one.
     pub returns: Vec<f64>,
-    /// Whether the candidate counts for the line of the best so far.
+    /// Whether the candidate belongs to the search, and so counts for the line of the best so far.
     pub is_searched: bool,
 }
 
@@ -21,8 +21,8 @@ struct Place {
     best: Option<f64>,
 }
 
-/// A figure of the returns of candidates, in increasing order of their numbers. `largest` is the
-/// largest return that is possible; `boundaries` are further lines across the figure.
+/// A figure of the returns of candidates, which must be in increasing order of their numbers. `largest`
+/// is the largest return that is possible; `boundaries` are further lines across the figure.
 #[must_use]
 pub fn returns_chart(
     candidates: &[CandidateReturns],

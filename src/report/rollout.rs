@@ -25,8 +25,8 @@ pub struct RolloutView {
     /// The tick at which the guard was nearest to ending the policy, and its time from the policy's
     /// first tick, s; `None` where that is not known.
     pub guard: Option<(GuardApproach, f64)>,
-    /// Error of the simulation of the rollout's voltages; `None` if it diverged or there was no
-    /// motion.
+    /// Root mean square error of the simulation of the rollout's voltages, rad; `None` if the
+    /// simulation diverged or there was no motion.
     pub simulation_error: Option<AngleError>,
     /// Motion for the player, not yet named.
     pub motion: Motion,
@@ -84,8 +84,9 @@ impl RolloutView {
         self.nearest.iter().max_by(|one, other| one.share.total_cmp(&other.share))
     }
 
-    /// The text for the player: result, ending, nearest approaches to a limit and to the guard, the
-    /// error of the simulation, and a defect of the file.
+    /// The text for the player, as far as it is known: result, ending, nearest approach to a limit,
+    /// the guard's nearest approach to ending the policy, the error of the simulation, and a defect of
+    /// the file.
     #[must_use]
     pub fn sentence(&self) -> String {
         let mut parts = vec![first_upper(&self.result())];
@@ -151,7 +152,8 @@ fn guard_words((approach, time_s): (GuardApproach, f64)) -> String {
         );
     }
     let saw = format!(
-        "for the voltage of the policy and the brake after it, it predicted the arm of some Qube that this one may be at {largest_rad:.2} rad"
+        "it predicted that the policy's voltage and the brake after it take the arm of some Qube that this one may \
+         be to {largest_rad:.2} rad"
     );
     if largest_rad >= end_rad {
         return format!(
@@ -188,11 +190,11 @@ pub fn add_player(page: &mut Page, motions: Vec<Motion>, first: usize) {
     page.player(motions, first);
 }
 
-/// Largest size of all motions in a page, bytes, so that a page stays below 5 MB.
+/// Largest size of all motions in a page together, bytes, so that a page stays below 5 MB.
 const MOTION_BYTES: usize = 3_200_000;
 
-/// Strides by which motions are thinned, the first that suffices: every tick, or every second,
-/// fourth or tenth.
+/// Strides by which motions are thinned: every tick, or every second, fourth or tenth. The first that
+/// suffices is used, or else the last.
 const STRIDES: [usize; 4] = [1, 2, 4, 10];
 
 /// The motions that fit into a page, the index of the chosen one among them, and a note for the

@@ -6,12 +6,14 @@ use crate::telemetry::LatencySummary;
 /// Bars per decade of the histogram.
 const PER_DECADE: i32 = 6;
 
-/// Adds the timing of all ticks: a histogram of the lateness, and percentiles.
+/// Adds the timing of all ticks: missed deadlines, percentiles, and, unless no tick was late, a
+/// histogram of the lateness.
 pub fn add_timing(page: &mut Page, latencies: &Latencies) {
     page.section("Timing");
     let (missed, ticks) = (latencies.missed_deadlines(), latencies.ticks());
     page.paragraph(&format!(
-        "{ticks} ticks of 10 ms each; missed deadlines: {missed} (a tick was skipped, a whole period late, or without a valid sample)."
+        "{ticks} ticks of 10 ms each; missed deadlines: {missed} (ticks that were skipped, late by more than a \
+         period, or without a valid sample)."
     ));
     let row = |name: &str, summary: LatencySummary| {
         let number = |value: f64| Cell::number(Some(value), 0);

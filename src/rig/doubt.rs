@@ -42,7 +42,7 @@ pub struct DoubtStore {
     folder: PathBuf,
 }
 
-/// Largest file that is read, bytes.
+/// Largest file of a doubt that is read, bytes.
 const MAX_FILE_BYTES: u64 = 4096;
 
 impl DoubtStore {
@@ -52,8 +52,8 @@ impl DoubtStore {
         Self { folder }
     }
 
-    /// The doubt about a board, if there is one. An unreadable file is a doubt too. A file about a
-    /// fault that leaves no doubt by this release's table of faults is not.
+    /// The doubt about a board, if there is one. An unreadable file counts as a doubt too. A file
+    /// counts as none if its fault leaves no doubt by this release's table of faults.
     #[must_use]
     pub fn load(&self, board: &str) -> Option<Doubt> {
         let path = self.path(board);

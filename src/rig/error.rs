@@ -15,7 +15,7 @@ pub enum RigError {
     /// Virtual time needs the emulated Qube.
     #[error("virtual time works with the emulated Qube only, not with {port}")]
     VirtualPort {
-        /// Requested port.
+        /// Port or card that was requested.
         port: String,
     },
     /// The emulator could not be started.
@@ -45,7 +45,7 @@ pub enum RigError {
         /// them.
         last_ticks: Vec<TickRecord>,
     },
-    /// The distance between the arm's stops is wrong.
+    /// The distance between the arm's stops is not the expected one.
     #[error(
         "the arm's stops are {travel_rad:.2} rad apart, and should be {expected_rad:.2}: something is in \
          its way (a cable, a hand, a screw), or this rig's stops are elsewhere. The motor is off. Clear \
@@ -59,10 +59,10 @@ pub enum RigError {
         expected_rad: f64,
     },
     /// The link failed before a rollout could begin, or the counts moved after homing, so that the
-    /// zeros are out of date. The program has moved nothing.
+    /// zeros are out of date. The rollout has moved nothing.
     #[error("the rollout could not begin: {source}. The motor is off. {}", fault.operator_step())]
     NotBegun {
-        /// Fault of the table that corresponds to the cause.
+        /// Entry of the table of faults that corresponds to the cause.
         fault: Fault,
         /// Error of the device, or the counts that moved.
         source: ControlError,
@@ -80,7 +80,7 @@ pub enum RigError {
         /// Ticks of the last second of a homing that the loss ended; empty otherwise.
         last_ticks: Vec<TickRecord>,
     },
-    /// Another board answers at the same port after a fault.
+    /// Another board, or another kind of device, answers at the same port after a fault.
     #[error(
         "{port} was board {expected}, and now board {found} answers there. Nothing has moved: connect board \
          {expected} again"
@@ -108,13 +108,13 @@ pub enum RigError {
         /// Work that was stopped.
         during: &'static str,
     },
-    /// The check failed.
+    /// The check before the first motion failed.
     #[error("the Qube did not pass its check, so nothing was run.{}", listed(results))]
     CheckFailed {
         /// Results of all checks; at least one failed.
         results: Vec<CheckResult>,
     },
-    /// The settings are for another board.
+    /// The settings, or the recordings of the session, are of another board.
     #[error(
         "{port} is board {found}, but its settings or recordings are of board {expected}: wrong signs \
          would drive the arm into its stops. Use that board's port, or the qube.toml of this one"
@@ -122,15 +122,16 @@ pub enum RigError {
     WrongBoard {
         /// Name of the port.
         port: String,
-        /// Serial number in the file.
+        /// Serial number in the settings, from `qube.toml` or the recordings of the session.
         expected: String,
         /// Serial number of the board that answered.
         found: String,
     },
-    /// The box of a rollout on hardware is too wide.
+    /// The box or the guard of a rollout, or the plant, is not allowed on hardware; or the guard
+    /// exists only to replay old recordings, which no device allows.
     #[error("nothing was run: {0}")]
     HardwareRefusal(#[from] HardwareRefusal),
-    /// The processor is so slow that the guard would make ticks late.
+    /// The processor is so slow that foresight would make ticks late.
     #[error("nothing was run: {0}")]
     TooSlow(#[from] TooSlow),
     /// The recording failed.

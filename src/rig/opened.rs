@@ -34,7 +34,8 @@ pub struct Rig {
     pub(super) plant: PlantModel,
     homing: HomingSettings,
     pub(super) preflight: Preflight,
-    /// Measured link; `None` for the embedded emulator, unless it emulates a USB bridge.
+    /// Measured link; `None` before the measurement, and for the embedded emulator, unless it
+    /// emulates a USB bridge.
     pub(super) link: Option<MeasuredLink>,
     /// Whether the device adds its own time to each sample; otherwise the age of a sample is
     /// unknown.
@@ -51,7 +52,8 @@ pub struct Rig {
     pub(super) identified: Cell<Option<IdentifiedQube>>,
     /// Viewers that show rollouts while they are recorded.
     pub(super) viewers: Vec<Arc<dyn Viewer>>,
-    /// Fault that ended the last motion, until the Qube is homed again.
+    /// Fault that ended the last motion, or fault of the link that kept it from beginning, until
+    /// the Qube is homed again.
     pub(super) last_fault: Cell<Option<Fault>>,
     /// Emulator, which serves the rig until it is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
@@ -110,8 +112,8 @@ impl Rig {
     /// Opens the device and reads its identity without moving the motor.
     ///
     /// # Errors
-    /// The device does not exist, is another board than the settings require, or is hardware with a
-    /// plant that needs a consent that the settings lack.
+    /// The device does not exist or does not answer, is another board than the settings require, or
+    /// is hardware with a plant that needs a consent that the settings lack.
     pub fn connect(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let (device, clock, emulator) = connect(settings)?;
         let realtime = settings.clock == ClockChoice::Wall;
@@ -174,8 +176,8 @@ impl Rig {
         Ok(examination)
     }
 
-    /// Measures the link if no examination does; the result determines how long ticks wait for
-    /// their samples.
+    /// Measures the link of a Qube that is not examined; the result determines how long ticks wait
+    /// for their samples.
     fn measure_link(&mut self) -> Result<(), RigError> {
         let port = self.identity.port.clone();
         let link = self
@@ -185,7 +187,8 @@ impl Rig {
         Ok(())
     }
 
-    /// The measured link; `None` for the embedded emulator, unless it emulates a USB bridge.
+    /// The measured link; `None` before the measurement, and for the embedded emulator, unless it
+    /// emulates a USB bridge.
     #[must_use]
     pub fn link(&self) -> Option<&MeasuredLink> {
         self.link.as_ref()
@@ -246,7 +249,7 @@ impl Rig {
     ///
     /// # Errors
     /// The fault leaves a doubt, or another attempt would end in the same way; the device does not
-    /// answer; another board answers; or homing fails.
+    /// answer; another board answers; homing fails; or a stop was requested.
     pub fn start_again(&mut self) -> Result<(), RigError> {
         if let Some(fault) = self.last_fault.get() {
             match fault.consequence() {
@@ -315,8 +318,8 @@ impl Rig {
         }
     }
 
-    /// Homes the arm. Homing is repeated if only the link or the computer failed, which says
-    /// nothing about the Qube.
+    /// Homes the arm. Homing is repeated, at most twice, if only the link or the computer failed,
+    /// which says nothing about the Qube.
     fn home(&mut self) -> Result<(), RigError> {
         for pause_ns in HOMING_PAUSES_NS {
             match self.home_once() {
@@ -354,7 +357,8 @@ impl Rig {
         }
     }
 
-    /// The fault that ended the last motion, until the Qube is homed again.
+    /// The fault that ended the last motion, or the fault of the link that kept it from beginning,
+    /// until the Qube is homed again.
     #[must_use]
     pub fn last_fault(&self) -> Option<Fault> {
         self.last_fault.get()
@@ -378,7 +382,7 @@ impl Rig {
         self.control.is_hardware()
     }
 
-    /// The real-time rights of the control thread.
+    /// The real-time rights that the operating system refused to the control thread.
     #[must_use]
     pub fn realtime(&self) -> &RealtimeRefusals {
         self.control.realtime()

@@ -46,7 +46,8 @@ fn unknown_age_s(link: Option<&MeasuredLink>) -> f64 {
     (read_s + BUFFERED_S).clamp(LEAST_AGE_S, LONGEST_AGE_S)
 }
 
-/// The task's box, narrowed so that it ends [`INSIDE_STOP_RAD`] before the rig's own stops.
+/// The task's box, narrowed so that on both sides it ends at least [`INSIDE_STOP_RAD`] before the
+/// nearer of the rig's own stops. Without measured stops it stays as it is.
 fn inside_stops(of_the_task: &SafetyBox, stops: Option<MeasuredStops>) -> SafetyBox {
     let widest_rad = stops.map_or(f64::INFINITY, |stops| stops.nearer_rad() - INSIDE_STOP_RAD);
     SafetyBox { theta: of_the_task.theta.min(widest_rad), ..*of_the_task }
@@ -77,14 +78,15 @@ impl Controller for RecordingController {
 
 impl Rig {
     /// Runs one rollout and records it to `path`. The rig itself fills in the entries of the header
-    /// about device, plant, calibration, guard and time.
+    /// about device, plant, check, heat of the motor, calibration, stops, guard and time, and it
+    /// narrows the box to its own stops.
     ///
     /// # Errors
     /// The policy is invalid, was made for another plant, or only names an external controller; the
     /// box is wider than this hardware allows; the guard is the envelope, which exists for replays
-    /// only; the processor is too slow for foresight; the device could not be armed; or the
-    /// recording could not be written. A rollout that a fault ended is `Ok`: its outcome names the
-    /// fault.
+    /// only; the processor is too slow for foresight; the device could not be armed; the counts
+    /// have moved since homing; or the recording could not be written. A rollout that a fault ended
+    /// is `Ok`: its outcome names the fault.
     pub fn rollout(
         &self,
         disk: &dyn Disk,

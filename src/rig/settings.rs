@@ -107,7 +107,7 @@ pub struct RigSettings {
     pub homing: HomingSettings,
     /// Skips the check before the first motion of a real Qube.
     pub skip_check: bool,
-    /// Serial number of the board to which the signs belong, if known.
+    /// Serial number of the board to which the signs belong, if known; another board is refused.
     pub board: Option<String>,
     /// Profile of the Qube, if it is identified.
     pub profile: Option<Profile>,
@@ -191,8 +191,8 @@ impl RigSettings {
     }
 
     /// The profile by which the guard knows an emulated Qube: its true parameters, with the
-    /// standard errors of the profile `lab`, which comes from a real Qube. Other plants have no
-    /// such errors.
+    /// standard errors of the profile `lab`, which comes from a real Qube. The profile of another
+    /// plant has no errors.
     fn emulated_profile(&self) -> Profile {
         let model = &self.emulator.model;
         if self.plant.name.is_qube() {

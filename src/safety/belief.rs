@@ -14,8 +14,9 @@ fn velocity_error_rad_s(encoder: Encoder) -> f64 {
     encoder.rad_per_count() / CONTROL_PERIOD_S
 }
 
-/// Least relative error of an identified number, even if its standard error is smaller: no model is
-/// exact, and a healthy Qube warms up and wears.
+/// Least relative error of an identified number whose profile names no correlations, even if its
+/// standard error is smaller: no model is exact, and a healthy Qube warms up and wears. Where the
+/// profile names correlations, `LEAST_MODEL_ERROR` is the least.
 pub(super) const MODEL_ERROR: f64 = 0.1;
 
 /// Least relative error of an identified number whose profile names correlations; it is added to
@@ -32,7 +33,8 @@ const LEAST_DELAY_ERROR_S: f64 = 0.002;
 /// Number of standard errors by which an identified number may be off.
 const STANDARD_ERRORS: f64 = 3.0;
 
-/// Largest relative error of a Qube's parameter, identified or not.
+/// Largest relative error that the range of an identified parameter, or one step, may have. An
+/// unidentified Qube's parameters have this error.
 const UNKNOWN_SHARE: f64 = 0.3;
 
 /// Least fraction of a voltage that is assumed to arrive at an identified Qube's motor: the supply
@@ -74,7 +76,8 @@ pub enum BeliefError {
     /// A parameter is not physical.
     #[error(transparent)]
     Parameter(#[from] ParameterError),
-    /// The lower end of a number is above its upper end, or outside its range.
+    /// The lower end of a number is above its upper end, or one of the two is outside the range
+    /// that the number can have.
     #[error("{name} from {low} to {high}: give two possible values, the smaller one first")]
     Interval {
         /// Name of the number.
@@ -145,9 +148,10 @@ impl Belief {
         Self { low, high, least_share: 1.0, steps: no_steps() }
     }
 
-    /// The belief about a specimen of this plant, from its profile. Each number except gravity may be off by three standard errors or
-    /// by 10 %, whichever is more, but a parameter by at most 30 %; the delay may be off by at
-    /// least 30 % and at least 2 ms. At least 80 % of a voltage arrives at the motor.
+    /// The belief about a specimen of this plant, from its profile. Each number except gravity may
+    /// be off by three standard errors or by 10 %, whichever is more, but a parameter by at most
+    /// 30 %; the delay may be off by at least 30 % and at least 2 ms. At least 80 % of a voltage
+    /// arrives at the motor.
     ///
     /// If the profile has correlations, the three standard errors become steps in the independent
     /// directions of the errors. Besides, each number may be off by 10 % minus its three standard
@@ -211,7 +215,8 @@ impl Belief {
     }
 
     /// This belief behind a link whose samples may be up to `age_s` older than they seem, s. A
-    /// command's delay counts from its sample, so the longest delay grows by this age.
+    /// command's delay counts from its sample, so the longest delay grows by this age, up to the
+    /// longest that a belief may have.
     #[must_use]
     pub fn with_sample_age(mut self, age_s: f64) -> Self {
         let delay_s = self.high.nonidealities.command_delay_s + age_s;
@@ -264,7 +269,8 @@ impl Belief {
     pub fn particles(&self, encoders: Encoders) -> Vec<Particle> {
         let arm_rad_s = velocity_error_rad_s(encoders.theta);
         let pendulum_rad_s = velocity_error_rad_s(encoders.alpha);
-        // The Qube's, for every plant: they only tell to which side a particle takes a step.
+        // The widths of a Qube serve for every plant, because they only decide to which side a
+        // particle takes a step.
         let widths = unknown_widths(&PlantModel::QUBE);
         let share = |place: &[i8; NUMBERS]| place.map(|percent| f64::from(percent) / 100.0);
         let places = PLACES.iter().map(share).enumerate();
@@ -353,8 +359,8 @@ fn take_step(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths:
 
 /// Three standard errors of a profile in each independent direction of its errors; all zero without
 /// correlations. The recordings leave one direction undetermined: all masses and forces may grow by
-/// the same factor without a change in any motion. No step is therefore longer than the uncertainty
-/// about an unidentified specimen of the plant.
+/// the same factor without a change in any motion. Therefore no step changes a number by
+/// more than the uncertainty about an unidentified specimen of the plant.
 fn independent_steps(profile: &Profile, plant: &PlantModel) -> [Step; Quantity::COUNT] {
     let Some(correlations) = &profile.correlations else { return no_steps() };
     let quantities: Vec<Quantity> = Quantity::all().collect();

@@ -20,8 +20,8 @@ pub trait BrakeLaw {
     fn potential_v_rad<T: Scalar>(&self, theta: T) -> T;
 }
 
-/// A brake that acts on the arm as a damper and a spring, both stiffer where the arm is fast or far
-/// out.
+/// A brake that acts on the arm as a damper, which is stronger on a fast arm, and a spring, which
+/// is stiffer far out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CentringBrake {
     /// Volts against each rad/s of the arm.

@@ -52,15 +52,16 @@ enum Law {
     Stopping(StoppingBrake),
     /// The law that a [`super::Foresight`] simulates.
     Centring(CentringBrake),
-    /// `Stopping` as older recordings were made, to replay them: ringing does not reduce the gain.
+    /// `Stopping` by the rules of older recordings, to replay them: ringing does not reduce the
+    /// gain.
     EarlierStopping(StoppingBrake),
-    /// `Centring` as older recordings were made, to replay them: ringing does not reduce the gain,
-    /// but the gain falls to 0.45 after 150 control periods.
+    /// `Centring` by the rules of older recordings, to replay them: ringing does not reduce the
+    /// gain, but after 150 control periods (1.5 s) the gain falls to 0.45 of its value.
     EarlierCentring(CentringBrake),
 }
 
-/// Control periods during which the brake keeps the gains that foresight simulated, even if it
-/// rings.
+/// Control periods during which the centring brake keeps the gains that foresight simulated, even
+/// if it rings.
 const TRIED_PERIODS: u32 = ForesightSettings::HORIZON_PERIODS;
 
 impl Brake {
@@ -82,7 +83,7 @@ impl Brake {
     }
 
     /// This brake under the rules of older recordings, to replay them: ringing does not reduce the
-    /// gain.
+    /// gain, but the centring brake's gain falls to 0.45 of its value after 1.5 s.
     #[must_use]
     pub fn by_earlier_rules(self) -> Self {
         let law = match self.law {

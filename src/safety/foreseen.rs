@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
-/// The prediction for which foresight ended a rollout: a possible Qube whose arm the brake would
-/// have stopped too late.
+/// The prediction because of which foresight ended a rollout: a possible Qube whose arm the brake
+/// would have stopped too late.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Foreseen {
     /// Whether the Qube belongs to the belief from the profile; otherwise it belongs to the belief
@@ -10,8 +10,9 @@ pub struct Foreseen {
     /// Index of the Qube among the belief's particles, which are sorted with the hardest to brake
     /// first.
     pub particle: usize,
-    /// Angle by which the arm was beyond the end when the prediction stopped, rad; `None` if the
-    /// predicted state was no longer finite or a voltage was NaN.
+    /// Largest angle by which the predicted arm was beyond the end, rad; `None` if the predicted
+    /// state was no longer finite or a voltage was NaN. The end is the angle of the nearer stop
+    /// minus foresight's margin.
     pub beyond_rad: Option<f32>,
 }
 
@@ -22,7 +23,8 @@ pub struct Foreseen {
 /// can reach it any more. The arm may therefore turn farther than this angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForeseenAngle {
-    /// Largest angle to either side, rad; infinite where a prediction diverged.
+    /// Largest angle to either side, rad; infinite where a prediction diverged or a voltage was
+    /// NaN.
     pub largest_rad: f32,
     /// Angle that no arm may reach, rad: the angle of the nearer stop minus foresight's margin.
     pub end_rad: f32,

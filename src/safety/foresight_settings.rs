@@ -9,8 +9,8 @@ use super::{
 use crate::estimation::MeasuredStops;
 use crate::qube::{PlantModel, Profile};
 
-/// The settings that, together with the stops, determine a [`Foresight`]'s decisions; every
-/// recording carries them.
+/// The settings that, together with the plant and its stops, determine a [`Foresight`]'s decisions;
+/// the recording of each rollout under foresight carries them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, try_from = "Unchecked")]
 pub struct ForesightSettings {
@@ -44,7 +44,7 @@ pub struct IdentifiedQube {
     pub belief: Belief,
     /// Relative error, as a fraction, that any number of the profile except gravity and the delay
     /// may have before the Qube's motion contradicts the profile, even where `belief` is narrower.
-    /// Recordings that do not name it have 0: their belief itself is that wide.
+    /// Recordings that do not name it have 0: their motions are compared with `belief` itself.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub tolerance: f64,
     /// Control periods for which a voltage is held before the brake begins.
@@ -60,8 +60,8 @@ fn is_no_power(power: &u32) -> bool {
 }
 
 impl IdentifiedQube {
-    /// Derives the belief about a specimen of this plant from its profile. A voltage is held for four periods: its own, and those of
-    /// the three samples that a link may lose in a row.
+    /// Derives the belief about a specimen of this plant from its profile. A voltage is held for
+    /// four periods: its own, and those of the three samples that a link may lose in a row.
     #[must_use]
     pub fn of(profile: &Profile, plant: &PlantModel) -> Self {
         let belief = Belief::of_profile(profile, plant);
@@ -177,8 +177,8 @@ impl ForesightSettings {
         Self { belief: self.belief.with_sample_age(age_s), identified, ..self }
     }
 
-    /// The foresight for a plant, with the nearer of its measured and its described stops; without
-    /// measured stops, with the described ones.
+    /// The foresight for a plant. Both its ends have the distance of the nearest stop, measured or
+    /// described, minus the margin, but at least 0.01 rad.
     #[must_use]
     pub fn foresight(&self, stops: Option<MeasuredStops>, plant: &PlantModel) -> TrustedForesight {
         let described_rad = plant.limits.hard_stop_rad;

@@ -44,7 +44,7 @@ pub struct HardwareLimits {
     plant_consent: Option<PlantConsent>,
 }
 
-/// The reason why a box is refused.
+/// The reason why a box or a plant is refused for hardware.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum HardwareRefusal {
     /// A limit is not a number above 0, or is larger than allowed.
@@ -66,7 +66,8 @@ pub enum HardwareRefusal {
     /// An entry of the plant file is not known to be as harmless as a Qube's, and nobody has
     /// consented to it.
     #[error(
-        "the plant {plant} differs from a Qube in {entry}, and guard and homing of real hardware rely on its values"
+        "the plant {plant} differs from a Qube in {entry}, and on hardware guard and homing rely on the values of its \
+         file"
     )]
     Plant {
         /// Name of the plant.
@@ -162,7 +163,7 @@ impl Guard {
 }
 
 impl Default for HardwareLimits {
-    /// The task's box under foresight, and the nominal motor.
+    /// The task's box under foresight, the nominal motor, and no consent to a plant file.
     fn default() -> Self {
         Self { widest: SafetyBox::GUARDED, motor: MotorRating::NOMINAL, plant_consent: None }
     }

@@ -1,8 +1,8 @@
 //! Conditions that end a rollout, and the motor voltage afterwards: safety box, foresight, motor
 //! heat, brake, and the limit on the voltage.
 //!
-//! [`Foresight`] simulates the brake for many possible Qubes before each voltage is sent, unless
-//! the guard is [`Guard::Box`].
+//! [`Foresight`] simulates the brake for many possible Qubes before each voltage is sent, if the
+//! guard is [`Guard::Foresight`].
 //!
 //! The room holds pure state machines and can be read alone. It may import `qube`, `elementary`
 //! and, to simulate the velocities that a brake will be given, `estimation`.

@@ -14,7 +14,8 @@ pub(super) const NUMBERS: usize = 17;
 /// because a strong motor makes up for the uncertainty. The table therefore has all 16 corners of
 /// masses and lengths with a weak motor and the longest delay. Eight of the corners appear again
 /// with the shortest delay, and eight with a strong motor. The friction of the joints, which only
-/// helps the brake, is at its lower end throughout.
+/// helps the brake, is at its lower end throughout. The fractions of the voltages that arrive are
+/// at their upper end throughout, so no particle has a weak supply.
 #[rustfmt::skip]
 pub(super) const PLACES: [[i8; NUMBERS]; 32] = [
     [   0,  100, -100, -100, -100,  100,  100,  100,  100, -100,  100,  100, -100,   50,  100,  100,  100],

@@ -24,7 +24,7 @@ pub struct SafetyBox<T = f64> {
     pub theta_dot: T,
     /// Largest |alpha_dot|, rad/s.
     pub alpha_dot: T,
-    /// Guard that acts before a limit is reached.
+    /// Guard that may act before a limit is reached, and that determines the brake.
     pub guard: Guard,
 }
 
@@ -42,8 +42,8 @@ pub enum Limit {
     AlphaDot,
     /// The speed envelope, which only old recordings name.
     Envelope,
-    /// Foresight: one tick later the brake could no longer keep the arm of every possible Qube away
-    /// from its stop.
+    /// Foresight: after the voltage that the policy asked for, the brake could no longer keep the
+    /// arm of every possible Qube away from its stop.
     Foresight,
     /// The Qube has moved as no Qube within its profile's errors does.
     Unpredicted,

@@ -6,7 +6,8 @@ use crate::qube::PlantModel;
 use crate::recording::Recording;
 use crate::telemetry::{Ending, TickRecord};
 
-/// Number of final steps that classify a rollout: 3 s, by which time any swing-up is over.
+/// Number of final steps that show whether the pendulum is kept near upright: 3 s, the second half
+/// of a rollout, in which a swing-up is normally over.
 const LAST_STEPS: usize = 300;
 
 /// Share of the final steps in which a chattering pendulum is near upright.
@@ -21,7 +22,8 @@ const CHATTERING_RMS_V: f64 = 1.0;
 const CHATTERING_CHANGES_PER_S: f64 = 6.0;
 
 /// The class of a rollout's behaviour, computed from its recording. Each rollout has exactly one
-/// class; a rollout without a result has [`Fault`](Self::Fault) in tables.
+/// class: a successful one is [`Balanced`](Self::Balanced), whatever its voltage, and one without a
+/// result has [`Fault`](Self::Fault) in tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Behaviour {
@@ -29,19 +31,19 @@ pub enum Behaviour {
     /// return of at least 400.
     #[serde(rename = "stood")]
     Balanced,
-    /// Balanced quietly at the end, but too late to earn a return of 400.
+    /// Balanced quietly for the last second, but with a return below 400, as after a late swing-up.
     #[serde(rename = "stood_late")]
     BalancedLate,
     /// Left the safety box, or was ended by the guard.
     LeftBox,
-    /// Kept the pendulum near upright (within 0.5 rad in half of the last 300 steps) without
-    /// holding it still, or held it with a voltage of at least 1 V (root mean square) whose sign
-    /// changed at least six times in the last second.
+    /// Kept the pendulum near upright (within 0.5 rad in at least half of the last 300 steps)
+    /// without balancing it for the last second. Or balanced it then, with a return below 400, by a
+    /// voltage of at least 1 V (root mean square) whose sign changed at least six times.
     Chattered,
     /// Never brought the pendulum up, or lost it.
     Fell,
-    /// Every attempt was ended by a fault. [`Behaviour::of`] never returns this class, because one
-    /// recording does not show it.
+    /// Every attempt was void: ended by a fault, or recorded with gaps. [`Behaviour::of`] never
+    /// returns this class, because one recording does not show it.
     Fault,
 }
 

@@ -1,5 +1,5 @@
 //! Scores of rollouts: return, verdict, success, behaviour, quietness of balancing, timing. Each is
-//! computed from the recording and stored nowhere.
+//! computed from the recording whenever it is needed.
 //!
 //! Sessions, experiments, single runs and their tables use the same definitions. [`criterion`]
 //! states when a rollout, a policy and a recommendation succeed; [`score`] reads a recording and

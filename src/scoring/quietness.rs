@@ -27,7 +27,7 @@ pub struct Quietness {
 pub struct QuietnessFigures {
     /// Mean absolute change of the voltage between ticks, V.
     pub change_v: f64,
-    /// Sign changes of the voltage per second.
+    /// Sign changes of the voltage per second; a change to or from 0 V is none.
     pub sign_changes_per_s: f64,
     /// Root mean square voltage, V.
     pub rms_v: f64,

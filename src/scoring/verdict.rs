@@ -26,8 +26,8 @@ pub enum Verdict {
         /// Reason in words.
         reason: String,
     },
-    /// The program was killed or stopped before the rollout ended; the rollout is repeated as if it had not
-    /// begun.
+    /// The program was killed or stopped before the rollout ended; the rollout is repeated as if it
+    /// had not begun.
     Unfinished,
 }
 
@@ -55,10 +55,11 @@ pub fn mean_return(verdicts: &[Verdict]) -> Option<f64> {
     (!returns.is_empty()).then(|| returns.iter().sum::<f64>() / returns.len() as f64)
 }
 
-/// Reads the recording of a finished rollout and computes the verdict.
+/// Reads the recording of a rollout that has finished, and computes the verdict.
 ///
 /// # Errors
-/// The file is missing or cannot be read, its end is missing, or one of its bytes has changed.
+/// The file is missing or cannot be read, its rollout is [`Verdict::Unfinished`] after all, or one
+/// of its bytes has changed.
 pub fn score_finished(disk: &dyn Disk, path: &Path) -> Result<Verdict, RecordingError> {
     match score(disk, path) {
         Ok(Verdict::Unfinished) => Err(RecordingError::CutOff { path: path.to_owned() }),

@@ -130,7 +130,8 @@ pub enum NoiseModel {
     /// One fitted variance for all candidates.
     Shared,
     /// The fitted variance plus a variance of each candidate's own, which is estimated from the
-    /// spread of its returns ([`crate::surrogate::noise_of_means`]).
+    /// spread of its returns ([`crate::surrogate::noise_of_means`]). If no candidate has two
+    /// returns, as [`Self::Shared`].
     #[default]
     PerCandidate,
 }

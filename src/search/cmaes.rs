@@ -8,7 +8,7 @@ use crate::surrogate::normal;
 /// Covariance matrix adaptation (CMA-ES; Hansen 2016, "The CMA Evolution Strategy: A Tutorial"),
 /// with the tutorial's default settings but without negative weights, on the unit cube.
 ///
-/// A sample outside the box is drawn again and, after some attempts, clamped to the bounds
+/// A sample outside the box is drawn again; after 20 such samples the last is clamped to the bounds
 /// of the box. The update uses the points as they were evaluated.
 #[derive(Clone, Debug)]
 pub struct CmaEs {

@@ -4,8 +4,8 @@ use super::{Best, Observation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
 
 /// The cross-entropy method: samples points from a Gaussian with independent coordinates and moves
-/// the Gaussian to the best quarter, at least two points, of each generation (De Boer et al. 2005;
-/// Vuong et al. 2019 apply the method to distributions of simulation parameters).
+/// the Gaussian towards the best quarter, rounded up to at least two points, of each generation (De
+/// Boer et al. 2005; Vuong et al. 2019 apply the method to distributions of simulation parameters).
 ///
 /// The Gaussian is truncated to the box, coordinate by coordinate.
 #[derive(Clone, Debug)]
@@ -32,7 +32,7 @@ impl CrossEntropy {
         Self { search_box, seed }
     }
 
-    /// Candidates in a generation: few enough for several generations in a budget of 25.
+    /// Number of candidates in a generation: few enough for several generations in a budget of 25.
     fn generation(&self) -> usize {
         4 + self.search_box.dimensions() / 2
     }

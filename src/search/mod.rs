@@ -1,9 +1,9 @@
-//! Strategies of the search for psi: each proposes points and learns from their returns, behind the
-//! trait [`Strategy`].
+//! Strategies of the search for psi, behind the trait [`Strategy`]: each proposes points and
+//! recommends one by the returns of the evaluated points.
 //!
 //! [`BayRn`] is the method of this program; the others are its baselines. A strategy keeps no state
-//! between calls: its proposals follow from its seed and the data, so that a session can be resumed
-//! from its files alone. The room may import `surrogate`.
+//! between calls: its proposals follow from its settings, its seed, the data and the pending
+//! points, so that a session can be resumed from its files alone. The room may import `surrogate`.
 //!
 //! ```
 //! use qube_hil::search::{BayRnSettings, Observation, StrategyKind};

@@ -31,7 +31,7 @@ impl Observation {
     }
 }
 
-/// Checks that every candidate lies in the box and has finite returns.
+/// Checks that every candidate lies in the box and has at least one return, all finite.
 pub(super) fn check(search_box: &SearchBox, data: &[Observation]) -> Result<(), SearchError> {
     for (index, observation) in data.iter().enumerate() {
         search_box.check(index, &observation.point)?;
@@ -62,8 +62,7 @@ pub(super) fn check_beside(
     Ok(first..first + count)
 }
 
-/// The index of the evaluated candidate with the highest mean return; the earliest of several equal
-/// ones.
+/// The index of the evaluated candidate with the highest mean return; in a tie, the earliest.
 pub(super) fn highest_mean_return(data: &[Observation]) -> Result<usize, SearchError> {
     let means: Vec<f64> = data.iter().map(Observation::mean_return).collect();
     (0..data.len())

@@ -4,16 +4,16 @@ use super::{Observation, SearchError};
 
 /// A strategy that searches for the point with the highest return.
 ///
-/// Its proposals depend on its settings, its seed and the data alone. A resumed session therefore
-/// continues as if it had not been interrupted, and only the data has to be stored. The data must
-/// be in the order in which the points were proposed.
+/// Its proposals depend on its settings, its seed, the data and the pending points alone. A resumed
+/// session therefore continues as if it had not been interrupted, and only data and pending points
+/// have to be stored. The data must be in the order in which the points were proposed.
 pub trait Strategy: Send {
     /// Proposes `count` points to evaluate next, in the box's units. `pending` are the points that
     /// were proposed after those of the data and whose returns are not known yet.
     ///
     /// # Errors
-    /// The data is invalid (a point outside the box, a return that is not finite) or cannot be
-    /// fitted.
+    /// A point of the data or a pending point lies outside the box, a candidate has no return or
+    /// one that is not finite, or the data cannot be fitted.
     fn propose(
         &mut self,
         data: &[Observation],

@@ -46,7 +46,7 @@ impl StrategyKind {
     /// Builds the strategy. Only BayRn uses `settings`.
     ///
     /// # Errors
-    /// The settings are invalid.
+    /// The strategy is BayRn, and [`BayRnSettings::check`] refuses the settings.
     pub fn build(
         self,
         search_box: &SearchBox,

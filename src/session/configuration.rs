@@ -1,4 +1,5 @@
-//! Reads `session.toml` over a preset and reports every misspelt key.
+//! Reads files of session settings: a session's own `session.toml` to resume it, or a file that
+//! overrides a preset. A misspelt key is an error.
 
 use std::path::Path;
 
@@ -13,8 +14,8 @@ use crate::simulation::SensorModel;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 impl SessionSettings {
-    /// Reads a complete configuration to resume its session. A file that names no guard selects the
-    /// box alone.
+    /// Reads a session's complete configuration to resume the session. Settings that the file lacks
+    /// have their defaults, except that a file without a guard selects the box alone.
     ///
     /// # Errors
     /// The file cannot be read or is not a configuration, a setting is unknown or out of its range,
@@ -41,10 +42,11 @@ impl SessionSettings {
         Ok(settings)
     }
 
-    /// Overrides these settings with the entries of a file.
+    /// Overrides these settings with the entries of a file. If the file names a preset, the preset
+    /// comes first.
     ///
     /// # Errors
-    /// The file cannot be read, or holds a setting that is unknown or out of its range.
+    /// The file cannot be read, or the errors of [`overridden_by_text`](Self::overridden_by_text).
     pub fn overridden_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         self.overridden_by_text(&text, path).map_err(|error| error.located(&text, ""))
@@ -52,10 +54,11 @@ impl SessionSettings {
 
     /// Configures a new session like [`overridden_by`](Self::overridden_by). If the file names an
     /// estimator only for the Qube or only for simulations, it applies to both, because a policy
-    /// should train on states that are estimated as they will be on the Qube.
+    /// should train on states that are estimated as they will be on the Qube. Simulations that show
+    /// true states, as the file says, continue to do so.
     ///
     /// # Errors
-    /// The file cannot be read, or holds a setting that is unknown or out of its range.
+    /// The errors of [`overridden_by`](Self::overridden_by).
     pub fn configured_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         let settings = self.overridden_by(path)?;
@@ -75,8 +78,8 @@ impl SessionSettings {
     /// may be of any origin, also an untrusted one.
     ///
     /// # Errors
-    /// The text holds a setting that is unknown or out of its range, also one that only earlier
-    /// versions had.
+    /// The text is not TOML, or holds a setting that is unknown, out of its range, only of earlier
+    /// versions, or not allowed in the file of a new session.
     pub fn overridden_by_text(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
         let out_of_range =
             |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };

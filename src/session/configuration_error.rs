@@ -30,9 +30,9 @@ pub enum ConfigurationError {
     OutOfRange {
         /// Path of the file.
         path: PathBuf,
-        /// Line of the value, from 1, if the file names it.
+        /// Line of the value, from 1; `None` if the file does not contain the value.
         line: Option<usize>,
-        /// Name of the value and its range.
+        /// Name of the value, and its range or the reason why it is refused.
         reason: String,
     },
     /// The settings cannot be written as TOML.
@@ -44,8 +44,9 @@ pub enum ConfigurationError {
 }
 
 impl ConfigurationError {
-    /// Adds to the error the line of the wrong value; `above` is the prefix of the value's key in
-    /// the file.
+    /// Adds the line of the wrong value to an error about a range; other errors stay as they are.
+    /// `text` is the content of the file, and `above` the prefix of the value's key in it, with the
+    /// dot at its end.
     #[must_use]
     pub fn located(self, text: &str, above: &str) -> Self {
         match self {
@@ -65,7 +66,7 @@ fn at_line(line: Option<usize>) -> String {
     line.map_or_else(String::new, |line| format!(", line {line}"))
 }
 
-/// The line in which a TOML text gives this key its value, from 1.
+/// The line in which a TOML text gives this key its value, from 1; `None` if it has no such key.
 fn line_of(text: &str, key: &str) -> Option<usize> {
     let document = DeTable::parse(text).ok()?;
     let mut table = document.get_ref();

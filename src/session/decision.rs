@@ -23,7 +23,7 @@ pub enum Decision {
         /// Smallest gain that is worth a candidate.
         smallest_gain: f64,
     },
-    /// End the search: the largest number of candidates is reached.
+    /// End the search: the largest number of candidates is reached, and the best one is verified.
     End,
 }
 
@@ -34,8 +34,8 @@ pub enum Decision {
 /// rollouts succeeded. If every rollout of the verification succeeded too, the search continues
 /// only while one more candidate is expected to gain at least the fraction [`WORTHWHILE_GAIN`] of
 /// the verified return. If one failed, the search continues in any case.
-/// At the largest number of candidates the best one is verified, whether or not its rollouts
-/// succeeded, and the search ends.
+/// At the largest number of candidates the best one is verified, unless it is verified already,
+/// whether or not its rollouts succeeded, and the search ends.
 #[must_use]
 pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
     let searched = || candidates.iter().filter(|it| it.candidate.purpose.is_searched());

@@ -24,7 +24,7 @@ const ALPHA_TOLERANCE_COUNTS: f64 = 5.0;
 /// moved.
 const STANDARD_ERRORS: f64 = 3.0;
 
-/// Number of final ticks of settling over which the pendulum's angle is averaged.
+/// Number of final ticks of settling, of 10 ms each, over which the pendulum's angle is averaged.
 const SETTLED_TICKS: usize = 20;
 
 /// The drift of a rig from its profile, estimated from the first rollouts of a day.
@@ -38,7 +38,7 @@ pub struct Drift {
     /// Angle of the hanging pendulum at rest, rad; 0 in any profile. Its standard error is not
     /// estimated and is 0. `None` if no rollout settled for long enough to tell.
     pub alpha_zero_rad: Option<Compared>,
-    /// Number of rollouts used.
+    /// Number of rollouts from which delay and cable are estimated.
     pub rollouts: usize,
 }
 
@@ -51,7 +51,8 @@ pub struct Compared {
     pub standard_error: f64,
     /// Value in the profile.
     pub profile: f64,
-    /// Whether the change exceeds both the quantity's tolerance and three standard errors.
+    /// Whether the change exceeds both the quantity's tolerance and three standard errors; `false`
+    /// if the rollouts do not determine the quantity.
     pub moved: bool,
 }
 
@@ -63,10 +64,11 @@ impl Compared {
 }
 
 impl Drift {
-    /// Compares the first rollouts of a day with the profile.
+    /// Compares the first rollouts of a day with the profile. Rollouts that cannot be fitted do not
+    /// count for delay and cable.
     ///
     /// # Errors
-    /// The rollouts cannot be fitted.
+    /// None of the rollouts can be fitted.
     pub fn of(recordings: &[Recording], profile: &QubeModel) -> Result<Self, Unfit> {
         let motions: Vec<MotionLog> =
             recordings.iter().filter_map(MotionLog::of_recording).collect();

@@ -57,7 +57,8 @@ impl EmulatedQubeSettings {
         self.effects.check().map_err(|error| format!("effects.{error}"))
     }
 
-    /// The settings of an emulator of this Qube without faults; the seed determines its start.
+    /// The settings of an emulator of this Qube without faults. The seed determines its random
+    /// numbers, among them the start angle of the arm, and its serial number.
     #[must_use]
     pub fn emulator(&self, seed: u64) -> EmulatorSettings {
         EmulatorSettings {

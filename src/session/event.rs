@@ -6,7 +6,7 @@ use crate::scoring::Verdict;
 
 /// An event of a running session.
 pub enum SessionEvent<'a> {
-    /// A psi was chosen.
+    /// A candidate was proposed.
     Proposed {
         /// Number of the candidate.
         candidate: u32,
@@ -72,7 +72,7 @@ pub enum SessionEvent<'a> {
         candidate: u32,
         /// Number of the rollout.
         rollout: u32,
-        /// Number of the attempt.
+        /// Number of the attempt, from 0.
         attempt: u32,
         /// Number of the rig that made it, from 1, where several rigs share the session.
         rig: Option<u32>,

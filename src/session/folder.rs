@@ -24,7 +24,7 @@ pub enum FolderError {
         path: PathBuf,
     },
     /// The session to resume ended before it had its session.toml.
-    #[error("{path} has nothing to resume: it is empty, or its session was ended before it began")]
+    #[error("{path} has nothing to resume: it is empty, or its session ended before it began")]
     NotBegun {
         /// Path of the folder.
         path: PathBuf,
@@ -59,7 +59,7 @@ impl SessionFolder {
     /// at its start.
     ///
     /// # Errors
-    /// The folder has other content, or cannot be created.
+    /// The folder has other content, another process holds it, or it cannot be written.
     pub fn create(root: &Path, configuration: &str) -> Result<Self, FolderError> {
         Self::create_on(Arc::new(MachineDisk), root, configuration)
     }
@@ -67,7 +67,7 @@ impl SessionFolder {
     /// Creates a new folder like [`create`](Self::create), on any disk.
     ///
     /// # Errors
-    /// The folder has other content, or cannot be created.
+    /// The errors of [`create`](Self::create).
     pub fn create_on(
         disk: Arc<dyn Disk>,
         root: &Path,
@@ -91,7 +91,7 @@ impl SessionFolder {
     /// Opens the folder of an existing session on this computer's disk.
     ///
     /// # Errors
-    /// The folder is not a session, or another process holds it.
+    /// The folder is not a session or cannot be read, or another process holds it.
     pub fn open(root: &Path) -> Result<Self, FolderError> {
         Self::open_on(Arc::new(MachineDisk), root)
     }
@@ -99,7 +99,7 @@ impl SessionFolder {
     /// Opens the folder of an existing session like [`open`](Self::open), on any disk.
     ///
     /// # Errors
-    /// The folder is not a session, or another process holds it.
+    /// The errors of [`open`](Self::open).
     pub fn open_on(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, FolderError> {
         let paths = SessionPaths::new(root);
         if !disk.exists(&paths.configuration()) {
@@ -158,8 +158,8 @@ impl SessionFolder {
     }
 }
 
-/// Whether a folder holds only the leftovers of a session that was killed before its `session.toml`
-/// was complete: an empty folder for candidates, and a partial configuration.
+/// Whether a folder is empty or holds only the leftovers of a session that was killed before its
+/// `session.toml` was complete: an empty folder for candidates, and a partial configuration.
 fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
     let names = match disk.names(root) {
         Err(error) if error.kind() == ErrorKind::NotADirectory => return Ok(false),
@@ -182,8 +182,8 @@ fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
     Ok(true)
 }
 
-/// Renames an unfinished recording, so that the rollout can be repeated under its own name. The
-/// file is kept because it may show the cause of a crash.
+/// Renames a recording that does not count, such as an unfinished one, so that the rollout can be
+/// repeated under its own name. The file is kept because it may show the cause of a crash.
 ///
 /// # Errors
 /// The file cannot be renamed.

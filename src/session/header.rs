@@ -10,9 +10,9 @@ use crate::telemetry::{Preflight, RolloutHeader, TickRules, TickSettings};
 /// The plan of a rollout: its place among the others, its policy, and its rules.
 #[derive(Clone, Debug)]
 pub struct RolloutPlan {
-    /// Name of the session, or `run`.
+    /// Name of the session or experiment, or of the caller, such as `run`.
     pub session: String,
-    /// Number of the candidate in its session.
+    /// Number of the candidate in its session, or of the policy in its experiment.
     pub candidate: Option<u32>,
     /// Number of the rollout for this candidate.
     pub rollout: u32,
@@ -20,7 +20,8 @@ pub struct RolloutPlan {
     pub attempt: u32,
     /// Psi of the candidate by name.
     pub psi: BTreeMap<String, f64>,
-    /// Seed of the session, which determines the start of each rollout.
+    /// Seed that determines the start angle of the arm, together with the numbers of candidate and
+    /// rollout.
     pub seed: u64,
     /// Name of the policy.
     pub policy: String,
@@ -51,7 +52,8 @@ impl RolloutPlan {
     }
 
     /// The header of the recording. The rig fills in everything that it alone knows: device, plant,
-    /// check, heat of the motor, calibration, stops, guard and time.
+    /// check, heat of the motor, calibration, stops, guard and time. It also narrows the box to its
+    /// own stops.
     #[must_use]
     pub fn header(&self) -> RolloutHeader {
         RolloutHeader {

@@ -24,7 +24,7 @@ pub struct IdentificationSettings {
 }
 
 impl IdentificationSettings {
-    /// One excitation, up to ten candidates of one rollout.
+    /// One excitation, and up to ten candidates with two trainings and one rollout each.
     pub const DEFAULT: Self = Self {
         excitations: 1,
         excitation_v: 1.5,

@@ -13,8 +13,8 @@ const FILE_CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
 /// The checksum of a line's entry.
 const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// A decision or a finished piece of work of a session. No entry can be computed from other files;
-/// returns, for example, are read from the recordings.
+/// A decision or a finished piece of work of a session. Returns are not entered: they are computed
+/// from the recordings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "event", deny_unknown_fields)]
 pub enum Entry {
@@ -23,13 +23,13 @@ pub enum Entry {
         /// The checksum of `session.toml`, as [`file_checksum`] computes it.
         settings: String,
     },
-    /// A psi was chosen. Candidates are numbered from 0 in the order of these entries.
+    /// A candidate was proposed. Candidates are numbered from 0 in the order of these entries.
     Proposed {
         /// Number of the candidate.
         candidate: u32,
         /// Reason of the proposal.
         purpose: Purpose,
-        /// Psi in the units and order of the search box.
+        /// Psi in the units and order of the search box; empty for an excitation and the baseline.
         psi: Vec<f64>,
         /// Numbers of the candidates whose returns were still unknown to the search when it chose
         /// psi.
@@ -45,9 +45,9 @@ pub enum Entry {
     RolloutFinished {
         /// Number of the candidate.
         candidate: u32,
-        /// Number of the rollout for this candidate.
+        /// Number of the rollout for this candidate, from 0.
         rollout: u32,
-        /// Number of the attempt.
+        /// Number of the attempt, from 0.
         attempt: u32,
         /// Number of the rig that made it, from 1, where several rigs share the session.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -158,7 +158,7 @@ pub enum LedgerError {
         source: std::io::Error,
     },
     /// A line is damaged, or cannot follow the earlier ones, in a way that no crash can cause: the
-    /// file was changed.
+    /// file was changed, or its disk is failing.
     #[error(
         "{path}, line {line}: {reason}. The ledger was changed or its disk is failing; restore it from a backup"
     )]

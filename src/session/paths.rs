@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 /// The paths of a session's files.
 ///
 /// ```text
-/// session.toml                            the resolved configuration
+/// session.toml                            all settings, the defaults included
 /// ledger.jsonl                            decisions and finished work
 /// profile-1.toml                          the Qube's profile, fitted to 1 recording
 /// candidates/000/                         the files of candidate 0's policy
@@ -26,7 +26,7 @@ impl SessionPaths {
         &self.root
     }
 
-    /// Path of the resolved configuration.
+    /// Path of the file with all settings, the defaults included.
     #[must_use]
     pub fn configuration(&self) -> PathBuf {
         self.root.join("session.toml")
@@ -57,10 +57,10 @@ impl SessionPaths {
     }
 }
 
-/// The paths of the files of one trained policy.
+/// The paths of the files of one policy. The curve and the times exist only if it was trained.
 ///
 /// ```text
-/// policy.safetensors                      the trained policy
+/// policy.safetensors                      the policy
 /// curve.csv                               the learning curve of its training
 /// training-times.json                     when its trainings ran; not written in virtual time
 /// rollout-0-attempt-0.mcap                the recording of one of its rollouts

@@ -1,5 +1,5 @@
-//! Computes the next step of a session from the ledger's state alone, so that a session that was
-//! killed at any instant continues exactly where it stopped.
+//! Computes the next step of a session from its settings and the ledger's state alone, so that a
+//! session that was killed at any instant continues exactly where it stopped.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,9 +21,11 @@ pub struct Extent {
     /// Whether the best candidate's existing policy is verified too, by `verification_rollouts`.
     #[serde(default)]
     pub verifies_incumbent: bool,
-    /// Number of steps of a rollout, 10 ms each; the thesis uses 600.
+    /// Largest number of steps of a rollout under a candidate's policy, 10 ms each; the thesis uses
+    /// 600.
     pub steps: u32,
-    /// Number of times that one rollout is repeated after faults before the session stops.
+    /// Number of times that one rollout is repeated after faults. After one more fault the session
+    /// stops or, if other rigs share it, goes on without the rig.
     pub repetitions: u32,
     /// Whether a policy that was trained on the nominal Qube makes one rollout at the end, for
     /// comparison.
@@ -67,7 +69,7 @@ impl Default for Extent {
     }
 }
 
-/// How many candidates a session has and can come to.
+/// The numbers of a session's candidates: so far and at most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CandidateCounts {
     /// Number of candidates of the search so far: initial points, and points that it has proposed.
@@ -82,7 +84,7 @@ pub struct CandidateCounts {
 /// A step of the session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Choose psi for new candidates.
+    /// Propose new candidates.
     Propose {
         /// Number of candidates to propose.
         count: u32,
@@ -109,7 +111,8 @@ pub enum Step {
         /// Number of the attempt, from 0.
         attempt: u32,
     },
-    /// Stop: faults have ended this rollout more often than `repetitions` allows.
+    /// Give this rollout up on its rig: faults have ended it more often than `repetitions` allows.
+    /// The session stops or, if other rigs share it, goes on without the rig.
     GiveUp {
         /// Number of the candidate.
         candidate: u32,
@@ -212,7 +215,8 @@ fn next_step_ahead(state: &SessionState, extent: &Extent) -> Step {
 }
 
 /// The training of all candidates without a policy, or else the next rollout of the first
-/// unfinished candidate, or its end after too many faults; `None` if all candidates are finished.
+/// unfinished candidate, which is given up after too many faults; `None` if all candidates are
+/// finished.
 fn unfinished(
     state: &SessionState,
     extent: &Extent,
@@ -227,8 +231,8 @@ fn unfinished(
     candidates.iter().find_map(|it| lacking(it, extent, identifies))
 }
 
-/// The next training or rollout of a candidate, or its end after too many faults; `None` if the
-/// candidate is finished.
+/// The next training or rollout of a candidate; after too many faults the rollout is given up.
+/// `None` if the candidate is finished.
 fn lacking(
     it: &Candidate,
     extent: &Extent,
@@ -262,7 +266,7 @@ pub(super) fn wanted_rollouts(
 }
 
 impl SessionState {
-    /// How many candidates the session has and can come to.
+    /// The numbers of the session's candidates: so far and at most.
     #[must_use]
     pub fn candidate_counts(
         &self,

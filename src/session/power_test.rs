@@ -44,8 +44,9 @@ impl PowerTest {
     }
 }
 
-/// The warning that is shown before a real Qube is driven. It depends on the result of the Qube's
-/// power test, if there was one; `None` if the motor is known to go off without its board.
+/// The warning that is shown before a real Qube is driven, by the result of the Qube's power test.
+/// It is `None` if the motor is known to go off without its board. Without a known result it ends
+/// in "test it once", after which a command can name the test.
 #[must_use]
 pub fn power_warning(power: Option<&PowerTest>) -> Option<&'static str> {
     match power.map(|power| power.usb_lost) {

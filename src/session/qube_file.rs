@@ -1,5 +1,6 @@
-//! The file `qube.toml` with the properties of one Qube. `check --write` writes the file, and every
-//! command that drives the Qube reads it.
+//! The file `qube.toml` with the properties of one Qube. `check --write` and `check --power-test`
+//! write it. A command that drives a real Qube reads the file that `--qube` names, or else the
+//! `qube.toml` of the working directory, if there is one.
 
 use std::path::{Path, PathBuf};
 
@@ -47,7 +48,8 @@ pub struct QubeFile {
     /// Watchdog of a card behind the vendor's library, as the command `check` has measured it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub watchdog: Option<LibraryWatchdog>,
-    /// Thermal rating of the motor, A and s; neither may exceed the nominal rating.
+    /// Thermal rating of the motor, A and s: both numbers above 0, and neither above the nominal
+    /// rating.
     #[serde(deserialize_with = "motor_rating", skip_serializing_if = "is_nominal")]
     pub motor: MotorRating,
 }
@@ -71,11 +73,11 @@ pub struct Signs {
 pub struct RigHoming {
     /// Method: `stops` or `hand`.
     pub method: HomingMethod,
-    /// Zero of the arm relative to the middle that homing finds, rad.
+    /// Zero of the arm relative to the middle that homing finds, rad; -0.3 to 0.3.
     #[serde(deserialize_with = "offset")]
     pub theta_offset_rad: f64,
-    /// Distance between this rig's stops, rad, if an operator has accepted that it differs from the
-    /// distance on a Qube.
+    /// Distance between this rig's stops, rad, 3.6 to 6.0, if an operator has accepted that it
+    /// differs from the distance on a Qube.
     #[serde(deserialize_with = "travel", skip_serializing_if = "Option::is_none")]
     pub travel_rad: Option<f64>,
 }
@@ -152,13 +154,13 @@ impl QubeFile {
     pub fn save(&self, path: &Path, writer: &str) -> Result<(), ConfigurationError> {
         let text = format!(
             "# Written by {writer}. Signs were found by pushing the arm; change the\n\
-             # rest as you like. Limits may be narrower than these, not wider.\n\n{}",
+             # rest as you like. Limits may be narrower than the task's, not wider.\n\n{}",
             toml::to_string_pretty(self)?
         );
         write_whole(&MachineDisk, path, text.as_bytes()).map_err(ConfigurationError::NotWritten)
     }
 
-    /// The homing settings of this Qube.
+    /// The homing settings of this Qube, with this estimator of the velocities during homing.
     #[must_use]
     pub fn homing(&self, estimator: EstimatorSettings) -> HomingSettings {
         HomingSettings {

@@ -14,7 +14,7 @@ pub struct SessionReport {
     pub candidates: Vec<ScoredCandidate>,
     /// Timing of all ticks of the finished rollouts.
     pub latencies: Latencies,
-    /// Number of attempts that a fault ended and that were then repeated.
+    /// Number of attempts that a fault ended, of the rollouts that have a result.
     pub void_rollouts: u64,
     /// Number of observer resets in the finished rollouts.
     pub observer_resets: u64,

@@ -58,7 +58,7 @@ impl RigSessions {
         for entry in std::fs::read_dir(root).map_err(failed)? {
             let path = entry.map_err(failed)?.path();
             let is_of_rig = (1..=Self::MOST).any(|rig| path == Self::folder(root, rig));
-            // A ledger gets its first entry only after `rigs.toml` is written.
+            // The sessions open their ledgers only after `rigs.toml` is written.
             if !is_of_rig || SessionPaths::new(&path).ledger().exists() {
                 return Ok(false);
             }
@@ -66,8 +66,9 @@ impl RigSessions {
         Ok(true)
     }
 
-    /// Removes `rigs.toml` and the settings and ledger of every session beside it; ignores errors.
-    /// The caller makes sure that no session has decided anything yet.
+    /// Removes `rigs.toml` and, beside it, the settings and the ledger of every session and the
+    /// folders that are then empty; ignores errors.
+    /// The caller makes sure that no session has proposed a candidate yet.
     pub fn withdraw(root: &Path) {
         let _ = std::fs::remove_file(Self::path(root));
         for rig in 1..=Self::MOST {

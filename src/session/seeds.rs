@@ -63,8 +63,8 @@ pub enum SeedFor {
 }
 
 /// The number of the random stream of a purpose: its kind in the highest 8 bits, then the candidate
-/// (24 bits) and the rollout or training and the attempt (16 bits each). A policy, a repetition or
-/// a rig takes the candidate's place.
+/// (24 bits) and the rollout or training and the attempt (the lowest 16 bits of each). A policy, a
+/// repetition or a rig takes the candidate's place.
 fn stream(purpose: SeedFor) -> u64 {
     let number = |kind: u64, candidate: u32, rollout: u32, attempt: u32| {
         kind << 56

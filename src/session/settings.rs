@@ -22,7 +22,8 @@ pub struct SharedRig {
     pub device: String,
     /// Settings of the emulated Qube, used if the device is one.
     pub emulated: EmulatedQubeSettings,
-    /// How the rig was homed when the session began; `None` for the method of the session's settings.
+    /// How the rig was homed when the session began; `None` for the method of the session's
+    /// settings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homing_method: Option<HomingMethod>,
 }
@@ -50,7 +51,7 @@ pub struct SessionSettings {
     pub psi: PsiSpace,
     /// Family of the distributions to which psi gives mean and standard deviation.
     pub family: Family,
-    /// Number of candidates and rollouts.
+    /// Numbers of candidates, rollouts and steps.
     pub extent: Extent,
     /// Settings of the identification that comes before the search; the search is then around the
     /// identified Qube. `model` and `psi` are used only if the identification fails or this table
@@ -225,7 +226,8 @@ impl SessionSettings {
         self.model.distribution(self.plant(), self.family, self.profile.as_ref(), Some(psi))
     }
 
-    /// The settings of simulations for one psi: sensors, observation, reward and box.
+    /// The settings of simulations for one psi: those of the training, with the corner of the
+    /// velocity filter from psi if psi has one.
     #[must_use]
     pub fn simulation(&self, psi: &Psi) -> SimulationSettings {
         self.training.simulation.shaped_by(psi)

@@ -10,8 +10,9 @@ use crate::safety::SafetyBox;
 use crate::search::SearchError;
 use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
 
-/// Largest offset of the arm's zero from the middle between the stops, rad. At any offset the
-/// rig narrows the box to the stops that it measured.
+/// Largest offset of the arm's zero from the middle between the stops, rad. At any offset the rig
+/// narrows the box to the stops that homing touched. Homing by hand touches none, so after it the
+/// box is not narrowed.
 pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 
 /// Advice when a session cannot be resumed, because its settings are of an earlier version.
@@ -74,16 +75,16 @@ impl SessionSettings {
             SearchError::BadSettings { reason } => format!("bayrn.{reason}"),
             other => other.to_string(),
         })?;
-        // The checks above know the ranges of single settings. This one bounds every number, also
-        // of settings without a range of their own.
+        // The checks above know the ranges of single settings. This one bounds every number that is
+        // not an integer, also of settings without a range of their own.
         Table::try_from(self).map_or(Ok(()), |all| check_numbers("", &Value::Table(all)))
     }
 
-    /// Checks that no limit of the boxes and of homing is invalid or wider than the task's. No file
-    /// may widen a limit, not even for an emulated Qube.
+    /// Checks the limits of both boxes and the settings of homing: each must be valid, and no limit
+    /// of a box wider than the task's. No file may widen a limit, not even for an emulated Qube.
     ///
     /// # Errors
-    /// Describes the first invalid limit.
+    /// Describes the first invalid setting.
     pub fn check_limits(&self) -> Result<(), String> {
         let of_the_task = SafetyBox::GUARDED;
         self.safety_box.check_within(&of_the_task).map_err(of_file)?;
@@ -114,7 +115,7 @@ impl SessionSettings {
     /// Checks that a session with these settings can be resumed.
     ///
     /// # Errors
-    /// The session ran under a guard that exists only to replay old recordings.
+    /// The session or its simulations ran under a guard that exists only to replay old recordings.
     pub fn check_resumable(&self) -> Result<(), String> {
         let simulated = self.training.simulation.safety_box.guard;
         for (key, guard) in
@@ -145,14 +146,14 @@ impl SessionSettings {
     }
 }
 
-/// Largest absolute value of any number in the settings.
+/// Largest absolute value of a floating-point number in the settings.
 const LARGEST_NUMBER: f64 = 1e6;
 
 /// The one number of the settings that may be infinite; infinity means that there is no limit.
 const MAY_BE_INFINITE: &str = "training.largest_gradient_norm";
 
 /// Checks that no floating-point number of these settings is NaN or exceeds [`LARGEST_NUMBER`] in
-/// magnitude; [`MAY_BE_INFINITE`] may.
+/// magnitude. It leaves out [`MAY_BE_INFINITE`], which the training's own check covers.
 fn check_numbers(key: &str, value: &Value) -> Result<(), String> {
     match value {
         Value::Float(number) if number.abs() <= LARGEST_NUMBER || key == MAY_BE_INFINITE => Ok(()),

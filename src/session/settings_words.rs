@@ -45,7 +45,7 @@ const WORDS: [Words; 108] = [
         "",
         "Upper end of the quantity's range, in the quantity's unit; left out, its default",
     ),
-    of("extent.initial_candidates", "", "Number of candidates before the search proposes the next"),
+    of("extent.initial_candidates", "", "Number of candidates before the search proposes its own"),
     of("extent.iterations", "", "Number of candidates that the search proposes"),
     of("extent.rollouts", "", "Number of rollouts of each candidate"),
     of("extent.verification_rollouts", "", "Number of rollouts that verify the recommendation"),
@@ -58,7 +58,7 @@ const WORDS: [Words; 108] = [
     of(
         "extent.repetitions",
         "",
-        "Number of repetitions of a rollout after faults before the session stops",
+        "Number of repetitions of a rollout after faults before the session stops or its rig is taken out",
     ),
     of(
         "extent.baseline",
@@ -68,7 +68,7 @@ const WORDS: [Words; 108] = [
     of(
         "extent.pending",
         "",
-        "Number of candidates whose returns are awaited when the search proposes another, which is trained meanwhile",
+        "Largest number of candidates without returns when the search proposes another, which is trained meanwhile",
     ),
     of("identification.excitations", "", "Number of recordings under an excitation, of 10 s each"),
     of(
@@ -85,7 +85,7 @@ const WORDS: [Words; 108] = [
     of(
         "identification.spread",
         "part of each value",
-        "Spread of the simulations beside the errors of the identification",
+        "Spread of the simulations in addition to the errors of the identification",
     ),
     of(
         "identification.trainings",
@@ -130,7 +130,7 @@ const WORDS: [Words; 108] = [
     ),
     of("simulation.safety_box.guard", "", "Guard of simulations: the box alone"),
     of("homing.method", "", "How the arm's middle is found"),
-    of("homing.theta_offset_rad", "rad", "Zero of theta beside the middle between the stops"),
+    of("homing.theta_offset_rad", "rad", "Zero of theta relative to the middle between the stops"),
     of("homing.travel_rad", "rad", "Distance between this rig's stops"),
     of(
         "signs.theta_zero_counts",
@@ -166,7 +166,11 @@ const WORDS: [Words; 108] = [
         "Angle by which the arm's friction gives way like a spring before it slides",
     ),
     of("effects.stribeck", "part", "Part of the friction that is added near standstill"),
-    of("effects.hysteresis_n_m", "N m", "Torque by which the cable lags behind the arm"),
+    of(
+        "effects.hysteresis_n_m",
+        "N m",
+        "Largest torque of the cable's hysteresis, against the arm's last motion",
+    ),
     of("effects.slack", "part", "Part of its stiffness that the cable lacks on one side"),
     of(
         "effects.warming_per_w",

@@ -7,7 +7,7 @@ pub struct Candidate {
     pub number: u32,
     /// Reason of its proposal.
     pub purpose: Purpose,
-    /// Psi of the candidate: a point of the search space.
+    /// Psi of the candidate: a point of the search space; empty for an excitation and the baseline.
     pub psi: Vec<f64>,
     /// Whether its policy is on disk.
     pub trained: bool,
@@ -46,8 +46,8 @@ pub enum Identification {
         /// Names of the effects that the model lacks according to the verdict.
         doubts: Vec<String>,
         /// Profiles in the order in which they were found: the number of recordings that each was
-        /// fitted to, and the checksum of its file. The shifts of psi are along the directions of
-        /// the first.
+        /// fitted to, and the checksum of its file. Psi shifts the simulations along directions of
+        /// the errors of the first.
         profiles: Vec<(u32, String)>,
     },
     /// The recordings identify no Qube, for this reason.

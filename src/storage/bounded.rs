@@ -11,7 +11,7 @@ pub const SETTINGS_BYTES: u64 = 1 << 20;
 /// end.
 ///
 /// # Errors
-/// The file does not exist, is not a regular file, or the operating system refuses.
+/// The file does not exist or is not a regular file, or the operating system refuses.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     check_regular(&fs::metadata(path)?)?;
     // Another file may have taken this path in the meantime; opening that file must not block
@@ -25,7 +25,7 @@ pub fn open_regular(path: &Path) -> io::Result<File> {
 /// Reads a whole regular file of at most `limit` bytes.
 ///
 /// # Errors
-/// [`open_regular`] fails, or the file is longer.
+/// [`open_regular`] fails, the file cannot be read, or it is longer.
 pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     // One byte more than the limit shows that the file is longer.

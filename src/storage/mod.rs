@@ -37,11 +37,10 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The operating system refuses.
     fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>>;
 
-    /// Opens a file for writing at its end, and creates the file if it does not exist. A link of
-    /// this name is not followed.
+    /// Opens a file for writing at its end, and creates the file if it does not exist.
     ///
     /// # Errors
-    /// The operating system refuses.
+    /// A link has this name, or the operating system refuses.
     fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>>;
 
     /// Reads a regular file. Of a file longer than `limit` bytes, `limit + 1` bytes are returned,
@@ -83,10 +82,12 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The storage failed.
     fn sync_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Locks a folder against other processes until the returned [`Hold`] is dropped.
+    /// Locks a folder until the returned [`Hold`] is dropped. The lock keeps out only programs that
+    /// take it, too.
     ///
     /// # Errors
-    /// Another process has locked the folder, or the operating system refuses.
+    /// The folder is already locked, by another process or by this one, or the operating system
+    /// refuses.
     fn hold(&self, folder: &Path) -> Result<Hold, TryLockError>;
 }
 
@@ -142,7 +143,7 @@ pub fn sync_name(disk: &dyn Disk, path: &Path) -> io::Result<()> {
     }
 }
 
-/// The error of a file that could not be written.
+/// A file could not be written.
 #[derive(Debug, Error)]
 #[error("{path}: {source}")]
 pub struct WriteError {
@@ -159,9 +160,9 @@ pub struct WriteError {
 /// then renamed. If an interrupted call has left such a file, it is replaced.
 ///
 /// # Errors
-/// The disk is full or failing. The file is then as it was before the call, unless the last
-/// operation failed, which syncs the folder: then it is new, but its name may not survive a loss of
-/// power.
+/// The operating system refuses, or the disk is full or failing. The file is then as it was before
+/// the call. If only the last operation fails, the sync of the folder, the file is new, but its
+/// name may not survive a loss of power.
 pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
     write_and_rename(disk, path, bytes)
         .map_err(|source| WriteError { path: path.to_owned(), source })

@@ -14,7 +14,7 @@ pub struct Dataset {
     /// Standardised outputs, n.
     pub(super) targets: DVector<f64>,
     /// Known noise variance of each point, standardised, n; the fitted noise variance is added to
-    /// it.
+    /// it. For a fantasy it is at most 0, so that the sum is the least noise variance.
     pub(super) own_noise: DVector<f64>,
     offset: f64,
     scale: f64,
@@ -27,8 +27,8 @@ impl Dataset {
     /// variances of the values, in squared units of the values, or `None` if they are unknown. In
     /// both cases the fit adds a noise variance that all points share.
     ///
-    /// A single value, or values that are all equal, have no usable standard deviation: they are
-    /// centred and keep scale 1.
+    /// A single value, or values that are equal up to rounding, have no usable standard deviation:
+    /// they are centred and keep scale 1.
     ///
     /// # Errors
     /// There is no data, the lists differ in length, a point has another dimension than the box or
@@ -113,7 +113,8 @@ impl Dataset {
         self.offset
     }
 
-    /// Standard deviation by which the values were divided, in their units; 1 if they have none.
+    /// Standard deviation by which the values were divided, in their units; 1 if they have no
+    /// usable one.
     #[must_use]
     pub fn scale(&self) -> f64 {
         self.scale

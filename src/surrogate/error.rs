@@ -43,7 +43,7 @@ pub enum SurrogateError {
     /// There is no observation.
     #[error("there is no observation to fit the surrogate to: evaluate at least one point first")]
     NoData,
-    /// Lists differ in length.
+    /// The list of values or of noise variances is not as long as the list of points.
     #[error("{points} points but {values} {list}: give one per point")]
     LengthsDiffer {
         /// Number of points.
@@ -65,7 +65,7 @@ pub enum SurrogateError {
         /// Coordinates of the point.
         got: usize,
     },
-    /// A point is NaN or outside its box.
+    /// A coordinate of a point is NaN or outside the search box.
     #[error(
         "point {index} lies outside the search box: coordinate {dimension} is {value}, allowed is [{lower}, {upper}]"
     )]

@@ -17,7 +17,7 @@ pub struct LogMarginalLikelihood {
     pub value: f64,
     /// Derivative with respect to the standardised prior mean `m`.
     pub d_mean: f64,
-    /// d derivatives with respect to the logarithm of each lengthscale.
+    /// Derivatives with respect to the logarithms of the d lengthscales.
     pub d_log_lengthscales: Vec<f64>,
     /// Derivative with respect to the logarithm of the signal variance.
     pub d_log_signal_variance: f64,

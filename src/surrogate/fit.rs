@@ -64,7 +64,7 @@ const WHOLE: usize = 100;
 /// logarithms from several starts.
 ///
 /// # Errors
-/// The covariance cannot be factored at any start.
+/// The covariance of all points cannot be factored at the best of the starts.
 pub fn fit(data: &Dataset, settings: &FitSettings) -> Result<Fit, SurrogateError> {
     let search = Search { kernel: settings.kernel, mean: settings.mean, priors: settings.priors };
     let starts = search.starts(data.dimensions(), settings);

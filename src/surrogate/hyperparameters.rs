@@ -5,7 +5,7 @@ use super::{PriorSet, SurrogateError};
 /// The hyperparameters of a Gaussian process, for inputs on the unit cube and standardised outputs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hyperparameters {
-    /// The constant prior mean.
+    /// The constant prior mean of the standardised outputs.
     pub mean: f64,
     /// One lengthscale per dimension, in widths of the box.
     pub lengthscales: Vec<f64>,
@@ -25,7 +25,9 @@ impl Hyperparameters {
         let bad = |reason: String| Err(SurrogateError::BadHyperparameters { reason });
         if self.lengthscales.len() != dimensions {
             let got = self.lengthscales.len();
-            return bad(format!("{got} lengthscales for {dimensions} dimensions"));
+            return bad(format!(
+                "{got} lengthscales for {dimensions} dimensions: give one per dimension"
+            ));
         }
         if let Some(l) = self.lengthscales.iter().find(|l| !(l.is_finite() && **l > 0.0)) {
             return bad(format!("a lengthscale of {l}: it must be finite and positive"));

@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-/// A stationary covariance function of the scaled distance
+/// A stationary covariance function of the scaled distance `r`, with
 /// `r^2 = sum_d (x_d - x'_d)^2 / l_d^2` (ARD: one lengthscale `l_d` per dimension).
 ///
 /// Each kernel is a correlation (1 at distance 0); the process multiplies it by the signal

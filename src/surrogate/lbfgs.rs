@@ -1,5 +1,5 @@
 /// Stopping criteria of [`minimise`], which ends as soon as one of them is met, or earlier where no
-/// step lowers the value.
+/// step lowers the value enough.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tolerances {
     /// Size that no entry of the gradient exceeds, apart from coordinates held at a bound.
@@ -30,6 +30,7 @@ const SUFFICIENT: f64 = 1e-4;
 /// and Wright 2006, algorithm 7.4), projects the step onto the box and shortens it until Armijo's
 /// condition holds along the projected path (Bertsekas 1982). `function` writes the gradient to its
 /// second argument and returns the value; after a value that is not finite the step is shortened.
+/// If the value at the start is not finite, the result is the start.
 pub(super) fn minimise(
     mut function: impl FnMut(&[f64], &mut [f64]) -> f64,
     start: &[f64],

@@ -7,9 +7,9 @@ use super::{Acquisition, SearchBox};
 /// The effort of a maximisation by [`maximise()`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MaximiserSettings {
-    /// Number of quasi-random points at which the value alone is computed.
+    /// Number of quasi-random points at which the value alone is computed; 0 counts as 1.
     pub raw: usize,
-    /// Number of the best points from which a local search follows the gradient.
+    /// Number of the best points from which a local search follows the gradient; 0 counts as 1.
     pub starts: usize,
     /// Seed of the random points.
     pub seed: u64,
@@ -40,10 +40,11 @@ const APART: f64 = 0.03;
 
 /// Maximises an acquisition over the box.
 ///
-/// The function evaluates Owen-scrambled Sobol points and clouds of points around the `hints`, then
-/// follows the gradient from the best of these points by L-BFGS within the box. Hints are points in
-/// the box's own units near which a maximum is likely, such as the best observed points. A value
-/// that is NaN counts as minus infinity.
+/// The function evaluates Owen-scrambled Sobol points, the `hints` and clouds of points around
+/// them, then follows the gradient from the best of these points by L-BFGS within the box. Hints
+/// are points in the box's own units near which a maximum is likely, such as the best observed
+/// points.
+/// A value that is NaN counts as minus infinity.
 #[must_use]
 pub fn maximise(
     acquisition: &dyn Acquisition,

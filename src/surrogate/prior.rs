@@ -60,7 +60,7 @@ pub enum PriorSet {
 }
 
 impl PriorSet {
-    /// Smallest noise variance, of standardised outputs.
+    /// Smallest noise variance that a fit returns, for standardised outputs.
     pub const LEAST_NOISE_VARIANCE: f64 = 1e-4;
 
     /// The prior of each lengthscale in `dimensions` dimensions.

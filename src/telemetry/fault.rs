@@ -7,22 +7,23 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Consequence {
-    /// The program repeats the rollout a limited number of times, because nothing points to a defect
-    /// of the Qube. Before each repetition it sends the board a hello, waits for 1 s at rest and
-    /// homes.
+    /// The program repeats the rollout a limited number of times, because nothing points to a
+    /// defect of the Qube. Before each repetition it sends the board a hello, waits until the arm
+    /// has been at rest for 1 s, and homes.
     TryAgain,
-    /// The program opens the same port again, because the link is lost. It tries for a limited time and accepts only
-    /// the same board. Then it continues as with [`TryAgain`](Self::TryAgain), with a new zero.
+    /// The program opens the same port again, because the link is lost. It tries for a limited time
+    /// and accepts only the same board. Then it continues as with [`TryAgain`](Self::TryAgain),
+    /// with a new zero.
     Reconnect,
-    /// The run or session ends, because a sensor or the motor is in doubt. Nothing moves before an operator has
-    /// acknowledged the fault and an examination has passed.
+    /// The run or session ends, because a sensor or the motor is in doubt. Nothing moves before an
+    /// operator has acknowledged the fault and an examination has passed.
     Examine,
     /// The run or session ends, because the same rollout would end the same way.
     End,
 }
 
 impl Consequence {
-    /// The reaction as a sentence for the operator.
+    /// The reaction in words for the operator, without the subject: the program.
     #[must_use]
     pub fn sentence(self) -> &'static str {
         match self {
@@ -45,7 +46,7 @@ impl Consequence {
 /// Generates the enum, its causes and the table from rows in the order of the table.
 macro_rules! faults {
     ($($(#[$attribute:meta])* $fault:ident: $consequence:ident, $cause:literal, $operator:literal;)+) => {
-        /// The named faults. Each is latched: the motor is off and stays off.
+        /// A fault by its name. Each is latched: the motor is off and stays off.
         #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(rename_all = "snake_case")]
         pub enum Fault {
@@ -69,7 +70,7 @@ macro_rules! faults {
                 }
             }
 
-            /// The operator's step as a sentence.
+            /// The operator's step in whole sentences.
             #[must_use]
             pub fn operator_step(self) -> &'static str {
                 match self {
@@ -80,7 +81,8 @@ macro_rules! faults {
     };
 }
 
-// Columns: fault, consequence, cause, operator's step. Recordings contain the names, so they never change.
+// Columns: fault, consequence, cause, operator's step. Recordings contain the names of the faults,
+// so the names never change.
 faults! {
     NoSample: TryAgain,
         "no valid sample for more than 35 ms",
@@ -195,14 +197,16 @@ impl Fault {
     }
 
     /// Whether the rollout may be repeated on the same link, because nothing points to a defect of
-    /// the Qube: samples or commands came too late, the device was disarmed, or a count moved while
-    /// the motor was off.
+    /// the Qube: samples or commands came too late, the clocks disagreed, the device was disarmed,
+    /// or a count moved while the motor was off.
     #[must_use]
     pub fn may_be_repeated(self) -> bool {
         self.consequence() == Consequence::TryAgain
     }
 
-    /// Whether the fault puts the arm's count in doubt, but neither the link nor the motor.
+    /// Whether the fault doubts the arm's count, which may be right all the same, but neither the
+    /// link nor the motor. Such an arm is damped before the motor goes off
+    /// ([`TickRules::Damped`](super::TickRules::Damped)).
     #[must_use]
     pub fn doubts_count(self) -> bool {
         matches!(

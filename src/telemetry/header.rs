@@ -25,7 +25,8 @@ pub struct TickSettings {
     /// nearer one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stops: Option<MeasuredStops>,
-    /// Model and settings of foresight, if foresight is the guard.
+    /// Model and settings of foresight, if foresight is the guard; without this entry, the plant's
+    /// defaults hold.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foresight: Option<ForesightSettings>,
     /// Version of the rules of the tick; recordings that name no version follow
@@ -42,22 +43,23 @@ pub struct TickSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TickRules {
-    /// The rules without any of the additions below; recordings that name no rules follow them.
+    /// The rules without any of the additions below; they hold for recordings that name no rules.
     #[default]
     First,
-    /// The two encoders check each other, settling is gentle, and a braked arm may come to rest anywhere
-    /// that is not near a stop.
+    /// The two encoders check each other, settling is gentle, and a braked arm may come to rest
+    /// anywhere that is not near a stop.
     #[serde(rename = "witnessed")]
     CrossChecked,
-    /// As [`CrossChecked`](Self::CrossChecked); in addition, an arm whose count is in doubt under a policy is
-    /// damped before the motor goes off.
+    /// As [`CrossChecked`](Self::CrossChecked); in addition, an arm whose count comes into doubt
+    /// under a policy or while it is braked is damped before the motor goes off.
     Damped,
     /// As [`Damped`](Self::Damped); in addition, a brake that oscillates loses gain, and an arm
     /// whose count is in doubt is damped also while it settles.
     #[serde(rename = "yielding")]
     GainReducing,
-    /// As [`GainReducing`](Self::GainReducing); in addition, foresight simulates each voltage of the brake
-    /// before it is sent, and takes into account how old a velocity is after lost samples.
+    /// As [`GainReducing`](Self::GainReducing); in addition, foresight simulates each voltage of
+    /// the brake before it is sent, and takes into account how old a velocity is after lost
+    /// samples.
     #[serde(rename = "tried")]
     BrakeSimulating,
 }
@@ -72,11 +74,13 @@ impl TickRules {
 pub struct RolloutHeader {
     /// Version of this record's format.
     pub format: u32,
-    /// Name of the session, or `run`.
+    /// Name of the session or experiment; of a rollout that belongs to none, the command, such as
+    /// `run`.
     pub session: String,
-    /// Number of the candidate in its session, from 0; `None` for a rollout without a candidate.
+    /// Number of the candidate in its session, or of the policy in its experiment, from 0; `None`
+    /// for a rollout that belongs to neither.
     pub candidate: Option<u32>,
-    /// Number of the rollout among those of its candidate or run, from 0.
+    /// Number of the rollout among those of its candidate, policy or run, from 0.
     pub rollout: u32,
     /// Number of the attempt, from 0. Each repetition after a void rollout adds 1.
     pub attempt: u32,
@@ -118,7 +122,7 @@ pub struct RolloutHeader {
 pub enum Ending {
     /// The policy took all steps.
     Completed,
-    /// The state left the safety box.
+    /// The state left the safety box, or the guard ended the rollout.
     LeftBox(Limit),
     /// The operator or the program stopped the rollout.
     Stopped,
@@ -135,7 +139,8 @@ pub struct RolloutOutcome {
     pub phase: Phase,
     /// Number of steps that the policy took.
     pub steps: u32,
-    /// Number of skipped periods, plus ticks that were more than a period late or had no valid sample.
+    /// Number of skipped periods, plus ticks that were more than a period late or had no valid
+    /// sample.
     pub missed_deadlines: u32,
     /// Number of records for which the recorder had no room; above 0, the file has gaps.
     pub records_lost: u64,
@@ -143,7 +148,7 @@ pub struct RolloutOutcome {
     /// does not match the Qube, or something hit the Qube.
     #[serde(default, rename = "times_astray", skip_serializing_if = "is_zero")]
     pub observer_resets: u32,
-    /// Prediction for which foresight ended the rollout; `None` for other endings, and in
+    /// Prediction because of which foresight ended the rollout; `None` for other endings, and in
     /// recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foreseen: Option<Foreseen>,

@@ -1,8 +1,8 @@
-//! Plain data that the tick passes on: the record of a tick, header and outcome of a rollout, and
-//! the table of faults.
+//! Plain data about rollouts: the record of a tick, header and outcome of a rollout, the results of
+//! a device's checks, and the table of faults.
 //!
-//! Recordings contain these fields under the names that they have here, so fields must not be
-//! renamed. The room may import `qube`, `safety` and `estimation`.
+//! Recordings contain these fields under the names that serde gives them here, so these names must
+//! not change. The room may import `qube`, `safety` and `estimation`.
 //!
 //! ```
 //! use qube_hil::telemetry::{Consequence, Fault};

@@ -81,7 +81,7 @@ fn a_method_whose_policies_share_a_training_is_refused_without_budgets() {
         .unwrap();
     assert_eq!(output.status.code(), Some(2));
     let message = String::from_utf8_lossy(&output.stderr);
-    assert!(message.contains("so-cma makes all its policies of one training"), "{message}");
+    assert!(message.contains("so-cma makes all its policies from one training"), "{message}");
 }
 
 #[test]

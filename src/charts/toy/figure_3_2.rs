@@ -13,9 +13,10 @@ const ROWS: usize = 4;
 /// Number of random samples before the first iteration.
 const FIRST: usize = 4;
 
-/// Draws four iterations of the search with PI, EI and UCB from the same first samples. Each
-/// iteration shows the posterior with the samples, and below them the acquisition function with its
-/// maximum, which is the next sample.
+/// Draws four iterations of the search with each of three acquisition functions, from the same
+/// first samples: probability of improvement (PI), expected improvement (EI) and upper confidence
+/// bound (UCB). Each iteration shows the posterior with the samples, and below them the acquisition
+/// function with its maximum, which is the next sample.
 pub fn draw(seed: u64) -> anyhow::Result<String> {
     let mut svg = String::new();
     {

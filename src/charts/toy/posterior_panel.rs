@@ -12,7 +12,7 @@ pub type Chart<'a, 'b> =
 
 /// Colour of the true curve.
 pub const GREY: RGBColor = RGBColor(90, 96, 106);
-/// Colour of the chosen point.
+/// Colour of a chosen point: the next sample, or the most likely hyperparameters.
 pub const RED: RGBColor = VERMILION;
 
 /// The values of x at which curves are drawn.
@@ -20,8 +20,9 @@ pub fn places() -> impl Iterator<Item = f64> + Clone {
     (0..=240).map(|i| RANGE.0 + (RANGE.1 - RANGE.0) * f64::from(i) / 240.0)
 }
 
-/// Draws the posterior: mean, two standard deviations, samples and the true curve. Returns the
-/// chart, so that more can be drawn into it.
+/// Draws the posterior: mean, a band of two standard deviations on either side, samples and the
+/// true curve. `with_names` gives the axes their names. Returns the chart, so that more can be
+/// drawn into it.
 pub fn draw<'a, 'b>(
     area: &'a Area<'b>,
     title: &str,

@@ -20,9 +20,9 @@ use crate::storage::{MachineDisk, write_whole};
 
 /// Compare the search strategies on synthetic objectives
 ///
-/// `regret`: distance from the maximum after each evaluation, on objectives of 2 to 16 dimensions without
-/// noise. `noise`: expected return of the recommended candidate when a rollout either balances (500) or
-/// falls (50), without and with trainings that differ. Tables go to stdout, pictures and all numbers to --out.
+/// `regret`: the maximum minus the best value so far, after each evaluation, on objectives of 2 to 16 dimensions
+/// without noise. `noise`: expected return of the recommended point when a rollout either balances (500) or
+/// falls (50), without and with trainings that differ. Tables go to stdout; pictures, tables and all numbers to --out.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil benchmark regret\n  \
@@ -41,7 +41,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value = "60")]
     evaluations: NonZeroUsize,
 
-    /// Points that are proposed and not evaluated yet when the next one is proposed, for `regret`
+    /// Number of points that are still to be evaluated when the next one is proposed, for `regret`
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=1000))]
     pending: u32,
 
@@ -53,7 +53,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
 
-    /// Folder for pictures and numbers; created if it does not exist
+    /// Folder for pictures, tables and numbers; created if it does not exist
     #[arg(long, value_name = "DIR", default_value = "benchmark")]
     out: PathBuf,
 }
@@ -61,7 +61,7 @@ pub struct Arguments {
 /// The suites of comparisons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Suite {
-    /// Strategies, by simple regret
+    /// Strategies, by simple regret: the maximum minus the best value so far
     Regret,
     /// Search variants, by the expected return under bimodal noise
     Noise,
@@ -103,7 +103,9 @@ fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         "simple regret after {evaluations} evaluations, {repetitions} repetitions: median [quartiles]\n"
     );
     if pending > 0 {
-        text += &format!("each point was proposed while {pending} before it were not evaluated\n");
+        text += &format!(
+            "each point was proposed before the {pending} points before it were evaluated\n"
+        );
     }
     let mut curves: Vec<RegretCurve> = Vec::new();
     for objective in Objective::ALL {
@@ -141,6 +143,9 @@ fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let repetitions = arguments.repetitions(200);
+    if repetitions < 2 {
+        return Err(Failure::usage("--repetitions 1 gives no interval: give at least 2"));
+    }
     let mut text = format!(
         "expected return of the point found, {repetitions} repetitions: mean ± 95 % interval\n"
     );
@@ -186,8 +191,8 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The part of a problem's title that describes its trainings; empty where rollouts do not
-/// correlate.
+/// The part of a problem's title that describes its trainings; empty if the trainings do not
+/// differ.
 fn trainings_of(problem: TwoHumped) -> String {
     match problem.rollout_correlation {
         0.0 => String::new(),

@@ -2,10 +2,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::commands::printable::print_message;
 
-/// Number of progress lines for all of the work.
+/// Largest number of progress lines for all of the work.
 const LINES: usize = 10;
 
-/// Computes `work(0)`, `work(1)` ... `work(count - 1)` on `threads` threads, with about ten
+/// Computes `work(0)`, `work(1)` ... `work(count - 1)` on `threads` threads, with up to `LINES`
 /// progress lines on stderr, and returns the results in order.
 pub fn map<T: Send>(
     count: usize,

@@ -69,7 +69,7 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The row of a check in the table. The remedy of a deviation is the requirement of the protocol.
+/// The row of a check in the table. In place of a remedy it shows what the protocol requires.
 fn row(result: &CheckResult) -> Row {
     let promise = result.remedy.clone();
     Row { remedy: promise.map(|promise| ("must be:", promise)), ..Row::from(result) }

@@ -29,16 +29,16 @@ const WRITER: &str = "qube-hil check --write";
 
 /// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing
 ///
-/// The arm is pushed a little (0.1 s, with 0.25 V, and more only while nothing moves) and then homed.
-/// Every command that drives a real Qube does the same before its first motion. Exit code 0 when every check
-/// passed, 1 when one failed, 2 when there is no Qube at that port.
+/// The arm is pushed a little (0.1 s at most, with 0.25 V, and more only until arm and pendulum move enough) and
+/// then homed. Every command that drives a real Qube does the same before its first motion, unless --skip-check is
+/// given. Exit code 0 when no check failed, 1 when one failed, 2 when there is no Qube at that port.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil check --device /dev/ttyACM0\n  \
     qube-hil check --device hil --write               # the USB panel, by the vendor's library\n  \
     qube-hil check --device /dev/ttyACM0 --write      # find the signs, write qube.toml\n  \
     qube-hil check --qube qube.toml --home hand       # the arm was put into the middle\n  \
-    qube-hil check --device /dev/ttyACM0 --power-test    # once a rig: the motor without its board\n  \
+    qube-hil check --device /dev/ttyACM0 --power-test    # once for each rig: the motor without its board\n  \
     qube-hil check --device /dev/ttyACM0 --conformance   # does the firmware conform to the protocol?")]
 pub struct Arguments {
     /// Test the device's firmware against PROTOCOL.md instead. The motor gets at most 1 V for a few
@@ -47,7 +47,7 @@ pub struct Arguments {
     conformance: bool,
 
     /// Use the signs that are found, and write them to a file with the port's lasting name. Other entries
-    /// of the file are kept, its comments are not [FILE: qube.toml]
+    /// of the file are kept, its comments are not [without FILE: qube.toml]
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = QUBE_FILE)]
     write: Option<PathBuf>,
 
@@ -161,8 +161,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     ended
 }
 
-/// Asks an operator at a terminal whether to perform the power test, if the file has no result of
-/// that test.
+/// Whether the operator wants the power test. Asks only at a terminal, and only if the file has no
+/// result of that test; otherwise the answer is no.
 fn wants_power_test(path: &Path) -> bool {
     let is_known = QubeFile::load(path).is_ok_and(|file| file.power.is_some());
     if is_known || !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {
@@ -177,8 +177,8 @@ fn wants_power_test(path: &Path) -> bool {
     read.is_ok() && matches!(line.trim(), "y" | "Y" | "yes")
 }
 
-/// The initial entries for `--write`: those of the existing file, or else of the chosen Qube's file,
-/// or else none.
+/// The entries that the check and the power test start from when they write the file `path`: those
+/// of the existing file, or else of the chosen Qube's file, or else none.
 fn base_file(path: &Path, device: &ChosenDevice) -> Result<QubeFile, Failure> {
     if !device.choice.is_hardware() {
         return Err(Failure::usage(

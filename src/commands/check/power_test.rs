@@ -31,7 +31,7 @@ const MOST_V: f64 = 1.5;
 
 /// Time for each step of the operator, control periods: 60 s.
 const STEP_TICKS: u32 = 6000;
-/// Time within which the port must be back after the operator has plugged the cable in.
+/// Time within which the Qube must answer again after the operator has plugged the cable in.
 const REPLUG: Duration = Duration::from_secs(120);
 
 /// Largest number of repetitions in a rehearsal after a late computer or link ended the push.
@@ -69,14 +69,14 @@ pub fn run(
     match pressed.ending {
         Ending::Stopped => return Err(failed(RigError::Stopped { during: "the power test" })),
         // A computer that was late for a moment loses samples, too, but then the board still
-        // answers. The motor is off in that case whatever it does without its board, so that case
-        // shows nothing.
+        // answers. In that case the board has switched the motor off, which shows nothing about a
+        // motor without its board.
         Ending::Fault(Fault::LinkGone | Fault::NoSample | Fault::BoardRestarted)
             if !rig.answers().map_err(failed)? => {}
         Ending::Fault(fault) => return Err(failed(RigError::Ended { fault })),
         _ => {
             return Err(Failure::failed(
-                "the plug was not pulled, so nothing is known: the motor is off; begin again",
+                "the plug was not pulled, so the test has no result: the motor is off, begin again",
             ));
         }
     }
@@ -97,7 +97,7 @@ pub fn run(
     let rig = reconnected(settings, stop)?;
     if rig.identity().serial != board {
         return Err(Failure::failed(format!(
-            "another board answers now ({}, not {board}), so nothing was written",
+            "another board answers now ({}, not {board}), so no result was written",
             rig.identity().serial
         )));
     }
@@ -148,7 +148,7 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
             }
             (_, PressOutcome::Stayed) => {
                 return Err(Failure::failed(
-                    "nobody pushed the arm within 60 s: the motor is off, nothing was written",
+                    "nobody pushed the arm within 60 s: the motor is off, no result was written",
                 ));
             }
         }
@@ -158,31 +158,35 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     )))
 }
 
-/// Opens the Qube under its port again as soon as the Qube answers, or fails after `REPLUG`.
+/// Opens the Qube at its port again as soon as it answers; fails after [`REPLUG`] or at a stop
+/// request.
 fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
     let end = Instant::now() + REPLUG;
     loop {
         match Rig::connect(settings, &stop.flag) {
             Ok(rig) => return Ok(rig),
             Err(error) if Instant::now() >= end => return Err(failures::rig(error, stop)),
-            Err(_) if stop.requested() => return Err(stop.failure("stopped; nothing was written")),
+            Err(_) if stop.requested() => {
+                return Err(stop.failure("stopped; no result was written"));
+            }
             Err(_) => std::thread::sleep(Duration::from_millis(300)),
         }
     }
 }
 
-/// Asks a question and returns the line that was typed.
+/// Asks a question and returns the line that was typed. The messages of its failures do not say
+/// that the motor is off: a motor without its board may keep its voltage.
 fn ask(question: &str, stop: &Stop) -> Result<String, Failure> {
     print_message(&format!("\n{question}"));
     let _ = std::io::stderr().flush();
     let mut line = String::new();
     let read = std::io::stdin().lock().read_line(&mut line);
     if stop.requested() {
-        return Err(stop.failure("stopped; the motor is off, nothing was written"));
+        return Err(stop.failure("stopped; no result was written"));
     }
     match read {
         Ok(0) | Err(_) => Err(Failure::failed(
-            "nobody answers, so nothing was written: this test needs an operator",
+            "nobody answers, so no result was written: this test needs an operator",
         )),
         Ok(_) => Ok(line),
     }

@@ -28,13 +28,15 @@ pub struct Results {
     quietness: Quietness,
     /// Number of observer resets.
     observer_resets: u64,
-    /// Largest load of the motor; `None` if no recording has it.
+    /// Largest load of the motor, as a fraction of its continuous rating; `None` if no recording
+    /// has it.
     largest_motor_load: Option<f64>,
     /// Fault that ended the last rollout, if one did.
     pub fault: Option<Fault>,
-    /// Reason why the last rollout is void, if no fault ended it.
+    /// Reason why the last rollout is void although no fault ended it: the recorder lost ticks.
     void: Option<String>,
-    /// Recordings of the first rollouts that have a result, for the estimate of the drift.
+    /// Recordings of the first rollouts that are not void, at most [`DRIFT_ROLLOUTS`], for the
+    /// estimate of the drift.
     first: Vec<Recording>,
     /// Drift of the rig from its profile, or the reason why it cannot be estimated.
     drift: Option<Result<Drift, Unfit>>,
@@ -64,7 +66,8 @@ impl RolloutRow {
 }
 
 impl Results {
-    /// The largest return so far, in words; empty without one, and for excitations.
+    /// The largest return so far and the number of successes, in words; empty without a return, and
+    /// for excitations.
     pub fn best(&self) -> String {
         let returns = self.rollouts.iter().filter_map(|row| row.return_);
         let successes = self.rollouts.iter().filter(|row| row.success).count();
@@ -132,7 +135,8 @@ impl Results {
         Ok(())
     }
 
-    /// Checks that the last rollout is valid or was ended by a fault, which `fault` names.
+    /// Returns a failure if the last rollout is void for another reason than a fault; `fault` holds
+    /// the fault that ended it otherwise.
     pub fn check_not_void(&self) -> Result<(), Failure> {
         match &self.void {
             Some(reason) => Err(Failure::fault(format!("the last rollout is void: {reason}"))),
@@ -140,7 +144,8 @@ impl Results {
         }
     }
 
-    /// Estimates the drift of the first rollouts from the profile, if there are such rollouts.
+    /// Estimates from the first rollouts, if there are any, how far the rig has drifted from its
+    /// profile.
     pub fn compare(&mut self, profile: &QubeModel) {
         if !self.first.is_empty() {
             self.drift = Some(Drift::of(&self.first, profile));
@@ -204,7 +209,7 @@ impl Results {
     }
 }
 
-/// Whether `identify` can use the recording of an excitation, as a sentence.
+/// Says in words whether `identify` can use the recording of an excitation.
 fn fitness(recording: &Recording) -> String {
     let Some(log) = MotionLog::of_recording(recording) else {
         return "no motion: `identify` cannot use it".into();

@@ -15,7 +15,7 @@ use crate::session::RolloutPlan;
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};
 
-/// Several rollouts of one policy.
+/// Several rollouts of one policy or excitation on one rig.
 pub struct Series<'a> {
     pub settings: RigSettings,
     pub plan: RolloutPlan,
@@ -29,7 +29,7 @@ pub struct Series<'a> {
 
 impl Series<'_> {
     /// Runs the rollouts and adds their results to `results`, also those before a failure or a
-    /// stop.
+    /// stop. Fails if the last rollout is void.
     pub fn run(&mut self, rollouts: u32, results: &mut Results) -> Result<(), Failure> {
         self.progress.update(|state| {
             state.phase = "opening the Qube, checking and homing it".into();
@@ -146,7 +146,7 @@ impl Series<'_> {
     }
 }
 
-/// The message for a fault that ended the last rollout, with the operator's step.
+/// The message for a fault that ended the last rollout, with the operator's next step.
 fn fault_message(fault: Fault) -> String {
     let then = if fault.leaves_doubt() {
         ". Then start again with --acknowledge: the Qube is examined first"

@@ -13,7 +13,7 @@ use super::state::{Overlay, Pause, ScreenState, Training, in_words};
 use crate::qube::MAX_STEPS;
 use crate::telemetry::Phase;
 
-/// The largest return of a training's evaluation: each step earns at most 1.
+/// The largest possible return: each step earns at most 1.
 const LARGEST_RETURN: f64 = MAX_STEPS as f64;
 
 /// Fraction of a limit above which a quantity is highlighted.
@@ -24,7 +24,7 @@ const MIDDLE_ROWS: u16 = 8;
 /// Smallest height of a screen that has the middle, rows.
 const MIDDLE_FROM: u16 = 18;
 
-/// The styles, without colours where the user wants none.
+/// The styles of the screen's texts, without colours where the user wants none.
 #[derive(Clone, Copy, Debug)]
 pub struct Styles {
     colours: bool,
@@ -57,7 +57,7 @@ impl Styles {
     }
 }
 
-/// Draws the state at this time.
+/// Draws one frame: the state of the work and of the rollout at the time `now`.
 pub fn draw(
     frame: &mut Frame,
     state: &ScreenState,
@@ -228,7 +228,7 @@ fn draw_training(frame: &mut Frame, area: Rect, training: &Training, now: Instan
 }
 
 /// The curve of the whole training in at most `width` columns: each column has the best return of
-/// its updates, or 0 before any of them is done.
+/// its updates, at least 0, and 0 before any of them is done.
 fn columns(training: &Training, width: usize) -> Vec<u64> {
     let updates = training.updates.max(1) as usize;
     // A training with fewer updates than columns has one column for each update.
@@ -314,7 +314,8 @@ fn draw_rollout(frame: &mut Frame, area: Rect, rollout: &RolloutState, styles: S
 }
 
 /// A line with a quantity as a number and as a mark on a scale from -`limit` to `limit`. `used` is
-/// the largest fraction of the limit that was reached so far.
+/// the largest fraction of the limit that was reached so far; 0 shows no range. `width` is the
+/// width of the line, in characters.
 fn quantity<'a>(
     name: &'a str,
     value: f64,
@@ -330,7 +331,8 @@ fn quantity<'a>(
     Line::from(vec![Span::styled(number, style), Span::raw(format!("├{bar}┤"))])
 }
 
-/// A scale from -1 to 1 with a mark at `value`, and a thick line from -`used` to `used`.
+/// A scale from -1 to 1 in `width` characters, with a mark at `value` (at an end if `value` lies
+/// beyond it) and a thick line from -`used` to `used`; empty if `width` is less than 3.
 fn scale(value: f64, used: f64, width: usize) -> String {
     if width < 3 {
         return String::new();
@@ -371,8 +373,9 @@ fn draw_messages(frame: &mut Frame, area: Rect, state: &ScreenState, styles: Sty
     frame.render_widget(Paragraph::new(rows), inner);
 }
 
-/// A message in rows of at most `width` characters, broken between words; a longer word has a row
-/// of its own. The rows after the first are indented.
+/// A message in rows of `width` characters, broken between words. The rows after the first are
+/// indented by two blanks. A word that does not fit into a row has a row of its own, which is cut
+/// off at the screen's edge.
 fn wrapped(message: &str, width: usize) -> Vec<String> {
     let mut rows = vec![String::new()];
     for word in message.split(' ') {

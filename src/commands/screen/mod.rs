@@ -196,7 +196,7 @@ impl Progress {
         }
     }
 
-    /// The effect of a stop in words.
+    /// The effect of a stop on the present work, in words.
     pub fn stop_effect(&self) -> &'static str {
         self.shared.as_ref().map_or(STOP_EFFECT, |shared| shared.state().stop_effect)
     }

@@ -12,7 +12,7 @@ const KEPT: usize = 10_000;
 /// A training under way.
 #[derive(Clone, Debug)]
 pub struct Training {
-    /// Name, as `candidate 3`.
+    /// Name, such as `candidate 3`.
     pub name: String,
     /// Number of updates in all.
     pub updates: u32,
@@ -43,7 +43,7 @@ pub enum Pause {
     /// None.
     #[default]
     No,
-    /// After the present rollout.
+    /// After the present rollout, or after the next one if none runs.
     Asked,
     /// Now: the work waits.
     Now,
@@ -70,17 +70,18 @@ pub struct ScreenState {
     pub title: String,
     /// When the command began.
     pub began: Instant,
-    /// The present work, as `candidate 3 (4 of 12): proposed by the search`.
+    /// The present work, such as `candidate 3 (4 of 12): proposed by the search`.
     pub work: String,
-    /// The phase of the present work, as `training in simulation`.
+    /// The phase of the present work, such as `training in simulation`.
     pub phase: String,
-    /// Number of finished pieces of work, and of all pieces.
+    /// Number of finished pieces of work, and of all pieces or the most that there may be; `None`
+    /// before the number is known.
     pub done: Option<(u64, u64)>,
-    /// Whether the work may end before all pieces.
+    /// Whether the work may end before all pieces are done.
     pub may_end_early: bool,
-    /// Expected end of all work.
+    /// Expected end of all work; `None` if it is not known.
     pub ends: Option<Instant>,
-    /// The best result so far.
+    /// The best result so far, in words; empty before a result.
     pub best: String,
     /// Trainings under way. A key is the name of the recipe or search (empty if there is only one),
     /// the number of the trained candidate or policy, and the number of its training.
@@ -99,7 +100,7 @@ pub struct ScreenState {
     pub pause: Pause,
     /// Whether a stop was requested.
     pub is_stopping: bool,
-    /// Window over everything.
+    /// Window over the rest of the screen.
     pub overlay: Overlay,
     /// Messages, the oldest first.
     pub messages: VecDeque<String>,

@@ -37,8 +37,8 @@ const STOP_PRESSED_US: u64 = 2_000_000;
 /// continue, so no host may rely on it.
 const RESTART_COUNTS: i32 = 400;
 
-/// The microcontroller's program over an emulated Qube: it takes bytes, returns replies, and has a
-/// clock of its own.
+/// The emulated board: the microcontroller's program, and the emulated Qube that it drives. The
+/// board takes bytes, returns replies, and has a clock of its own.
 ///
 /// The board performs no I/O: its owner advances its clock and delivers bytes at their time of
 /// arrival.
@@ -53,8 +53,8 @@ pub struct Board {
     now_us: u64,
     /// Time at which the program started, us; the program's clock counts from here.
     booted_us: u64,
-    /// Time until which no program runs, us; `u64::MAX` is for ever. Meanwhile the Qube keeps its
-    /// last motor command.
+    /// Time until which no program runs, us; `u64::MAX` is for ever, and `None` means that it runs.
+    /// Meanwhile the Qube keeps its last motor command.
     dark_until_us: Option<u64>,
     state: DeviceState,
     /// Nonce for the next arm; 0 is none.
@@ -70,15 +70,16 @@ pub struct Board {
     theta_shift: i32,
     alpha_shift: i32,
     watchdog_fed_us: u64,
-    /// Time at which the amplifier last went off, us.
+    /// Time at which the amplifier last went off, us; a restart counts only if a voltage was at the
+    /// motor.
     switched_off_us: Option<u64>,
     motor_counts: i16,
     last_act_sequence: u16,
-    /// Time of the last sample sent, us, until an act answers it; the two times give
-    /// `sample_to_act_us`.
+    /// Time of the last sample sent, us, until an act answers it or a hello or restart discards it;
+    /// `sample_to_act_us` counts from it.
     previous_sample_us: Option<u64>,
-    /// Time of the last sample sent since the last hello, by the device's clock, us; an act must
-    /// name this time.
+    /// Time of the last sample sent since the last hello or restart, by the device's clock, us; an
+    /// act must name this time.
     given_us: Option<u32>,
     sample_to_act_us: u16,
     dropped_frames: u16,
@@ -127,8 +128,8 @@ impl Board {
         board
     }
 
-    /// Advances the clock to `now_us`, us. Watchdog, fault and restart take effect at their own
-    /// times on the way.
+    /// Advances the clock to `now_us`, us; a time in the past changes nothing. Watchdog, fault and
+    /// restart take effect at their own times on the way.
     pub fn advance_to(&mut self, now_us: u64) {
         while let Some(event_us) = self.next_event_us().filter(|event_us| *event_us <= now_us) {
             self.now_us = self.now_us.max(event_us);
@@ -144,8 +145,9 @@ impl Board {
         self.now_us = self.now_us.max(now_us);
     }
 
-    /// Time of the next event that comes without any traffic, us; the owner then calls
-    /// [`advance_to`](Self::advance_to).
+    /// Time at which the watchdog trips, the fault begins or the program starts again, whichever is
+    /// next, us; `None` if none is due. At that time the owner calls
+    /// [`advance_to`](Self::advance_to), even without traffic.
     #[must_use]
     pub fn next_event_us(&self) -> Option<u64> {
         let fault_us =
@@ -203,7 +205,7 @@ impl Board {
         }
     }
 
-    /// Whether the wire flips a bit of the last reply.
+    /// Whether the fault flips a bit of the last reply; the owner then flips it on the wire.
     #[must_use]
     pub fn garbles_reply(&self) -> bool {
         match self.settings.fault {
@@ -224,20 +226,21 @@ impl Board {
         self.state
     }
 
-    /// Time of the last valid command, an arm or an accepted act, by the board's clock, us.
+    /// Time of the last accepted arm or act, by the board's clock, us; 0 before the first.
     #[must_use]
     pub fn last_command_us(&self) -> u64 {
         self.watchdog_fed_us
     }
 
-    /// Time at which the amplifier last went off, by the board's clock, us; `None` if it never was
-    /// on.
+    /// Time at which the amplifier last went off, by the board's clock, us; `None` if it has not
+    /// gone off yet. A restart counts only if a voltage was at the motor.
     #[must_use]
     pub fn switched_off_us(&self) -> Option<u64> {
         self.switched_off_us
     }
 
-    /// The voltage at the motor, mV; 0 while the amplifier is off.
+    /// The voltage that the board commands, mV, in steps of the motor's counts; 0 while the
+    /// amplifier is off.
     #[must_use]
     pub fn applied_mv(&self) -> i16 {
         motor_voltage_mv(self.motor_counts)
@@ -421,7 +424,7 @@ impl Board {
         (self.now_us - self.booted_us) as u32
     }
 
-    /// Stops the program; the Qube keeps its last command.
+    /// Stops the program until `until_us`, us; the Qube keeps its last motor command.
     fn stop_program(&mut self, until_us: u64) {
         self.dark_until_us = Some(until_us);
         self.state = DeviceState::Idle;
@@ -460,8 +463,8 @@ impl Board {
         }
     }
 
-    /// 1, or -1 if the connection that this fault flips is reversed, by the fault or by the wiring
-    /// but not by both.
+    /// The sign of the connection that the fault `flipped` reverses: -1 if the fault or the wiring
+    /// reverses it, but not both, otherwise 1.
     fn sense(&self, flipped: EmulatorFault) -> i32 {
         let wiring = self.settings.wiring;
         let is_wired_so = match flipped {

@@ -23,7 +23,7 @@ const FRAME_PHASE_NS: Nanoseconds = 567_000;
 pub enum UsbBridge {
     /// The second microcontroller of a genuine Uno or Mega.
     Atmega16u2,
-    /// A bridge that passes bytes on every 20 ms, too slowly for control.
+    /// A bridge that passes bytes to the computer every 20 ms, too slowly for control.
     Slow,
 }
 

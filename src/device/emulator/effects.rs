@@ -8,11 +8,12 @@ use crate::qube::{Acceleration, Dynamics, EquationsOfMotion, NonidealDynamics, S
 /// Velocity at which Stribeck's additional friction has fallen to 1/e, rad/s.
 const STRIBECK_VELOCITY_RAD_S: f64 = 0.3;
 
-/// Velocity at which the additional friction without presliding has three quarters of its torque,
-/// rad/s.
+/// Velocity at which Stribeck's additional friction has reached three quarters of its torque,
+/// rad/s; with presliding, the strain takes the place of this rise.
 const SLIDING_RAD_S: f64 = 0.05;
 
-/// Angle over which the torque of the cable's hysteresis builds up, rad.
+/// Motion of the arm, rad, after which the torque of the cable's hysteresis has grown from 0 to
+/// 1 - 1/e of its largest value.
 const CABLE_YIELD_RAD: f64 = 0.1;
 
 /// Time constant of the winding's temperature, s.
@@ -24,7 +25,8 @@ const ECCENTRIC_ZERO_RAD: f64 = -0.7;
 /// Longest integration step with any of these effects, us.
 pub(super) const EFFECTS_STEP_US: u64 = 100;
 
-/// The effects beyond the equations; a value of 0 switches an effect off.
+/// The effects of an emulated Qube beyond the library's equations of motion; a value of 0 switches
+/// an effect off.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Effects {
@@ -79,8 +81,7 @@ impl Effects {
         ]
     }
 
-    /// Checks that each effect is within its range, which ends at the value in
-    /// [`named`](Self::named).
+    /// Checks that each effect is from 0 to its largest value in [`named`](Self::named).
     ///
     /// # Errors
     /// A description of the first effect that is out of its range.
@@ -173,8 +174,8 @@ impl ActingEffects {
     }
 }
 
-/// The strain of an elastoplastic element after a step: the strain follows `rate`, 1/s, and slips
-/// at `largest`.
+/// The strain of an elastoplastic element after a step of `step_s`, s. The strain grows at `rate`,
+/// 1/s, at first, and more and more slowly as it approaches `largest` in the direction of `rate`.
 fn strained(strain: f64, rate: f64, largest: f64, step_s: f64) -> f64 {
     // The step is implicit in the strain, so that a fast arm cannot make the strain oscillate.
     (strain + step_s * rate) / (1.0 + step_s * rate.abs() / largest)

@@ -6,10 +6,10 @@ use thiserror::Error;
 /// Default size of an encoder's jump, counts.
 const USUAL_JUMP_COUNTS: i32 = 300;
 
-/// A fault of an emulated Qube; real Qubes and boards show each of them.
+/// A fault of an emulated Qube or its board. Real Qubes and boards have the same faults.
 ///
-/// Times are seconds of the device's clock. [`forms`](Self::forms) lists the text forms, for
-/// example `silent@2`, `garble@10`, `wrong-version`.
+/// Times are in seconds since the emulated Qube started. [`forms`](Self::forms) lists the text
+/// forms, for example `silent@2`, `garble@10`, `wrong-version`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum EmulatorFault {
     /// The program stops answering; only its watchdog still works.
@@ -50,7 +50,8 @@ pub enum EmulatorFault {
         /// Onset, s.
         after_s: f64,
     },
-    /// The Qube reports a stall and switches its motor off; a hello and an arm clear it.
+    /// The Qube reports a stall and switches its motor off; the next arm clears the report. If the
+    /// board was armed, a hello must precede that arm.
     StallError {
         /// Onset, s.
         after_s: f64,
@@ -202,16 +203,21 @@ const FORMS: [(&str, &str); 24] = [
     ("emergency-stop@S", "the stop switch is pressed for 2 s"),
 ];
 
-/// The error for a text that names no fault.
+/// The error for a text that names no fault, or whose numbers are out of range.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error("{text} is not a fault. The faults are:\n{}", EmulatorFault::forms())]
+#[error(
+    "{text} is not a fault, or a number in it is out of range. The faults, with times in s and voltages \
+     in V, are:\n{}",
+    EmulatorFault::forms()
+)]
 pub struct UnknownFault {
     /// Text given.
     pub text: String,
 }
 
 impl EmulatorFault {
-    /// The onset in microseconds of the device's clock; 0 for faults that exist from the start.
+    /// Time at which the fault begins, us since the emulated Qube started; 0 for faults that exist
+    /// from the start.
     #[must_use]
     pub fn onset_us(&self) -> u64 {
         match *self {

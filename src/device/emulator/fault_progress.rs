@@ -1,4 +1,6 @@
-//! Faults of an emulated Qube's encoders, motor, arm and pendulum, over the Qube's own time.
+//! Faults of an emulated Qube's encoders, motor, arm and pendulum, over the Qube's own time. The
+//! board itself makes some of these faults: encoders that freeze for good, connections in reverse,
+//! a dead motor and a blocked arm.
 
 use firmware_protocol::scaling::{TACHOMETER_NEGATIVE, TACHOMETER_STILL};
 
@@ -16,7 +18,8 @@ pub struct TrueReadings {
     pub tachometer_raw: u32,
 }
 
-/// The progress of a fault that concerns encoders, motor, arm or pendulum.
+/// The progress of a fault of encoders, motor, arm or pendulum. Any other fault also passes through
+/// the stages, without an effect here.
 #[derive(Clone, Copy, Debug)]
 pub struct FaultProgress {
     fault: Option<EmulatorFault>,
@@ -42,7 +45,7 @@ impl FaultProgress {
         Self { fault, stage: Stage::Before, held, theta_shift: 0, alpha_shift: 0 }
     }
 
-    /// Time at which the fault begins or ends, whichever is next, us; `None` if it stays as it is.
+    /// Time at which the fault begins or ends, whichever is next, us; `None` if neither will come.
     pub fn next_us(&self) -> Option<u64> {
         let fault = self.fault?;
         let lasts_s = match fault {

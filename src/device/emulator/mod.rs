@@ -42,8 +42,9 @@ pub struct EmulatorSettings {
     /// Hand and finger that move the arm in a power test, which shows whether the motor goes off
     /// when its board loses power; `None` leaves the arm alone.
     pub finger: Option<Finger>,
-    /// Seed of all random numbers: initial position, start values of the counters, nonces, boot
-    /// ids, and the jitter of commands. It is also the board's serial number.
+    /// Seed of all random numbers: initial position, start values of the counters and their shifts
+    /// at a restart, nonces, the first boot id, and the jitter of commands. It is also the board's
+    /// serial number.
     pub seed: u64,
     /// Fault of the Qube.
     pub fault: Option<EmulatorFault>,
@@ -94,7 +95,7 @@ impl Default for EmulatorSettings {
 pub struct Finger {
     /// Time at which the hand carries the arm to its stop, us.
     pub from_us: u64,
-    /// Interval between pushes, us.
+    /// Interval at which the finger pushes an arm that lies at a stop, us.
     pub every_us: u64,
     /// Size of a push, encoder counts.
     pub counts: i32,

@@ -17,8 +17,8 @@ use crate::qube::{Encoder, Encoders, NonidealDynamics, QubeModel, State, runge_k
 /// an encoder count.
 const MAX_STEP_US: u64 = 5_000;
 
-/// Longest step while the arm touches a stop, us: each such step ends in an impact, and finer steps
-/// keep the arm in place.
+/// Longest step while something stops arm or pendulum (a hard stop or a hand), us: each such step
+/// ends in an impact, and finer steps keep the arm in place.
 const CONTACT_STEP_US: u64 = 500;
 
 /// Longest step of an arm with backlash, us: the instants at which motor and arm meet and part must
@@ -32,7 +32,8 @@ const LONGEST_STEP_IN_TIME_CONSTANTS: f64 = 2.5;
 /// Largest distance of the arm from its middle at the start, rad.
 const START_RANGE_RAD: f64 = 1.0;
 
-/// Capacity of the queue of commands in transit: 0.64 s of acts at 100 Hz.
+/// Capacity of the queue of commands in transit: 0.64 s of acts at 100 Hz. A command that finds the
+/// queue full displaces the oldest.
 const COMMANDS_UNDER_WAY: usize = 64;
 
 /// Random stream of the jitter, separate so that the jitter does not change the initial state.
@@ -219,7 +220,7 @@ impl Plant {
         self.resistance_factor * self.model.parameters.motor_resistance_ohm
     }
 
-    /// Raises the motor's resistance with the heat of its winding.
+    /// Adjusts the motor's resistance to the temperature of its winding after `step_s`, s.
     fn warm(&mut self, step_s: f64) {
         let loss_w = self.current_a().powi(2) * self.motor_resistance_ohm();
         let Some(effects) = self.effects.as_mut().filter(|_| !self.motor_is_open) else { return };
@@ -245,7 +246,7 @@ impl Plant {
     }
 
     /// Moves the arm as hand and finger do: carries it to its positive stop at the first time, and
-    /// later pushes it off a stop from which it is less than ten counts away.
+    /// later pushes it off a stop from which it is at most ten counts away.
     fn push_by_finger(&mut self) {
         let Some(finger) = self.finger.filter(|_| self.time_us >= self.next_finger_us) else {
             return;

@@ -65,7 +65,8 @@ impl Play {
         self.apply_impact(&arm, rotor_inertia, after)
     }
 
-    /// Moves a motor in contact along with the arm, after something else has moved the arm.
+    /// Places a motor in contact at its end of the gap, with the arm's velocity, for a new state of
+    /// the arm; a motor inside the gap stays where it is.
     pub(super) fn follow(&mut self, state: &State) {
         if let Some(side) = self.contact {
             self.motor_rad = state.theta + side * self.half_gap_rad;

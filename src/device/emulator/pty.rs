@@ -25,7 +25,7 @@ pub struct EmulatedQube {
     port: PathBuf,
     link: Arc<Mutex<Link>>,
     stop: Arc<OwnedFd>,
-    /// The serving thread; if it ends because the cable stays out, its result keeps the port's name
+    /// The serving thread; if it ends while the port is gone, its result keeps the port's name
     /// reserved.
     server: Option<JoinHandle<io::Result<Option<ReservedName>>>>,
 }
@@ -91,7 +91,7 @@ impl Pty {
     }
 }
 
-/// Reserves the name of a port whose cable is out. Otherwise the kernel would give this name to the
+/// Reserves the name of a port that is gone. Otherwise the kernel would give this name to the
 /// next pty, and a program that opens its lost port again would find another program's pty.
 struct ReservedName {
     _port_side: OwnedFd,
@@ -144,7 +144,7 @@ impl EmulatedQube {
     /// old symbolic link but no other file.
     ///
     /// # Errors
-    /// A file of that name exists, or the link cannot be created.
+    /// A file of that name exists that is no symbolic link, or the link cannot be created.
     pub fn link_as(&mut self, path: &Path) -> io::Result<()> {
         match std::fs::symlink_metadata(path) {
             Ok(metadata) if metadata.file_type().is_symlink() => std::fs::remove_file(path)?,
@@ -163,7 +163,8 @@ impl EmulatedQube {
         Ok(())
     }
 
-    /// Whether the Qube has ended by itself: a fault took its port away, or its pty failed.
+    /// Whether the Qube has ended by itself: a fault took its port away for good, or its pty
+    /// failed.
     #[must_use]
     pub fn is_gone(&self) -> bool {
         self.server.as_ref().is_none_or(JoinHandle::is_finished)
@@ -181,8 +182,8 @@ impl Drop for EmulatedQube {
     }
 }
 
-/// Time that request and reply take on the board's serial line, us. It is added to the replies
-/// behind a bridge; without a bridge the pty delivers them at once.
+/// Time that request and reply take on the board's serial line, us. It delays the replies behind a
+/// bridge; without a bridge the pty delivers them at once.
 const ON_THE_LINE_US: u64 = 1_000;
 
 /// Replies that a bridge holds back, each with its time of arrival at the host, us.
@@ -221,9 +222,9 @@ fn write(master: &impl AsFd, bytes: &[u8]) -> io::Result<()> {
 /// The reason why serving a pty ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Served {
-    /// The Qube was dropped, or its cable stays out.
+    /// The Qube was dropped, or its port is gone for good.
     Stopped,
-    /// The cable was pulled, or plugged in again.
+    /// The port is gone, or the cable is plugged in again.
     Plug,
 }
 

@@ -31,14 +31,15 @@ mod code {
 
 /// Options of a Servo 3: analog output, and no voltage that the driver adds by itself. The vendor's
 /// code generator sets `deadband_compensation=0.3`; the motor would then get a larger voltage than
-/// was sent, and more than 5 V.
+/// was sent, which may exceed the limit of 5 V.
 const SERVO_3_OPTIONS: &CStr = c"deadband_compensation=0.0;pwm_en=0";
 
 /// The name of a library function, for messages about a call that fails or does not return.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Function(pub(super) &'static str);
 
-/// The names of the functions that take time, by their index in [`Calling`].
+/// The names of the functions that take time, by their index in [`Calling`]; the first stands for
+/// any name that is not in the list.
 const NAMES: [&str; 16] = [
     "loading",
     "hil_open",
@@ -101,7 +102,7 @@ pub(super) struct Card {
 }
 
 impl Card {
-    /// Opens a card and sets its options.
+    /// Opens a card; sets [`SERVO_3_OPTIONS`] if its type names a Servo 3.
     pub(super) fn open(
         library: &Arc<Library>,
         address: &HilAddress,
@@ -222,7 +223,7 @@ impl Card {
             .map(|code| code != 0)
     }
 
-    /// Whether the watchdog has expired; false where the card cannot tell.
+    /// Whether the watchdog has expired; false where the card cannot tell or the call fails.
     pub(super) fn watchdog_is_expired(&self) -> bool {
         self.call("hil_watchdog_is_expired", |library| library.watchdog_is_expired(self.handle))
             .is_ok_and(|code| code != 0)

@@ -96,7 +96,8 @@ pub enum HilError {
         /// Time since the function was called, s.
         waited_s: f64,
     },
-    /// The card was armed without a hello.
+    /// An arm was requested of a card that no hello has opened, or whose last fault no hello has
+    /// cleared.
     #[error("{port} cannot be armed before a hello has opened it and cleared its last fault")]
     NotGreeted {
         /// Address of the card.
@@ -113,8 +114,8 @@ pub enum HilError {
 }
 
 impl HilError {
-    /// Whether a card that was there no longer answers, which is a lost link and not a wrong
-    /// request.
+    /// Whether a call of the library has not returned in time, which counts as a link without
+    /// samples and not as a wrong request.
     #[must_use]
     pub fn is_silence(&self) -> bool {
         matches!(self, Self::Hung { .. })

@@ -15,7 +15,8 @@ use libloading::os::unix::{Library as Loaded, RTLD_LOCAL, RTLD_NOW};
 
 use super::HilError;
 
-/// Environment variable with the library's path; if it is set, no other name is tried.
+/// Environment variable with the library's path; if it is set and not empty, no other name is
+/// tried.
 const NAMED: &str = "QUBE_HIL_LIBHIL";
 
 /// Names that are tried in order: first the names that the loader finds (package `quanser-sdk`),
@@ -117,7 +118,8 @@ pub(super) enum TextProperty {
 }
 
 impl Library {
-    /// Loads the library and looks up every function.
+    /// Loads the first library that is found, and looks up its functions; all but the two optional
+    /// ones must be there.
     pub(super) fn load() -> Result<Self, HilError> {
         let named = std::env::var(NAMED).ok().filter(|name| !name.is_empty());
         let names: Vec<&str> = named.as_deref().map_or(NAMES.to_vec(), |name| vec![name]);

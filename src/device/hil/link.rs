@@ -43,8 +43,8 @@ impl HilLink {
     /// Loads the vendor's library. No card is opened before the first hello.
     ///
     /// # Errors
-    /// The library is not found, lacks a function (so is of another version), or does not load in
-    /// time because its thread is still in an earlier call.
+    /// The library is not found or lacks a function (so is of another version). Or the thread that
+    /// calls it cannot start, or does not load it in time because it is still in an earlier call.
     pub fn open(address: &HilAddress, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
         let worker = Worker::start(address.clone(), Arc::clone(&clock))?;
         Ok(Self {

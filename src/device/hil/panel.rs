@@ -13,8 +13,9 @@ use crate::qube::{MAX_VOLTAGE_V, Measurement, Status};
 /// Time limit of the library's watchdog, s, equal to that of the boards' firmware.
 const WATCHDOG_S: f64 = WATCHDOG_MS as f64 * 1e-3;
 
-/// Time without a successful act after which a sample first asks whether the watchdog has expired,
-/// ns. Acts come every 10 ms, so a running tick does not spend time on this call.
+/// Time since the arm or the last successful act after which a sample first asks whether the
+/// watchdog has expired, ns. Acts come every 10 ms, so a running tick does not spend time on this
+/// call.
 const DOUBTED_NS: Nanoseconds = 30_000_000;
 
 /// Consecutive failed acts after which the amplifier is switched off: their voltages have not
@@ -58,6 +59,7 @@ pub(super) struct Panel {
     /// Number that differs after each opening of the card.
     boot_id: u16,
     last: Measurement,
+    /// Time at which the watchdog was last started or fed, ns.
     fed_ns: Nanoseconds,
     applied_mv: i16,
     /// Time from the last sample to the act that answered it, us, until the next sample reports it.

@@ -10,7 +10,7 @@ pub(super) type Work = Box<dyn FnOnce() + Send>;
 static THREAD: Mutex<Option<Sender<Work>>> = Mutex::new(None);
 
 /// Has the library's thread do this work, after all work given earlier; starts the thread if it
-/// does not run.
+/// does not run. If earlier work panics, the work that waits behind it is lost.
 ///
 /// The vendor does not publish whether several threads of a process may call the library one after
 /// the other, even once the card is closed. A session opens its card several times, so the thread

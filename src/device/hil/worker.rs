@@ -18,7 +18,7 @@ use crate::device::Identity;
 /// of the library has not returned.
 const RING: usize = 8;
 
-/// Longest wait for the library's thread to load the library.
+/// Longest wait for the library's thread to finish its earlier work and load the library.
 const BEGIN_TIME: Duration = Duration::from_secs(1);
 
 /// Longest wait for the amplifier to go off when the process ends.
@@ -28,7 +28,8 @@ const AT_EXIT: Duration = Duration::from_millis(200);
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Request {
     pub(super) number: u64,
-    /// Time after which the request is dropped, because the tick no longer waits for it.
+    /// Time after which the request is dropped, ns: the tick no longer waits for the sample, or the
+    /// act answers a sample that is too old.
     pub(super) expires_ns: Nanoseconds,
     pub(super) kind: RequestKind,
 }
@@ -103,8 +104,8 @@ impl Worker {
                 .map(|library| Panel::new(library, address, calling, Arc::clone(&its_clock)));
             match panel {
                 Ok(panel) if loaded.send(Ok(())).is_ok() => {
-                    // Without real-time rights calls are late. The control thread has already
-                    // warned of this.
+                    // Without real-time rights calls are late. The control thread asks for the same
+                    // rights and reports a refusal.
                     let _ = enter_realtime();
                     serve(panel, &serving, &to_do, to_serve, to_reply, &*its_clock);
                 }

@@ -43,8 +43,9 @@ impl StrategySettings {
 
 impl Experiment {
     /// Scores a method's recommendation at each budget that allows one; each result has the index
-    /// of its budget. Where the recordings identify no Qube, the distribution `robust` takes the
-    /// place of a recommendation.
+    /// of its budget. A budget that allows no further candidate or recording repeats the result of
+    /// the budget before. Where the recordings identify no Qube, the distribution `robust` takes
+    /// the place of a recommendation. A read-only run ends at the first result that is not on disk.
     ///
     /// # Errors
     /// The work ends early, or a file cannot be read.
@@ -71,8 +72,8 @@ impl Experiment {
                 not_scored();
                 continue;
             };
-            // A budget that allows no further candidate has the recommendation of the budget
-            // before.
+            // A budget that allows no further candidate or recording has the recommendation of the
+            // budget before.
             if scored == Some(steps)
                 && let Some((_, last)) = results.last()
             {
@@ -101,8 +102,9 @@ impl Experiment {
         Ok(results)
     }
 
-    /// The finished results: a row for each plant, method and budget, with a result for each
-    /// repetition that has been scored there. With several plants, rows of [`ALL_PLANTS`] follow.
+    /// The finished results: a row for each plant, method and budget at which a repetition has been
+    /// scored, with a result for each of these repetitions. With several plants, rows of
+    /// [`ALL_PLANTS`] follow.
     ///
     /// # Errors
     /// An existing session, policy or recording cannot be read.
@@ -129,6 +131,8 @@ impl Experiment {
         let mut pooled: BTreeMap<(usize, usize), Vec<PolicyResult>> = BTreeMap::new();
         for ((plant, method, budget), mut policies) in rows {
             policies.sort_by_key(|policy| policy.number);
+            // On all plants together each run has a number of its own, because comparisons pair
+            // runs by their numbers.
             let first = plant as u32 * strategies.repetitions;
             let renumbered = policies
                 .iter()
@@ -147,8 +151,8 @@ impl Experiment {
 }
 
 impl MethodRun<'_> {
-    /// Trains and runs the recommended policy. `None`: the run is read-only, and a result is
-    /// missing on disk.
+    /// Trains the recommended policy and runs it on the plant of this repetition; a read-only run
+    /// reads the results. `None`: the run is read-only, and a result is missing on disk.
     fn scored_on_its_plant(
         &self,
         recommendation: &Recommendation,

@@ -24,7 +24,7 @@ enum Fit {
 pub(super) enum Width {
     /// None: every simulation is the identified Qube.
     Exact,
-    /// The spread of each value that the settings give.
+    /// The settings' spread, a fraction of each value.
     Spread,
     /// The settings' spread and, beside it, the errors of the identification with their
     /// correlations.
@@ -36,7 +36,8 @@ pub(super) enum Width {
 pub(super) enum Further {
     /// Further excitations.
     Excitations,
-    /// Rollouts of policies, each trained by the recommendation after the recordings so far.
+    /// Rollouts of policies, each trained by the recommendation after the recordings so far, or in
+    /// the distribution `robust` where these identify no Qube.
     Rollouts,
 }
 

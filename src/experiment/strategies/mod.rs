@@ -4,8 +4,8 @@
 //! A [`Method`] makes policies from real rollouts: it searches for psi, or trains around the Qube
 //! that recordings identify, or follows a method from the literature (`rivals`). After each
 //! candidate or recording the method has a recommendation: its result if it were stopped there.
-//! Separate policies score the recommendations, one after the other until one succeeds; the
-//! rollouts of these policies are not counted.
+//! Policies that are trained by a recommendation score it. The first recommendation that succeeds
+//! ends the run; the rollouts for the scores are not counted.
 //!
 //! With budgets in the settings, recommendations are scored after fixed numbers of real rollouts
 //! instead, on every plant, and a success ends nothing (`budgets`).

@@ -13,7 +13,7 @@ use crate::storage::{Disk, MachineDisk};
 /// Largest voltage of the excitation of a Qube, V: the default of `run --excite --volts`.
 const EXCITATION_V: f64 = 1.5;
 
-/// Largest file of a stored result that is read, bytes.
+/// Largest file of a stored result, such as a belief, that is read whole, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 24;
 
 /// The source of the voltages of a recording.
@@ -43,13 +43,13 @@ impl<'a> Recordings<'a> {
         self.run.folder.join("recordings")
     }
 
-    /// Number of repetitions that a recording may have after faults.
+    /// Largest number of repetitions of a recording after void attempts.
     fn repetitions(&self) -> u32 {
         self.run.recipe.settings.extent.repetitions
     }
 
-    /// Makes the recording with this number, unless it exists. `policy` are the bytes of the file
-    /// of the policy or excitation that chooses the voltages.
+    /// Makes the recording with this number, unless it exists. `policy` contains the bytes of a
+    /// policy file: the policy or the excitation that chooses the voltages.
     ///
     /// # Errors
     /// The work ends early.

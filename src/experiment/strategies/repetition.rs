@@ -7,8 +7,8 @@ pub struct Repetition {
     pub method: Method,
     /// Number of the repetition, from 0.
     pub number: u32,
-    /// Recommendations with their scores, in order. An unchanged recommendation is not scored
-    /// again.
+    /// Recommendations with their scores, in order. A recommendation that equals an earlier one is
+    /// left out.
     pub recommendations: Vec<RecommendationResult>,
     /// Whether a recommendation has succeeded or none is left.
     pub is_over: bool,

@@ -42,7 +42,8 @@ pub(super) trait Recommendations {
     /// Number of real rollouts that each candidate or recording takes.
     fn rollouts_each(&self) -> u32;
 
-    /// Number of candidates or recordings before the first recommendation: 0 or 1.
+    /// Number of candidates or recordings before the first recommendation at fixed budgets: 0 or 1.
+    /// A comparison up to the first success begins with 1.
     fn first(&self) -> u32 {
         1
     }
@@ -76,11 +77,12 @@ pub(super) struct MethodRun<'a> {
     pub experiment: &'a Experiment,
     /// Name for messages.
     pub name: String,
-    /// Recipe whose psi is searched.
+    /// Recipe of the comparison: its psi is searched, or a method takes its settings for recipes of
+    /// its own.
     pub recipe: &'a Recipe,
-    /// Seed from which every random number follows.
+    /// Seed from which every random number follows, the same for all methods of a repetition.
     pub seed: u64,
-    /// Qube of this repetition.
+    /// Plant with the Qube that is drawn for this repetition.
     pub plant: Plant,
     /// Folder of the repetition.
     pub folder: PathBuf,

@@ -10,7 +10,7 @@ use crate::scoring::{Behaviour, criterion};
 pub struct Score {
     /// Number of successful rollouts.
     pub balanced: u32,
-    /// Number of rollouts run.
+    /// Number of rollouts run; a rollout whose attempts are all void counts as a failure.
     pub ran: u32,
 }
 

@@ -35,7 +35,7 @@ impl<'a> FromSearch<'a> {
         Ok(Self { run, settings, strategy, session: None, evaluated: Vec::new() })
     }
 
-    /// Continues the search until this many candidates are evaluated.
+    /// Continues the search until this many candidates are evaluated; a read-only run does nothing.
     fn search_to(&mut self, candidates: u32) -> Result<(), ExperimentError> {
         let Access::Work(on_event) = self.run.access else { return Ok(()) };
         let folder = self.run.folder.join("search");

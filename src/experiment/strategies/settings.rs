@@ -82,7 +82,7 @@ impl StrategySettings {
         if let (false, Some(budgeted)) = (self.has_budgets(), budgeted) {
             let reason = match budgeted.needs_no_rollouts() {
                 true => "takes no real rollouts",
-                false => "makes all its policies of one training",
+                false => "makes all its policies from one training",
             };
             return Err(format!("{budgeted} {reason}: give budgets to compare it"));
         }

@@ -23,8 +23,8 @@ impl Moments {
     }
 }
 
-/// Takes one step of Adam along a gradient that is first scaled down to a largest norm. Returns the
-/// norm before scaling.
+/// Takes one step of Adam down a gradient, which is first scaled down to a largest norm. Returns
+/// the norm before scaling.
 ///
 /// Unless `epsilon_beside_root` is set, epsilon is under the square root, m / sqrt(v + epsilon^2),
 /// whereas the paper adds it to the root, m / (sqrt(v) + epsilon). The two forms agree where one of
@@ -39,8 +39,8 @@ pub(in crate::learning) struct AdamStep<'a> {
     pub beta_1: f32,
     /// Decay of the second moment.
     pub beta_2: f32,
-    /// Epsilon; its square is added to the second moment under the root, unless the next field is
-    /// set.
+    /// Epsilon; its square is added to the second moment under the root, unless
+    /// `epsilon_beside_root` is set.
     pub epsilon: f32,
     /// Whether epsilon is added to the root instead, as in the paper.
     pub epsilon_beside_root: bool,

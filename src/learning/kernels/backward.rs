@@ -26,8 +26,8 @@ pub(in crate::learning) struct Workspace {
     hidden_1: [Row; WIDTH],
     /// First hidden layer, `[sample][neuron]`; the weight gradient reads it.
     hidden_1_by_sample: [Row; WIDTH],
-    /// Second hidden layer, `[neuron][sample]`, later overwritten by the loss derivative by this
-    /// layer's sums.
+    /// Scratch of the transposition, then the second hidden layer, `[neuron][sample]`, and last the
+    /// loss derivative by this layer's sums.
     hidden_2: [Row; WIDTH],
     /// Loss derivative by the first layer's sums, `[sample][neuron]`.
     by_sum_1: [Row; WIDTH],

@@ -44,12 +44,12 @@ pub(in crate::learning) struct PolicyHead {
     pub clip: f32,
     /// Weight of the entropy bonus.
     pub entropy_weight: f32,
-    /// Weight of a penalty on the divergence from the policy that collected the batch; its gradient
-    /// is the mean of (r - 1) times the gradient of ln r.
+    /// Weight of a penalty on the KL divergence from the policy that collected the batch. The
+    /// penalty's gradient is the mean of (r - 1) times the gradient of ln r.
     pub kl_weight: f32,
 }
 
-/// The divergence of the policy from the one that collected the batch, over one minibatch.
+/// How far the policy is from the policy that collected the batch, over one minibatch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::learning) struct PolicyStatistics {
     /// Mean of (r - 1) - ln r, where r is the ratio of new to old probability: an unbiased,

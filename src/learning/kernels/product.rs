@@ -25,7 +25,8 @@ pub(super) fn product<I: InstructionSet, const COLUMNS: usize>(
     result: &mut [[f32; COLUMNS]],
 ) {
     // The sums of a tile fill half of the registers, which hides the multiply-add's latency of four
-    // cycles. The compiler unrolls these shapes into registers, but not 8 x 32 and 8 x 16.
+    // cycles; on AVX-512, those of a narrow block fill an eighth. The compiler unrolls these shapes
+    // into registers, but not 8 x 32 and 8 x 16.
     match (I::LEVEL, COLUMNS) {
         (Level::Avx512, WIDTH) => tiled::<I, 64, COLUMNS>(left, right, result),
         (Level::Avx512 | Level::Avx2, _) => tiled::<I, 16, COLUMNS>(left, right, result),

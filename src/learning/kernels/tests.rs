@@ -131,8 +131,8 @@ mod textbook {
     }
 }
 
-/// Compares the gradients of every path with central differences in `f64`, for each parameter in
-/// use.
+/// Compares the gradients of every path with central differences in `f64`: for each 37th of the
+/// second layer's weights, and for every other parameter.
 fn check_by_finite_differences(
     size: usize,
     gradients: &[(Level, Network)],
@@ -147,7 +147,6 @@ fn check_by_finite_differences(
         let largest = gradient.iter().fold(0.0_f32, |largest, g| largest.max(g.abs()));
         assert!(largest > 1e-2, "{level:?}: the example has no gradient to check");
     }
-    // Tests all parameters outside the large layer and every 37th in it.
     let inputs = network.padded_inputs();
     let big_layer = inputs * WIDTH..(inputs + WIDTH) * WIDTH;
     for index in (0..parameters.len()).filter(|i| !big_layer.contains(i) || i % 37 == 0) {

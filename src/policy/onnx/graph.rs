@@ -7,7 +7,7 @@ use crate::policy::{Activation, LayerWeights, OutputKind};
 
 /// An operator on the way from the observation to the action.
 enum Step {
-    /// A matrix, `[outputs][inputs]`, with or without a bias.
+    /// A matrix, `[outputs][inputs]`, and its bias, which is empty if there is none.
     Matrix {
         weight: Vec<f32>,
         bias: Vec<f32>,
@@ -57,8 +57,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
     let first = input(0)?;
     match node.operator {
         "Identity" | "Flatten" | "Expand" | "Reshape" => Ok((None, first)),
-        // The types 1 and 11 are single and double precision.
-        "Cast" if matches!(node.integer("to", 0), 1 | 11) => Ok((None, first)),
+        "Cast" if node.is_cast_to_float() => Ok((None, first)),
         "Gemm" => {
             let by_default = node.integer("transA", 0) == 0
                 && node.number("alpha", 1.0) == 1.0
@@ -96,9 +95,11 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
                 _ if node.operator == "Mul" => {
                     return silu(graph, first, second)
                         .map(|of| (Some(Step::Activation(Activation::Silu)), of))
-                        .ok_or_else(|| refused("of two values that are not constant"));
+                        .ok_or_else(|| {
+                            refused("of inputs other than x and a constant, or x and Sigmoid(x)")
+                        });
                 }
-                _ => return Err(refused("of two values that are not constant")),
+                _ => return Err(refused("of inputs other than x and a constant")),
             };
             let values = value.values.iter().copied();
             let step = match (node.operator, swapped) {
@@ -108,7 +109,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
                 ("Div", false) => Step::Multiplied(values.map(|value| 1.0 / value).collect()),
                 _ => {
                     return Err(refused(
-                        "of a constant by a value, which this program does not know",
+                        "with a constant as its first input, which this program does not know",
                     ));
                 }
             };
@@ -136,7 +137,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
             let (value, other) = match (constant(first), constant(second)) {
                 (None, Some(value)) => (value, first),
                 (Some(value), None) => (value, second),
-                _ => return Err(refused("of two values that are not constant")),
+                _ => return Err(refused("of inputs other than x and a constant")),
             };
             let values = value.values.clone();
             let (lower, upper) = if node.operator == "Max" {
@@ -190,8 +191,8 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
     for step in steps {
         if after.is_begun && !matches!(step, Step::Multiplied(_) | Step::Clipped { .. }) {
             return Err(refused(
-                "Mul, Div or Clip",
-                "between layers: it may only be before the first layer or after the last one",
+                "Mul, Div, Max, Min or Clip",
+                "between other operators: it may only be before the first layer or at the end",
             ));
         }
         match step {

@@ -37,8 +37,9 @@ pub enum ImportError {
     /// The file is too large.
     #[error("is larger than {MAX_FILE_BYTES} bytes, more than any policy")]
     TooLarge,
-    /// The bytes are no ONNX model.
-    #[error("is not an ONNX model, or is cut off")]
+    /// The bytes are no ONNX model, or its graph is broken: an operator lacks an input, weights are
+    /// no matrix, or no way leads back from the output to the input.
+    #[error("is not an ONNX model, or is damaged: export it again")]
     NotOnnx,
     /// The weights are in a second file.
     #[error(
@@ -66,7 +67,8 @@ pub enum ImportError {
         /// Number of outputs.
         outputs: usize,
     },
-    /// An operator is unknown.
+    /// An operator is unknown, or has an alpha, a type or a number of inputs that this program does
+    /// not know.
     #[error(
         "has the operator {operator}, which this program does not know: it knows Gemm and MatMul; Tanh, Relu, Elu with alpha 1 \
          and Sigmoid times its input (Silu) between layers, Tanh after the last one; Add, Sub, Mul, Div, Max, Min and Clip with \
@@ -77,10 +79,10 @@ pub enum ImportError {
         /// Name of the operator.
         operator: String,
     },
-    /// An operator is known, but not in this place or not with these attributes.
+    /// An operator is known, but not in this place, or not with these inputs or attributes.
     #[error("has the operator {operator} {place}")]
     Place {
-        /// Name of the operator.
+        /// Name of the operator, or the names of those that it may be.
         operator: String,
         /// Reason why it is refused.
         place: &'static str,
@@ -115,7 +117,7 @@ pub enum ImportError {
         /// Limit that was asked for.
         limit: f32,
     },
-    /// Neither the file nor the caller names the voltage of an output of 1.
+    /// Another program wrote the file, and the caller gives no conventions for it.
     #[error("does not say which voltage an output of 1 is: give the action scale in volts")]
     NoActionScale,
     /// This program wrote the file, which names its conventions, and the caller gives conventions
@@ -125,13 +127,14 @@ pub enum ImportError {
          filter and clipping"
     )]
     OwnConventions,
-    /// This program wrote the file, and the graph in it no longer agrees with the metadata.
+    /// This program wrote the file, but graph and metadata in it are not of one network.
     #[error(
         "was exported by this program and changed since: graph and metadata are not of one network. Remove the metadata \
          {entry:?} and import it as a file of another program", entry = write::POLICY_ENTRY
     )]
     Changed,
-    /// The metadata that this program wrote is damaged.
+    /// The metadata that this program wrote is damaged, of a later version, or does not fit the
+    /// layers of the graph.
     #[error("has the metadata of a policy, but {0}")]
     Metadata(String),
     /// The network is outside of the limits.
@@ -165,9 +168,9 @@ pub struct ForeignConventions {
     pub clip_observation: Option<f32>,
 }
 
-/// Reads a policy from the bytes of an ONNX file. A file that this program wrote gives the same
-/// policy that was exported, without `foreign`; the file of another program needs `foreign`, the
-/// conventions of that program.
+/// Reads a policy from the bytes of an ONNX file. For a file that this program wrote, `foreign`
+/// must be `None`, and the result is the policy that was exported, with the weights of the graph.
+/// For a file of another program, `foreign` gives the conventions of that program.
 ///
 /// # Errors
 /// The bytes are no model or no policy; `foreign` is missing, does not fit the layers, or is given

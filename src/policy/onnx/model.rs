@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use super::protobuf::{Fields, Malformed, Value, floats};
 use super::{ImportError, MAX_FILE_BYTES};
 
-/// Number of the type `float` in ONNX files; the next two are those of `int64` and `double`.
+/// ONNX's numbers for the types of a tensor's elements: `float`, `int64` and `double`.
 const FLOAT: i64 = 1;
 const INT64: i64 = 7;
 const DOUBLE: i64 = 11;
@@ -31,7 +31,8 @@ pub struct Node<'a> {
     value: Option<Tensor>,
 }
 
-/// A constant. Its values are in single precision; a constant of integers has a shape alone.
+/// A constant. Its values are in single precision; a constant that is neither `float` nor `double`
+/// has a shape but no values.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tensor {
     pub shape: Vec<usize>,
@@ -39,7 +40,7 @@ pub struct Tensor {
 }
 
 /// Returns the text of an entry in a model's metadata; `None` if the model has no entry of this
-/// name.
+/// name, or the entry has no text.
 pub fn entry<'a>(bytes: &'a [u8], key: &str) -> Result<Option<&'a str>, Malformed> {
     for field in Fields::of(bytes) {
         let (14, value) = field? else { continue };
@@ -88,7 +89,8 @@ impl<'a> Graph<'a> {
         Ok(read)
     }
 
-    /// Returns the constant of this name, also if `Identity` or `Cast` operators lie between.
+    /// Returns the constant that this name stands for, directly or through `Identity` and casts
+    /// to floating-point numbers.
     pub fn constant(&self, name: &str) -> Option<&Tensor> {
         let mut name = name;
         for _ in 0..=self.nodes.len() {
@@ -96,7 +98,7 @@ impl<'a> Graph<'a> {
                 return Some(tensor);
             }
             let node = self.maker(name)?;
-            if !matches!(node.operator, "Identity" | "Cast") {
+            if node.operator != "Identity" && !node.is_cast_to_float() {
                 return None;
             }
             name = node.inputs.first()?;
@@ -111,6 +113,11 @@ impl<'a> Graph<'a> {
 }
 
 impl<'a> Node<'a> {
+    /// Whether the operator is a `Cast` to single or double precision, which are the types 1 and 11.
+    pub fn is_cast_to_float(&self) -> bool {
+        self.operator == "Cast" && matches!(self.integer("to", 0), 1 | 11)
+    }
+
     fn read(bytes: &'a [u8]) -> Result<Self, ImportError> {
         let mut node = Self::default();
         for field in Fields::of(bytes) {

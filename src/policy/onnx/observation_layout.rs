@@ -55,8 +55,8 @@ impl ObservationLayout {
                 None => {
                     let names = NAMES.map(|(name, _)| name).join(", ");
                     return Err(format!(
-                        "{entry:?} is not an entry of an observation: give some of {names}, each with or without a factor, \
-                         as 0.1*theta_dot"
+                        "{entry:?} is not an entry of an observation: give some of {names}, each with or without a factor \
+                         other than 0, as 0.1*theta_dot"
                     ));
                 }
             }

@@ -1,4 +1,5 @@
-//! Tests the import with models whose outputs onnxruntime computed (`tests/fixtures/onnx/make.py`).
+//! Tests the import with models whose outputs onnxruntime computed (`tests/fixtures/onnx/make.py`),
+//! and the import of what this program exports.
 
 use serde_json::Value;
 
@@ -64,7 +65,8 @@ fn an_observation_in_another_order_is_rearranged() {
     let mut network =
         Layers::from_onnx(bytes).unwrap().network(&ObservationLayout::own(0), 5.0).unwrap();
     let expected = {
-        // The model sees alpha_dot in rad/s, the cosine from upright, and the arm's angle last.
+        // In the other order: alpha_dot in rad/s, the cosine from upright, and the arm's angle
+        // last.
         let seen = [own[5] * 20.0, -own[3], own[2], own[4], own[0], own[1]];
         network.voltage_of_observation_v(&seen)
     };

@@ -13,7 +13,7 @@ pub(super) fn unarmed(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     test_host.refused(test_host.act_request(500), RefusalReason::NotArmed)?;
     let sample = test_host.sample()?;
     ensure!(sample.applied_mv == 0, "{} mV at a motor that is off", sample.applied_mv);
-    ensure!(sample.sample_to_act_us == NO_ACT_US, "a refused act counts as one");
+    ensure!(sample.sample_to_act_us == NO_ACT_US, "it reports an act that it has refused");
     Ok(())
 }
 

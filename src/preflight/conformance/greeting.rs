@@ -2,8 +2,8 @@ use firmware_protocol::{PROTOCOL_VERSION, QUBE_MODULE_ID, RefusalReason, Request
 
 use super::{Deviation, TestHost, ensure};
 
-/// Tolerance between the device's and the computer's clock, us: the age of a sample and the time on
-/// the wire.
+/// Tolerance between the device's and the computer's clock beyond 1 % of the time, us: the age of a
+/// sample and the time on the wire.
 const SLACK_US: u64 = 6_000;
 
 pub(super) fn hello(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {

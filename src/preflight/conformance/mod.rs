@@ -4,9 +4,10 @@
 //!
 //! The checks use the protocol crate and a transport, but not the host's side of the link, because
 //! a fault there could hide a fault of the device. The motor gets at most 1 V, and that for a few
-//! milliseconds; the checks of the watchdog leave 0.5 V on until the watchdog switches it off after
-//! 50 ms, and the check of flipped bits holds 0.25 V while it sends its frames. The checks test a
-//! device's deadlines by the device's own clock, so that a busy computer fails no device.
+//! milliseconds; the checks of the watchdog leave up to 0.5 V on until the watchdog switches it
+//! off, 50 to 55 ms later, the check of stale samples holds 0.25 V for more than 20 ms, and the
+//! check of flipped bits holds 0.25 V while it sends its frames. The checks test a device's
+//! deadlines by the device's own clock, so that a busy computer fails no device.
 
 mod acting;
 mod arming;
@@ -65,7 +66,7 @@ pub enum Deviation {
 const ATTEMPTS: u32 = 20;
 
 /// Number of attempts that may end with a refusal of a fresh act: on a busy computer an emulated
-/// device may read an act 20 ms late, which a real device cannot.
+/// device may read an act 20 ms late; a real device does not depend on the computer's load.
 const FRESH_REFUSALS: usize = 3;
 
 impl ConformanceCheck {
@@ -73,8 +74,8 @@ impl ConformanceCheck {
     /// off.
     ///
     /// # Errors
-    /// The deviation that the check found; or [`Deviation::Disturbed`] if the computer disturbed
-    /// every attempt.
+    /// The deviation that the check found; [`Deviation::Disturbed`] if the computer disturbed every
+    /// attempt; or the failure of the hello before or after the check.
     pub fn run(&self, test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
         let mut result = Err(Deviation::Disturbed);
         let mut fresh_refusals = 0;
@@ -163,7 +164,7 @@ pub const CHECKS: &[ConformanceCheck] = &[
     },
     ConformanceCheck {
         name: "arm-twice",
-        promise: "an armed device refuses to be armed and does not feed its watchdog",
+        promise: "an armed device refuses another arm, which does not feed its watchdog",
         run: arming::arm_twice,
     },
     ConformanceCheck {
@@ -208,7 +209,7 @@ pub const CHECKS: &[ConformanceCheck] = &[
     },
     ConformanceCheck {
         name: "watchdog",
-        promise: "50 ms to 55 ms after the last act the motor is off, samples or not",
+        promise: "50 ms to 55 ms after the last act the motor goes off, although samples are requested",
         run: watchdog::on_time,
     },
     ConformanceCheck {
@@ -228,7 +229,7 @@ pub const CHECKS: &[ConformanceCheck] = &[
     },
     ConformanceCheck {
         name: "watchdog-latch",
-        promise: "only hello and arm leave the tripped state",
+        promise: "only a hello leads out of the tripped state, and only the next arm clears the status bit",
         run: watchdog::latch,
     },
     ConformanceCheck {
@@ -248,7 +249,7 @@ pub const CHECKS: &[ConformanceCheck] = &[
     },
     ConformanceCheck {
         name: "unknown-type",
-        promise: "an unknown type and a wrong length are refused by their names",
+        promise: "an unknown type and a wrong length are refused, each for its own reason",
         run: framing::unknown,
     },
     ConformanceCheck {

@@ -54,9 +54,9 @@ impl Diagnosis {
 }
 
 /// Runs all tests of the computer. The test of the timer takes `seconds`, or less if `stop` is set.
-/// `ports` are the serial ports to test; if it is empty, all USB serial ports are tested.
-/// An address of the vendor's library among them names a card, which is greeted and sampled;
-/// nothing moves.
+/// `ports` are the serial ports to test; if it is empty, all USB serial ports are tested. An
+/// address of the vendor's library among them names a card, which is greeted and sampled; nothing
+/// moves. If `ports` names only cards, no serial port is tested.
 ///
 /// # Errors
 /// The operating system cannot start a thread.

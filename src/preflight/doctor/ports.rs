@@ -32,7 +32,7 @@ pub(super) fn diagnose(ports: &[String]) -> Vec<Diagnosis> {
 /// The group that owns a port which the user may not open.
 struct Owner {
     group: String,
-    /// Whether `/etc/group` lists the user in that group. As the port cannot be opened, the user
+    /// Whether `/etc/group` lists the user in that group. A listed user who may not open the port
     /// was added after the login.
     is_listed: bool,
 }

@@ -8,16 +8,16 @@ use crate::telemetry::LatencySummary;
 
 const NAME: &str = "timer";
 
-/// Lateness that 99 of 100 ticks of a quiet computer do not exceed, us. Beyond it, the diagnosis is
-/// [`Advice`](super::Suitability::Advice).
+/// Lateness that 99 of 100 ticks of a quiet computer do not exceed, us. Beyond it, or if a single
+/// tick is missed, the diagnosis is [`Advice`](super::Suitability::Advice).
 const GOOD_P99_US: f64 = 1_000.0;
 
-/// Lateness from which a tick counts as missed, us. With 1 missed tick in 100, rollouts become
-/// void.
+/// Lateness beyond which a tick counts as missed, us. If more than 1 tick in 100 is missed, the
+/// diagnosis is [`Unfit`](super::Suitability::Unfit): five such ticks in a row make a rollout void.
 const PERIOD_US: f64 = CONTROL_PERIOD_NS as f64 * 1e-3;
 
-/// Wakes up 100 times a second for this many seconds, with the rights of the control thread, and
-/// measures how late each time.
+/// Wakes up 100 times a second for this many seconds, or until `stop` is set, with the rights of
+/// the control thread, and measures how late it is each time.
 pub(super) fn watch(
     seconds: u32,
     stop: &AtomicBool,

@@ -52,7 +52,8 @@ pub(super) enum Pendulum {
 pub(super) enum PushEffect {
     /// The evidence suffices for a verdict.
     Enough,
-    /// The push shows a defect and is repeated.
+    /// The push shows a defect while the pendulum's encoder is still in question, so it is
+    /// repeated.
     SeeAgain,
     /// Something moved, but the evidence does not suffice.
     SomethingMoved,
@@ -71,12 +72,15 @@ pub(super) struct Evidence {
     pub(super) strongest_v: f64,
     /// Largest current of the largest push, A.
     pub(super) current_a: f64,
-    /// Largest share by which the current fell in a push during which no count moved.
+    /// Largest share by which the current fell in a push that neither encoder showed; 0 if no such
+    /// fall reached [`TURNING_DROP`].
     pub(super) current_drop: f64,
+    /// Numbers of pushes that showed each defect.
     dead_arm_seen: u32,
     dead_pendulum_seen: u32,
     no_current_seen: u32,
     unseen_turns: u32,
+    /// Whether an encoder has shown a motion.
     moved: bool,
 }
 
@@ -142,7 +146,7 @@ impl Evidence {
     }
 
     /// Whether the arm turned in the direction of the voltage, in the assumed signs; `None` if it
-    /// did not turn.
+    /// has not turned far enough.
     pub(super) fn arm_follows(&self) -> Option<bool> {
         self.arm.map(|response| response.theta_rad * response.voltage_v > 0.0)
     }
@@ -156,22 +160,26 @@ impl Evidence {
         }
     }
 
-    /// Whether the arm's count stayed the same while the arm swung the pendulum.
+    /// Whether the arm's count stayed the same in [`DEFECT_SEEN`] pushes that swung the pendulum,
+    /// and no push showed a response of the arm.
     pub(super) fn arm_is_dead(&self) -> bool {
         self.dead_arm_seen >= DEFECT_SEEN && self.arm.is_none()
     }
 
-    /// Whether the motor turns but no encoder shows it.
+    /// Whether the motor's current showed in [`DEFECT_SEEN`] pushes that it turns, and no encoder
+    /// has ever shown a motion.
     pub(super) fn turns_unseen(&self) -> bool {
         self.unseen_turns >= DEFECT_SEEN && !self.moved
     }
 
-    /// Whether the motor draws current.
+    /// Whether the motor draws current; false once [`DEFECT_SEEN`] pushes from [`CURRENT_FROM_V`]
+    /// on have moved nothing and drawn none.
     pub(super) fn has_current(&self) -> bool {
         self.no_current_seen < DEFECT_SEEN
     }
 
-    /// Whether nothing moves and the motor draws far less current than a motor at rest should draw.
+    /// Whether nothing moves although the strongest push had at least [`CURRENT_FROM_V`], and the
+    /// motor drew far less current in it than a motor at rest should draw.
     pub(super) fn is_weak(&self) -> bool {
         !self.something_moved()
             && self.strongest_v >= CURRENT_FROM_V

@@ -30,7 +30,8 @@ const MARGIN_NS: f64 = 500_000.0;
 /// Time after which a sample counts as lost, ns.
 const PATIENCE_NS: Nanoseconds = 50_000_000;
 
-/// The round trips of samples, from the request to the complete answer, by the computer's clock.
+/// The round trips of samples, from the request to the complete answer, by the computer's clock. A
+/// lost sample counts with the time until it was given up.
 pub(super) struct RoundTrips {
     asked: u32,
     lost: u32,
@@ -61,6 +62,7 @@ pub(super) fn identity(identity: &Identity, round_trips: &RoundTrips) -> CheckRe
     )
 }
 
+/// Measures the round trips of this many samples, or of as many as fit into [`LONGEST_NS`].
 pub(super) fn measure(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -108,7 +110,8 @@ impl RoundTrips {
         }
     }
 
-    /// Whether 99 of 100 samples arrive within the longest wait that a tick may have.
+    /// Whether 99 of 100 samples arrive within the longest wait that a tick may have, and no more
+    /// than 1 in 100 is lost.
     fn is_fast_enough(&self) -> bool {
         let most_us = LONGEST_SAMPLE_TIMEOUT_NS as f64 * 1e-3;
         self.summary_us.p99 <= most_us && self.lost * 100 <= self.asked

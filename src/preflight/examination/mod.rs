@@ -1,11 +1,14 @@
 //! The examination of a Qube before a session. It finds faults without driving the arm far.
 //!
 //! The examination runs on the control thread, between motions. To test the watchdog, the motor
-//! gets 48 mV for 50 ms. Then pushes of at most 0.1 s each way test encoders and motor: they begin
-//! with 0.25 V and grow, up to 2.75 V, until the evidence suffices. If the watchdog is the vendor
-//! library's, another test comes before these pushes: pushes of 0.05 s in the same range of
-//! voltages show whether the watchdog really switches the motor off. A watchdog that fails this
-//! test leaves the motor on for 0.3 s. The motor is off after every step, however the step ends.
+//! gets 48 mV until the watchdog switches it off: after 50 to 55 ms on a board, and after at most
+//! 100 ms with the vendor's library. Then pushes of at most 0.1 s each way test encoders and motor:
+//! they begin with 0.25 V and grow, up to 2.75 V, until the evidence suffices; an arm that they
+//! have moved is braked. If the watchdog is the vendor library's, another test comes before these
+//! pushes: pushes of 0.05 s in the same range of voltages show whether the watchdog really switches
+//! the motor off. A watchdog that fails this test leaves the motor on for 0.3 s. A watchdog that
+//! fails the first test may leave 48 mV on until the hello with which the examination then ends.
+//! After every other step the motor is off, however the step ends.
 
 mod evidence;
 mod link;
@@ -45,8 +48,8 @@ pub struct ExaminationSettings {
 pub struct Examination {
     /// Result of each check, in order.
     pub results: Vec<CheckResult>,
-    /// Signs that the examination found, if it was to adopt them and arm and pendulum moved;
-    /// otherwise the assumed ones.
+    /// Signs that the examination found, if it was to adopt them, arm and pendulum moved, and no
+    /// fault ended a push; otherwise the assumed ones.
     pub signs: Calibration,
     /// Count of the arm before anything moved it; it is the arm's middle if the operator has put
     /// the arm there. `None` if no sample came.
@@ -71,7 +74,7 @@ impl Examination {
 pub(super) enum Interruption {
     /// A stop was requested.
     Stopped,
-    /// The device no longer answers.
+    /// The device failed: its port is gone, it no longer answers, or it refuses to be armed.
     Device(DeviceError),
 }
 
@@ -82,11 +85,12 @@ impl From<DeviceError> for Interruption {
 }
 
 /// Examines a device that has answered a hello, and adds the heat of the pushes that test encoders
-/// and motor to `heat`. The motor is off when this function returns. `Ok(None)`: a stop was
-/// requested.
+/// and motor to `heat`. A hello at the end switches the motor off; if the device no longer answers,
+/// only its watchdog can. `Ok(None)`: a stop was requested.
 ///
 /// # Errors
-/// The device no longer answers.
+/// The port is gone, the link loses too many samples or acts, or the device no longer answers or
+/// refuses to be armed for a push.
 pub fn examine(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -154,10 +158,10 @@ fn look_at_everything(
 }
 
 /// Measures a link without an examination, and sets the device's longest wait for a sample to fit
-/// the link. `Ok(None)`: a stop was requested.
+/// the link. A sample without an answer counts as lost. `Ok(None)`: a stop was requested.
 ///
 /// # Errors
-/// The device no longer answers.
+/// The port is gone.
 pub fn measure_link(
     device: &mut dyn Device,
     clock: &dyn Clock,

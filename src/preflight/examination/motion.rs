@@ -18,9 +18,13 @@ const STEP_V: f64 = 0.25;
 /// than 2 V.
 const STEPS: u32 = 11;
 
-/// Largest number of repetitions of a push that a late computer or link has ended; such an end is
-/// no fault of the Qube.
+/// Largest number of repetitions of a push that ended with a fault which points to no defect of the
+/// Qube, such as a late computer or link.
 const MAX_REPETITIONS: u32 = 2;
+
+/// Largest number of equal pushes in a row that show a defect without deciding it; after them the
+/// next push follows.
+const MAX_EQUAL_PUSHES: u32 = 4;
 
 const MOTOR: &str = "motor";
 const STALL: &str = "stall";
@@ -115,7 +119,7 @@ fn probe(
     for step in 1..=STEPS {
         for direction in [1.0, -1.0] {
             let push_v = direction * STEP_V * f64::from(step);
-            let mut disturbed = 0;
+            let (mut disturbed, mut pushes) = (0, 0);
             loop {
                 ensure_going(stop)?;
                 device.hello()?;
@@ -141,8 +145,9 @@ fn probe(
                 if progress != PushEffect::NothingMoved {
                     rest::wait_for_the_arm(device, clock, stop, port)?;
                 }
-                // A defect must show twice, under the same voltage, before it counts.
-                if progress != PushEffect::SeeAgain {
+                // A defect must show twice before it counts, so the same push follows again.
+                pushes += 1;
+                if progress != PushEffect::SeeAgain || pushes == MAX_EQUAL_PUSHES {
                     break;
                 }
             }
@@ -243,7 +248,7 @@ fn pendulum(seen: &Evidence) -> CheckResult {
     match seen.pendulum {
         Pendulum::Alive(lag) => CheckResult::pass(
             PENDULUM,
-            format!("its encoder works: it swings by {:.2} of the arm's motion", lag.value.abs()),
+            format!("its encoder works; its swing is {:.2} of the arm's motion", lag.value.abs()),
         ),
         Pendulum::Dead => {
             let theta_rad = seen.arm.map_or(0.0, |response| response.theta_rad);

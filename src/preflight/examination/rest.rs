@@ -53,8 +53,9 @@ impl Span {
 }
 
 /// Waits between two pushes, with the motor off, until the arm is at rest, but no longer than
-/// [`LONGEST_NS`]. The evaluation of a push separates the pendulum's own swing from the effect of
-/// the push, but cannot separate the motion of an arm that the pendulum moves.
+/// [`LONGEST_NS`]; an arm that still moves then is no error. The evaluation of a push separates the
+/// pendulum's own swing from the effect of the push, but cannot separate the motion of an arm that
+/// the pendulum moves.
 pub(super) fn wait_for_the_arm(
     device: &mut dyn Device,
     clock: &dyn Clock,

@@ -4,8 +4,8 @@
 //! The test pushes the arm for 50 ms to and fro under the program's control. Then it pushes once
 //! more each way with a single act, after which it sends nothing. A watchdog that works ends such a
 //! push after 50 ms, and the arm turns about as far as before. A motor that stays on turns the arm
-//! several times as far, until the test switches it off after 0.3 s. Before this test the pendulum
-//! was seen to hang still, and nothing has pushed the arm.
+//! several times as far, until the test switches it off after 0.3 s. Before this test, arm and
+//! pendulum were seen at rest or nearly so, and the motor has had no more than 48 mV.
 
 use std::sync::atomic::AtomicBool;
 
@@ -43,10 +43,10 @@ const LONGEST_FACTOR: u32 = 2;
 /// Allowance added to that multiple, counts.
 const LONGEST_MORE_COUNTS: u32 = 10;
 
-/// Number of samples or acts that may be lost within a push.
+/// Number of samples or acts that may be lost within a push under the program's control.
 const MAX_LOST: u32 = 2;
 
-/// Largest number of attempts for a push in which more are lost.
+/// Largest number of attempts for a push that loses more than it may.
 const MAX_ATTEMPTS: u32 = 5;
 
 /// Time after which a sample counts as lost, ns.

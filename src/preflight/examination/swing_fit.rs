@@ -32,7 +32,7 @@ pub(super) struct SwingFit {
     /// move, or if the terms cannot be told apart.
     pub(super) lag: Option<Lag>,
     /// Residual of alpha, counts, when the pendulum is fitted as on an arm at rest: large if the
-    /// arm drove the pendulum.
+    /// arm drove the pendulum. 0 if there are too few samples to fit.
     pub(super) driven_counts: f64,
 }
 
@@ -89,7 +89,7 @@ const SINGULAR: f64 = 1e-9;
 
 struct Solution {
     coefficients: [f64; TERMS],
-    /// Variance of the first term in use, in units of the residuals' variance.
+    /// Variance of the coefficient of the first term in use, in units of the residuals' variance.
     first_variance: f64,
     /// Standard deviation of the residuals, rad, with one degree of freedom less for each term.
     residual_rad: f64,

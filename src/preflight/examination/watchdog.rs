@@ -25,10 +25,12 @@ const LONGEST_NS: Nanoseconds = 500_000_000;
 /// Largest number of attempts: computer or link may be too slow to see the motor on.
 const ATTEMPTS: u32 = 20;
 
+/// Earliest expiry of any watchdog, and latest of a board's, after the last act, us.
 const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
 const LATEST_US: u64 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u64 * 1000;
 
-/// Latest expiry of the vendor library's watchdog, us; the vendor does not publish its resolution.
+/// Latest expiry of the vendor library's watchdog after the last act, us; the vendor does not
+/// publish its resolution.
 const LIBRARY_LATEST_US: u64 = 100_000;
 
 const LIBRARY_REMEDY: &str =

@@ -1,5 +1,5 @@
-//! The section about the distribution of simulations that the session recommends, beside the
-//! nominal Qube.
+//! The section about the distribution of simulations in which the session's best policy was trained,
+//! beside the nominal Qube.
 
 use super::SessionSource;
 use crate::qube::Quantity;
@@ -7,7 +7,8 @@ use crate::report::densities::{FIRST, density_chart, has_spread, words};
 use crate::report::page::{Cell, Page};
 use crate::session::{ScoredCandidate, SessionSettings};
 
-/// Adds the distribution of the best policy, or nothing before a policy has run on the Qube.
+/// Adds the distribution of the best verified policy, or before a verification that of the searched
+/// candidate with the best mean return so far; adds nothing without either.
 pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     let verified = ScoredCandidate::best_verified(&source.candidates);
     let searched = || source.candidates.iter().filter(|it| it.candidate.purpose.is_searched());
@@ -43,7 +44,7 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
             let drawn = distribution.get(quantity);
             let before = base.as_ref().map(|base| base.get(quantity));
             if has_spread(&drawn) {
-                let mut curves = vec![("recommended", drawn)];
+                let mut curves = vec![("in its training", drawn)];
                 curves.extend(before.filter(|it| *it != drawn).map(|it| ("before the search", it)));
                 let caption = crate::report::rollout::first_upper(&words(quantity));
                 page.chart(&caption, "", density_chart(quantity, &curves, nominal.get(quantity)));

@@ -191,7 +191,7 @@ fn add_faults(page: &mut Page, source: &SessionSource) {
     if source.void.is_empty() {
         page.paragraph("No fault ended a rollout.");
     } else {
-        page.paragraph("A fault made these attempts void; the rollouts were repeated.");
+        page.paragraph("A fault made these attempts void; a session repeats a void rollout.");
         let rows: Vec<Vec<Cell>> = source
             .void
             .iter()

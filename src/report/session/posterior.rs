@@ -22,7 +22,7 @@ const SIDE: usize = 31;
 /// A session's surrogate of the return over psi, fitted to all returns so far.
 #[derive(Debug)]
 pub struct SessionSurrogate {
-    /// Settings of the search, whose psi are the surrogate's coordinates.
+    /// Settings of the search; the entries of their psi are the surrogate's coordinates.
     pub settings: SessionSettings,
     /// Candidates and their returns, to which the process was fitted.
     pub data: Vec<Observation>,
@@ -70,7 +70,7 @@ impl SessionSource {
 }
 
 /// Adds slices of the posterior through the recommended psi, and a map over the two most relevant
-/// entries of psi.
+/// entries of psi, or the reason why the session has no surrogate.
 pub(super) fn add_posterior(page: &mut Page, source: &SessionSource) {
     page.section("What the search believes");
     match source.surrogate() {

@@ -6,7 +6,8 @@ use crate::report::page::{Cell, Page, significant};
 use crate::report::returns::{CandidateReturns, returns_chart};
 use crate::session::{Purpose, ScoredCandidate};
 
-/// Adds the returns of all candidates that have run a policy, and the table of all candidates.
+/// Adds the returns of all candidates whose policy has a result, and the table of all candidates,
+/// excitations included.
 pub(super) fn add_search(page: &mut Page, source: &SessionSource) {
     page.section("What the search did");
     let shown: Vec<&ScoredCandidate> = source
@@ -85,10 +86,10 @@ fn add_table(page: &mut Page, source: &SessionSource) {
     if !rows.is_empty() {
         page.table(&["candidate", "purpose", "mean return", "successes", "psi"], &rows, best);
         page.paragraph(
-            "Purpose: an excitation identifies the Qube; initial candidates are where the search starts; searched ones \
-             follow from the returns so far; the recommended one has the highest expected return; \"N again\" is candidate N's \
-             own policy, run once more; nominal is a policy that was trained on the nominal Qube. Psi determines the simulations in which \
-             a policy trains.",
+            "Purpose: an excitation identifies the Qube; initial candidates are where the search starts; those of the \
+             search follow from the returns so far; the recommended one has the highest expected return; \"N again\" \
+             is candidate N's own policy, run once more; nominal is a policy that was trained on the nominal Qube. \
+             Psi determines the simulations in which a policy trains.",
         );
     }
     add_rigs(page, source);

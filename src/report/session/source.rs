@@ -33,7 +33,7 @@ pub struct SessionSource {
     pub(super) candidates: Vec<ScoredCandidate>,
     /// Rollouts with a result, in order, each with its candidate.
     pub(super) rollouts: Vec<(u32, RolloutView)>,
-    /// Attempts that a fault ended: candidate, rollout, attempt, reason.
+    /// Void attempts: candidate, rollout, attempt, and the fault, or why the recording does not show it.
     pub(super) void: Vec<(u32, u32, u32, String)>,
     /// Learning curves by candidate.
     pub(super) curves: Vec<(u32, Vec<CurvePoint>)>,
@@ -186,8 +186,9 @@ impl SessionSource {
         }
     }
 
-    /// The last profile that was identified before the search ended. The recordings of the
-    /// verification did not inform it.
+    /// The last profile that was identified before the search ended, or so far if it has not ended;
+    /// the recordings of the verification did not inform this profile. `None` if there is none or it
+    /// could not be read.
     pub(super) fn profile_before_end(&self) -> Option<&(u32, Profile)> {
         let is_end = |entry: &Entry| matches!(entry, Entry::SearchEnded { .. });
         let count =
@@ -203,8 +204,8 @@ impl SessionSource {
         &self.candidates
     }
 
-    /// Whether all rollouts were made in virtual time, so that a repetition of the session gives
-    /// the same bytes.
+    /// Whether all rollouts with a result were made in virtual time, so that a repetition of the
+    /// session gives the same bytes; true before the first rollout.
     #[must_use]
     pub fn is_of_computed_time(&self) -> bool {
         self.rollouts.iter().all(|(_, view)| view.header.started_unix_ns.is_none())
@@ -266,7 +267,10 @@ impl SessionSource {
     }
 }
 
-/// The learning curve of a training.
+/// Reads the learning curve of a training.
+///
+/// # Errors
+/// A sentence with the path and the defect of the file.
 fn read_curve(disk: &dyn Disk, path: &Path) -> Result<Vec<CurvePoint>, String> {
     let shown = path.display();
     let bytes = disk.read(path, CURVE_BYTES).map_err(|error| format!("{shown}: {error}"))?;

@@ -7,8 +7,9 @@ use crate::report::chart::{Axis, Chart, Series, Style};
 use crate::report::page::Page;
 use crate::session::TrainingTime;
 
-/// Seconds in a nanosecond and in a minute.
+/// Seconds in a nanosecond.
 const S_PER_NS: f64 = 1e-9;
+/// Seconds in a minute.
 const S_PER_MIN: f64 = 60.0;
 
 /// The rollouts and trainings of a session in time, each from its beginning to its end, ns since
@@ -26,7 +27,7 @@ pub(super) struct TimeLine {
 struct Busy {
     /// Time from the first beginning to the last end, s.
     all_s: f64,
-    /// Time for which the Qube was driven, s.
+    /// Time for which a Qube was driven, s. Rollouts at the same time on several Qubes count once.
     driven_s: f64,
     /// Sum of the durations of all trainings, s.
     trained_s: f64,
@@ -35,7 +36,7 @@ struct Busy {
 }
 
 impl TimeLine {
-    /// Adds a recorded rollout, unless it was made in virtual time.
+    /// Adds a recorded rollout, unless it was made in virtual time or has no tick.
     pub(super) fn add_rollout(&mut self, recording: &Recording) {
         let (Some(began_unix_ns), Some(first), Some(last)) =
             (recording.header.started_unix_ns, recording.ticks.first(), recording.ticks.last())
@@ -87,7 +88,8 @@ impl TimeLine {
     }
 }
 
-/// Adds the time line of a session; adds nothing without rollouts and trainings in real time.
+/// Adds the time line of a session; adds nothing unless it has both rollouts in real time and times of
+/// trainings.
 pub(super) fn add_time_line(page: &mut Page, source: &SessionSource) {
     let line = &source.time_line;
     if line.rollouts.is_empty() || line.trainings.is_empty() {
@@ -98,10 +100,10 @@ pub(super) fn add_time_line(page: &mut Page, source: &SessionSource) {
     let percent = |part: f64, whole: f64| if whole > 0.0 { 100.0 * part / whole } else { 0.0 };
     page.heading("How busy Qube and cores were");
     page.paragraph(&format!(
-        "From the first training or rollout to the last, {:.1} min passed. The Qube was driven for {:.1} min of these \
-         ({:.0} %); during {:.0} % of that time policies were trained. On average {:.2} trainings were under way, each on \
-         one core. Between rollouts the arm returns to its middle and the pendulum comes to rest, which counts as waiting, and so \
-         does the time between an end and a resumption.",
+        "From the beginning of the first training or rollout to the end of the last, {:.1} min passed. The Qube was \
+         driven for {:.1} min of these ({:.0} %); during {:.0} % of that time policies were trained. On average \
+         {:.2} trainings were under way, each on one core. Between rollouts the arm returns to its middle and the \
+         pendulum comes to rest, which counts as waiting, and so does the time between an end and a resumption.",
         busy.all_s / S_PER_MIN,
         busy.driven_s / S_PER_MIN,
         percent(busy.driven_s, busy.all_s),

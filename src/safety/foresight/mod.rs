@@ -272,6 +272,7 @@ impl ParticleLanes {
     }
 }
 
+/// One prediction: its inputs, and the lanes in which it is computed.
 struct Trial<'a, B> {
     brake: &'a B,
     ends: Ends,

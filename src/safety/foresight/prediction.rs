@@ -13,14 +13,15 @@ use crate::qube::{BLOCK, CONTROL_PERIOD_S, MAX_HISTORY, QubeLanes, SUBSTEPS, Sta
 /// predictable.
 const WINDOW_PERIODS: u32 = 10;
 
-/// Difference between a sample's time and its expected time at which the prediction restarts, s.
+/// Difference between a sample's time and its expected time above which the prediction restarts, s.
 const LATE_S: f64 = 0.002;
 
 /// Allowed distance of a measured angle from the range of the particles' angles, rad: one degree of
 /// play between motor and arm, plus two encoder counts.
 const PLAY_RAD: f64 = 0.025;
 
-/// Additional allowed distance for each rad/s of velocity, s: the allowed error of a sample's time.
+/// Additional allowed distance for each rad/s of velocity, s: the error of a sample's time that is
+/// allowed in addition to its measured lateness.
 const JITTER_S: f64 = 0.0005;
 
 /// Simulates every particle beside the Qube, ten control periods at a time, and compares the Qube's
@@ -91,8 +92,8 @@ impl Prediction {
     /// the allowed distance. Takes the estimated state of the next sample, its time by the device's
     /// clock, us, and the commands before it (V, newest first).
     ///
-    /// Also returns `true` for the first sample and for one at an unexpected time; the particles
-    /// then restart.
+    /// Also returns `true` for the first sample and for one at an unexpected time. The particles
+    /// restart after these, after a sample outside the range, and after ten periods.
     #[must_use]
     pub fn is_kept(
         &mut self,

@@ -1,7 +1,7 @@
 use crate::estimation::FilterGains;
 use crate::qube::CONTROL_PERIOD_S;
 
-/// Age of an estimated velocity, and what follows from it for the error of that velocity.
+/// Age of an estimated velocity, and the factor by which that age enlarges the velocity's error.
 ///
 /// An estimated velocity is a filtered difference of angles, so it lags. It is older, and its error
 /// is larger, where samples were lost.
@@ -14,8 +14,9 @@ pub(super) struct VelocityAge {
 }
 
 impl VelocityAge {
-    /// The age when the last two samples are this many control periods apart and those before them
-    /// one period. The errors grow with this power of the number of periods.
+    /// The age if the last two samples are this many control periods apart, from 1 to
+    /// `MAX_PERIODS`, and all earlier ones one period. The errors grow with the power `error_power`
+    /// of that number.
     pub fn after(periods: u32, filter: &FilterGains<f32>, error_power: u32) -> Self {
         let periods = periods.clamp(1, MAX_PERIODS);
         let error_factor = (periods as f32).powi(error_power as i32);

@@ -11,7 +11,7 @@ use crate::surrogate::SurrogateError;
 pub enum Objective {
     /// Branin in 2 dimensions, with three equal maxima (negated).
     Branin,
-    /// Logarithm of Rosenbrock's bent valley in 4 dimensions (negated).
+    /// Logarithm of 1 plus Rosenbrock's bent valley in 4 dimensions (negated).
     Rosenbrock,
     /// Hartmann in 6 dimensions, with several peaks of which one is global.
     Hartmann,

@@ -21,7 +21,7 @@ pub struct RegretCurve {
 }
 
 /// Runs one repetition and returns the simple regret after each of `evaluations` evaluations. Each
-/// point is proposed while the `pending` points before it have not been evaluated yet.
+/// point is proposed while up to `pending` points before it have not been evaluated yet.
 ///
 /// # Errors
 /// The strategy cannot be built or cannot propose.
@@ -52,7 +52,7 @@ pub fn simple_regret(
 }
 
 impl RegretCurve {
-    /// Collects the repetitions of one strategy on one objective.
+    /// Collects the repetitions of one strategy on one objective: lists of regrets of equal length.
     #[must_use]
     pub fn new(objective: Objective, strategy: StrategyKind, repetitions: &[Vec<f64>]) -> Self {
         let evaluations = repetitions.first().map_or(0, Vec::len);

@@ -155,6 +155,8 @@ struct Landscape {
 
 impl Landscape {
     fn new(dimensions: usize, seed: u64) -> Self {
+        // The constants here and in `rollouts` are the ASCII codes of `twohumps`, `rollouts` and
+        // `training`; they keep the random streams apart.
         let mut random = stream(seed ^ 0x7477_6f68_756d_7073, 0);
         let centre = (0..dimensions).map(|_| 0.2 + 0.6 * random.random::<f64>()).collect();
         // Coordinates have unequal weights, but their sum is the same in every number of

@@ -149,8 +149,9 @@ impl Session {
         Ok(())
     }
 
-    /// Updates the profile with the recordings so far and proposes a candidate: first the
-    /// distribution exactly as identified, then points of the search around the identified Qube.
+    /// Proposes a candidate: first the distribution exactly as identified, then points of the
+    /// search around the identified Qube. Before each of these points the profile is updated with
+    /// the recordings so far.
     fn propose_around(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -175,10 +176,11 @@ impl Session {
 
     /// The return that one more candidate is expected to gain over the verified policy, at least 0.
     ///
-    /// Once there are [`INITIAL_AROUND`] observations, this is the posterior mean at the
-    /// surrogate's best point minus that at the best evaluated point. Before, the best policy's
-    /// mean return in simulations of the identified Qube is compared with its verified return: a
-    /// search can win back no more than the loss from simulation to reality.
+    /// Once there are [`INITIAL_AROUND`] observations, the gain is the return that the search
+    /// expects at the recommended psi minus the return that it expects at the best evaluated psi.
+    /// Before, it is the highest mean return of a candidate's policy in simulations of the
+    /// identified Qube minus the verified return: a search can win back no more than the loss from
+    /// simulation to reality.
     fn expected_gain(
         &mut self,
         scored: &[ScoredCandidate],
@@ -200,7 +202,7 @@ impl Session {
         Ok((simulated - verified).max(0.0))
     }
 
-    /// Fits a profile to all recordings so far.
+    /// Fits a profile to the recordings so far that identify the Qube.
     fn fitted(&mut self) -> Result<Fitted, SessionError> {
         let recordings = self.recordings()?;
         let logs: Vec<MotionLog> = recordings.iter().filter_map(MotionLog::of_recording).collect();
@@ -258,8 +260,8 @@ impl Session {
         identified_profile(self.folder.disk(), self.folder.paths(), found)
     }
 
-    /// The recordings that identify the Qube, in order: those of excitations and of the search's
-    /// candidates, and after the end of the search those of the verification.
+    /// The recordings that identify the Qube, in the order of their candidates: of excitations and
+    /// of the search's candidates, and after the end of the search also of the verification.
     fn recordings(&self) -> Result<Vec<Recording>, SessionError> {
         let read = |path: &PathBuf| Ok(read_on(self.folder.disk(), path)?);
         self.used_recordings().iter().map(read).collect()

@@ -53,8 +53,8 @@ impl Session {
     ///
     /// # Errors
     /// The ledger is damaged or cannot be opened, or it belongs to another `session.toml`; a
-    /// profile that the session identified cannot be read or was changed; or a candidate's psi does
-    /// not fit the settings.
+    /// profile that the session identified cannot be read or was changed; the recording that names
+    /// the identified board cannot be read; or a candidate's psi does not fit the settings.
     pub fn open(
         folder: SessionFolder,
         settings: SessionSettings,
@@ -123,8 +123,8 @@ impl Session {
     /// other board is driven, and no emulated Qube in its place.
     ///
     /// # Errors
-    /// A recording cannot be read, or the settings of a rig are for another board, or for an emulated
-    /// Qube where a real one made the recordings.
+    /// A recording cannot be read, or the settings of a rig are for another board, or for an
+    /// emulated Qube where a real one made the recordings.
     pub fn on_the_same_boards(mut self) -> Result<Self, SessionError> {
         for index in 0..self.rigs.len() {
             let Some(device) = self.first_device(self.number_of(index))? else { continue };
@@ -178,11 +178,12 @@ impl Session {
         self.run_while(|_| true, on_event)
     }
 
-    /// Runs until this many candidates of the search have all their rollouts; the session can be
-    /// resumed afterwards.
+    /// Runs until this many candidates of the search have all their rollouts, or the session is
+    /// complete. The session can be resumed afterwards. It must not identify its Qube, because the
+    /// number of rollouts is that of a search without identification.
     ///
     /// # Errors
-    /// [`run`](Self::run) would fail.
+    /// The errors of [`run`](Self::run).
     pub fn run_to(
         &mut self,
         evaluated: u32,
@@ -256,8 +257,9 @@ impl Session {
         }
     }
 
-    /// Passes a doubt from the last entry of the ledger to its rig, so that nothing moves without
-    /// the operator's acknowledgement, even if the session continues on another computer.
+    /// Reacts to a doubt that the last entry of the ledger left, even if the session continues on
+    /// another computer: passes it to its rig, which is then examined first. If the operator has
+    /// not acknowledged the doubt, takes the rig out, or ends the session if no other rig remains.
     fn pass_doubt_to_rig(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -283,7 +285,7 @@ impl Session {
     }
 
     /// Connects, checks and homes every real Qube before any training, so that a defect shows at
-    /// once and not after hours.
+    /// once and not after hours. Does nothing if the session is complete.
     fn connect_early(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -385,7 +387,7 @@ impl Session {
 
     fn given_up(&mut self, candidate: u32, rollout: u32) -> SessionError {
         let tries = self.settings.extent.repetitions + 1;
-        // After a rig was taken out, attempts count on.
+        // The attempts of rigs that were taken out count too, so there may be more than `tries`.
         let attempts = self.ledger.state().candidates()[candidate as usize].void;
         let last = attempts.saturating_sub(1);
         let last = score(self.folder.disk(), &self.recording(candidate, rollout, last));

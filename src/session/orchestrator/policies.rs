@@ -16,8 +16,8 @@ use crate::session::{
 use crate::storage::write_whole;
 
 impl Session {
-    /// Trains the policies of these candidates, or waits until trainings that are under way have
-    /// ended.
+    /// Makes the policies of these candidates, or waits for them if they train ahead, and enters
+    /// them into the ledger.
     pub(super) fn train(
         &mut self,
         numbers: &[u32],
@@ -41,8 +41,8 @@ impl Session {
         Ok(())
     }
 
-    /// Begins the trainings of all proposed candidates if the search proposes while returns are
-    /// pending.
+    /// If the search proposes while returns are pending: begins the trainings of the proposed
+    /// candidates that have not begun, and reports the progress of the others.
     pub(super) fn train_ahead(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -71,7 +71,7 @@ impl Session {
     /// candidate if its policy must be trained.
     pub(super) fn prepare(&mut self, number: u32) -> Result<Option<Candidate>, SessionError> {
         self.folder.make_candidate(number)?;
-        // Policy files appear atomically: an existing file was trained before a crash.
+        // Policy files appear atomically: an existing file is whole, from before a crash or a stop.
         if self.folder.disk().exists(&self.policy_path(number)) {
             return Ok(None);
         }
@@ -101,14 +101,14 @@ impl Session {
         }
     }
 
-    /// The excitation of a candidate; those of consecutive candidates start in opposite directions.
+    /// The excitation of a candidate. Consecutive candidates start in opposite directions.
     pub(super) fn excitation(&self, candidate: u32) -> Policy {
         let of_qube_v = self.settings.identification.unwrap_or_default().excitation_v;
         let limit_v = self.settings.plant().volts_like(of_qube_v);
         Policy::Excitation(Excitation::of_rollout(ExcitationShape::Chirp, limit_v, candidate))
     }
 
-    /// Reads and checks the policy of a candidate; returns the bytes of its file.
+    /// Reads and checks the policy of a candidate; returns it in the format of its file.
     pub(super) fn policy(&self, candidate: u32) -> Result<Vec<u8>, SessionError> {
         let path = self.policy_path(candidate);
         let bytes = self

@@ -5,8 +5,9 @@ use crate::search::{Observation, SearchError};
 use crate::session::{Candidate, Entry, Purpose, SessionError, SessionEvent};
 
 impl Session {
-    /// Chooses the psi of `count` candidates for this purpose and enters the proposals into the
-    /// ledger.
+    /// Proposes `count` candidates for this purpose: chooses their psi, which is empty for an
+    /// excitation and the baseline, and enters them into the ledger. The purposes `Verification`
+    /// and `Incumbent` have one candidate, whatever `count` is.
     pub(super) fn propose(
         &mut self,
         count: u32,
@@ -74,7 +75,7 @@ impl Session {
         Ok(with_results.map(|it| it.observation()).collect())
     }
 
-    /// The searched candidate with the highest mean return.
+    /// The searched candidate with the highest mean return; in a tie, the one proposed last.
     pub(super) fn incumbent(&mut self) -> Result<Candidate, SessionError> {
         self.searched()?
             .filter_map(|it| Some((it.mean_return()?, it.candidate)))

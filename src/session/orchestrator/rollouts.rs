@@ -27,7 +27,7 @@ pub(super) struct SessionRig {
     /// First recordings of this rig that this process entered into the ledger, until there are
     /// enough to estimate the drift.
     first_recordings: Vec<Recording>,
-    /// Number of consecutive rollouts that could not begin.
+    /// Number of rollouts in a row that could not begin.
     not_begun: u32,
 }
 
@@ -70,8 +70,8 @@ impl Session {
         rig.map_or(0, |rig| rig as usize - 1)
     }
 
-    /// Takes out a rig after a fault of this rig if another rig remains; otherwise the fault ends
-    /// the session.
+    /// Takes out a rig after a fault if the fault concerns this rig alone, another rig remains and
+    /// no stop is requested. Otherwise returns the fault, which ends the session.
     pub(super) fn take_out(
         &mut self,
         index: usize,

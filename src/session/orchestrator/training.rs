@@ -52,13 +52,14 @@ pub(super) struct Trainer {
     pub(super) settings: SessionSettings,
     pub(super) identification: Identification,
     pub(super) executor: Arc<dyn Executor>,
-    /// Whether the times of trainings are written. In virtual time they mean nothing, and the same
-    /// seed would give other bytes each time.
+    /// Whether the session runs in real time, so that the times of trainings are written. In
+    /// virtual time they mean nothing, and the same seed would give other bytes each time.
     pub(super) in_real_time: bool,
 }
 
 impl Trainer {
-    /// Trains the policies of these candidates in at most [`ROUNDS`] rounds.
+    /// Trains the policies of these candidates. A candidate whose competing policies all fail in
+    /// simulation is trained again with other seeds, in at most [`ROUNDS`] rounds in all.
     pub(super) fn train(
         &self,
         candidates: Vec<Candidate>,

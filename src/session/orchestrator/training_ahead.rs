@@ -15,8 +15,8 @@ use crate::session::{Candidate, SessionError, SessionEvent};
 /// Longest wait for a message between two looks at the stop flag.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// The trainings that run beside the session's thread. At most as many run at a time as the
-/// executor carries out.
+/// The trainings that run beside the session's thread, as many at a time as the executor can carry
+/// out.
 ///
 /// Trainings begin in the order in which their candidates were added. The order in which they end
 /// changes no result, because the session records a policy only when it needs it. Dropping this

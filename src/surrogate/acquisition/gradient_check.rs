@@ -4,8 +4,9 @@
 use super::Acquisition;
 use crate::surrogate::{Dataset, GaussianProcess, Hyperparameters, Kernel, SearchBox};
 
-/// A Gaussian process over nine points in two dimensions. `own_variances` are the noise variances
-/// of the single points, in addition to `noise_variance`, which all share.
+/// A Gaussian process over nine points in two dimensions. All points share `noise_variance`
+/// (standardised); `own_variances` are added to it, one for each point, in squared units of the
+/// values.
 pub fn nine_points(noise_variance: f64, own_variances: Option<&[f64]>) -> GaussianProcess {
     let search_box = SearchBox::new(vec![-1.0, 10.0], vec![1.0, 30.0]).unwrap();
     let points: Vec<Vec<f64>> =

@@ -16,7 +16,8 @@ use crate::surrogate::normal::{log_density, log_distribution, log_improvement};
 /// The search is scored by its recommendation, which maximises the posterior mean. A criterion of
 /// the posterior mean therefore does not reward a single lucky observation, and a second
 /// observation of an uncertain point can be worth more than the observation of a new one. Without
-/// noise the knowledge gradient is the expected improvement over the best posterior mean.
+/// noise and without further points, the knowledge gradient is the expected improvement over the
+/// best posterior mean of the observed points, wherever that mean is above the point's own.
 ///
 /// After the observation the posterior mean of alternative `i` is `a_i + b_i Z` with a standard
 /// normal `Z`. The expectation of the maximum of these lines is exact, from their upper envelope
@@ -34,7 +35,8 @@ pub struct LogKnowledgeGradient<'a> {
 }
 
 /// One line `height + slope z`: the posterior mean of an alternative after the next observation,
-/// standardised, as a function of the observation's standard normal deviation `z`.
+/// standardised, as a function of `z`: the deviation of the observation from its prediction, in
+/// standard deviations.
 #[derive(Clone, Copy)]
 struct Line {
     height: f64,
@@ -46,7 +48,7 @@ struct Line {
 impl<'a> LogKnowledgeGradient<'a> {
     /// A knowledge gradient on a process, with further alternatives in the box's own units. The
     /// next observation is assumed to have the median noise variance of the past ones. Costs O(n^2)
-    /// for each alternative.
+    /// for each further alternative, and O(n^2 d) for the observed points.
     #[must_use]
     pub fn new(process: &'a GaussianProcess, further: &[Vec<f64>]) -> Self {
         let data = process.data();
@@ -73,8 +75,8 @@ impl<'a> LogKnowledgeGradient<'a> {
         let variance = posterior.variance / (scale * scale);
         let spread = (variance + self.next_noise).sqrt();
 
-        // Posterior covariances of the function at the point and at each alternative. For the i-th
-        // observed point it is noise_i (K^-1 k)_i, since K = k(X, X) + noise.
+        // Posterior covariances of the function's value at the point with its values at the
+        // alternatives; for the i-th observed point noise_i (K^-1 k)_i, since K = k(X, X) + noise.
         let observed = (0..n).map(|i| self.noise[i] * solved[i]);
         let between: Vec<(f64, Vec<f64>)> = self
             .further
@@ -126,7 +128,7 @@ impl<'a> LogKnowledgeGradient<'a> {
             by_slope[pair[1].index] += slope_weight;
             by_slope[pair[0].index] -= slope_weight;
             // The expected rise grows with the height of the line that is lower at z = 0, and falls
-            // with that of the other.
+            // with the height of the other line.
             let height_weight = (log_distribution(-at.abs()) - log_sum).exp() * at.signum();
             if pair[1].index == new {
                 by_height += height_weight;

@@ -1,5 +1,6 @@
-//! Acquisition functions: the value of evaluating a point next, given the surrogate. The next point
-//! is their maximum.
+//! Acquisition functions: each rates a point by the benefit of evaluating it next, given the
+//! surrogate. The next point is the one with the largest value. [`PosteriorMean`] alone serves
+//! another purpose: its maximiser is the recommended point.
 
 mod expected_improvement;
 #[cfg(test)]
@@ -23,7 +24,8 @@ pub use upper_confidence_bound::UpperConfidenceBound;
 
 use super::GaussianProcess;
 
-/// A function over the box whose maximum is the next point to evaluate.
+/// A function over the box whose maximiser is the next point to evaluate, or, of the
+/// [`PosteriorMean`], the recommended point.
 pub trait Acquisition {
     /// The value at a point of d coordinates in the box's own units.
     fn value(&self, point: &[f64]) -> f64;

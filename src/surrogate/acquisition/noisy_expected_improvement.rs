@@ -28,9 +28,10 @@ use crate::surrogate::{GaussianProcess, SurrogateError};
 /// expected improvement; Balandat et al. 2020).
 pub struct LogNoisyExpectedImprovement<'a> {
     /// Process whose points `X` are the n observed points, followed by the pending points. The
-    /// criterion does not use its values at pending points; the draws replace them.
+    /// values that it has at pending points are not used; the draws replace them.
     process: Cow<'a, GaussianProcess>,
-    /// Factor of the covariance `k(X, X)` without noise.
+    /// Factor of the covariance `k(X, X)`, with `noiseless_variance` of the process in place of all
+    /// noise.
     noiseless: Factor,
     /// For each draw `f` of the values at `X`: `k(X, X)^-1 (f - m)`, and the largest entry of `f -
     /// m`, standardised.
@@ -43,10 +44,11 @@ const PAIRS: usize = 32;
 
 impl<'a> LogNoisyExpectedImprovement<'a> {
     /// A noisy expected improvement on a process. `pending` are the points under evaluation, in the
-    /// box's own units; `seed` determines the draws. Costs O(n^3).
+    /// box's own units; `seed` determines the draws. Costs O(n^3), and as much again for each
+    /// pending point.
     ///
     /// # Errors
-    /// A pending point lies outside the box, or the covariance without noise cannot be factored.
+    /// A pending point lies outside the box, or a covariance cannot be factored.
     pub fn new(
         process: &'a GaussianProcess,
         pending: &[Vec<f64>],
@@ -93,8 +95,8 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
         if !with_gradient {
             return (value, Vec::new());
         }
-        // With the share of each draw s in the sum, the derivative is
-        // d ln sum = sum_s share_s * (by_mean d mean_s + by_deviation d deviation) / deviation.
+        // With the share exp(log_s - log_sum) of each draw s, the derivative of the value is
+        // sum_s share_s * (mean_slope_s d mean_s + deviation_slope_s d deviation) / deviation.
         let mut coefficients = DVector::zeros(white.len());
         let mut by_deviation = 0.0;
         for ((log, mean_slope, deviation_slope), (weights, _)) in each.iter().zip(&self.draws) {
@@ -169,7 +171,8 @@ impl Fantasies {
 ///
 /// With the diagonal matrix `S` of the noise variances and `K = k(X, X) + S`, the mean is `y - m -
 /// S K^-1 (y - m)` and the covariance is `S - S K^-1 S = R (I - R K^-1 R) R` with `R = sqrt S`. The
-/// bracket is well conditioned also where the noise is small.
+/// bracket is well conditioned also where the noise is small. Its eigenvalues lie between 0 and 1;
+/// 1e-9 on its diagonal keeps the small ones above 0 in spite of rounding.
 fn posterior_at_data(
     process: &GaussianProcess,
 ) -> Result<(DVector<f64>, DMatrix<f64>), SurrogateError> {

@@ -1,6 +1,6 @@
 use super::{Criterion, Score};
 
-/// The posterior mean, whose maximum is the point that a search recommends. It does not serve to
+/// The posterior mean, whose maximiser is the point that a search recommends. It does not serve to
 /// choose the next point to evaluate, since it ignores uncertainty.
 #[derive(Clone, Copy, Debug)]
 pub struct PosteriorMean;

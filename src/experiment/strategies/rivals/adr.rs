@@ -25,7 +25,7 @@ const PAIRS: usize = 4;
 /// Distance of these Qubes from the particle, in lengths of a standard normal draw.
 const DISTANCE: f64 = 0.3;
 
-/// Number of steps of the particles after each stage.
+/// Number of steps of the particles after each stage but the last.
 const STEPS: usize = 3;
 /// Rate of these steps.
 const RATE: f64 = 0.5;
@@ -39,7 +39,7 @@ const TEMPERATURE: f64 = 0.3;
 /// of the prior, and the policy trains on these.
 ///
 /// The reward of a Qube is the logarithm of the probability with which a discriminator tells the
-/// policy's motion in it from those in the reference Qube.
+/// policy's motion in it from its motions in the reference Qube.
 pub struct ActiveRandomisation;
 
 impl Rival for ActiveRandomisation {
@@ -63,6 +63,7 @@ impl Rival for ActiveRandomisation {
                 break;
             }
             let behaviour = Behaviour { network, given };
+            // The reference motions start from four angles of the arm, rad.
             let nominal = vec![DVector::zeros(given.space.dimensions()); 2];
             let reference: Vec<_> = [0.08, 0.04, -0.04, -0.08]
                 .iter()

@@ -12,8 +12,8 @@ const SAMPLES: usize = 2000;
 const PASSES: usize = 60;
 
 /// BayesSim (Ramos, Possas and Fox 2019, reference 17 of the thesis): learns the posterior of a
-/// Qube given summary statistics of its motion. A mixture density network learns from simulations
-/// of Qubes drawn from the prior.
+/// Qube given summary statistics of its motions, averaged over all recordings. A mixture density
+/// network learns from simulations of Qubes drawn from the prior.
 pub struct BayesSim;
 
 impl Rival for BayesSim {

@@ -27,8 +27,8 @@ enum Written {
 }
 
 impl Belief {
-    /// Draws points whose Qubes can be simulated. Of a belief that is given by points, evenly
-    /// spaced ones are taken instead; there are none if it has no point.
+    /// Draws points whose Qubes can be simulated. A belief that is given by points draws nothing:
+    /// it gives `count` of its points, at even distances in their order, or none if it has none.
     pub fn draws(&self, space: &Space, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
         match self {
             Self::Unknown => space.draws(count, random),

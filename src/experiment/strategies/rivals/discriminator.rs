@@ -4,7 +4,7 @@ use nalgebra::DVector;
 const STEPS: usize = 300;
 /// Rate of the gradient descent.
 const RATE: f64 = 0.5;
-/// Weight of the squared coefficients in the loss.
+/// Weight in the loss of half the sum of the squared coefficients, which keeps them small.
 const SHRINKAGE: f64 = 0.01;
 
 /// A logistic regression that tells two kinds of feature vectors apart.
@@ -16,8 +16,8 @@ pub struct Discriminator {
 }
 
 impl Discriminator {
-    /// Fits the discriminator to feature vectors of both kinds. Each kind has half of the weight,
-    /// however many vectors it has.
+    /// Fits the discriminator to feature vectors of both kinds, by gradient descent on the
+    /// cross-entropy. Each kind has half of the weight, however many vectors it has.
     pub fn fit(reference: &[DVector<f64>], other: &[DVector<f64>]) -> Self {
         let length = reference.first().map_or(0, DVector::len);
         let all = || reference.iter().chain(other);

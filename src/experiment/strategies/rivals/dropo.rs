@@ -17,7 +17,7 @@ const TRANSITIONS: usize = 80;
 /// distribution's mean.
 const PAIRS: usize = 4;
 
-/// Number of evaluations of the likelihood.
+/// Number of evaluations of the likelihood, rounded up to whole generations of CMA-ES.
 const EVALUATIONS: usize = 3000;
 
 /// Range of the means, in standard deviations of the prior.

@@ -83,8 +83,8 @@ mod tests {
     use super::*;
 
     /// The score is a bowl of width s around 1 in the first coordinate and does not depend on the
-    /// second. The best trade-off has the mean 1 and the variance weight * s^2 in the first
-    /// coordinate, and the widest deviation in the second.
+    /// second. The best trade-off has about the mean 1 and the variance weight * s^2 in the first
+    /// coordinate, and the largest deviation of `LOG_DEVIATIONS` in the second.
     #[test]
     fn the_trade_off_is_the_known_one() {
         let mut random = ChaCha8Rng::seed_from_u64(2);

@@ -23,8 +23,8 @@ const CHOICES: usize = 300;
 /// Weight of the standard deviation in the upper confidence bound.
 const BETA: f64 = 2.0;
 
-/// Lower ends of psi: the logarithm of the width relative to the prior, and the three shifts in
-/// standard deviations of the prior.
+/// Lower ends of psi: the logarithm of the width relative to the prior, and the shifts along three
+/// random directions.
 const LOWER: [f64; 4] = [-1.5, -1.0, -1.0, -1.0];
 /// Upper ends of psi.
 const UPPER: [f64; 4] = [0.4, 1.0, 1.0, 1.0];
@@ -37,7 +37,7 @@ const FINGERPRINT_RANGE: [f64; 2] = [-2.0, 2.0];
 /// Fingerprint policy optimisation (Paul, Osborne and Whiteson 2019, reference 21 of the thesis):
 /// chooses for each stage of a training the distribution that promises the best policy after the
 /// stage. Bayesian optimisation predicts the return from the distribution and from the fingerprint
-/// of the policy before the stage.
+/// of the policy before the stage. The policy with the highest return after any stage is kept.
 pub struct FingerprintOptimisation;
 
 impl Rival for FingerprintOptimisation {
@@ -53,12 +53,13 @@ impl Rival for FingerprintOptimisation {
         let mut random = given.random();
         let dimensions = given.space.dimensions();
         // Three directions, fixed for the whole training, in which all quantities may shift
-        // together.
+        // together, in standard deviations of the prior.
         let directions: Vec<DVector<f64>> =
             (0..3).map(|_| standard_normal(dimensions, &mut random)).collect();
         let scoring_points = given.space.draws(POINTS, &mut random);
         let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
         let mut data: Vec<Observation> = Vec::new();
+        // The policy before the first stage has the fingerprint 0.
         let mut print = [0.0; FINGERPRINT];
         let mut best: Option<(f64, Trained)> = None;
         for stage in 0..STAGES {

@@ -4,7 +4,8 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::elementary::normal_pair;
 
-/// Variance that a fit adds along each coordinate, so that the covariance stays invertible.
+/// Variance that a fit adds along each coordinate, so that the covariance stays invertible, and the
+/// first one by which a singular covariance is widened.
 const LEAST_VARIANCE: f64 = 1e-8;
 
 /// A normal distribution of several correlated numbers.
@@ -49,7 +50,8 @@ impl Gaussian {
             .collect()
     }
 
-    /// The Kullback-Leibler divergence of this distribution from another one, in nats.
+    /// The Kullback-Leibler divergence of this distribution from another one, D(self || other), in
+    /// nats.
     pub fn divergence_from(&self, other: &Self) -> f64 {
         let (own, others) = (self.factor(), other.factor());
         let between = &other.mean - &self.mean;
@@ -93,6 +95,7 @@ impl Gaussian {
                 covariance[(index, index)] = covariance[(index, index)].abs() + ridge;
             }
             ridge *= 10.0;
+            assert!(ridge.is_finite(), "the covariance holds a value that is not a number");
         }
     }
 }

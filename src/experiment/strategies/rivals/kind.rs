@@ -9,7 +9,7 @@ use super::npdr::Npdr;
 use super::rival::{Data, Rival};
 use super::simopt::SimOpt;
 
-/// The methods from the literature, by name.
+/// A method from the literature, chosen by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RivalKind {
     /// Moves the distribution of simulations so that the policy's simulated trajectories resemble

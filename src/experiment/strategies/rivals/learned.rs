@@ -18,14 +18,14 @@ use crate::replay::{MotionLog, MotionLogError};
 use crate::session::{SeedFor, derived_seed};
 use crate::storage::{Disk, MachineDisk, write_whole};
 
-/// Numbers of recordings after which a policy for further recordings is trained. One policy makes
-/// all recordings between two of these numbers, so that twenty real rollouts and the recommendation
-/// after them need six trainings.
+/// Numbers of recordings after which a rival that learns from rollouts trains a policy for further
+/// recordings. One policy makes all recordings between two of these numbers, so that twenty real
+/// rollouts and the recommendation after them need six trainings.
 const ROUNDS: [u32; 6] = [0, 1, 2, 5, 10, 20];
 
 /// The recommendations of a rival: after each number of recordings, the distribution of simulations
-/// that the rival has learnt from them. A rival that learns from recordings recommends the
-/// distribution `robust` before the first.
+/// that the rival has learnt from them. A rival that has learnt nothing, as before the first
+/// recording, recommends the distribution `robust`.
 pub struct FromRival<'a> {
     run: &'a MethodRun<'a>,
     settings: &'a StrategySettings,
@@ -89,8 +89,8 @@ impl<'a> FromRival<'a> {
         self.recordings.make(number, Recorded::Policy { after }, &policy)
     }
 
-    /// The first `recordings` recordings. A recording in which the policy never had the motor is
-    /// left out.
+    /// The first `recordings` recordings. A recording with fewer than two samples from the time in
+    /// which the policy or excitation had the motor is left out.
     fn demonstrations(&self, recordings: u32) -> Result<Vec<Demonstration>, ExperimentError> {
         let mut demonstrations = Vec::new();
         for path in (0..recordings).filter_map(|number| self.recordings.path(number)) {
@@ -134,6 +134,8 @@ impl<'a> FromRival<'a> {
         Ok(Some(belief))
     }
 
+    /// Learns from the first `recordings` recordings: updates the belief after the last of
+    /// [`ROUNDS`] before them.
     fn learnt(&self, recordings: u32) -> Result<Belief, ExperimentError> {
         let earlier = recordings.checked_sub(1).map_or(0, round_within);
         let before = match recordings {

@@ -5,10 +5,10 @@ use super::space::distribution_of;
 use super::stages::{Stages, scored};
 use crate::learning::TrainError;
 
-/// Number of stages of the training; after each the distribution is learnt.
+/// Number of stages of the training; after each, the distribution takes its steps.
 const STAGES: u32 = 6;
 
-/// Number of steps of the gradient after each stage.
+/// Number of gradient steps of the distribution after each stage.
 const STEPS: u64 = 8;
 
 /// Number of simulations of a step, and of Qubes of a stage's training.

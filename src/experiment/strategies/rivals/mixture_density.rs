@@ -13,7 +13,7 @@ const COMPONENTS: usize = 4;
 /// Number of samples of a gradient step.
 const BATCH: usize = 64;
 
-/// Bound on a standardised feature: beyond it no simulation was seen, so a larger value tells
+/// Bound on a standardised feature: hardly any simulation lies beyond it, so a larger value tells
 /// nothing more.
 const FARTHEST_FEATURE: f64 = 5.0;
 
@@ -194,8 +194,8 @@ impl MixtureDensity {
     }
 }
 
-/// Number of outputs of the network for a component: the logarithm of its weight, its mean, and its
-/// whitener row by row.
+/// Number of outputs of the network for a component: the logarithm of its weight up to a constant,
+/// its mean, and its whitener row by row, with the diagonal as logarithms.
 fn outputs_of_component(dimensions: usize) -> usize {
     1 + dimensions + dimensions * (dimensions + 1) / 2
 }
@@ -328,7 +328,7 @@ impl Moments {
         Self { first: vec![0.0; length], second: vec![0.0; length] }
     }
 
-    /// One step of Adam (Kingma and Ba 2015), counted from 1.
+    /// Takes one step of Adam (Kingma and Ba 2015); `step` is its number, from 1.
     fn step(&mut self, parameters: &mut [f64], gradient: &[f64], rate: f64, step: usize) {
         let [keep_1, keep_2] = [0.9_f64, 0.999];
         let corrections = [keep_1, keep_2].map(|keep| 1.0 - keep.powi(step as i32));
@@ -398,7 +398,7 @@ mod tests {
         assert!((found.covariance[(0, 1)] + gain).abs() < 0.12, "{}", found.covariance);
     }
 
-    /// x = theta^2 + noise: seen x = 1, theta is near -1 or near 1, and nowhere between.
+    /// x = theta^2 + noise: given x = 1, theta is near -1 or near 1, and nowhere between.
     #[test]
     fn a_posterior_with_two_humps_has_both() {
         let mut random = ChaCha8Rng::seed_from_u64(6);

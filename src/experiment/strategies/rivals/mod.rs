@@ -3,7 +3,7 @@
 //! has a paragraph about each.
 //!
 //! A `rival` turns recordings into a `belief` about the Qube, in the coordinates of a `space`;
-//! `learned` makes recommendations of beliefs. Three rivals leave the belief as it is: `adr` and
+//! `learned` turns beliefs into recommendations. Three rivals leave the belief as it is: `adr` and
 //! `fpo` train policies of their own, in the parts that `stages` provides, and `history` only gives
 //! its policies a longer observation. `universal` is no rival of this form: it searches for the
 //! inputs of a policy. The statistics of the rivals are in files of their own, which know nothing

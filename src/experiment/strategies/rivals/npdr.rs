@@ -21,8 +21,8 @@ const LATEST: usize = 3;
 const WIDENED: f64 = 2.0;
 
 /// Sequential neural posterior estimation as in NPDR (Muratore et al. 2022): a network learns the
-/// posterior of a Qube given the latest rollouts, from simulations of Qubes that the posterior
-/// before proposes.
+/// posterior of a Qube given the latest rollouts, from simulations of Qubes, half of which the
+/// posterior before proposes.
 pub struct Npdr;
 
 impl Rival for Npdr {

@@ -1,7 +1,8 @@
 /// The logarithm of the likelihood of real transitions under a distribution of simulations (DROPO,
 /// section III), without its constant. Each transition adds the log density of its real end under
 /// the normal distribution with the moments of its simulated ends, to whose variances the
-/// measurement's noise is added. `simulated` has each transition's ends under the same Qubes.
+/// measurement's noise is added. No transition adds less than `UNLIKELY`. `simulated` has each
+/// transition's ends under the same Qubes; `noise` has standard deviations.
 pub fn log_likelihood<const N: usize>(
     real: &[[f64; N]],
     simulated: &[Vec<[f64; N]>],

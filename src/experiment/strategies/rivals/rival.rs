@@ -25,13 +25,13 @@ pub enum Data {
 
 /// The data and settings from which a rival learns.
 pub struct RivalInput<'a> {
-    /// Space in whose coordinates beliefs are.
+    /// Space in whose coordinates beliefs are stated.
     pub space: &'a Space,
     /// Belief before the latest recordings.
     pub before: &'a Belief,
     /// All recordings so far.
     pub recorded: &'a [Demonstration],
-    /// Index of the first of the latest recordings.
+    /// Index in `recorded` of the first recording that `before` does not contain.
     pub first_latest: usize,
     /// Settings of the simulations besides their distribution.
     pub simulation: &'a SimulationSettings,

@@ -8,7 +8,7 @@ use crate::learning::TrainError;
 /// Number of steps of relative entropy policy search after each round of real rollouts.
 const STEPS: usize = 8;
 
-/// Number of Qubes of a step, in each of which every real rollout is simulated.
+/// Number of Qubes of a step, in each of which every real rollout of the latest round is simulated.
 const SAMPLES: usize = 200;
 
 /// Largest divergence of a step from the distribution before it, nats.

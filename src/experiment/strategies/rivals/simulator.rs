@@ -50,7 +50,8 @@ impl Motion {
 }
 
 /// Simulates a recorded rollout on each of several Qubes. A policy acts on the observations of the
-/// simulated Qube; an excitation has the recorded voltages.
+/// simulated Qube, and the motion has the states that it sees; an excitation has the recorded
+/// voltages, and the motion has the true states.
 pub fn simulate(
     demonstration: &Demonstration,
     simulation: &SimulationSettings,

@@ -16,9 +16,10 @@ const FARTHEST: f64 = 4.0;
 /// The coordinates in which rivals learn about a Qube: one for each quantity that varies in the
 /// distribution `robust`, and one for each damping, which `robust` does not vary. The prior of each
 /// coordinate has mean 0 and standard deviation 1. These two stand for the quantity's mean and
-/// standard deviation in `robust`; for a damping they stand for its nominal value and a factor of
-/// e. Parameters count by their logarithms, so that none becomes negative; nonidealities are
-/// bounded to values that can be simulated.
+/// standard deviation in `robust`, in proportion to the plant; for a damping they stand for its
+/// nominal value and a factor of e. Parameters count by their logarithms, so that none becomes
+/// negative; nonidealities are bounded to values that can be simulated. A quantity that the plant
+/// lacks has no coordinate.
 #[derive(Clone, Debug)]
 pub struct Space {
     nominal: QubeModel,
@@ -133,7 +134,8 @@ impl Coordinate {
         }
     }
 
-    /// Smallest and largest entry of the coordinate that can be simulated.
+    /// Smallest and largest entry of the coordinate that can be simulated, both within
+    /// [`FARTHEST`] of 0.
     fn range(&self) -> (f64, f64) {
         let Quantity::Nonideality(term) = self.quantity else { return (-FARTHEST, FARTHEST) };
         let (smallest, largest) = term.range().into_inner();

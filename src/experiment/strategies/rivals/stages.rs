@@ -28,7 +28,8 @@ impl<'a> Stages<'a> {
         Self { settings, stop, seed, done: 0, trained: None }
     }
 
-    /// Trains for one more stage in this distribution, from the final network of the stage before.
+    /// Trains for one more stage in this distribution, from the final network of the stage before;
+    /// the first stage begins with a new network.
     ///
     /// # Errors
     /// The training is stopped or fails.

@@ -11,9 +11,9 @@ const RESOLUTION_RAD: f64 = 2.0 * std::f64::consts::PI / 2048.0;
 
 /// Summary statistics of a motion (after BayesSim, section IV), 12 numbers for each of `parts`
 /// seconds. The statistics are of the changes, from step to step, of theta, its rate, alpha and its
-/// rate: mean, variance, and mean product with the voltage. Rates are differences of angles over
-/// two steps, so that a filter of recorded velocities plays no part. A part that the motion did not
-/// reach has zeros.
+/// rate: mean, variance, and mean product with the voltage. Angles are in rad. Rates are
+/// differences of angles over two steps, in rad a step, so that a filter of recorded velocities
+/// plays no part. A part that the motion did not reach has zeros.
 pub fn statistics(motion: &Motion, parts: usize) -> Vec<f64> {
     let rounded = |angle: f64| (angle / RESOLUTION_RAD).round() * RESOLUTION_RAD;
     let angles: Vec<[f64; 2]> =

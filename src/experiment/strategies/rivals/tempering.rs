@@ -70,7 +70,7 @@ fn effective_part(logs: &[f64], rest: f64) -> f64 {
             too_much = middle;
         }
     }
-    // A stage must take a part above 0, or the stages would never end.
+    // A stage must take a part above 0, or it would achieve nothing.
     enough.max(1e-6 * rest)
 }
 

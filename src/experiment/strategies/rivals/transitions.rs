@@ -26,7 +26,8 @@ pub struct Transition<'a> {
 }
 
 impl<'a> Transition<'a> {
-    /// At most `most` transitions of some recordings, evenly spread over them.
+    /// At most `most` transitions of some recordings, evenly spread over them; neighbours may
+    /// overlap by half.
     pub fn of_logs(logs: &[&'a MotionLog], most: usize) -> Vec<Self> {
         let starts: Vec<(usize, usize)> = logs
             .iter()

@@ -54,8 +54,8 @@ impl<'a> FromUniversalPolicy<'a> {
         Recommendation { distribution, ..Recommendation::of(recipe, None) }
     }
 
-    /// The policy with the highest return in its own evaluations among the settings' number of
-    /// trainings.
+    /// The policy with the highest return in the evaluations during its training, among the
+    /// settings' number of trainings. The first call trains.
     fn policy(&self, recommendation: &Recommendation) -> Result<&UniversalPolicy, ExperimentError> {
         if let Some(policy) = self.policy.get() {
             return Ok(policy);
