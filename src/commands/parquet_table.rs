@@ -52,7 +52,11 @@ fn whole_file(kinds: &[Field], rows: &[[Field; COLUMNS.len()]]) -> Result<Vec<u8
                 let values: Vec<i64> = fields().filter_map(whole).collect();
                 column.write_batch(&values, Some(&levels), None)?;
             }
-            _ => return Err(ParquetError::General("a column of another type".into())),
+            _ => {
+                return Err(ParquetError::General(
+                    "a column has a type that is not written here".into(),
+                ));
+            }
         }
         column.close()?;
         index += 1;

@@ -203,8 +203,16 @@ fn replay_file(
         problem = rerun_recording(&recording, report)?;
         match MotionLog::of_recording(&recording) {
             Some(log) => log,
-            // Without a tick of the policy there is nothing to simulate: settling failed, or the
-            // file was truncated before the policy started.
+            // Without ticks of the policy there is nothing to simulate or draw: settling failed, or
+            // the file was truncated before the policy started.
+            None if arguments.simulate || arguments.animate.is_some() => {
+                return Err(problem.unwrap_or_else(|| {
+                    Problem::usage(format!(
+                        "{}: the policy drove for less than two ticks, so there is no motion to simulate or draw",
+                        path.display()
+                    ))
+                }));
+            }
             None => return problem.map_or(Ok(()), Err),
         }
     };
@@ -257,13 +265,14 @@ fn rerun_recording(recording: &Recording, report: &mut Report) -> Result<Option<
 fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
     if let Some(difference) = &rerun.first_difference {
         let (recorded, recomputed) = (&difference.recorded, &difference.recomputed);
+        let what = if recorded.voltage_mv == recomputed.voltage_mv {
+            "the voltage is the same, but phase, state or wanted voltage are not".to_owned()
+        } else {
+            format!("recorded {} mV, recomputed {} mV", recorded.voltage_mv, recomputed.voltage_mv)
+        };
         return Some(format!(
-            "{} of {} actions differ, first in tick {}: recorded {} mV, recomputed {} mV",
-            rerun.actions_different,
-            rerun.actions_compared,
-            recorded.tick,
-            recorded.voltage_mv,
-            recomputed.voltage_mv,
+            "{} of {} actions differ, first in tick {}: {what}",
+            rerun.actions_different, rerun.actions_compared, recorded.tick,
         ));
     }
     if rerun.not_compared > 0 {

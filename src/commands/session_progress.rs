@@ -159,10 +159,10 @@ impl SessionProgress {
                 self.line(format!("the verification leaves the profile as it is: {reason}"));
             }
             SessionEvent::SearchContinues { expected_gain, smallest_gain } => self.line(format!(
-                "one more candidate is expected to gain {expected_gain:.1}; the search ends below {smallest_gain:.1}"
+                "one more candidate is expected to gain a return of {expected_gain:.1}; the search ends below {smallest_gain:.1}"
             )),
             SessionEvent::SearchEnded { expected_gain } => self.line(format!(
-                "the search ends: one more candidate is expected to gain {expected_gain:.1}"
+                "the search ends; one more candidate is expected to gain a return of {expected_gain:.1}"
             )),
             SessionEvent::EndedEarly(SessionError::Stopped) => {}
             SessionEvent::EndedEarly(error) => {

@@ -135,8 +135,8 @@ impl SessionTable {
         text
     }
 
-    /// The identification, and why the search ended; empty before an identification, and if the
-    /// session was not to identify its Qube.
+    /// The identification, and the gain that was expected when the search ended; empty before an
+    /// identification, and if the session was not to identify its Qube.
     fn identification_lines(&self) -> String {
         let report = &self.0;
         let mut text = match &report.identification {
@@ -160,7 +160,7 @@ impl SessionTable {
         if let Some(gain) = report.settled {
             let _ = writeln!(
                 text,
-                "the search ended: one more candidate was expected to raise the return by only {gain:.1}"
+                "the search ended; one more candidate was expected to raise the return by {gain:.1}"
             );
         }
         let _ = writeln!(

@@ -112,8 +112,9 @@ impl Folder {
         if self.keeps {
             return Ok(());
         }
-        std::fs::remove_file(recording)
-            .map_err(|error| Failure::failed(format!("{}: {error}", recording.display())))
+        std::fs::remove_file(recording).map_err(|error| {
+            Failure::failed(format!("{} cannot be deleted: {error}", recording.display()))
+        })
     }
 }
 
@@ -245,9 +246,9 @@ impl Soaked {
             return Err(Failure::fault(format!("{void} rollouts ended by faults, last: {fault}")));
         }
         match self.growth_bytes() {
-            Some(growth) if growth > MAX_GROWTH_BYTES => {
-                Err(Failure::failed(format!("the memory grew by {growth} bytes")))
-            }
+            Some(growth) if growth > MAX_GROWTH_BYTES => Err(Failure::failed(format!(
+                "the memory grew by {growth} bytes, more than {MAX_GROWTH_BYTES}"
+            ))),
             _ => Ok(()),
         }
     }

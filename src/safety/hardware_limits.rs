@@ -66,8 +66,8 @@ pub enum HardwareRefusal {
     /// An entry of the plant file is not known to be as harmless as a Qube's, and nobody has
     /// consented to it.
     #[error(
-        "the plant {plant} differs from a Qube in {entry}, and on hardware guard and homing rely on the values of its \
-         file"
+        "the plant {plant} differs from a Qube in {entry}, and on hardware guard and homing rely on \
+         the values of its file"
     )]
     Plant {
         /// Name of the plant.

@@ -86,7 +86,9 @@ fn outcome(source: &SessionSource) -> Vec<String> {
     if let (Identification::Found { .. }, Some(gain)) =
         (source.state.identification(), source.state.settled())
     {
-        sentences.push(format!("The search ended because one more candidate was expected to gain a return of only {gain:.1}."));
+        sentences.push(format!(
+            "When the search ended, one more candidate was expected to gain a return of {gain:.1}."
+        ));
     }
     let baseline = source.candidates.iter().find(|it| it.candidate.purpose == Purpose::Baseline);
     if let Some(mean) = baseline.and_then(ScoredCandidate::mean_return) {
