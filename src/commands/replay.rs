@@ -310,7 +310,9 @@ fn foreseen_text(foreseen: &Foreseen) -> String {
         if *identified { "the belief from its profile" } else { "the belief about any Qube" };
     let reach = beyond_rad.map_or_else(
         || "would have moved without bounds".to_owned(),
-        |beyond_rad| format!("would have come {beyond_rad:.3} rad beyond the end of its travel"),
+        |beyond_rad| {
+            format!("would have come {beyond_rad:.3} rad closer to its stop than foresight allows")
+        },
     );
     format!(
         "foresight ended the rollout: with a brake one tick later, the arm of particle {particle} of {whose} {reach}"

@@ -3,11 +3,11 @@ use thiserror::Error;
 use super::{ControlEvent, ControlState, Moved};
 use crate::device::DeviceError;
 
-/// Error: the control thread has ended while its handle was in use, because it has panicked.
+/// Error: the control thread has panicked.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 #[error(
-    "the control thread has ended unexpectedly, and the device's watchdog has switched the motor off: \
-     start the program again"
+    "the control thread has ended unexpectedly, and the device's watchdog has switched the motor \
+     off: start the program again"
 )]
 pub struct ThreadGone;
 

@@ -306,8 +306,8 @@ impl Homing {
         }
     }
 
-    /// Counts at the arm's zero and at the hanging pendulum, and the stops relative to the arm's
-    /// zero.
+    /// Counts at the arm's zero and at the hanging pendulum, and the stops, touched or implied,
+    /// relative to the arm's zero.
     fn zeros(&self, measurement: &Measurement, off_middle_rad: f64) -> MeasuredRig {
         let offset_rad = self.settings.theta_offset_rad;
         let off_zero_rad = off_middle_rad - offset_rad;
@@ -343,8 +343,8 @@ impl Homing {
     }
 
     /// Angles of the stops after homing by hand, lower first, rad: the operator's middle and the
-    /// expected travel imply them. `None` where they are the plant's own around the zero, which is
-    /// what guard and brake assume without measured stops.
+    /// expected travel imply them. `None` where they are the plant's own around the zero, which
+    /// guard and brake assume without measured stops.
     fn stops_by_hand_rad(&self) -> Option<(f64, f64)> {
         let HomingSettings { method, theta_offset_rad, travel_rad, .. } = self.settings;
         let are_the_plants = theta_offset_rad == 0.0 && travel_rad.is_none();

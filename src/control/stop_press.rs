@@ -8,8 +8,8 @@ use crate::telemetry::Ending;
 /// Distance from a nominal stop within which the arm counts as at the stop, rad.
 const NEAR_STOP_RAD: f64 = 0.3;
 
-/// Ticks after which the arm is taken to be at rest against its stop and its angle is stored: 0.5
-/// s.
+/// Ticks, 0.5 s, after which the arm is taken to be at rest against its stop and its angle is
+/// stored.
 const REST_TICKS: u32 = 50;
 
 /// Distance from the stored angle that only a push by hand explains, rad: 4 mm at the arm's end.

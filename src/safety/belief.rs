@@ -359,8 +359,8 @@ fn take_step(model: &mut QubeModel, step: &Step, place: &[f64; NUMBERS], widths:
 
 /// Three standard errors of a profile in each independent direction of its errors; all zero without
 /// correlations. The recordings leave one direction undetermined: all masses and forces may grow by
-/// the same factor without a change in any motion. Therefore no step changes a number by
-/// more than the uncertainty about an unidentified specimen of the plant.
+/// the same factor without a change in any motion. Therefore no step changes a number by more than
+/// the uncertainty about an unidentified specimen of the plant.
 fn independent_steps(profile: &Profile, plant: &PlantModel) -> [Step; Quantity::COUNT] {
     let Some(correlations) = &profile.correlations else { return no_steps() };
     let quantities: Vec<Quantity> = Quantity::all().collect();
