@@ -10,7 +10,7 @@ use crate::learning::TrainError;
 /// The reason why a job has no policy.
 #[derive(Debug, Error)]
 pub enum JobError {
-    /// The training failed or was stopped on this computer.
+    /// The training failed on this computer, or a stop was requested.
     #[error(transparent)]
     Training(#[from] TrainError),
     /// The training failed on another computer, and would fail on every other.
@@ -98,7 +98,7 @@ pub enum JobFolderError {
         host: String,
     },
     /// Another process coordinates the folder.
-    #[error("{path} is in use by {by}: end it, or give another folder of jobs")]
+    #[error("{path} is in use by {by}: end that process, or give another folder of jobs")]
     TwoCoordinators {
         /// Path of the folder.
         path: PathBuf,

@@ -33,8 +33,8 @@ pub trait Executor: Send + Sync {
     fn concurrency(&self) -> usize;
 
     /// Carries out all jobs and returns when `on_event` has received one [`JobEvent::Finished`] for
-    /// each; setting `stop` ends them soon. `on_event` is called on the calling thread, in no
-    /// particular order of the jobs.
+    /// each. Setting `stop` ends the jobs soon, with [`TrainError::Stopped`]. `on_event` is called
+    /// on the calling thread, in no particular order of the jobs.
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, on_event: &mut dyn FnMut(JobEvent));
 
     /// Carries out one job; `on_update` is called after each update.

@@ -17,7 +17,8 @@ use crate::learning::{TrainError, Trained};
 /// Shortest time between two searches for results in the folder.
 const SHORTEST_WAIT: Duration = Duration::from_millis(10);
 
-/// Longest time between two searches for results in the folder.
+/// Longest time between two searches for results in the folder; the time between two beats, if that
+/// is shorter.
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
 /// Time between two checks of a stop flag.
@@ -99,9 +100,9 @@ enum Notice {
 }
 
 impl FolderExecutor {
-    /// Becomes the folder's coordinator and keeps `workers` workers that `starter` starts; without
-    /// a starter, somebody starts workers by hand. With `leave`, workers and open jobs outlive an
-    /// executor that is stopped.
+    /// Becomes the folder's coordinator and has `starter` start a worker for each open job, up to
+    /// `workers`; without a starter, somebody starts workers by hand. With `leave`, workers and
+    /// open jobs outlive an executor that is stopped.
     ///
     /// # Errors
     /// The folder has another coordinator; `stop` was set before that was known; or a file

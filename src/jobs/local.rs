@@ -6,32 +6,33 @@ use super::training_cores::TrainingCores;
 use super::{Executor, JobEvent, TrainingJob};
 use crate::learning::{Checkpointing, train};
 
-/// An executor that trains on this computer's cores, one policy at a time on each. A policy's bytes
-/// do not depend on the number of cores.
+/// An executor that trains on this computer's cores (logical processors), one policy at a time on
+/// each. A policy's bytes do not depend on the number of cores.
 #[derive(Clone, Debug)]
 pub struct LocalExecutor {
     cores: usize,
-    /// Cores that the trainings are confined to, so that a control thread has one for itself;
+    /// Cores that the trainings are confined to, so that one stays free for a control thread;
     /// `None` without a control thread.
     keeps_to: Option<TrainingCores>,
     checkpointing: Option<Checkpointing>,
 }
 
 impl LocalExecutor {
-    /// An executor on all cores.
+    /// An executor on all cores that this process may use.
     #[must_use]
     pub fn on_all_cores() -> Self {
         Self::on_cores(std::thread::available_parallelism().map_or(1, usize::from))
     }
 
-    /// An executor on a number of cores.
+    /// An executor on this many cores, at least 1.
     #[must_use]
     pub fn on_cores(cores: usize) -> Self {
         Self { cores: cores.max(1), keeps_to: None, checkpointing: None }
     }
 
-    /// An executor for trainings beside a control thread. It leaves one core to that thread, uses
-    /// all others, and trains in threads of the lowest priority.
+    /// An executor for trainings beside a control thread. It keeps one physical core free of
+    /// trainings if there is another, uses all others, and trains in threads of the lowest
+    /// priority.
     #[must_use]
     pub fn beside_control_thread() -> Self {
         let keeps_to = TrainingCores::beside_control_thread();

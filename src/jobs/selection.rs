@@ -1,7 +1,7 @@
 use crate::simulation::Evaluation;
 
-/// Largest number of rounds of competing trainings: if all trainings of a round fail in simulation,
-/// the next round trains with other seeds; the best training of the last round is kept.
+/// Largest number of rounds of competing trainings. While no training has reached [`SUCCEEDED`] in
+/// simulation, another round trains with other seeds; the best training of all rounds is kept.
 pub const ROUNDS: u32 = 3;
 
 /// Number of fresh simulations in which each of several trainings is evaluated to choose the best.
@@ -12,12 +12,12 @@ pub const CHOSEN_OF_STARTS: usize = 256;
 /// hangs or keeps turning earns less than 100.
 pub const SUCCEEDED: f64 = 300.0;
 
-/// Share of the rollouts, the worst ones, that [`worst_return`] leaves out. A mean over all
-/// rollouts would hide that a policy fails on some of the Qubes that the real one may be.
+/// Share of the simulations, the worst ones, that [`worst_return`] leaves out. A mean over all
+/// simulations would hide that a policy fails on some of the Qubes that the real one may be.
 const WORST: f64 = 0.1;
 
-/// The return that all but the worst tenth of the rollouts reach, by which competing trainings are
-/// compared; 0 without rollouts.
+/// The return that all but the worst tenth of an evaluation's trajectories reach, by which
+/// competing trainings are compared; 0 without trajectories.
 #[must_use]
 pub fn worst_return(evaluation: &Evaluation) -> f64 {
     let mut returns = evaluation.returns.clone();

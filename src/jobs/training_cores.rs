@@ -40,7 +40,7 @@ impl TrainingCores {
         if self.0.count() > 0
             && let Err(error) = sched_setaffinity(None, &self.0)
         {
-            tracing::warn!("trainings cannot leave the control thread's core: {error}");
+            tracing::warn!("trainings cannot be kept off the core for the control thread: {error}");
         }
         if let Err(error) = setpriority_process(None, LOWEST_PRIORITY) {
             tracing::warn!("trainings cannot have the lowest priority: {error}");

@@ -8,14 +8,14 @@ use super::starter::{StartError, Starter};
 /// Number of starts in a row without any new worker after which the work ends.
 const MAX_STARTS_WITHOUT_WORKER: u32 = 2;
 
-/// Number of starts without any result after which the work ends. Such starts happen when a
-/// scheduler ends all workers before they finish a training.
+/// Number of starts in a row without any result after which the work ends. Such starts happen when
+/// a scheduler ends all workers before they finish a training.
 const MAX_STARTS_WITHOUT_RESULT: u32 = 20;
 
 /// Longest time for which a scheduler may fail to answer.
 const PATIENCE: Duration = Duration::from_secs(600);
 
-/// Smallest difference between two computers' clocks that is reported to the operator, s.
+/// Difference between two computers' clocks above which the operator is warned, s.
 const CLOCK_DIFFERENCE_S: u64 = 120;
 
 /// The workers that a starter keeps running: one for each open job, up to a largest number.
@@ -28,7 +28,8 @@ pub(super) struct WorkerPool {
     /// Worker files seen so far, with whether the worker lived.
     seen: HashMap<String, bool>,
     has_counted: bool,
-    /// Number of workers whose files have appeared.
+    /// Number of workers whose files have appeared: heartbeats, and refusals. Of the files that
+    /// were there at the first look, only those of living workers count.
     appeared: u32,
     /// Number of starts in a row after which no worker has appeared.
     starts_without_worker: u32,
@@ -92,6 +93,10 @@ impl WorkerPool {
 
     /// Starts workers if there are fewer than the open jobs need. `results` is the number of
     /// results so far.
+    ///
+    /// # Errors
+    /// The folder cannot be read; workers cannot be started or, for [`PATIENCE`], not be counted;
+    /// no started worker appears or has a result; or all workers refuse.
     pub fn start_missing(
         &mut self,
         folder: &JobFolder,

@@ -108,7 +108,8 @@ fn json_schema<T: JsonSchema>() -> ChannelSchema {
 }
 
 /// Encodes the messages of one tick and hands each to `take`. The message of [`Channel::Timing`]
-/// comes last. `time_ns` is the time of the tick since 1970.
+/// comes last; a tick without a sample has no message of [`Channel::Measurement`]. `time_ns` is the
+/// time of the tick, ns since 1970.
 ///
 /// # Errors
 /// `take` fails.
@@ -131,7 +132,7 @@ pub fn encode_tick(
     take(Channel::Timing, json(&mut buffer, &TimingMessage::new(tick))?)
 }
 
-/// The message of [`Channel::Scene`] for a rollout.
+/// The message of [`Channel::Scene`] for a rollout that starts at `time_ns`, ns since 1970.
 #[must_use]
 pub fn encode_scene(header: &RolloutHeader, time_ns: u64) -> Vec<u8> {
     SceneUpdate::new(&header.settings.plant, time_ns).to_bytes()

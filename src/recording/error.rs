@@ -89,7 +89,7 @@ pub enum Unreadable {
     /// The file is larger than any rollout.
     #[error("{bytes} bytes are more than a rollout's recording can have ({limit})")]
     TooLarge {
-        /// Size of the file.
+        /// Number of bytes given; of a file, at most one more than the limit is read.
         bytes: u64,
         /// Largest size that is read.
         limit: u64,
@@ -101,7 +101,9 @@ pub enum Unreadable {
         missing: &'static str,
     },
     /// The recording has another format version.
-    #[error("this recording has format {found}; this program reads {expected}")]
+    #[error(
+        "this recording has format {found}, this program reads {expected}: use the program that wrote it"
+    )]
     OtherFormat {
         /// Version of the file.
         found: String,

@@ -55,7 +55,8 @@ impl Recording {
 /// its intact part.
 ///
 /// # Errors
-/// The file cannot be read, is not a recording, or was changed after it was finished.
+/// The file cannot be read or is too large, is not a recording of this format, was truncated before
+/// its header and policy were complete, or was changed after it was finished.
 pub fn read(path: &Path) -> Result<Recording, RecordingError> {
     read_on(&MachineDisk, path)
 }
@@ -78,7 +79,8 @@ pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, Record
 /// memory in use stays within a few times the limit of a file, and nothing in them is executed.
 ///
 /// # Errors
-/// The bytes are not a recording, or were changed after the recording was finished.
+/// The bytes are too many, are not a recording of this format, were truncated before header and
+/// policy were complete, or were changed after the recording was finished.
 pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     let scan = checked_scan(bytes)?;
     let damage = scan.damage.clone();

@@ -14,8 +14,8 @@ use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 /// Interval at which the recorder empties the ring.
 const POLL: Duration = Duration::from_millis(10);
 
-/// Longest time that a tick waits for its block to fill. Together with [`POLL`] and the writing,
-/// the time stays well below the 250 ms that the room's page promises.
+/// Longest time that a tick waits for its block to fill, in real time. Together with [`POLL`] and
+/// the writing, the time stays well below the 250 ms that the room's page promises.
 const OLDEST_UNFLUSHED: Duration = Duration::from_millis(120);
 
 /// The thread that takes ticks from the control thread's ring buffer and writes them to the file.
@@ -94,8 +94,8 @@ impl Recorder {
     /// the file would survive a loss of power. The control thread must push no more ticks.
     ///
     /// # Errors
-    /// A write of this recording failed, now or at any earlier tick; or the thread ended
-    /// unexpectedly.
+    /// A write of this recording failed, now or at any earlier tick; the outcome holds a number
+    /// that is not finite; or the thread ended unexpectedly.
     pub fn finish(
         mut self,
         outcome: RolloutOutcome,

@@ -25,8 +25,8 @@ pub enum Recovered {
 /// file is never changed.
 ///
 /// # Errors
-/// The old file cannot be read or has no intact part; or the new file exists already and stays as
-/// it is; or the new file cannot be written and is removed.
+/// The old file cannot be read, or its header or policy is missing or damaged; or the new file
+/// exists already and stays as it is; or the new file cannot be written and is removed.
 pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
     let bytes = read_bytes(disk, damaged)?;

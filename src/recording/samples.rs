@@ -66,7 +66,8 @@ pub(crate) fn outcome() -> RolloutOutcome {
     }
 }
 
-/// A tick of this number. All its fields have values, except that every seventh tick has no sample.
+/// A tick of this number. Its optional fields have values, except in every seventh tick, which has
+/// no sample, and the time from sample to act in tick 0.
 pub(crate) fn tick(number: u32) -> TickRecord {
     let time_s = f64::from(number) * 0.01;
     let held_over = number % 7 == 3;

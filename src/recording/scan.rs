@@ -13,8 +13,8 @@ use crate::telemetry::TickRecord;
 /// memory. Blocks of this program have about 20 kB.
 const MAX_BLOCK_BYTES: u64 = 1 << 22;
 
-/// Largest number of ticks in a rollout: three hours. This limit too keeps a hostile file from
-/// exhausting memory.
+/// Largest number of ticks that is read from a recording: three hours of them. This limit too keeps
+/// a hostile file from exhausting memory.
 const MAX_TICKS: usize = 1_080_000;
 
 /// Largest size of a metadata record, bytes; those of this program have a few kB.
@@ -27,11 +27,12 @@ const MAX_ATTACHMENT_BYTES: usize = 1 << 24;
 /// The intact records of a recording's file, and its first defect.
 #[derive(Default)]
 pub(super) struct Scan {
-    /// Metadata records by name.
+    /// The metadata records `rollout`, `outcome` and `recovered`, by name.
     pub(super) metadata: HashMap<String, BTreeMap<String, String>>,
     pub(super) policy: Option<Vec<u8>>,
     pub(super) ticks: Vec<TickRecord>,
-    /// First defect. Later ones are not kept, because a hostile file may have millions.
+    /// First defect of a record. Later ones are not kept, because a hostile file may have millions.
+    /// If the file ends between two records, only `closed` shows that its end is missing.
     pub(super) damage: Option<Damage>,
     /// Number of bytes in the file that could not be used.
     pub(super) lost_bytes: u64,
@@ -47,9 +48,11 @@ pub(super) struct Damage {
     pub(super) reason: String,
 }
 
-/// Reads every intact record of a file. `bytes` must start with MCAP's magic bytes, [`MAGIC`].
+/// Reads every intact record of a file up to its footer. `bytes` must start with MCAP's magic
+/// bytes, [`MAGIC`].
 ///
-/// Blocks are independent of each other: a damaged one is left out, and reading continues after it.
+/// A damaged block is left out, and reading continues after it. Only the first block declares the
+/// channels: if it is damaged, the ticks of no block can be read.
 pub(super) fn scan(bytes: &[u8]) -> Scan {
     let mut scan = Scan::default();
     let mut offset = MAGIC.len();
@@ -140,7 +143,7 @@ impl Scan {
                 let (Some(name), Some(map)) = (fields.text(), fields.map()) else {
                     return Err("a metadata record is malformed".to_owned());
                 };
-                // The header stays for the reader, without which it can give nothing.
+                // A damaged header is kept: the reader names its defect, and cannot do without it.
                 if name == metadata::OUTCOME && !metadata::is_sound(&map) {
                     return Err(format!("the metadata `{name}`: its checksum does not fit"));
                 }
@@ -242,7 +245,7 @@ enum Topic {
     Command,
     Safety,
     Timing,
-    /// Poses for viewers, and unknown topics.
+    /// Poses and bodies for viewers, and unknown topics.
     Other,
 }
 

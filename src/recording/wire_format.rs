@@ -43,7 +43,7 @@ pub(super) fn frame(bytes: &[u8], offset: usize) -> Option<Frame<'_>> {
 }
 
 /// Reads the fields of a record one after the other. A method returns `None` where the bytes end
-/// before the field does.
+/// before the field does, or where a text is not UTF-8.
 ///
 /// This reader exists because those of the `mcap` crate trust lengths in places: they allocate or
 /// index by a length that a hostile file chooses. This reader accepts files of any origin.

@@ -13,7 +13,7 @@ use crate::qube::{
 };
 use crate::safety::SafetyBox;
 
-/// Sixteen simulated Qubes with their sensors and estimators.
+/// Sixteen simulated Qubes, and their states as sensors and estimators show them.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct Block {
@@ -36,10 +36,12 @@ impl Block {
         }
     }
 
+    /// The true state of the Qube in a lane, rad and rad/s.
     pub(super) fn state(&self, lane: usize) -> State<f32> {
         self.qubes.state.lane(lane)
     }
 
+    /// The state of the Qube in a lane as the policy sees it, rad and rad/s.
     pub(super) fn seen(&self, lane: usize) -> State<f32> {
         self.lanes.seen.lane(lane)
     }
@@ -55,6 +57,8 @@ impl Block {
         observed
     }
 
+    /// Puts another Qube into a lane, at step 0: its true state is `state`, and policy and guard
+    /// see `seen`.
     pub(super) fn restart(
         &mut self,
         lane: usize,
@@ -68,8 +72,8 @@ impl Block {
     }
 }
 
-/// The parts of a simulation around the physics (sensors, observation, reward and box), in the
-/// lanes' number type.
+/// The parts of a simulation around the physics: sensors, observation, reward and box, in `f32` as
+/// the lanes.
 #[derive(Clone, Debug)]
 pub(super) struct Environment {
     /// Sensors and estimators through which policy and guard see the states.

@@ -73,7 +73,8 @@ pub fn serialize<S: Serializer>(safety_box: &SafetyBox, serializer: S) -> Result
 /// Reads a box, rad and rad/s; a limit or guard that is left out has the value of the thesis's box.
 ///
 /// # Errors
-/// A name is unknown, a limit is named twice, or a value has another type.
+/// A name is unknown, a limit is named twice, or a value has another type. The limits' sizes are
+/// not checked.
 pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SafetyBox, D::Error> {
     BoxFile::deserialize(deserializer).map(SafetyBox::from)
 }

@@ -36,7 +36,7 @@ impl Direction {
     ///
     /// To compare quantities of different units, the width of a direction is measured in the
     /// standard deviations of the distribution `robust` for the profile's plant, the belief about a
-    /// specimen before any data.
+    /// specimen before any data; a quantity that `robust` holds constant, in tenths of its value.
     #[must_use]
     pub fn of_errors(profile: &Profile, plant: &PlantModel) -> Vec<Self> {
         let quantities: Vec<Quantity> =

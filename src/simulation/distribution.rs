@@ -74,7 +74,8 @@ pub(super) fn held_in_range(quantity: Quantity, mean: f64, value: f64) -> f64 {
     value.clamp(smallest, largest)
 }
 
-/// The largest standard deviation that a distribution of a quantity may have around a mean.
+/// The largest standard deviation that a distribution of a quantity may have around a mean: the
+/// mean itself for a parameter, the [`reach`] for a nonideality.
 #[must_use]
 pub(super) fn largest_standard_deviation(quantity: Quantity, mean: f64) -> f64 {
     match quantity {

@@ -22,7 +22,8 @@ const MASSES_AND_LENGTHS: [DomainParameter; 4] = [
     DomainParameter::PendulumLength,
 ];
 
-/// The family of distributions to which psi's means and standard deviations belong.
+/// The family of the distributions of the models `handcrafted`, `nominal-handcrafted` and
+/// `profile`, and of the quantities that a psi names.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Family {
@@ -98,7 +99,9 @@ impl DomainDistribution {
 
     /// A distribution that draws one of these Qubes, each equally often. Any belief about a Qube
     /// can be represented in this way, by samples of the belief. [`Self::get`] then returns for
-    /// each quantity a normal distribution with the mean and standard deviation of the samples.
+    /// each quantity a normal distribution with the mean and standard deviation of the samples; a
+    /// standard deviation that is too large for the mean is reduced to the largest accepted one. An
+    /// empty list gives [`Self::nominal`].
     ///
     /// # Errors
     /// A value of a Qube cannot be simulated.
@@ -170,11 +173,12 @@ impl DomainDistribution {
     }
 
     /// A distribution around an identified Qube: the mean of each quantity is its value in `model`,
-    /// the standard deviation is `spread` (0 to 1) times the value's size, and less near an end of
-    /// the quantity's range.
+    /// the standard deviation is `spread` (0 to 1) times the value's size, but at most the
+    /// quantity's [`reach`].
     ///
     /// # Errors
-    /// A value of the model cannot be simulated, such as a delay that is too long.
+    /// A value of the model cannot be simulated, such as a delay that is too long, or `spread` is
+    /// negative.
     pub fn around(
         model: &QubeModel,
         spread: f64,

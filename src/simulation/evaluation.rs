@@ -32,7 +32,8 @@ impl Evaluation {
         self.returns.iter().sum::<f64>() / self.returns.len() as f64
     }
 
-    /// The standard deviation of the returns, with the number of trajectories in the denominator.
+    /// The standard deviation of the returns, with the number of trajectories in the denominator;
+    /// NaN if there are none.
     #[must_use]
     pub fn return_standard_deviation(&self) -> f64 {
         let mean = self.mean_return();
@@ -42,7 +43,8 @@ impl Evaluation {
 }
 
 /// Runs an actor through the trajectories 0 to `starts` - 1 of a seed, each to its end, and sums
-/// the rewards of each. Two actors that are evaluated with one seed meet the same Qubes and starts.
+/// the rewards of each. Two actors that are evaluated with one distribution and one seed meet the
+/// same Qubes and starts.
 ///
 /// 100 starts suffice to choose a policy during training. A figure for publication should use 1,000
 /// or more, with a seed that was not used to choose the policy.

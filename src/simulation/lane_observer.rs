@@ -69,7 +69,7 @@ impl ObserverLanes {
         commands_v: [[0.0; BLOCK]; REMEMBERED],
     };
 
-    /// Restarts a lane with a new Qube.
+    /// Restarts a lane with this estimate of a new Qube's state and without past commands.
     pub(super) fn restart(&mut self, lane: usize, estimate: &State<f32>) {
         self.estimate.set_lane(lane, estimate);
         for command_v in &mut self.commands_v {

@@ -1,10 +1,10 @@
-//! Randomised simulation: distributions over domain parameters, the names and search box of psi, and many
-//! pendulums in parallel.
+//! Randomised simulation: distributions over domain parameters and nonidealities, the names and
+//! search box of psi, and many pendulums in parallel.
 //!
-//! [`Pendulums`] advances all lanes with each step; [`evaluate`] runs a controller in it. With
-//! encoders, a Qube's true state passes through the estimator that runs on a real Qube, so that a
-//! policy trains on the estimates that it will see. The room may import `qube`, `elementary`,
-//! `estimation`, `safety` and `storage`.
+//! [`Pendulums`] simulates the pendulums, and [`evaluate`] runs a controller on them. In
+//! simulations with encoders, a Qube's true state passes through the estimator that runs on a real
+//! Qube, so that a policy trains on the estimates that it will see. The room may import `qube`,
+//! `elementary`, `estimation`, `safety` and `storage`.
 //!
 //! ```
 //! use qube_hil::simulation::{DomainDistribution, SimulationSettings, evaluate};

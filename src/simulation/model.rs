@@ -4,8 +4,8 @@ use super::{Direction, DomainDistribution, Family, Psi, PsiError};
 use crate::qube::{PlantModel, Profile, QubeModel};
 
 /// A named distribution over simulations: one of the thesis's five (section 5.2), or one with the
-/// nonidealities of real Qubes. In a *searched* model, masses and lengths, or the quantities that
-/// psi names, are left to a search for psi.
+/// nonidealities of real Qubes. In a *searched* model, the quantities that psi names (masses and
+/// lengths, if the settings name no others) are left to a search for psi.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {

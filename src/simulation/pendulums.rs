@@ -125,9 +125,9 @@ impl Pendulums {
     /// Advances all lanes by one control period.
     ///
     /// `voltages_v` are clipped to the largest voltage of the plant, ±5 V for a Qube. The call
-    /// writes the `rewards` for the states before the step and the clipped voltages, the `statuses`
-    /// of the trajectories after the step, and the `observations` after the step,
-    /// `[observation_size][lanes]`, also those of trajectories that end with this step.
+    /// writes the `rewards` for the clipped voltages and the states that the policies saw before
+    /// the step, the `statuses` of the trajectories after the step, and the `observations` after
+    /// the step, `[observation_size][lanes]`, also those of trajectories that end with this step.
     ///
     /// A lane whose trajectory has ended continues with meaningless numbers until it is restarted;
     /// they do not affect other lanes. A state that is not a number counts as outside the box.

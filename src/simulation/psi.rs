@@ -57,8 +57,8 @@ impl Psi {
     /// Reads a TOML file with one line `name = value` for each entry.
     ///
     /// # Errors
-    /// The file cannot be read, has no entry or one with an unknown name, or a value is not
-    /// physical.
+    /// The file cannot be read or is not TOML, has no entry, one with an unknown name or one twice,
+    /// or a value is not physical.
     pub fn load(path: &Path) -> Result<Self, PsiError> {
         let text = read_text(path, SETTINGS_BYTES)
             .map_err(|source| PsiError::Unreadable { path: path.to_owned(), source })?;

@@ -15,11 +15,12 @@ pub enum PsiTarget {
     StandardDeviation(Quantity),
     /// The corner frequency of the simulated velocity filter, rad/s: `filter`.
     Filter,
-    /// The natural logarithm of a factor by which every standard deviation is multiplied:
-    /// `log_width`.
+    /// The natural logarithm of a factor by which every standard deviation and every direction is
+    /// multiplied: `log_width`.
     LogWidth,
     /// The shift of the means along a direction of the identification's errors, in standard
-    /// deviations: `shift_1` along the widest direction, then `shift_2` and `shift_3`.
+    /// deviations: `shift_1` along the widest direction, then `shift_2` and `shift_3`. A shift
+    /// along a direction that the distribution does not have changes nothing.
     Shift(u8),
     /// The mean of a lag that is added to the command's delay, s: `mean_lag`. It may be negative.
     MeanLag,
@@ -59,8 +60,9 @@ impl PsiTarget {
     }
 
     /// The range that a search covers by default, in the target's unit. Masses and lengths have the
-    /// ranges of the thesis's table 5.2, other parameters a range around the nominal value, and
-    /// nonidealities a range that covers every measured Qube.
+    /// ranges of the thesis's table 5.2. The means of other parameters have 0.8 to 1.2 times the
+    /// nominal value, their standard deviations up to 0.3 times. Nonidealities have a range that
+    /// covers every measured Qube.
     #[must_use]
     pub fn default_range(self) -> (f64, f64) {
         use DomainParameter as P;

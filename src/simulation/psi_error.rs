@@ -8,7 +8,7 @@ use crate::qube::Quantity;
 /// The reason why numbers or a file are not a psi, or why a model gives no distribution.
 #[derive(Debug, Error)]
 pub enum PsiError {
-    /// The point has another dimension than the search space.
+    /// The point has not one entry for each dimension of the search space.
     #[error("this psi has {entries} entries: give one number for each of {expected}")]
     WrongLength {
         /// Length of the point.
@@ -60,7 +60,7 @@ pub enum PsiError {
         /// Upper end of its range.
         upper: f64,
     },
-    /// Psi names an entry more than once.
+    /// The search space names an entry of psi more than once.
     #[error("psi names {name} twice: name it once")]
     Twice {
         /// Name of the entry.

@@ -37,7 +37,7 @@ impl PsiSpace {
     /// The dimensions with these names and their default ranges.
     ///
     /// # Errors
-    /// A name does not exist or occurs twice.
+    /// The list is empty, or a name does not exist or occurs twice.
     pub fn named(names: &[&str]) -> Result<Self, PsiError> {
         let dimensions = names.iter().map(|name| PsiDimension::named(name));
         Self::new(dimensions.collect::<Result<_, _>>()?)
@@ -123,7 +123,7 @@ impl PsiSpace {
     /// The psi at a point.
     ///
     /// # Errors
-    /// The point has another dimension than the space or lies outside the box, or a value is not
+    /// The point has not one entry for each dimension or lies outside the box, or a value is not
     /// physical.
     pub fn psi(&self, point: &[f64]) -> Result<Psi, PsiError> {
         if point.len() != self.dimensions.len() {

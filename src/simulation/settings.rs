@@ -20,12 +20,13 @@ pub struct SimulationSettings {
     pub history: usize,
     /// Weights of the reward.
     pub reward: RewardWeights,
-    /// Box that ends a trajectory when the state leaves it. Simulations have no other guard.
+    /// Box that ends a trajectory when the state that the guard sees leaves it. Simulations have no
+    /// other guard.
     #[serde(with = "box_file")]
     pub safety_box: SafetyBox,
-    /// Plant whose encoders and largest voltage the simulation has. A file that names no plant
-    /// means the built-in Qube. The simulated parameters come from the distribution of the
-    /// trajectories, not from this plant.
+    /// Plant whose encoders and largest voltage the simulation has; the built-in Qube if a file
+    /// names none. The simulated parameters come from the distribution of the trajectories, not
+    /// from this plant.
     #[serde(skip_serializing_if = "PlantModel::is_qube")]
     pub plant: PlantModel,
 }

@@ -23,7 +23,8 @@ impl DomainDistribution {
     /// family with psi's mean and standard deviation; of these two, the one that psi does not name
     /// stays. Then the shifts along the directions, the common width and the lag of the command
     /// follow, as far as psi names them (see [`PsiTarget`]). A standard deviation that is too large
-    /// for its mean is reduced to the largest accepted one.
+    /// for its mean is reduced to the largest accepted one. The draws of a distribution of
+    /// specimens stay as they are.
     #[must_use]
     pub fn shaped_by(mut self, psi: &Psi, family: Family) -> Self {
         for quantity in Quantity::all() {

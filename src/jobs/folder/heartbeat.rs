@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 use super::Holder;
 use crate::storage::{Disk, DiskFile};
 
-/// Largest heartbeat file that is read, bytes. With a beat every 5 s a file reaches it in two
-/// months.
+/// Largest part of a heartbeat file that is read, bytes. With a beat every 5 s a file reaches it in
+/// two months; then it seems to grow no more, and its process counts as dead.
 const MAX_BYTES: u64 = 1 << 20;
 
 /// The reason why a process has given up its heartbeat file.
@@ -29,8 +29,8 @@ pub enum ClaimEnding {
 /// A file that shows that its process lives: the process creates it exclusively and appends one
 /// byte at each beat.
 ///
-/// The process keeps the file open. If it was suspended and has lost its claim, it therefore writes
-/// only into its own file, not into the one of its successor.
+/// The process keeps the file open. If the process was suspended and has lost its claim, it
+/// therefore writes only into its own file, not into its successor's.
 #[derive(Debug)]
 pub struct Heartbeat {
     file: Box<dyn DiskFile>,
@@ -80,7 +80,8 @@ impl Heartbeat {
 /// The content of a heartbeat file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct HeartbeatState {
-    /// Process that created the file; `None` while the first line is incomplete.
+    /// Process that created the file; `None` while the first line is incomplete, or if it is
+    /// damaged.
     pub holder: Option<Holder>,
     /// Reason why the process has given up the file; `None` if it has not.
     pub ending: Option<ClaimEnding>,
@@ -128,8 +129,9 @@ impl HeartbeatWatch {
         Self { here, stale, seen: HashMap::new() }
     }
 
-    /// Whether the process of a file is dead: the process ran on this computer and has ended, or
-    /// the file has not grown for the stale time. `now` is the time since any fixed instant.
+    /// Whether the process of the file `name` is dead: the process ran on this computer and has
+    /// ended, or this watch has seen the file for the stale time without growth. `now` is the time
+    /// since any fixed instant.
     pub fn is_dead(&mut self, name: &str, state: &HeartbeatState, now: Duration) -> bool {
         if state.holder.as_ref().is_some_and(|holder| holder.has_ended_here(&self.here)) {
             return true;

@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 pub struct Holder {
     /// Name of the computer.
     pub host: String,
-    /// Name of the node and the task, if a scheduler started the process.
+    /// Name of the node and, in a job array, number of the task, if Slurm started the process.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task: Option<String>,
     /// Process id.
     pub process: u32,
     /// Start of the process in clock ticks since boot, which distinguishes the process from a later
-    /// one with the same id.
+    /// one with the same id; 0 if the operating system does not tell it.
     pub started: u64,
     /// Boot id of the computer and PID namespace of the process.
     pub boot: String,

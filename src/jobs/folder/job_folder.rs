@@ -264,7 +264,7 @@ impl JobFolder {
         let header: ResultHeader =
             serde_json::from_slice(header).map_err(|error| damaged(error.to_string()))?;
         if header.program != program() {
-            return Err(damaged(format!("{} wrote it", header.program)));
+            return Err(damaged(format!("{}, another version, wrote it", header.program)));
         }
         let outcome = match header.error {
             Some(reason) => Err(reason),
@@ -303,7 +303,7 @@ impl JobFolder {
         self.discard_result(name)
     }
 
-    /// Counts the tries of each job that was ever claimed, by the name of the job.
+    /// The number of tries begun of each job that has a claim in the folder, by the job's name.
     ///
     /// # Errors
     /// A file operation fails.
@@ -372,8 +372,8 @@ impl JobFolder {
     }
 
     /// Takes the folder for one coordinator, whose terms hold from then on. If the last coordinator
-    /// has written no ending and ran on another computer, this waits until its heartbeat file grows
-    /// or counts as stale.
+    /// has written no ending and ran on another computer, this waits until its heartbeat file
+    /// grows, which is an error, or counts as stale.
     ///
     /// # Errors
     /// Another coordinator lives, `stop` was set during the wait, or a file operation fails.

@@ -18,7 +18,7 @@ pub(super) fn unsealed<'a>(kind: &str, bytes: &'a [u8]) -> Result<&'a [u8], Stri
     let (line, payload) = bytes.split_at(end);
     match line == first_line(kind, payload).as_bytes() {
         true => Ok(payload),
-        false => Err(format!("it is not a whole {kind}: its checksum is wrong")),
+        false => Err(format!("it is not a whole file of the kind `{kind}`: its checksum is wrong")),
     }
 }
 

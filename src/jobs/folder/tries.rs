@@ -8,10 +8,10 @@ use crate::jobs::JobFolderError;
 pub struct Tries {
     /// Number of tries.
     pub begun: u32,
-    /// Whether the last try is under way.
+    /// Whether the last try is under way: it has no ending, and its worker is not known to be dead.
     pub is_under_way: bool,
-    /// One text for each failed try: the worker, and how the try ended. A try that was stopped on
-    /// request does not count as failed.
+    /// One text for each failed try: the worker, and how the try ended. A try whose worker vanished
+    /// counts as failed, a try that was stopped on request does not.
     pub failures: Vec<String>,
 }
 

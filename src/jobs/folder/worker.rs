@@ -9,7 +9,8 @@ use crate::elementary::Level;
 use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::{TrainError, Trained, train};
 
-/// Longest time between two looks at a folder that has no work.
+/// Longest time between two looks at a folder that has no work; half the stale time, if that is
+/// shorter.
 const LONGEST_WAIT: Duration = Duration::from_secs(5);
 
 /// Time between two looks at the stop flag. It is also the first wait for work, and the least time
@@ -111,7 +112,7 @@ impl Drop for HeartbeatEnd<'_> {
 }
 
 impl Worker {
-    /// A worker that ends after `linger` without work.
+    /// A worker that ends after `linger` without work for it or any other worker.
     ///
     /// # Errors
     /// The processor has no fused multiply-add, so that its policies would differ from those of

@@ -29,7 +29,9 @@ struct Start {
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum TemplateError {
     /// The command would start no worker.
-    #[error("the command that starts workers names neither {{work}} nor {{folder}}")]
+    #[error(
+        "the command that starts workers contains neither {{work}} nor {{folder}}: add one of them"
+    )]
     StartsNoWorker,
 }
 
@@ -90,8 +92,8 @@ impl Starter for CommandStarter {
     fn count_workers(&mut self, appeared: u32, alive: u32) -> Result<WorkerCount, StartError> {
         let mut note = None;
         for start in self.starts.iter_mut().filter(|start| !start.has_failed) {
-            // A command that ends with success counts on: it may have handed its workers to a
-            // queue.
+            // The workers of a command that ended with success still count: it may have handed them
+            // to a queue.
             if let Ok(Some(status)) = start.child.try_wait()
                 && !status.success()
             {

@@ -22,8 +22,8 @@ pub trait Starter: Send + fmt::Debug {
     fn start(&mut self, folder: &JobFolder, workers: u32) -> Result<(), StartError>;
 
     /// Counts the workers that run or wait. `appeared` is the number of workers that have
-    /// registered in the folder since the coordinator began, and `alive` is the number of those
-    /// that live.
+    /// registered in the folder or refused it since the coordinator began, together with those that
+    /// lived at that time, and `alive` is the number of registered workers that live.
     ///
     /// # Errors
     /// The workers cannot be counted at all. A scheduler that fails to answer only for the moment
@@ -37,7 +37,7 @@ pub trait Starter: Send + fmt::Debug {
 /// The numbers of workers that a starter knows of.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct WorkerCount {
-    /// Number of workers that run or wait to run; `None` while the scheduler does not answer.
+    /// Number of workers that run or wait to run; `None` while the scheduler gives no answer.
     pub expected: Option<u32>,
     /// Number of workers that run, as far as the starter knows.
     pub running: u32,
@@ -70,8 +70,8 @@ pub enum StartError {
         /// Message of the scheduler's command.
         reason: String,
     },
-    /// Nobody could count the workers for ten minutes: the scheduler did not answer, or the start
-    /// command failed each time.
+    /// The workers could not be counted for ten minutes: the scheduler did not answer, or `squeue`
+    /// failed each time.
     #[error("for ten minutes the workers could not be counted; the last attempt: {last}")]
     SilentTooLong {
         /// Note about the last attempt.
