@@ -193,7 +193,7 @@ fn a_training_prints_the_fields_of_the_page() {
 fn benchmarks_print_the_fields_of_the_page() {
     let directory = tempfile::tempdir().unwrap();
     for suite in ["regret", "noise"] {
-        let few = ["--repetitions", "1", "--evaluations", "2"];
+        let few = ["--repetitions", "2", "--evaluations", "2"];
         let (value, code) = told(directory.path(), &[&["benchmark", suite], &few[..]].concat());
         assert_eq!(code, Some(0), "{value}");
         assert!(value[suite].as_array().is_some_and(|results| !results.is_empty()), "{value}");

@@ -149,13 +149,15 @@ fn runs_that_begin_in_the_same_second_have_folders_of_their_own() {
             .args(["run", "--policy", "classical", "--clock", "virtual"])
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(Stdio::null())
+            .stderr(Stdio::piped())
             .spawn()
             .unwrap()
     };
     let runs = [begin(), begin(), begin()];
-    for mut run in runs {
-        assert!(run.wait().unwrap().success());
+    for run in runs {
+        let output = run.wait_with_output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{:?}: {stderr}", output.status);
     }
     let folders: Vec<_> = std::fs::read_dir(directory.path().join("logs")).unwrap().collect();
     assert_eq!(folders.len(), 3, "{folders:?}");

@@ -11,7 +11,7 @@ use qube_hil::control::{ControlError, HomingMethod, HomingSettings, Moved};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::qube::{HARD_STOP_RAD, Measurement, Profile, QubeModel};
+use qube_hil::qube::{HARD_STOP_RAD, Measurement, Profile, QubeModel, State};
 use qube_hil::recording::{Recording, read};
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
 use qube_hil::safety::SafetyBox;
@@ -264,7 +264,9 @@ fn after_homing_by_hand_offset_and_accepted_travel_bound_the_box() {
     for (half_rad, travel_rad) in [(HARD_STOP_RAD, None), (2.1, Some(4.2))] {
         for theta_offset_rad in [0.0, 0.3, -0.3] {
             let stops_rad = [-half_rad, half_rad];
-            let emulator = EmulatorSettings { stops_rad, seed: 7, ..EmulatorSettings::default() };
+            // The operator has put the arm into the middle.
+            let start = Some(State::default());
+            let emulator = EmulatorSettings { stops_rad, start, ..EmulatorSettings::default() };
             let homing = HomingSettings {
                 method: HomingMethod::Hand,
                 travel_rad,
