@@ -108,7 +108,7 @@ def test_what_cannot_be_exported_or_imported_is_named(tmp_path):
             Policy.from_onnx(tmp_path / "p.onnx", **named)
     cut = tmp_path / "cut.onnx"
     cut.write_bytes((tmp_path / "p.onnx").read_bytes()[:-100])
-    for path, told in [(cut, "cut off"), (tmp_path / "missing.onnx", "missing.onnx")]:
+    for path, told in [(cut, "or is damaged"), (tmp_path / "missing.onnx", "missing.onnx")]:
         with pytest.raises(qube_hil.PolicyError, match=told):
             Policy.from_onnx(path)
 
