@@ -119,13 +119,21 @@ mod tests {
         assert!(matches!(again, Err(RecordingError::Create { .. })), "nothing is overwritten");
     }
 
+    /// Changes the first digit of the checksum whose key begins at this offset.
+    fn damage_checksum(bytes: &mut [u8], key: usize) {
+        // The length of the value stands between key and value.
+        let digit = &mut bytes[key + b"crc32".len() + size_of::<u32>()];
+        *digit = if *digit == b'0' { b'1' } else { b'0' };
+    }
+
     #[test]
     fn a_damaged_outcome_costs_no_tick() {
         let directory = tempfile::tempdir().unwrap();
         let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
         let mut bytes = recorded(&ticks(20));
-        let digit = find_all(&bytes, b"crc32").last().unwrap() + b"crc32".len() + 4;
-        bytes[digit] = if bytes[digit] == b'0' { b'1' } else { b'0' };
+        // The outcome is the last record with a checksum of its own.
+        let key = *find_all(&bytes, b"crc32").last().unwrap();
+        damage_checksum(&mut bytes, key);
         std::fs::write(&damaged, &bytes).unwrap();
         let error = read(&damaged).unwrap_err().to_string();
         assert!(
@@ -147,8 +155,9 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
         let mut bytes = recorded(&ticks(20));
-        let digit = find_all(&bytes, b"crc32").first().unwrap() + b"crc32".len() + 4;
-        bytes[digit] = if bytes[digit] == b'0' { b'1' } else { b'0' };
+        // The header is the first one.
+        let key = find_all(&bytes, b"crc32")[0];
+        damage_checksum(&mut bytes, key);
         std::fs::write(&damaged, &bytes).unwrap();
         let told = read(&damaged).unwrap_err().to_string();
         assert!(told.contains("not even in part: the metadata `rollout`"), "{told}");
