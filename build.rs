@@ -1,4 +1,4 @@
-//! Tells the program which revision it was built from, so that each recording can name it.
+//! Gives the program the revision that it is built from, so that each recording can name it.
 
 use std::process::Command;
 
@@ -11,7 +11,7 @@ fn main() {
     }
 }
 
-/// The output of git; `None` without git or outside a repository, as in a released archive.
+/// The output of a git command; `None` if it fails, without git, or outside a repository.
 fn git(arguments: &[&str]) -> Option<String> {
     let output = Command::new("git").args(arguments).output().ok()?;
     let printed = String::from_utf8(output.stdout).ok()?.trim().to_owned();

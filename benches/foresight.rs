@@ -5,7 +5,7 @@
 //! those of the shipped policy `robust` on `lab`. For each belief about the Qube (any Qube, or an
 //! identified one), with AVX-512 and with AVX2 if the processor has them, it prints mean, 99th
 //! percentile and maximum over the ticks of fifty rollouts, where the time of a tick is the
-//! shortest of five tries; criterion measures whole rollouts.
+//! shortest of five tries. Criterion measures the first of these rollouts as a whole.
 
 use std::path::Path;
 use std::time::Instant;

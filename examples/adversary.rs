@@ -1,13 +1,14 @@
 //! Searches for the worst adversary of the guard; `scripts/adversary` runs it over 10^6 episodes.
 //!
 //! ```text
-//! cargo run --release --example adversary -- SEARCHES [OPTIONS]
+//! cargo run --release --example adversary -- [SEARCHES [OPTIONS]]
 //! ```
 //!
-//! OPTIONS are, in this order, `SPREAD DELAY_MS CORNER foresight|box FIRST`; the last ones may be
-//! left out. SPREAD is the largest relative deviation of the Qubes' parameters, DELAY_MS the
-//! longest time from a sample to its act, CORNER the corner of the estimator's filter, rad/s, and
-//! FIRST the first seed. The exit code is 1 if an arm reached its stop or a voltage was above 5 V.
+//! SEARCHES is 100 unless named. OPTIONS are, in this order, `SPREAD DELAY_MS CORNER foresight|box
+//! FIRST`; the last ones may be left out. SPREAD is the largest relative deviation of the Qubes'
+//! parameters, DELAY_MS the longest time from a sample to its act, CORNER the corner of the
+//! estimator's filter, rad/s, and FIRST the first seed. The exit code is 1 if an arm reached its
+//! stop or a voltage was above 5 V.
 
 #[path = "../tests/adversary/mod.rs"]
 mod adversary;

@@ -139,7 +139,7 @@ fn main() {
             }
         }
         rest_periods.sort_unstable();
-        // The time within which all but this fraction of the Qubes that came to rest did so, s.
+        // The time within which the Qubes that came to rest did so, but for one in `fraction`, s.
         let all_but = |fraction: usize| {
             let (count, last) = (rest_periods.len(), rest_periods.len() / fraction + 1);
             let periods = count.checked_sub(last).map(|index| rest_periods[index]);

@@ -35,14 +35,14 @@ use qube_hil::telemetry::{Ending, Phase, TickRecord, TickSettings};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Number of rollouts of a policy on a Qube. On the [`PLANTS`] Qubes that share a column, it is one
-/// rollout each.
+/// Number of rollouts of a policy on a Qube. Each of the [`PLANTS`] Qubes that share a column has
+/// one rollout only.
 const ROLLOUTS: u64 = 5;
 
 /// Number of Qubes around the profile, each parameter within 10 % of the profile's value.
 const PLANTS: u64 = 20;
 
-/// Number of true states that are stored in a control period: a fine grid.
+/// Number of true states that are stored in each control period.
 const GRID: usize = 20;
 /// Time between two true states, us.
 const GRID_US: u64 = 500;

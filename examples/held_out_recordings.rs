@@ -6,11 +6,11 @@
 //! ```
 //!
 //! FOLDER holds chirps and swing-ups as CSV files; without FOLDER, `../shared/data/qube-recordings`
-//! is read. For each recording, a model is fitted to the other chirps, or to all other recordings.
-//! The cable's rest angle comes from the fitted recordings of the same series, whose names differ
-//! in the last number only. Each entry of the table has the root mean square errors of theta and
-//! alpha in rad for one kind of motion, and the number of predictions in brackets. The name of a
-//! row for one recording ends with the duration of the fit.
+//! is read. For each chirp a model is fitted to the other chirps, and then for each recording to
+//! all other recordings. The cable's rest angle comes from the fitted recordings of the same
+//! series, whose names differ in the last number only. Each entry of the table has the root mean
+//! square errors of theta and alpha in rad for one kind of motion, and the number of predictions
+//! in brackets. The name of a row for one recording ends with the duration of the fit.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;

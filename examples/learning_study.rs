@@ -8,8 +8,8 @@
 //! cargo run --release --example learning_study -- specialists quick 60
 //! ```
 //!
-//! SEEDS is a number, or a range such as `5..10`. MODEL is `nominal`, `handcrafted`, `robust`,
-//! or `specialists`: for each seed one Qube is drawn from `handcrafted`, and a policy is trained for
+//! SEEDS is a number, or a range such as `5..10`. MODEL is `nominal`, `handcrafted`, `robust`, or
+//! `specialists`: for each seed one Qube is drawn from `handcrafted`, and a policy is trained for
 //! that Qube alone. If no such specialist reaches a return, a policy for all of the Qubes cannot be
 //! expected to. PRESET is `thesis`, `quick` or `robust`; settings are those of `TrainSettings`.
 //! With `--against` each seed is trained a second time, with the settings after `--against` in

@@ -34,8 +34,8 @@ pub fn wire(bytes: &[u8]) {
     }
 }
 
-/// A request that is accepted can be encoded again; a reply that is accepted is the same after it
-/// is encoded and decoded.
+/// Decodes the bytes and checks that a request that is accepted can be encoded again, and that a
+/// reply that is accepted is the same after it is encoded and decoded.
 fn decode(bytes: &[u8]) {
     let mut decoder = Decoder::new();
     for &byte in bytes {
@@ -56,7 +56,8 @@ fn decode(bytes: &[u8]) {
     }
 }
 
-/// Splits the bytes into contents of valid frames; the first byte of each is its length.
+/// Splits the bytes into contents and encodes each as a valid frame. A content is the payload's
+/// length, taken modulo 26, the type, taken modulo 16, the sequence number and the payload.
 fn with_checksums(mut bytes: &[u8]) -> impl Iterator<Item = u8> + '_ {
     let mut frames = Vec::new();
     while let [length, message_type, low, high, rest @ ..] = bytes {
@@ -68,8 +69,8 @@ fn with_checksums(mut bytes: &[u8]) -> impl Iterator<Item = u8> + '_ {
     frames.into_iter()
 }
 
-/// Whatever a device receives, its amplifier is on no longer than the watchdog allows and never at
-/// more than 5 V.
+/// Sends the bytes to a device and checks that its amplifier is on no longer than the watchdog
+/// allows and never at more than 5 V.
 fn to_board(bytes: impl Iterator<Item = u8>) {
     let mut board = Board::new(EmulatorSettings::default());
     let mut now_us = 0;
@@ -86,7 +87,7 @@ fn to_board(bytes: impl Iterator<Item = u8>) {
     }
 }
 
-/// A port that answers every request with these bytes.
+/// A port that ignores each request and delivers these bytes, at most 48 for a read.
 struct Chatter<'a> {
     bytes: &'a [u8],
     clock: VirtualClock,
@@ -115,7 +116,8 @@ impl Transport for Chatter<'_> {
     }
 }
 
-/// Whatever a port sends, the host does not panic and waits no longer than told.
+/// Sends the bytes to a host and checks that it does not panic, and that it waits for a sample no
+/// longer than 1 ms past the deadline.
 fn to_host(bytes: &[u8]) {
     let clock = VirtualClock::default();
     let chatter = Chatter { bytes, clock: clock.clone() };
@@ -129,7 +131,8 @@ fn to_host(bytes: &[u8]) {
     let _ = link.disarm();
 }
 
-/// A policy that is accepted survives a round trip and decides without a panic.
+/// Reads a policy and checks that, if it is accepted, it survives a round trip and decides without
+/// a panic.
 pub fn policy(bytes: &[u8]) {
     let Ok(mut policy) = Policy::from_bytes(bytes) else { return };
     let again = policy.to_bytes();
@@ -143,7 +146,7 @@ pub fn policy(bytes: &[u8]) {
     }
 }
 
-/// A recording that is accepted is scored without a panic.
+/// Reads a recording and checks that, if it is accepted, it is scored without a panic.
 pub fn recording(bytes: &[u8]) {
     let Some((&mode, rest)) = bytes.split_first() else { return };
     let parsed = match mode {
@@ -164,7 +167,7 @@ pub fn recording(bytes: &[u8]) {
     }
 }
 
-/// The beginning of a real recording (header, policy, channels), followed by one record.
+/// The beginning of a recording of the program (header, policy, channels), followed by one record.
 fn begun(opcode: u8, body: &[u8]) -> Vec<u8> {
     const BEGUN: &[u8] = include_bytes!("begun.mcap");
     let mut bytes = BEGUN.to_vec();
@@ -188,7 +191,7 @@ fn block(content: &[u8]) -> Vec<u8> {
     chunk
 }
 
-/// A configuration that is accepted survives a round trip.
+/// Reads a configuration and checks that, if it is accepted, it survives a round trip.
 pub fn configuration(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let path = Path::new("session.toml");
@@ -199,7 +202,7 @@ pub fn configuration(bytes: &[u8]) {
     }
 }
 
-/// A ledger that is accepted describes a session that can continue.
+/// Reads a ledger and checks that, if it is accepted, the next step of its session can be decided.
 pub fn ledger(bytes: &[u8]) {
     let Some((&mode, rest)) = bytes.split_first() else { return };
     let mut text = Vec::new();

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Writes tests/fixtures/botorch_fixture_*.json: four small problems with the numbers that BoTorch computes for
-them (objective, gradients, posterior, expected improvement, fit), for tests/virtual_time/surrogate_botorch.rs.
+them (objective, gradients, posterior, expected improvement, fit). tests/virtual_time/surrogate_botorch.rs reads them.
 Needs `pip install botorch` (0.18; torch for the CPU).
 
 usage: scripts/botorch-fixtures.py [FOLDER]

@@ -3,7 +3,7 @@
 the ratios: a fit (gamma priors, constant mean, ARD Matérn 5/2, d = 8) and the maximisation of log EI
 (10 starts, 512 raw points). One thread each.
 
-Needs `pip install botorch`. Pin it: taskset -c 1 scripts/compare-botorch.py [N ...]
+Needs `pip install botorch`. Pin the script to one core: taskset -c 1 scripts/compare-botorch.py [N ...]
 N are numbers of observations, from 25, 100, 500, 1000 and 2000 [25 100 500]. A ratio is the time of BoTorch
 divided by the time of this project.
 """

@@ -1,10 +1,10 @@
 /* Measures how fast a control program and a board can at best exchange frames over a pty: 100 times a second
-   the host asks for a sample, the board answers, the host sends its act. The board measures the time from
-   sample to act. Frames are as long as those of PROTOCOL.md, without content. Prints percentiles of this
-   time in microseconds as one JSON object.
+   the host asks for a sample, the board answers, and the host sends its act. The board measures the time from
+   sample to act. Frames have the lengths of PROTOCOL.md and no content. Prints percentiles of this time in
+   microseconds as one JSON object.
 
    usage: echo-over-pty SECONDS [PRIORITY [REQUEST REPLY ACT]]
-   PRIORITY is that of SCHED_FIFO, or 0 for not real time [40]; REQUEST, REPLY and ACT are the lengths of the
+   PRIORITY is the priority under SCHED_FIFO, or 0 for no real time [40]; REQUEST, REPLY and ACT are the lengths of the
    frames in bytes [7 32 13]. */
 #define _GNU_SOURCE
 #include <fcntl.h>

@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
 """Trains policies around emulated Qubes that were identified from one chirp, and runs them under the guard:
-the recipe that docs/learning.md recommends. Prints the table of each plant. Needs Python 3.11 and a release build.
+the recipe that docs/learning.md recommends. Prints a table for each plant. Needs Python 3.11 and a release build.
 
 usage: scripts/identified-recipe.py [--plants lab,gap,delay,drawn] [--policies N] [--seed S] [--threads T] [--out FOLDER]
 
   lab     profiles/lab.toml, whose delay is 10 ms
-  gap     with 1.5 times lab's friction, dead zones, cable and delay
-  delay   with a delay of 16 ms
+  gap     lab with 1.5 times its friction, dead zones, cable stiffness and delay
+  delay   lab with a delay of 16 ms
   drawn   each number of lab within 10 per cent except gravity, with other numbers for each policy
 
-Each plant is excited with one chirp and identified. Training and guard know the plant by this profile alone. Work
-that is finished in FOLDER is not repeated. Defaults: all plants, N = 20, S = 2000, T = all processors, and FOLDER
+Each plant is excited with one chirp and identified. Training and guard know the plant by the identified profile
+alone. Work that is finished in FOLDER is not repeated. Defaults: all plants, N = 20, S = 2000, T = all processors, and FOLDER
 identified-recipe.
 """
 import argparse

@@ -6,14 +6,15 @@ usage: scripts/session-study.py [--plants lab,gap,delay,drawn,play] [--seeds N] 
                                 [--parallel P] [--out FOLDER]
 
   lab     profiles/lab.toml, whose delay is 10 ms
-  gap     with 1.5 times lab's friction, dead zones, cable and delay, and parameters 1.5 times as far from nominal
-  delay   with a delay of 16 ms
+  gap     lab with 1.5 times its friction, dead zones, cable and delay, and parameters 1.5 times as far from nominal
+  delay   lab with a delay of 16 ms
   drawn   each number of lab within 15 per cent except gravity, with other numbers for each session
-  play    with a backlash of 1 degree between motor and arm, which no simulation of the program has
+  play    lab with a backlash of 1 degree between motor and arm, which no simulation of the program has
 
-The columns: sessions that ended with a verified policy; those among them whose policy balanced in all of its
-verification rollouts; mean return; real rollouts (median and most); sessions whose identification doubted the model
-or failed; mean return of the nominal policy in one rollout. A session whose result is in FOLDER is not run again.
+The columns: all sessions; those whose policy balanced in all of its verification rollouts; then, of the sessions that
+ended with a verified policy, the mean return, the real rollouts (median and most), the number of sessions whose
+identification doubted the model, failed or did not take place, and the mean return of the nominal policy in one
+rollout. A session whose result, even a failure, is in FOLDER is not run again.
 Defaults: all plants, N = 10, S = 3000, M = identified, P = all processors, FOLDER session-study.
 """
 import argparse

@@ -124,7 +124,8 @@ fn network_with_history() -> Policy {
     Policy::Network(policy)
 }
 
-/// A network of the largest size that other programs bring, with weights so small that it rests.
+/// A network with three of at most four hidden layers, all of the largest width. Its weights are so
+/// small that its voltage stays near 0.
 fn large_network() -> Policy {
     let Policy::Network(mut policy) = network() else { unreachable!("it is a network") };
     let sizes = [10, 256, 256, 256, 1];
@@ -168,7 +169,7 @@ fn an_allocation_in_the_loop_is_counted() {
 #[test]
 fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
     in_real_time(|| {
-        // As the control thread requests it.
+        // The control thread requests the same rights.
         let _ = enter_realtime();
         for homing in [true, false] {
             let qube = EmulatedQube::spawn(EmulatorSettings::default()).expect("a pty");
@@ -181,8 +182,8 @@ fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
             } else {
                 driven(device, &MonotonicClock, &mut rollout(network(), 100))
             };
-            // Uncalibrated counts may lie outside the box, which ends the rollout early and is no
-            // fault.
+            // With uncalibrated counts settling never comes to rest, so the rollout ends before its
+            // policy runs. Only a fault of the link fails the test.
             if let Ending::Fault(fault @ (Fault::NoSample | Fault::LinkGone)) = ending {
                 panic!("{fault}. {}", fault.operator_step());
             }

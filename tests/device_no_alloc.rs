@@ -11,7 +11,8 @@ use qube_hil::device::{Device, SerialLink};
 #[global_allocator]
 static ALLOCATOR: AllocDisabler = AllocDisabler;
 
-/// Ticks of a device that answers, answers too late, refuses, and disappears.
+/// Runs ticks that give the device enough or too little time to answer, with voltages inside and
+/// outside its range.
 fn tick_often(device: &mut dyn Device, clock: &dyn Clock) {
     for patience_ns in [2_000_000_000, 0, 100_000, 2_000_000_000] {
         for voltage_mv in [100, -100, 6000] {

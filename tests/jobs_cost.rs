@@ -1,6 +1,6 @@
-//! Measures the processor time and memory of the coordinator of a folder of jobs, with workers that
-//! finish at once: `cargo test --test jobs_cost -- --ignored --nocapture` prints them for up to
-//! 10 000 jobs.
+//! Measures the processor time and memory of the coordinator of a folder of jobs, with a worker
+//! that finishes every job at once: `cargo test --test jobs_cost -- --ignored --nocapture` prints
+//! them for up to 10 000 jobs.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,7 +22,8 @@ struct Cost {
 
 /// Processor time of this process or thread so far, s.
 fn cpu_s(of: libc::c_int) -> f64 {
-    // SAFETY: the structure consists of numbers, for which zeros are a value, and the call fills it.
+    // SAFETY: the structure consists of numbers, for which zeros are a value, and the call fills
+    // it.
     let usage = unsafe {
         let mut usage: libc::rusage = std::mem::zeroed();
         assert_eq!(libc::getrusage(of, &raw mut usage), 0);

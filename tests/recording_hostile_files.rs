@@ -1,5 +1,5 @@
-//! Tests that small files which ask for much memory do not get it, by the largest amount in use
-//! while a recording is read.
+//! Tests that small files which ask for much memory do not get it, by the largest number of bytes
+//! in use while a recording is read.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::Write;
@@ -9,12 +9,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use crc::{CRC_32_ISO_HDLC, Crc};
 use qube_hil::recording::{Completeness, parse};
 
-/// Largest amount for a file of a few megabytes: one block at a time, and the ticks.
+/// Limit of the memory for a file of a few megabytes, bytes: one block at a time, and the ticks.
 const ENOUGH_BYTES: usize = 32 << 20;
 
 static IN_USE: AtomicUsize = AtomicUsize::new(0);
 static PEAK: AtomicUsize = AtomicUsize::new(0);
-/// Lock: one measurement at a time.
+/// Lock that lets one measurement run at a time.
 static TURN: Mutex<()> = Mutex::new(());
 
 /// The system's allocator, which counts the bytes in use.
@@ -64,7 +64,7 @@ fn text(bytes: &[u8]) -> Vec<u8> {
     [&(bytes.len() as u32).to_le_bytes(), bytes].concat()
 }
 
-/// Reads the beginning of a real recording with `more` behind it.
+/// Checks that the beginning of a real recording with `more` behind it is read with little memory.
 #[track_caller]
 fn is_read_with_little_memory(more: &[u8]) {
     let turn = TURN.lock().unwrap();

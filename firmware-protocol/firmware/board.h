@@ -1,5 +1,4 @@
-/* The interface between program and board; another kind of board needs another file that
- * implements it. */
+/* The interface between program and board. Each kind of board has a file that implements it. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -11,12 +10,12 @@
 /* One of `enum device_kind`. */
 extern const uint8_t BOARD_KIND;
 
-/* To be called before anything else: tells the Qube to switch its motor off. A program that hung
+/* Tells the Qube to switch its motor off; to be called before anything else. A program that hung
  * before this start, or a board that lost its supply, may have left a voltage there. */
 void board_switch_qube_off(void);
 
-/* This board's own serial number, most significant byte first: random once, kept over power-off. May
- * take 50 ms the first time; to be called before `board_start`. */
+/* Gives this board's own serial number, most significant byte first: drawn at random once, then
+ * kept over power-off. May take 50 ms the first time; to be called before `board_start`. */
 void board_serial(uint8_t serial[8]);
 
 /* Starts serial port, SPI, clock and interrupts. The hardware watchdog runs from here on. */
@@ -45,8 +44,8 @@ bool board_lost_bytes(void);
 uint8_t board_send_room(void);
 void board_send(const uint8_t *bytes, uint8_t length);
 
-/* The frame to the Qube: one at a time, moved by interrupts, chip select low throughout. The Qube is
- * busy from `board_qube_begin`, which returns the time at which chip select fell, us, until
+/* The frame to the Qube: one at a time, moved by interrupts, chip select low throughout. The Qube
+ * is busy from `board_qube_begin`, which returns the time at which chip select fell, us, until
  * `board_qube_ended` has returned true. */
 bool board_qube_is_busy(void);
 uint32_t board_qube_begin(const uint8_t command[QUBE_FRAME_BYTES]);
@@ -57,7 +56,8 @@ bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES]);
  * later it restarts the chip. */
 void board_feed_hardware_watchdog(void);
 
-/* Sleeps until the next interrupt, or not at all if there was one since the last call. */
+/* Sleeps until the next interrupt, or not at all if an interrupt since the last call may have left
+ * work. */
 void board_sleep(void);
 
 #endif

@@ -1,4 +1,4 @@
-/* The board layer for Arduino Uno and Nano (ATmega328P) and Mega (ATmega2560), both at 16 MHz.
+/* The board layer for Arduino Uno and Nano (ATmega328P) and Mega (ATmega2560), all at 16 MHz.
  *
  * UART0 connects to the board's USB converter, SPI to the Qube; timer 1 is clock and sampling
  * timer. The EEPROM holds boot number, serial number, and whether there is an emergency-stop
@@ -67,7 +67,7 @@ const uint8_t BOARD_KIND = KIND_ATMEGA2560;
 #define RECEIVE_RING_BYTES 128u
 #define SEND_RING_BYTES 128u
 
-/* Set by every interrupt, because there may be work. */
+/* Set by each interrupt after which the main loop may have work. */
 static volatile bool has_event;
 
 static volatile uint32_t period_start_us;
@@ -251,7 +251,7 @@ ISR(SPI_STC_vect)
 bool board_qube_is_busy(void)
 {
     /* Also busy until the program has seen the end of a frame, because the next frame would
-     * overwrite its answer. Once `qube_busy` is false, the interrupt has set `qube_ended`. */
+     * overwrite its answer. The interrupt that clears `qube_busy` also sets `qube_ended`. */
     return qube_busy || qube_ended;
 }
 
@@ -282,7 +282,7 @@ bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES])
 /* --- the chip's own watchdog --- */
 
 /* Sends one frame with the motor word 0x0000, byte by byte without interrupts. It needs neither
- * the main loop nor anything that the program has set up. */
+ * the main loop nor settings of the SPI, only the directions of the pins. */
 static void send_off_frame(void)
 {
     static const struct qube_command OFF = {
@@ -314,10 +314,10 @@ void board_switch_qube_off(void)
     send_off_frame();
 }
 
-/* Runs when the program hangs. The Qube would keep its last motor word through the restart and through a
- * boot loader (some on the Mega never get past a restart by the watchdog). So one frame switches
- * its motor off first. No other interrupt waits; this one does, for 0.2 ms, because a program
- * that hangs cannot be delayed. At the watchdog's second time-out, 16 ms later, the chip
+/* Runs when the program hangs. The Qube would keep its last motor word through the restart and
+ * through a boot loader (some on the Mega never get past a restart by the watchdog). So one frame
+ * switches its motor off first. No other interrupt waits; this one does, for 0.2 ms, because a
+ * program that hangs cannot be delayed. At the watchdog's second time-out, 16 ms later, the chip
  * restarts. If the program hangs with interrupts disabled, the chip restarts without this frame,
  * and the program's first frame switches the motor off. */
 ISR(WDT_vect)
@@ -358,9 +358,9 @@ static uint16_t crc_of(const uint8_t serial[8])
     return crc;
 }
 
-/* Draws eight bytes that differ between boards. The content of unused memory at power-on differs from
- * chip to chip in a few of a hundred cells, and the signature row holds lot, wafer and position
- * on chips that have it. The bytes are four checksums of both. */
+/* Draws eight bytes that differ between boards. The content of unused memory at power-on differs
+ * from chip to chip in a few of a hundred cells. The signature row holds lot, wafer and position on
+ * chips that store them. The bytes are four checksums of both. */
 static void draw_serial(uint8_t serial[8])
 {
     uint16_t lanes[4] = {0xFFFFu, 0xFFFFu, 0xFFFFu, 0xFFFFu};

@@ -20,7 +20,7 @@ static bool is_newer(uint16_t candidate, uint16_t last)
     return (int16_t)(uint16_t)(candidate - last) > 0;
 }
 
-/* Whether an act may answer this sample: the last one given, no older than 20 ms. */
+/* Whether an act may answer this sample: it is the last one given and no older than 20 ms. */
 static bool answers_fresh_sample(const struct device *device, uint32_t sampled_at_us, uint32_t now_us)
 {
     return device->sample_given && sampled_at_us == device->previous_sample_us &&
@@ -110,7 +110,7 @@ static bool hello(struct device *device, uint16_t host_version, struct link_fram
     return true;
 }
 
-/* The reason why this state refuses arms and acts; 0 if it does not. */
+/* The reason why this state refuses the request, an Arm or an Act; 0 if it does not. */
 static uint8_t state_refuses(const struct device *device, uint8_t request)
 {
     switch (device->state) {

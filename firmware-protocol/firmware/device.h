@@ -71,7 +71,7 @@ struct device {
     bool clears_stall;
     bool clearing_frame;
 
-    /* Whether a frame has ended since the start; before that nothing is known of the Qube. */
+    /* Whether a frame has ended since the start; until then nothing is known of the Qube. */
     bool qube_was_asked;
     bool qube_present;
     uint16_t module_id;
@@ -92,7 +92,7 @@ void device_start(struct device *device, const struct device_identity *identity,
  * `device_waits` returns true. */
 bool device_request(struct device *device, const struct link_frame *request, uint32_t now_us,
                     struct link_frame *reply);
-/* Whether requests must wait: for the frame of a Sample, or for the first frame of all, before
+/* Whether requests must wait: for the frame of a Sample, or for the end of the first frame, before
  * which nothing is known of the Qube. */
 bool device_waits(const struct device *device);
 /* Answers a Sample whose frame has ended; returns whether `reply` must be sent now. */

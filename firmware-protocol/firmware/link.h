@@ -24,11 +24,12 @@ struct link_receiver {
 
 enum link_event { LINK_NOTHING, LINK_FRAME, LINK_DROPPED };
 
-/* Takes one byte; after LINK_FRAME, `frame` holds the frame that it ended. */
+/* Takes one byte. It returns LINK_FRAME if the byte ended a frame, which `frame` then holds, and
+ * LINK_DROPPED if it ended bytes that are no frame. */
 enum link_event link_receive(struct link_receiver *receiver, uint8_t byte,
                              struct link_frame *frame);
 
-/* Drops the current frame, because a byte was lost. */
+/* Marks the current frame, of which a byte was lost, so that its end drops it. */
 void link_lose_byte(struct link_receiver *receiver);
 
 /* Encodes a frame with its closing 0x00; returns the number of bytes. */

@@ -1,7 +1,7 @@
 /* The program of the microcontroller between a computer and a Quanser Qube.
  *
- * Interrupts only move bytes and count time. The main loop makes all decisions, one after the other,
- * so that no decision sees data that are half written. */
+ * Interrupts only move bytes and count time. The main loop makes all decisions, one after the
+ * other, so that no decision sees data that are half written. */
 #include "board.h"
 #include "device.h"
 #include "link.h"
@@ -42,16 +42,16 @@ static void end_qube_frame(void)
     uint8_t answer[QUBE_FRAME_BYTES];
     if (board_qube_ended(answer)) {
         device_frame_ended(&device, answer);
-        /* The only place that feeds the hardware watchdog. It is reached only while main loop,
-         * sampling timer and SPI all work; if one of them failed, the Qube would keep its last
-         * motor word. */
+        /* The only place that feeds the hardware watchdog. It is reached only while main loop and
+         * SPI work, and while the sampling timer or the host's requests begin frames. Without
+         * frames the Qube would keep its last motor word. */
         board_feed_hardware_watchdog();
     }
 }
 
-/* Begins a frame to the Qube when the sampling timer demands it, and at once for a new command or a
- * waiting sample. A frame in progress is not interrupted: it ends within 0.2 ms, about the time that
- * the loop takes to read an act and compute its motor word. */
+/* Begins a frame to the Qube when the sampling timer demands it, and at once for a new command or
+ * a waiting sample. A frame in progress is not interrupted: it ends within 0.2 ms, about the time
+ * that the loop takes to read an act and compute its motor word. */
 static void begin_qube_frame(void)
 {
     if (board_qube_is_busy() || !(board_sampling_is_due() || device_wants_frame(&device))) {

@@ -1,5 +1,5 @@
 /* Written from the Rust crate firmware-protocol by its test `firmware_header`: do not edit.
- * What the names mean: PROTOCOL.md. */
+ * PROTOCOL.md explains the names. */
 #ifndef WIRE_H
 #define WIRE_H
 

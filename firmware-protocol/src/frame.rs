@@ -52,7 +52,7 @@ impl EncodedFrame {
         &self.bytes[..self.length]
     }
 
-    /// Encodes any type and payload, including those of no message, so that tests can send invalid
+    /// Encodes any type and payload, also those that no message has, so that tests can send invalid
     /// frames. Payload beyond [`MAX_PAYLOAD_BYTES`] is dropped.
     #[must_use]
     pub fn new(message_type: u8, sequence: u16, payload: &[u8]) -> Self {
@@ -86,11 +86,11 @@ impl fmt::Debug for EncodedFrame {
 /// silence and counts them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
-    /// There are more bytes than in the largest frame.
+    /// The frame is longer than the largest frame of this protocol.
     TooLong,
     /// The bytes are not COBS, or are fewer than in the smallest frame.
     Garbled,
-    /// The checksum of the frame differs from that of its content.
+    /// The checksum in the frame is not the checksum of the frame's content.
     Checksum,
 }
 

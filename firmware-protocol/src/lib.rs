@@ -1,9 +1,9 @@
 //! The wire between a computer and the microcontroller at a Quanser Qube: messages, framing,
 //! scaling, version.
 //!
-//! Host and emulator share only this crate, and the microcontroller's program is written against
-//! this crate's `PROTOCOL.md` and `golden.txt`. The crate does no I/O, keeps no clock, allocates
-//! nothing and imports nothing of the project.
+//! Host and emulator share no other code of the wire. The microcontroller's program is tested
+//! against `golden.txt`, and its `wire.h` is generated from this crate. The crate does no I/O,
+//! keeps no clock, allocates nothing and imports nothing of the project.
 //!
 //! ```
 //! use firmware_protocol::{Decoder, Request};

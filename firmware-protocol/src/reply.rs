@@ -41,7 +41,7 @@ pub struct HelloReply {
     pub protocol_version: u16,
     /// Version of the device's firmware: major, minor, patch.
     pub firmware_version: [u8; 3],
-    /// Kind of device: a [`DeviceKind`], or a number that this version has no name for.
+    /// Kind of device: a [`DeviceKind`], or a number without a name in this version.
     pub kind: u8,
     /// Module id that the Qube reports; any number other than
     /// [`QUBE_MODULE_ID`](crate::QUBE_MODULE_ID) means that there is no Qube.
@@ -78,8 +78,8 @@ pub struct SampleReply {
     /// Sequence number of the last accepted act, or of the `Arm` request if no act was accepted
     /// since; 0 from a start or a hello to the next `Arm` request.
     pub last_act_sequence: u16,
-    /// Time from the previous sample to the first act accepted after it, microseconds, at most 65
-    /// 534; [`NO_ACT_US`](crate::NO_ACT_US) if no act was accepted.
+    /// Time from the previous sample to the first act accepted after it, microseconds, at most
+    /// 65 534; [`NO_ACT_US`](crate::NO_ACT_US) if no act was accepted.
     pub sample_to_act_us: u16,
 }
 
@@ -175,7 +175,7 @@ wire_enum! {
 wire_enum! {
     /// The reason why a request was not carried out.
     RefusalReason {
-        /// No hello of this protocol version came before.
+        /// No hello came since the device's start, or the last one was of another protocol version.
         NotGreeted = 1,
         /// The device is not armed.
         NotArmed = 2,
@@ -183,7 +183,7 @@ wire_enum! {
         WatchdogTripped = 3,
         /// A fault is latched or lasts: the host must send hello and arm once the cause is gone.
         Faulted = 4,
-        /// The nonce is not the last one given, or an `Arm` request has used it.
+        /// The nonce is 0 or not the last one given, or an `Arm` request has used it.
         WrongNonce = 5,
         /// The device is armed already.
         AlreadyArmed = 6,
@@ -191,13 +191,13 @@ wire_enum! {
         StaleSequence = 7,
         /// The voltage is above 5000 mV or below -5000 mV.
         VoltageOutOfRange = 8,
-        /// The Qube does not answer the microcontroller.
+        /// The Qube does not answer the microcontroller, or has another module id.
         QubeAbsent = 9,
         /// The payload is longer or shorter than that of a request of this type.
         WrongLength = 10,
         /// No request has this type.
         UnknownType = 11,
-        /// The act answers no sample that was given, or one that is too old.
+        /// The act does not answer the last sample that was given, or that sample is too old.
         StaleSample = 12,
         /// The emergency-stop switch is open, or was since the last hello.
         EmergencyStop = 13,

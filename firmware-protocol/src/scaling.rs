@@ -45,7 +45,7 @@ pub fn motor_voltage_mv(motor_counts: i16) -> i16 {
 }
 
 /// The motor word of an amplifier that is on: bit 15, then the counts as 15 bits of two's
-/// complement. (An amplifier that is off gets 0x0000.)
+/// complement. The motor word of an amplifier that is off is 0x0000.
 #[must_use]
 pub fn motor_word(motor_counts: i16) -> u16 {
     MOTOR_ENABLE | (motor_counts as u16 & 0x7FFF)

@@ -9,9 +9,9 @@ pub fn is_newer(candidate: u16, last: u16) -> bool {
 }
 
 /// Whether an act that arrives at `now_us` and names the sample of `sampled_at_us` may be carried
-/// out: it must name the last sample that the device gave (`given_us`, `None` if there is none),
-/// and that sample must be no older than [`MAX_SAMPLE_AGE_US`]. All times are by the device's
-/// clock, microseconds modulo 2^32.
+/// out: it must name the last sample that the device gave (`given_us`, `None` if it gave none since
+/// the last hello), and that sample must be no older than [`MAX_SAMPLE_AGE_US`]. All times are by
+/// the device's clock, microseconds modulo 2^32.
 ///
 /// In C: `given && sampled_at == given_at && (uint32_t)(now - sampled_at) <= MAX_SAMPLE_AGE_US`.
 #[must_use]

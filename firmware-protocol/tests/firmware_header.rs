@@ -1,5 +1,5 @@
-//! Tests that the firmware's constants are those of this crate: generates `firmware/wire.h` and
-//! compares the text with the committed file.
+//! Tests that the firmware's constants are those of this crate: generates the text of
+//! `firmware/wire.h` and compares it with the committed file.
 //!
 //! `UPDATE_FIRMWARE_HEADER=1 cargo test -p firmware-protocol --test firmware_header` rewrites the
 //! file.
@@ -87,7 +87,7 @@ fn reply_types() -> Vec<(String, u8)> {
 fn header() -> String {
     let mut header = String::from(
         "/* Written from the Rust crate firmware-protocol by its test `firmware_header`: do not edit.\n\
-         \x20* What the names mean: PROTOCOL.md. */\n\
+         \x20* PROTOCOL.md explains the names. */\n\
          #ifndef WIRE_H\n#define WIRE_H\n\n",
     );
     let h = &mut header;

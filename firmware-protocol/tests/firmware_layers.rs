@@ -1,5 +1,6 @@
-//! Tests the firmware's pure layers, compiled for this computer with all warnings and sanitisers:
-//! the layers agree with `golden.txt` and, on arbitrary bytes, with this crate.
+//! Tests the firmware's pure layers, compiled for this computer with warnings as errors and, where
+//! the compiler has them, with sanitisers: the layers agree with `golden.txt` and, on arbitrary
+//! bytes, with this crate.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -29,7 +30,7 @@ fn compile(flags: &[&str], program: &Path) -> bool {
 }
 
 /// The path of the C program, which is compiled once for each run of the tests; without sanitisers
-/// if the compiler has none.
+/// if compiling with them fails.
 fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {

@@ -200,7 +200,6 @@ fn number<T: TryFrom<i64>>(word: &str) -> T {
     T::try_from(value).ok().unwrap_or_else(|| panic!("{word} is out of range"))
 }
 
-/// Rewrites the frames of requests and replies in the file and keeps the other lines.
 #[test]
 fn the_examples_of_the_page_are_golden_frames() {
     let frames: Vec<&str> =
@@ -220,6 +219,7 @@ fn is_hexadecimal_byte(word: &str) -> bool {
     word.len() == 2 && u8::from_str_radix(word, 16).is_ok()
 }
 
+/// Rewrites the frames of requests and replies in the file and keeps the other lines.
 #[test]
 #[ignore = "writes golden.txt; run it when the wire has changed"]
 fn write_the_frames_anew() {

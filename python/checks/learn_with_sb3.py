@@ -37,7 +37,7 @@ def program(*arguments):
 def checked_env():
     check_env(gymnasium.make("qube_hil/Qube-v0").unwrapped)
     check_env(gymnasium.make("qube_hil/Qube-v0", model="robust", settings="robust").unwrapped)
-    # The adapter takes what SB3 wraps around a VecEnv.
+    # The adapter works inside a wrapper of SB3 for VecEnvs.
     envs = VecMonitor(QubeVecEnv(4))
     envs.seed(3)
     observations = envs.reset()
@@ -127,7 +127,7 @@ class Deterministic(nn.Module):
 
 
 def exporters(model, sequential, observations, folder):
-    """Imports the files of torch's exporters; returns a text for each exporter about the result."""
+    """Imports the files of torch's exporters. Returns a message or the difference in V for each, by a description."""
     told = {}
     seen = torch.from_numpy(observations[:1])
     outputs = model.predict(observations, deterministic=True)[0]
@@ -167,7 +167,7 @@ def exporters(model, sequential, observations, folder):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=2_000_000, help="most control steps of PPO's training")
+    parser.add_argument("--steps", type=int, default=2_000_000, help="largest number of control steps of PPO's training")
     steps = parser.parse_args().steps
     result = {"torch": torch.__version__, "stable_baselines3": stable_baselines3.__version__}
 

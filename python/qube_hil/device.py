@@ -19,18 +19,20 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
     program, which asks Python for a voltage at each tick.
 
     Args:
-        device: Serial port of a Qube; None for the emulated one.
+        device: Serial port of a Qube, or ``hil:CARD@ID`` for a Qube with the USB panel. None drives the Qube whose port
+            the option ``qube`` names, and the emulated one without that option.
         deadline_ms: Time limit of an answer within the tick of 10 ms, 0.1 to 8.5 ms; None takes the time that the measured
             link leaves, at most 5 ms. After a late answer the last voltage is held; ten in a row brake the arm and raise a
             `LateError`.
         clock: ``wall``, or ``virtual`` for the emulated Qube: time waits for Python, and the same actions give the same
             bytes.
-        recordings: Folder for the recordings, one for each episode: ``episode-0000.mcap`` and so on, numbered
-            after the files that are already there.
+        recordings: Folder for the recordings, one for each episode: ``episode-0000.mcap`` and so on. An episode takes the
+            lowest number without a file.
         history: Number of last commands in the observation, 0 to 4.
         seed: Seed of the arm's start angles, and of the emulated Qube.
         options: Other options of the command ``run``, with ``_`` for ``-``: ``qube="qube.toml"``, ``guard="box"``,
-            ``profile="lab"``, ``acknowledge=True`` ...
+            ``profile="lab"``, ``acknowledge=True`` ... Those that choose a controller are refused. Those for the number
+            of rollouts, the folder, the screen and the live view have no effect.
 
     Spaces, rewards, termination and truncation are those of `QubeEnv`. The state is estimated from the encoders, and
     foresight is the guard unless an option says otherwise: an episode is terminated where the guard takes over. The

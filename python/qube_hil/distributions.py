@@ -20,7 +20,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class Normal:
-    """A normal distribution in the quantity's SI unit. Draws lie between 0.1 and 1.9 times the mean of a parameter."""
+    """A normal distribution in the quantity's SI unit. A draw of a parameter lies between 0.1 and 1.9 times the mean."""
 
     mean: float
     standard_deviation: float
@@ -55,7 +55,7 @@ Distribution = Constant | Normal | Uniform
 
 
 def read(fields: Mapping[str, Any]) -> Distribution:
-    """A distribution as files have it."""
+    """The distribution that these fields of a file describe."""
     if fields["type"] == "constant":
         return Constant(fields["value"])
     mean, deviation = fields["mean"], fields["standard_deviation"]

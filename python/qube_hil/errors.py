@@ -19,7 +19,7 @@ class EpisodeOverError(QubeHilError, RuntimeError):
 
 
 class PolicyError(QubeHilError, ValueError):
-    """A policy cannot be read, written or made."""
+    """A policy cannot be read, written, made or used."""
 
 
 class RecordingError(QubeHilError, ValueError):
@@ -27,7 +27,7 @@ class RecordingError(QubeHilError, ValueError):
 
 
 class SessionError(QubeHilError, ValueError):
-    """A folder is not a session, or a part of it cannot be read."""
+    """A folder is not a session, a part of it cannot be read, or it has no surrogate."""
 
 
 class IdentificationError(QubeHilError, ValueError):

@@ -48,7 +48,8 @@ def train(
         simulation: Sensors, history, reward and box, as for `QubeEnv`; None stands for the preset's.
         seed: Seed of every random number.
         initial: Policy whose weights the training starts from, as the option `--from`. It must see the same observation
-            and have the layers of a trained policy; otherwise it raises `PolicyError`.
+            and have the layers of a trained policy; otherwise `train` raises a `PolicyError`. The command's
+            record names the file of this policy; the record of the result here names none.
         callback: Called after each update with its statistics, such as ``mean_return``. An exception ends the training.
         changes: Settings of the training that differ from the preset's, such as ``updates=20``.
 

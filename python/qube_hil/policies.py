@@ -17,7 +17,8 @@ from .errors import ActionError, PolicyError
 
 
 class Policy:
-    """A policy: a trained network, or the classical controller. Files are those of the program."""
+    """A policy: a network, the classical controller, an excitation, or the name of a controller outside of this program.
+    Its files are those of the program."""
 
     def __init__(self, core: _core.Policy) -> None:
         """Use `Policy.load`, `Policy.from_bytes` or `qube_hil.train`."""
@@ -30,7 +31,7 @@ class Policy:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "Policy":
-        """Reads the bytes of a policy file, such as `Recording.policy`."""
+        """Reads the bytes of a policy file, such as those that `to_bytes` returns."""
         return cls(_core.Policy.from_bytes(data))
 
     @classmethod
@@ -148,8 +149,8 @@ class Policy:
 
     def to_onnx(self) -> bytes:
         """The bytes of an ONNX model, as `qube-hil export --onnx` writes it: from ``observation``, float32
-        ``[n, observation_size]``, to ``voltage_v``, float32 ``[n, 1]`` within 5 V. Its metadata describe the computations before
-        and after the network."""
+        ``[n, observation_size]``, to ``voltage_v``, float32 ``[n, 1]`` within 5 V. Its metadata describe the computations
+        before and after the network."""
         return self._core.to_onnx()
 
     def act(self, observation: npt.ArrayLike) -> Float32s:

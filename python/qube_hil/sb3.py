@@ -13,7 +13,8 @@ class QubeVecEnv(VecEnv):  # type: ignore[misc]
     """A `QubeVectorEnv` in the interface of Stable-Baselines3; the arguments are the same.
 
     The last observation of an episode is in ``infos[i]["terminal_observation"]``, and ``infos[i]["TimeLimit.truncated"]``
-    is true where the time limit ended it. Episode statistics are in ``infos[i]["episode"]``, as `VecMonitor` gives them.
+    is true where the time limit ended it. ``infos[i]["episode"]`` has the return ``r`` and the length ``l`` of the episode,
+    as `VecMonitor` names them.
     """
 
     def __init__(self, num_envs: int = 80, **settings: Any) -> None:

@@ -87,7 +87,7 @@ class Surrogate:
 
 
 class Session:
-    """The results in a session's folder, which is only read; a running session may be using it."""
+    """The results in a session's folder. The folder is only read, so that a running session may be using it."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)

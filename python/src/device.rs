@@ -89,7 +89,7 @@ type Stepped<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, bool, u64, Option<(St
 #[pymethods]
 impl Device {
     /// Opens, examines and homes the Qube that options of the command `run` select. An answer must
-    /// come within `deadline_ms` (0.1 to 8.5; `None`: chosen from the measured link); an
+    /// come within `deadline_ms` (0.1 to 8.5 ms; `None` chooses it from the measured link). An
     /// observation ends with the last `history` commands.
     #[new]
     fn new(
@@ -265,7 +265,7 @@ impl Device {
         }
     }
 
-    /// Waits for the end of the episode, until which the arm may still be braked.
+    /// Waits for the end of the episode, which comes after the brake.
     fn ended(&mut self, py: Python<'_>) -> PyResult<Result<Box<Episode>, ErrorMessage>> {
         self.running = None;
         match self.end(py)? {
@@ -451,8 +451,8 @@ impl Server {
 }
 
 /// The deadline for an answer where the caller names none, us: the tick of 10 ms less `KEPT_US` and
-/// the 99th percentile of the link's round trip, within the limits above. Without a measured link
-/// it is the longest.
+/// the 99th percentile of the link's round trip, but at least `SHORTEST_DEADLINE_US` and at most
+/// `LONGEST_OWN_DEADLINE_US`. Without a measured link it is `LONGEST_OWN_DEADLINE_US`.
 fn own_deadline_us(rig: &Rig) -> f64 {
     let left = rig
         .link()

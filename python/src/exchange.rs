@@ -1,6 +1,6 @@
-//! The exchange between the control thread and Python. In each tick of an episode the control
-//! thread asks for a voltage, with the estimated state, and Python answers; the requests of an
-//! episode are numbered from 1.
+//! The exchange between the control thread and Python. In each tick in which the policy decides,
+//! the control thread gives the estimated state and asks for a voltage, and Python answers. A tick
+//! without a sample asks for none. The requests of an episode are numbered from 1.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -89,10 +89,10 @@ impl Exchange {
 /// The controller that asks Python for each voltage, within the control thread.
 ///
 /// Unlike the controllers of the library it waits within the tick, because its voltage comes from
-/// elsewhere: at most until its deadline, or under a virtual clock until the answer is there. It
-/// allocates nothing. If an answer is late, it repeats the last voltage; after
-/// [`MAX_LATE_IN_A_ROW`] late answers in a row it requests a stop, upon which the tick brakes the
-/// arm.
+/// elsewhere: at most until its deadline, or under a virtual clock until the answer is there. A
+/// requested stop ends the wait. The controller allocates nothing. If an answer is late, it repeats
+/// the last voltage; after [`MAX_LATE_IN_A_ROW`] late answers in a row it requests a stop, upon
+/// which the tick brakes the arm.
 pub struct Remote {
     pub exchange: Arc<Exchange>,
     /// Time that Python has for an answer; `None` waits until the answer is there.

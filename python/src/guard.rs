@@ -4,7 +4,7 @@ use qube_hil::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use qube_hil::qube::{CONTROL_PERIOD_S, MAX_HISTORY, PlantModel, State};
 use qube_hil::safety::{Brake, ForesightSettings, TrustedForesight, clamp_to_mv};
 
-/// Foresight for many Qubes whose plant is known, but not their own parameters.
+/// Foresight for many Qubes of a known plant. It does not know the parameters of a single Qube.
 ///
 /// It estimates velocities by a filter of its own from the angles that the sensors show, and
 /// simulates the brake before each voltage. It replaces a voltage after which the brake would come
@@ -38,8 +38,8 @@ impl Guard {
         }
     }
 
-    /// Begins an episode of the Qube in this lane; `seen` has its angles by the sensors, rad, and
-    /// the velocities count as 0.
+    /// Begins an episode of the Qube in this lane. `seen` has the angles that the Qube's sensors
+    /// show, rad; the velocities count as 0.
     pub fn begin(&mut self, lane: usize, seen: State<f32>) {
         let State { theta, alpha, .. } = seen;
         let state = State { theta: theta.into(), alpha: alpha.into(), ..State::default() };

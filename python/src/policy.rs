@@ -14,7 +14,8 @@ use qube_hil::storage::{Disk, MachineDisk, read_bounded, write_whole};
 
 use crate::errors::{ActionError, bad_policy};
 
-/// A policy: a trained network, or the classical controller.
+/// A policy: a network, the classical controller, an excitation, or the name of a controller
+/// outside of this program.
 #[pyclass(module = "qube_hil._core")]
 pub struct Policy {
     pub(crate) policy: Kind,

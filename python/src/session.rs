@@ -47,8 +47,8 @@ impl Surrogate {
         self.fitted.best.clone()
     }
 
-    /// Means and standard deviations of the expected return, `[n]` each, at n points: a row of
-    /// `points` for each, with an entry for each coordinate of psi.
+    /// Means and standard deviations of the expected return, `[n]` each. `points` has n rows, each
+    /// with an entry for each coordinate of psi.
     fn posterior<'py>(
         &self,
         py: Python<'py>,

@@ -54,9 +54,9 @@ type Stepped<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, bool, bool);
 
 #[pymethods]
 impl Simulation {
-    /// Makes a simulation of `num_envs` Qubes. `model` is the name of a distribution of Qubes;
-    /// `distributions`, as JSON, replace those of single quantities; `settings` of the simulation
-    /// are JSON too; `guard` is `box` or `foresight`.
+    /// Makes a simulation of `num_envs` Qubes. `model` is the name of a distribution of Qubes, and
+    /// `distributions`, JSON, replaces those of single quantities. `settings`, JSON too, are those
+    /// of the simulation. `guard` is `box` or `foresight`.
     #[new]
     fn new(
         num_envs: usize,
@@ -346,7 +346,8 @@ fn slice_of<'a>(
     array.as_slice_mut().map_err(bad_settings)
 }
 
-/// The settings of a simulation from JSON, in which each setting has a default.
+/// Parses the settings of a simulation from JSON and checks them. A setting that the JSON leaves
+/// out has its default.
 pub fn read_settings(json: &str) -> PyResult<SimulationSettings> {
     let settings: SimulationSettings = serde_json::from_str(json)
         .map_err(|error| bad_settings(format!("the simulation's settings: {error}")))?;

@@ -19,8 +19,8 @@ use crate::simulation::{read_distribution, read_settings};
 /// Time between two checks for Ctrl-C.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Trains a policy and calls `on_update` with each update as JSON. Ctrl-C, or an exception in `on_update`,
-/// ends the training.
+/// Trains a policy and calls `on_update` with each update as JSON. Ctrl-C, or an exception in
+/// `on_update`, ends the training.
 ///
 /// `simulation` is JSON, or `None` for the preset's simulation; `changes` are settings of the
 /// training as JSON; `initial` is a policy to continue from. Returns the policy, its best return,
@@ -140,7 +140,7 @@ fn follow(
     }
 }
 
-/// The settings with those replaced that `changes`, as JSON, names.
+/// Replaces the settings that `changes`, a JSON object, names.
 fn changed(settings: &TrainSettings, changes: &str) -> PyResult<TrainSettings> {
     let changes: Map<String, Value> = serde_json::from_str(changes).map_err(bad_settings)?;
     let mut all = serde_json::to_value(settings).map_err(bad_settings)?;

@@ -24,7 +24,7 @@ PROGRAM = Path(sys.executable).parent / "qube-hil"
 
 
 def program(*arguments, code=0):
-    """Runs the program, which ends with this exit code, and returns what it prints."""
+    """Runs the program, asserts that it ends with this exit code, and returns its standard output."""
     ended = subprocess.run(
         [PROGRAM, *map(str, arguments)], capture_output=True, text=True, timeout=600
     )

@@ -32,7 +32,7 @@ def virtual(tmp_path):
 
 
 def episode(env, act, **reset):
-    """Runs an episode: its rewards, its last step, and the observations."""
+    """Runs an episode. Returns its rewards, whether it was terminated, the last info, and the observations."""
     observation, _ = env.reset(**reset)
     rewards, observations = [], [observation]
     while True:

@@ -1,4 +1,4 @@
-"""Policies from other libraries. The classes here stand for torch's, whose names and attributes are all that is read."""
+"""Policies from other libraries. The classes here stand for torch's: the package reads only names and attributes."""
 
 import numpy as np
 import pytest

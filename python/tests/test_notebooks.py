@@ -24,7 +24,7 @@ def test_there_is_a_notebook_for_each_use():
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-# The kernel's own libraries warn of themselves.
+# The libraries of the kernel raise warnings of their own.
 @pytest.mark.filterwarnings("default")
 def test_every_notebook_runs(path, tmp_path, monkeypatch):
     (tmp_path / "policies").symlink_to(SHIPPED)

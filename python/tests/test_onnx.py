@@ -44,7 +44,7 @@ POLICIES = {
 
 
 def observations(size, count=20_000):
-    """Random observations of a kind that occurs, some of them of fast arms and pendulums."""
+    """Random observations like those of an episode, some of them of fast arms and pendulums."""
     theta, alpha = RANDOM.uniform(-2.0, 2.0, count), RANDOM.uniform(-7.0, 7.0, count)
     velocities = RANDOM.normal(scale=[[1.5], [1.0]], size=(2, count))
     commands = RANDOM.uniform(-1.0, 1.0, (size - 6, count))
@@ -90,7 +90,7 @@ def test_the_file_says_what_the_graph_is_and_what_it_is_not(tmp_path):
     assert named["conventions"]["period_s"] == 0.01
     assert named["training"]["sensors"]["corner_rad_s"] == 50.0
     assert [it.name for it in session.get_inputs() + session.get_outputs()] == ["observation", "voltage_v"]
-    # One file, and the operators' version is named in it.
+    # The model names the version of its operators, 17.
     assert re.search(rb"B\x04\n\x00\x10\x11", model)
 
 

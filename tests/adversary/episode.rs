@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::plant::{Plant, Roughness};
 
-/// Number of genes of an adversary: its Qube, its delays, its policy.
+/// Number of genes of an adversary: its Qube, its delays, its policy, its start.
 pub const GENES: usize = 25;
 
 pub type Genome = [f64; GENES];
@@ -54,7 +54,7 @@ pub struct Episode {
     pub largest_mv: i16,
     /// Ending that the tick reported.
     pub ending: Option<Ending>,
-    /// Ticks until the amplifier was off.
+    /// Number of the tick that ended the episode, from 0.
     pub ticks: u32,
 }
 

@@ -67,7 +67,7 @@ impl Plant {
         let Roughness { coulomb_v, cable_v_rad, cable_theta } = self.roughness;
         let past = self.state.theta - cable_theta;
         let pulled = if past * cable_v_rad > 0.0 { cable_v_rad.abs() * past } else { 0.0 };
-        // Smooth over 0.1 rad/s, so that an arm at rest stays there.
+        // Friction grows over the first 0.1 rad/s, so that it does not shake an arm at rest.
         coulomb_v * (10.0 * self.state.theta_dot).clamp(-1.0, 1.0) + pulled
     }
 

@@ -7,10 +7,10 @@ use rand_chacha::ChaCha8Rng;
 
 use super::episode::{Domain, Episode, GENES, Genome, play};
 
-/// Size of a generation.
+/// Number of genomes in a generation.
 const POPULATION: usize = 64;
 
-/// Number of the best of a generation from which the next is drawn.
+/// Number of the best genomes of a generation, from which the next generation is drawn.
 const ELITE: usize = 10;
 
 /// The result of a search: its worst episode, and counts over all episodes.
@@ -28,7 +28,7 @@ pub struct Worst {
     pub false_faults: u32,
 }
 
-/// One search of this many generations; the same seed gives the same result.
+/// Performs one search of this many generations; the same seed gives the same result.
 pub fn search(domain: &Domain, seed: u64, generations: u32) -> Worst {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut mean: Genome = std::array::from_fn(|_| 0.7 * normal(&mut random));

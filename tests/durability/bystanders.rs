@@ -28,8 +28,8 @@ use crate::sweep::plan;
 use crate::watched_wire::WatchedWire;
 use crate::world::Wiring;
 
-/// A disk with one slow or fatal operation: the function is called before each write or sync of the
-/// one file that is written, with the number of writes so far and whether it is a sync.
+/// A disk with one slow or fatal operation: it calls `trick` before each write or sync of the file
+/// that is created, with the number of writes so far and whether it is a sync.
 #[derive(Clone)]
 struct TrickyDisk {
     disk: SimulatedDisk,
@@ -144,7 +144,7 @@ fn a_disk_that_stalls_for_five_seconds_costs_no_tick() {
     let disk = TrickyDisk::new(move |write, is_sync| {
         if write == 1 && !is_sync {
             std::thread::sleep(STALL);
-            // In virtual time the whole rollout passes meanwhile; a busy computer may need longer for it.
+            // In virtual time the whole rollout passes meanwhile; a busy computer may need longer.
             for _ in 0..600 {
                 if wire.state() != DeviceState::Armed {
                     break;
@@ -226,7 +226,7 @@ fn an_orchestrator_that_hangs_anywhere_finds_the_amplifier_off() {
     assert!(looked > 5);
 }
 
-/// A device in whose tick the control thread panics.
+/// A device at which the control thread panics once `samples_left` samples were read.
 struct Panicking {
     link: SerialLink<WatchedWire>,
     samples_left: u32,

@@ -14,7 +14,7 @@ use crate::schedules::{Undisturbed, ledger_path, live, recordings};
 use crate::simulated_disk::{DiskFault, SimulatedDisk, Stopped};
 use crate::world::Wiring;
 
-/// Calls a function for each number below a count, on all processors.
+/// Calls a function for every `stride`-th number below a count, from 0, on all processors.
 fn each_of(count: u64, stride: u64, action: impl Fn(u64) + Sync) {
     let next = AtomicU64::new(0);
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
@@ -34,7 +34,8 @@ fn each_of(count: u64, stride: u64, action: impl Fn(u64) + Sync) {
 }
 
 /// Resumes without faults and compares the ledger with the undisturbed one. Returns the number of
-/// rigs that were opened, which is the number of repeated rollouts.
+/// rigs that were opened. In virtual time each rollout opens one, so this is the number of rollouts
+/// that were made.
 fn resumes_to_the_same_ledger(world: &Undisturbed, disk: &SimulatedDisk, what: &str) -> usize {
     let life = live(&world.settings, disk, Wiring::default(), Arc::default());
     life.result.unwrap_or_else(|error| panic!("{what}: {error}"));
@@ -67,7 +68,7 @@ fn a_recovery_that_a_write_ends_leaves_nothing_and_can_be_repeated() {
         disk.create_folder(path.parent().unwrap()).unwrap();
         disk.put(&path, &bytes[..bytes.len() / 2]);
         disk.plan([(operation, DiskFault::WriteFails)]);
-        // A sync, or after the end.
+        // No write failed: the operation is a sync, or the recovery has fewer operations.
         let Err(error) = recover(&disk, &path, &saved) else { continue };
         assert!(disk.bytes(&saved).is_none(), "operation {operation}: a part is left: {error}");
         recover(&disk, &path, &saved).unwrap();
@@ -91,8 +92,8 @@ fn a_recording_cut_at_any_byte_is_done_again_and_counted_once() {
         assert!(matches!(verdict, Ok(Verdict::Unfinished) | Err(_)), "cut at {cut}: {verdict:?}");
     });
 
-    // A cut recording is put aside, and its rollout is repeated. The ledger ends where the crash left it,
-    // before this rollout.
+    // A cut recording is put aside, and its rollout is repeated. The ledger ends where the crash
+    // left it, before this rollout.
     let text = String::from_utf8(world.ledger.clone()).unwrap();
     let before = text.find("rollout_finished").unwrap();
     let before = text[..before].rfind('\n').unwrap() + 1;
@@ -125,7 +126,7 @@ fn a_disk_that_fails_at_any_operation_ends_the_session_with_a_sentence_and_keeps
     resumes_to_the_same_ledger(world, &after_training, "undisturbed");
     let operations = after_training.operations() - before;
     let stride = count_from("QUBE_HIL_DISK_STRIDE", 5);
-    // From the first rollout on, and with fewer samples from the beginning.
+    // The faults strike from the first rollout on and, with fewer samples, from the beginning.
     for (disk, operations, stride) in [
         (world.trained_disk(), operations, stride),
         (SimulatedDisk::default(), world.disk_operations, stride * 16 + 1),

@@ -12,7 +12,7 @@ const MS: Nanoseconds = 1_000_000;
 pub enum Kind {
     /// Its bytes are lost.
     Drop,
-    /// Its bytes and all later ones are delayed by this time.
+    /// Its bytes are delayed by this time, ns, and later ones do not overtake them.
     Delay(Nanoseconds),
     /// A bit of it is flipped.
     Garble,
@@ -26,9 +26,9 @@ pub enum Kind {
     Short,
     /// The operating system reports an error.
     InputOutputError,
-    /// Reads find the end of the file; writes go nowhere.
+    /// A read finds the end of the file, so that the port is gone; a write goes nowhere.
     EndOfFile,
-    /// Nothing arrives and nothing is accepted, without an error.
+    /// A read gets nothing until its deadline; a write is told that the port is full.
     Hang,
     /// The port is gone; the device is back under another name.
     Rename,

@@ -70,7 +70,8 @@ fn a_job_survives_whatever_happens_to_the_disk_of_its_first_worker() {
             work(&disk, "first");
             for stopped in [Stopped::Killed, Stopped::PowerLost(at)] {
                 let disk = disk.restarted(stopped);
-                // A loss of power may take the folder of a claim back, never a finished name.
+                // A loss of power may take back a claim or a result whose folder is not synced. A
+                // coordinator discards a damaged result, and so does this test.
                 let reopened = JobFolder::open(Arc::new(disk.clone()), Path::new(ROOT)).unwrap();
                 if reopened.has_result(&name) && reopened.read_result(&name, &job).is_err() {
                     reopened.discard_result(&name).unwrap();

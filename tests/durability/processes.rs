@@ -139,14 +139,16 @@ fn a_process_that_is_stopped_in_a_rollout_finds_the_watchdog_tripped_and_says_so
             Verdict::Void { reason } => assert!(reason.contains("watchdog"), "{reason}"),
             other => panic!("{other:?}"),
         }
-        // By the device's clock, the motor had no voltage when it was asked again.
+        // The device's last answer shows that its watchdog tripped and that the motor had no
+        // voltage.
         let last = read(&recording).unwrap().ticks.iter().rev().find_map(|tick| tick.measurement);
         let last = last.unwrap();
         assert!(last.status.watchdog_tripped && last.applied_mv == 0, "{last:?}");
     });
 }
 
-/// A session of a second: three candidates, 60 steps each.
+/// A session of about a second: three candidates with two rollouts each, and two verification
+/// rollouts, of 60 steps each.
 const SMALL: &str = "seed = 5\nstrategy = \"random\"\n\
     [extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 2\nverification_rollouts = 2\n\
     steps = 60\n\

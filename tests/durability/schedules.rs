@@ -29,11 +29,12 @@ use crate::world::{STEPS, Wiring};
 /// Number of different undisturbed sessions, the worlds of the schedules.
 const WORLDS: u64 = 4;
 
-/// Number of lives with faults in a schedule; a life is one run of the process. Later lives have no faults, so that a
-/// schedule ends.
+/// Number of lives with faults in a schedule; a life is one run of the process. Later lives have no
+/// faults, so that a schedule ends.
 const DISTURBED_LIVES: u32 = 3;
 
-/// Settings of a session of four rollouts (two candidates of the search, two verifications), hardly trained.
+/// Settings of a session of four rollouts (two candidates of the search, two verifications) with
+/// policies that are hardly trained.
 pub fn settings(seed: u64) -> SessionSettings {
     let mut settings = SessionSettings::quick();
     settings.name = "schedule".into();
@@ -69,7 +70,8 @@ pub fn ledger_path() -> PathBuf {
     root().join("ledger.jsonl")
 }
 
-/// A session that ran without faults, its disk and ledger afterwards, and the number of its operations.
+/// A session that ran without faults, its disk and ledger afterwards, and the numbers of its
+/// operations on the disk and on its busiest wire.
 pub struct Undisturbed {
     pub settings: SessionSettings,
     pub disk: SimulatedDisk,
@@ -112,7 +114,9 @@ impl Undisturbed {
     }
 }
 
-/// One life of the process: its result, the entries of the ledger at its end, and its operations on the wire.
+/// One life of the process: its result, the entries of the ledger at its end, the number of
+/// operations on each wire, and the longest time for which an amplifier stayed on after the last
+/// valid command, us.
 pub struct Life {
     pub result: Result<(), SessionError>,
     pub entries: Vec<Entry>,
@@ -243,7 +247,7 @@ impl Schedule {
             }
             let crashed = disk.crashed().load(Ordering::SeqCst);
             told.crashes += u64::from(crashed);
-            // A process that ended by itself may lose the power before the next one too.
+            // The power may also fail after a process that ended by itself.
             let stopped = if self.chance(if crashed { 5 } else { 2 }) {
                 told.power_losses += 1;
                 Stopped::PowerLost(self.random.random())
@@ -251,7 +255,7 @@ impl Schedule {
                 Stopped::Killed
             };
             disk = disk.restarted(stopped);
-            // Nothing that was recorded is lost.
+            // No entry of the ledger is lost.
             let bytes = disk.bytes(&ledger_path()).unwrap_or_default();
             let found = parse_ledger(&bytes).unwrap_or_else(|damage| panic!("{damage:?}"));
             assert!(found.entries.starts_with(&recorded), "a recorded entry is lost");
@@ -266,7 +270,8 @@ impl Schedule {
     }
 
     /// Checks that each rollout is counted once and that its recording is complete, and that a
-    /// session without void attempts has the ledger of an undisturbed one, byte for byte.
+    /// session without faults of the wire has the ledger of an undisturbed one, byte for byte. A
+    /// session that has given up may lack rollouts.
     fn check_end(&self, disk: &SimulatedDisk, recorded: &[Entry], given_up: bool) {
         let bytes = disk.bytes(&ledger_path()).unwrap_or_default();
         let entries = parse_ledger(&bytes).unwrap().entries;
@@ -305,7 +310,8 @@ impl Drop for Seed {
     fn drop(&mut self) {
         if std::thread::panicking() {
             eprintln!(
-                "again: QUBE_HIL_SCHEDULE_SEED={} QUBE_HIL_SCHEDULES=1 cargo test --test durability schedules",
+                "again: QUBE_HIL_SCHEDULE_SEED={} QUBE_HIL_SCHEDULES=1 \
+                 cargo test --test durability schedules",
                 self.0
             );
         }

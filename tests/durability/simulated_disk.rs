@@ -27,8 +27,8 @@ pub enum DiskFault {
     WriteFails,
     /// The next sync fails with EIO, once; its data may be lost.
     SyncFails,
-    /// The process is killed, or the power fails, during the operation. Nothing works until
-    /// [`SimulatedDisk::restarted`].
+    /// The process is killed, or the power fails, during the operation. Every later operation that
+    /// changes the disk fails, until [`SimulatedDisk::restarted`].
     Crash,
 }
 
@@ -186,8 +186,8 @@ impl SimulatedDisk {
     }
 
     /// Counts an operation, and fails it if that is planned. With an error it returns whether a
-    /// write takes half of its bytes. A crash has an error of its own, which all later operations
-    /// return.
+    /// write takes half of its bytes. A crash has an error of its own, which every later call
+    /// returns.
     fn begin(&self, is_sync: bool) -> Result<MutexGuard<'_, Content>, (io::Error, bool)> {
         let mut content = self.content();
         if self.crashed.load(Ordering::SeqCst) {
@@ -380,7 +380,7 @@ impl DiskFile for SimulatedFile {
     }
 }
 
-/// Tests of the simulated disk.
+/// Tests the simulated disk itself.
 #[test]
 fn synced_bytes_survive_and_others_may_be_lost() {
     let disk = SimulatedDisk::default();

@@ -29,11 +29,11 @@ enum Outcome {
     NotArmed(String),
     /// A valid rollout.
     Finished,
-    /// A fault, which is named.
+    /// A void rollout, with the name of its fault.
     Void(String),
 }
 
-/// One run: hello, homing, settling, 60 steps, braking. Returns its result, the number of
+/// Performs one run: hello, homing, settling, 60 steps, braking. Returns its result, the number of
 /// operations on the wire, and the time from the last valid command until the amplifier went off,
 /// us.
 fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
@@ -80,7 +80,7 @@ fn rollout(rig: &Rig, disk: &SimulatedDisk) -> Outcome {
     let recorded = match rig.rollout(disk, path, plan.header(), &policy) {
         Ok(recorded) => recorded,
         Err(error @ (RigError::Device(_) | RigError::NotBegun { .. })) => {
-            assert!(!disk.exists(path), "what never began leaves no file");
+            assert!(!disk.exists(path), "a rollout that never began left a file");
             return Outcome::NotArmed(named(&error));
         }
         Err(error) => panic!("{error}"),
@@ -99,7 +99,7 @@ fn rollout(rig: &Rig, disk: &SimulatedDisk) -> Outcome {
             tick.skipped_periods + u32::from(tick.measurement.is_none() || late)
         })
         .sum();
-    assert_eq!(missed, recorded.outcome.missed_deadlines, "what was missed is marked");
+    assert_eq!(missed, recorded.outcome.missed_deadlines, "not every missed deadline is marked");
     match (score(disk, path).unwrap(), recorded.outcome.ending) {
         (Verdict::Result { .. }, Ending::Completed | Ending::LeftBox(_)) => Outcome::Finished,
         (Verdict::Void { reason }, Ending::Fault(fault)) => {
@@ -129,7 +129,7 @@ struct Tally {
 /// Runs all combinations (operation, kind, single or permanent), or one in `stride`.
 fn sweep(method: HomingMethod, stride: u64) -> Tally {
     let (outcome, operations, _) = run(None, method);
-    assert_eq!(outcome, Outcome::Finished, "nothing was wrong");
+    assert_eq!(outcome, Outcome::Finished, "a run without faults does not finish");
     let cases = KINDS.len() as u64 * 2 * operations;
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
     let next = AtomicU64::new(0);
@@ -196,7 +196,7 @@ impl Tally {
 
 #[test]
 fn a_wire_that_fails_anywhere_in_any_way_leaves_the_amplifier_off_and_the_record_right() {
-    // A prime, so that the sample covers all combinations.
+    // The stride is a prime, so that the sample covers every kind, single and lasting.
     let stride = count_from("QUBE_HIL_FAULT_SWEEP_STRIDE", 97);
     let tally = sweep(HomingMethod::Hand, stride);
     assert!(tally.finished > 0 && tally.void > 0 && tally.not_begun > 0);

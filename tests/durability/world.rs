@@ -1,5 +1,5 @@
-//! A Qube in virtual time behind a wire with planned faults, and rollouts that are as short as
-//! possible and still pass through every phase.
+//! A Qube in virtual time behind a wire with planned faults, and the length of a rollout that is as
+//! short as possible and still passes through every phase.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,7 +20,7 @@ pub const STEPS: u32 = 60;
 #[derive(Clone, Debug, Default)]
 pub struct Wiring {
     state: Arc<Mutex<State>>,
-    /// Set when the process has crashed: its end of the wire falls silent.
+    /// Set when the process has crashed: its end of the wire sends and receives nothing more.
     crashed: Arc<AtomicBool>,
 }
 
@@ -113,7 +113,7 @@ impl Connect for Wiring {
     }
 }
 
-/// The process's end of a wire. It falls silent with the process, and may request a stop.
+/// The process's end of a wire. It is gone once the process has crashed, and may request a stop.
 struct HostEnd {
     port: FaultPort<WatchedWire>,
     stop: Option<(u64, Arc<AtomicBool>)>,

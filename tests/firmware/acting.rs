@@ -13,15 +13,15 @@ const ACTS: i16 = 40;
 /// Time of 17 bytes at 1 MHz, with an interrupt between two of them.
 const FRAME_US: u64 = 17 * 11;
 
-/// Time from the chip's start to the start of the firmware's clock: at its first start it writes
-/// its serial number into the EEPROM.
+/// Longest time from the chip's start to the start of the firmware's clock: at its first start the
+/// firmware writes its serial number into the EEPROM.
 const BOOT_US: u64 = 60_000;
 
 /// Time between the firmware's reading of its clock and the fall of chip select, at most.
 const CLOCK_US: u64 = 4;
 
-/// An act starts a frame at once, or directly after the current one. The sampling timer would add 2
-/// ms.
+/// Tests that an act starts a frame at once, or directly after the current one. To wait for the
+/// sampling timer would add up to 2 ms.
 #[test]
 fn the_firmware_passes_an_act_on_at_once() {
     scenario(|host| {
@@ -77,7 +77,7 @@ fn the_firmware_survives_a_flood_of_requests() {
     scenario(|host| {
         host.link.arm().unwrap();
         for sequence in 0..400 {
-            // Requests of seven bytes with answers of 32: no buffer can hold what accumulates.
+            // Requests of seven bytes with answers of 32: no buffer can hold all of them.
             let sample = Request::Sample.encode(sequence);
             let _ = host.link.transport().write(sample.as_bytes());
         }

@@ -1,4 +1,5 @@
-//! Tests that after every fault the motor goes off and stays off, and the LED turns red.
+//! Tests that after every fault the motor goes off and stays off, and that the LED turns red; and
+//! that the counters go on across the edges of 24 bits.
 
 use firmware_protocol::{QUBE_MODULE_ID, WATCHDOG_MS, WATCHDOG_POLL_MS};
 use qube_hil::clock::MonotonicClock;
@@ -16,8 +17,8 @@ const TWO_PERIODS_US: u64 = 2 * 2_000;
 /// Timeout of the chip's watchdog.
 const CHIP_WATCHDOG_US: u64 = 16_384;
 
-/// The time at which the motor went off for good; also checks that all later frames are off and
-/// red, or dark between two blinks.
+/// The time at which the motor went off for good, us. Also checks that all frames from then on are
+/// off, and that all but the first of them are red, or dark between two blinks.
 fn off_for_good(commands: &[Command]) -> u64 {
     let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
     let off = &commands[last_on + 1..];
@@ -121,7 +122,8 @@ fn the_firmware_latches_a_stall_and_clears_it_when_it_is_armed_anew() {
         host.link.arm().unwrap();
         let after = host.sample().map_err(|_| Disturbed)?;
         assert!(!after.status.stall_error && after.status.armed, "{:?}", after.status);
-        // The pendulum hangs still by now, and the presets were the counts themselves.
+        // Arm and pendulum move little between the two samples, and the presets were the counts
+        // themselves.
         let moved = (after.theta_counts - before.theta_counts).abs()
             + (after.alpha_counts - before.alpha_counts).abs();
         assert!(moved < 100, "the counters jumped by {moved}");

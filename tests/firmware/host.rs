@@ -23,7 +23,7 @@ const ATTEMPTS: u32 = 50;
 #[derive(Debug)]
 pub struct Disturbed;
 
-/// A board with a Qube that has been greeted, and the link to it; it is driven with 1 V.
+/// A board that has been greeted, and the link to it. The host drives it with 1 V.
 pub struct Host {
     pub board: SimulatedBoard,
     pub link: SerialLink<Tty>,
@@ -61,10 +61,10 @@ impl Host {
             last_act = Instant::now();
             std::thread::sleep(PERIOD);
         }
-        panic!("what was waited for did not come in 2 s");
+        panic!("the condition did not hold within 200 samples");
     }
 
-    /// Arms and drives for 0.1 s.
+    /// Arms and drives for at least 0.1 s, until a sample shows the voltage.
     pub fn arm_and_drive(&mut self) -> Result<(), Disturbed> {
         self.link.arm().unwrap();
         let mut ticks = 0;
@@ -82,7 +82,7 @@ impl Host {
     }
 }
 
-/// Runs a scenario on a fresh board, and repeats it while the computer is too slow.
+/// Runs a scenario on a fresh Uno, and repeats it while the computer is too slow.
 pub fn scenario(run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
     scenario_on(Chip::Atmega328p, run);
 }

@@ -21,7 +21,7 @@ const FIRST_FRAME_US: u64 = 1_000;
 /// Error of the time of an order: a frame, and some of the simulator's slices.
 const ORDER_US: u64 = 3_000;
 
-/// Drives, restarts the board meanwhile, and returns the time for which the motor stayed on, and
+/// Drives and restarts the board meanwhile. Returns the time for which the motor stayed on, us, and
 /// the identities before and after.
 fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), Disturbed> {
     let before = host.link.hello().unwrap();
@@ -66,7 +66,8 @@ fn a_brown_out_leaves_the_voltage_for_the_chips_start_up_time() {
     });
 }
 
-/// Without supply the board cannot switch anything off: the Qube drives the arm into its stop.
+/// Tests that a board without supply cannot switch anything off: the Qube drives the arm into its
+/// stop.
 #[test]
 fn a_board_without_supply_leaves_the_motor_on() {
     scenario(|host| {
@@ -116,7 +117,7 @@ fn each_board_draws_a_serial_number_of_its_own_and_keeps_it() {
     assert!(!serials.contains(&"0000000000000000".to_owned()));
 }
 
-/// `make SERIAL=` builds anew when it changes, and only then.
+/// Tests also that `make SERIAL=` builds anew when the number changes, and only then.
 #[test]
 fn a_serial_number_that_is_given_is_built_in() {
     let Some(toolchain) = toolchain() else { return };

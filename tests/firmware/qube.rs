@@ -35,7 +35,7 @@ const SPCR_MASK: u8 = 0b0111_1111;
 const SPCR_EXPECTED: u8 = 0b0101_1001;
 const SPSR_DOUBLE_SPEED: u8 = 1 << 0;
 
-/// The content of one frame.
+/// One frame that the Qube received, and the motor word and LEDs that hold after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Command {
     /// Times of the falling and rising edges of chip select, simulated.
@@ -113,7 +113,7 @@ impl Qube {
         self.plant.state()
     }
 
-    /// Chip select falls, which latches everything.
+    /// Latches all readings when chip select falls; returns the bytes that the Qube sends.
     pub fn selected(&mut self, time_us: u64) -> [u8; FRAME_BYTES] {
         self.selected_us = time_us;
         self.plant.advance_to(time_us);
@@ -129,7 +129,7 @@ impl Qube {
         bytes
     }
 
-    /// Chip select rises, and the received data take effect.
+    /// Lets the received data take effect when chip select rises.
     pub fn deselected(&mut self, time_us: u64, sent: &[u8], spcr: u8, spsr: u8) {
         self.plant.advance_to(time_us);
         let Ok(frame) = <[u8; FRAME_BYTES]>::try_from(sent) else {

@@ -33,7 +33,7 @@ pub enum Order {
     Restart = 2,
     /// The chip restarts after a dip of its supply, 65 ms later.
     BrownOut = 3,
-    /// The board has no supply any more.
+    /// The board loses its supply.
     PowerLoss = 4,
     /// The emergency-stop switch's contact closes.
     CloseStop = 5,
@@ -41,7 +41,7 @@ pub enum Order {
     OpenStop = 6,
 }
 
-/// Limit for waiting for simulated time, which no busy computer reaches.
+/// Longest wait for simulated time; even a busy computer needs less.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 #[derive(Default)]
@@ -77,7 +77,7 @@ impl SimulatedBoard {
         Self::start_elf(toolchain, &toolchain.elf(chip), chip, qube, memory_seed)
     }
 
-    /// Starts a board with another program than the documented one.
+    /// Starts a board with the program in this ELF file.
     pub fn start_elf(
         toolchain: &Toolchain,
         elf: &Path,
@@ -116,12 +116,12 @@ impl SimulatedBoard {
         &self.port
     }
 
-    /// Access to the Qube, while the board waits for it.
+    /// Locks the Qube; the board's next frame waits until the lock is released.
     pub fn qube(&self) -> MutexGuard<'_, Qube> {
         self.qube.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Simulated time of the last frame.
+    /// Simulated time at which chip select last changed, us.
     pub fn time_us(&self) -> u64 {
         self.shared.time_us.load(Ordering::Relaxed)
     }
@@ -132,7 +132,7 @@ impl SimulatedBoard {
         BoardClock::new(move || shared.time_us.load(Ordering::Relaxed))
     }
 
-    /// Real time that the simulation lost because the computer was busy.
+    /// Real time that the simulation lost because the computer was busy, us.
     pub fn given_up_us(&self) -> u64 {
         self.shared.given_up_us.load(Ordering::Relaxed)
     }

@@ -73,7 +73,7 @@ fn an_open_stop_switch_switches_the_motor_off_on_the_mega() {
     stops(Chip::Atmega2560);
 }
 
-/// Tests that a wire that breaks while the board is off stops it too.
+/// Tests that a board that knows of its switch refuses to arm if the contact is open at its start.
 #[test]
 fn a_board_remembers_its_stop_switch_over_a_restart() {
     let Some(toolchain) = toolchain() else { return };

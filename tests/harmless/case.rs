@@ -1,4 +1,4 @@
-//! The possible faults of a start, and the Qubes.
+//! The kinds of fault that a start may have, and the seeded starts.
 
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::qube::{DomainParameter, HARD_STOP_RAD, Profile, QubeModel, State};
@@ -131,18 +131,19 @@ pub struct Start {
     pub case: Case,
     pub seed: u64,
     pub settings: EmulatorSettings,
-    /// Onset of the fault, s of the device's clock.
+    /// Onset of the fault, s of the device's clock; without meaning in a start without a fault.
     pub onset_s: f64,
 }
 
 impl Start {
     /// The start of this case and seed. In about half of the starts the fault begins within the
-    /// first 15 s, during homing; in the others within the first 60 s.
+    /// first 15 s, during homing; in the others within the first 60 s. Some cases differ: their
+    /// fault exists from the start or begins during homing in every start.
     pub fn new(case: Case, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(7);
         let model = model(&mut random, seed);
-        // Angle at which the cable lets a resting arm rest.
+        // Friction holds a resting arm against its cable up to `reach_rad` from `rest_rad`.
         let nonidealities = &model.nonidealities;
         let (rest_rad, reach_rad) = if nonidealities.cable_stiffness_n_m_rad > 0.0 {
             let holds_rad =
@@ -169,7 +170,7 @@ impl Start {
         let hand_lasts_s = random.random_range(0.2..1.5);
         let hand_like_v = random.random_range(0.5..3.0) * side;
         if matches!(case, Case::ArmPushed | Case::PendulumHeld | Case::MotorOneSided) {
-            // All of them begin during homing, about half of them in the first 6 s.
+            // All of them begin during homing: half in the first 6 s, half in the first 15 s.
             onset_s = if early { 0.4 * onset_s } else { 0.25 * onset_s };
         }
         let fault = match case {
@@ -244,8 +245,8 @@ impl Start {
     }
 }
 
-/// In turn nominal, `lab`, and `lab` 1.5 times as far from nominal; three seeds with parameters up
-/// to 10 % off alternate with three exact ones.
+/// The Qube of a seed: in turn nominal, `lab`, and `lab` 1.5 times as far from nominal. Three seeds
+/// with parameters up to 10 % off alternate with three exact ones.
 fn model(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
     let lab = Profile::lab().model();
     let mut model = match seed % 3 {

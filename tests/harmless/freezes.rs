@@ -1,5 +1,5 @@
-//! Rollouts in which the arm's encoder freezes: the time until that is found, and the error of the
-//! zero after it.
+//! Rollouts in which the arm's encoder freezes: the time until the freeze is found, and the error
+//! of the arm's zero after it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -59,7 +59,8 @@ pub struct Outcome {
     pub zero_off_rad: f64,
 }
 
-/// Homes an emulated Qube and runs a rollout, optionally with a fault; `None` if homing fails.
+/// Homes an emulated Qube and runs a rollout, optionally with a fault; `None` if homing fails, the
+/// policy never gets the motor, or the Qube gives no sample afterwards.
 pub fn rollout(
     qube: EmulatorSettings,
     policy: &Policy,
@@ -132,8 +133,9 @@ impl Freeze {
 }
 
 /// Runs an undisturbed rollout, then the same rollout with a freeze of each of the [`KINDS`];
-/// `None` if the Qube is not homed. The seed determines the instant of the freeze: over many seeds
-/// the instants are spread evenly over the time in which the policy drives, except its last 0.35 s.
+/// `None` if the undisturbed [`rollout`] gives none. The seed determines the instant of the freeze:
+/// over many seeds the instants are spread evenly over the time in which the policy drives, except
+/// its last 0.35 s.
 pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<Freeze>)> {
     let healthy = rollout(qube, policy, None)?;
     let (from_s, to_s) = healthy.ran_s;
@@ -146,7 +148,7 @@ pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<
     Some((healthy, frozen.into_iter().flatten().collect()))
 }
 
-/// Qubes by name: nominal, like a real one, and farther from nominal.
+/// Qubes by name: nominal, like a real one, farther from nominal, with much friction, with play.
 pub fn qubes() -> [(&'static str, EmulatorSettings); 5] {
     let lab = Profile::lab().model();
     let mut sticky = lab;

@@ -9,20 +9,20 @@ use qube_hil::telemetry::Ending;
 use super::case::{Case, Start};
 use super::trial::Trial;
 
-/// Largest speed of a contact while homing or settling, rad/s.
+/// Largest accepted speed of a contact while homing or settling, rad/s.
 const FASTEST_CONTACT_RAD_S: f64 = 2.0;
 
 /// Longest accepted time until a freeze in a rollout is found, s.
 const FOUND_WITHIN_S: f64 = 0.3;
 
 impl Trial {
-    /// Whether no stop was touched while homing or settling faster than allowed, or faster than
-    /// with the amplifier off.
+    /// Whether every contact with a stop while homing or settling was as slow as is accepted, or
+    /// at most 1 % faster than with the amplifier off.
     pub fn is_harmless(&self) -> bool {
         self.gentle_contact_rad_s <= FASTEST_CONTACT_RAD_S.max(1.01 * self.contact_off_rad_s)
     }
 
-    /// Whether the fault was named correctly, or need not be named and no fault was.
+    /// Whether the fault was named correctly, or none was named and none must be.
     pub fn is_named_rightly(&self, start: &Start) -> bool {
         match self.ending {
             Ending::Fault(fault) => start.case.names_rightly(fault),
@@ -30,8 +30,8 @@ impl Trial {
         }
     }
 
-    /// Whether a stop was touched too fast, the fault was not named correctly, or a result was
-    /// false.
+    /// Whether a stop was touched too fast and not by a hand, the fault was not named correctly, or
+    /// a failing arm encoder led to a false result.
     pub fn falls_short(&self, start: &Start) -> bool {
         !self.is_harmless() && !start.case.is_by_hand()
             || !self.is_named_rightly(start)
@@ -55,6 +55,7 @@ impl Start {
     }
 }
 
+/// A line of the table: the case, counts and extremes over its starts, and how they ended.
 pub struct Row {
     case: Case,
     starts: usize,

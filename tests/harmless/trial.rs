@@ -18,7 +18,7 @@ use qube_hil::telemetry::{Ending, TickSettings};
 use super::case::{Case, Start};
 use super::wire::SharedWire;
 
-/// Duration of a start, s. The latest fault begins 15 s before its end.
+/// Time after which a start begins no further rollout, s. The latest fault begins 15 s before it.
 const LONGEST_S: f64 = 75.0;
 
 /// Error of the zero that makes a result false, rad.
@@ -28,9 +28,10 @@ const ZERO_WITHIN_RAD: f64 = 0.05;
 #[derive(Clone, Copy, Debug)]
 pub struct Trial {
     /// Fastest contact with a stop while homing or settling, and while the arm coasted after it,
-    /// rad/s.
+    /// rad/s. A contact counts only if it was faster than all before it.
     pub gentle_contact_rad_s: f64,
-    /// Fastest contact in a rollout, its braking, and while the arm coasted after it, rad/s.
+    /// Fastest contact in a rollout, its braking, and while the arm coasted after it, rad/s. A
+    /// contact counts only if it was faster than all before it.
     pub rollout_contact_rad_s: f64,
     /// Fastest contact of the same start with the amplifier off, rad/s.
     pub contact_off_rad_s: f64,
@@ -67,7 +68,7 @@ struct Notes {
     last_state: ControlState,
     /// Time at which the policy last had the motor, s.
     ran_until_s: f64,
-    /// Times from and until which the motor has 0 V, as with the amplifier off, s.
+    /// Beginning and end of the time in which the motor has 0 V, as with the amplifier off, s.
     off: Option<(f64, f64)>,
 }
 
@@ -143,7 +144,7 @@ pub fn play(start: &Start) -> Trial {
     Trial { contact_off_rad_s, ..trial }
 }
 
-/// Executes a start, with the amplifier off from one instant until another.
+/// Executes a start; with `off`, the motor has 0 V from the first of these times until the second.
 fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
     let clock = VirtualClock::default();
     let wire = SharedWire::new(start.settings, clock.clone());
@@ -188,12 +189,12 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
             if matches!(ending, Ending::Fault(_) | Ending::Stopped) {
                 break;
             }
-            // No counts are lost while the arm is at rest.
+            // An encoder that fails while the arm is at rest loses no counts: the zero decides.
             let sample = device.sample(clock.now_ns() + 6_000_000).expect("it answers");
             let zero_error_rad = rig.angles_rad(&sample).0 - notes.wire.state().theta;
             let strikes = start.settings.fault.is_some() && notes.ran_until_s > start.onset_s;
             false_results += u32::from(strikes && zero_error_rad.abs() > ZERO_WITHIN_RAD);
-            // The time that a session needs between two rollouts.
+            // A session needs this time between two rollouts.
             clock.advance(20 * CONTROL_PERIOD_NS);
         }
     }
@@ -211,8 +212,9 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
     }
 }
 
-/// Fastest contact of the same start with the amplifier off, rad/s: from the beginning if the
-/// pendulum falls, from the instant of the fault if the motor dies.
+/// Fastest contact of the same start with the amplifier off, rad/s: from the beginning if the arm
+/// starts beside a stop, from the instant of the fault if the motor dies. It is 0 in all other
+/// cases, and if the start itself had no contact while homing or settling.
 ///
 /// It is computed with the same ticks, because a falling pendulum amplifies every rounding.
 fn contact_off_rad_s(start: &Start, trial: &Trial) -> f64 {

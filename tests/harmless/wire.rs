@@ -7,6 +7,7 @@ use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{InProcessWire, LinkFault, Transport};
 use qube_hil::qube::State;
 
+/// An emulated board with its wire; clones share it.
 #[derive(Clone)]
 pub struct SharedWire(Arc<Mutex<InProcessWire>>);
 

@@ -1,19 +1,22 @@
-//! A library for tests with the C interface of the vendor's HIL library, over the emulator's plant in real time.
+//! A library for tests with the C interface of the vendor's HIL library, over the emulator's plant
+//! in real time.
 //!
-//! It is as unkind as the vendor's header allows: an expired watchdog refuses every read and write until it is
-//! cleared, and clearing brings the outputs back that were before. A call from a second thread ends the process.
-//! Environment variables choose faults; every change of the amplifier is written to a file, which shows how the
-//! motor was left:
+//! It is as unkind as the vendor's header allows: after the watchdog has expired, every read and
+//! write is refused until it is cleared, and clearing restores the outputs from before the expiry.
+//! A call from a second thread ends the process. Environment variables choose faults. Every change
+//! of the amplifier is written to a file, which shows how the motor was left:
 //!
 //! | variable | meaning |
 //! | --- | --- |
 //! | `QUBE_TEST_HIL_STATE` | file for the amplifier's state and the number of calls of each function |
-//! | `QUBE_TEST_HIL_FAULT` | `FUNCTION:KIND[:AT[:TIMES]]`, several with `+` between: the KIND of fault from the AT-th call on, that many times |
+//! | `QUBE_TEST_HIL_FAULT` | faults as described below, several with `+` between |
 //! | `QUBE_TEST_HIL_WATCHDOG` | `cuts` (default), `keeps` the motor's voltage, `none`, `never` expires |
 //! | `QUBE_TEST_HIL_CARD` | the card type that is plugged in (default `qube_servo2_usb`) |
 //! | `QUBE_TEST_HIL_SIGNS` | any of `theta`, `alpha`, `motor`: inverted |
 //!
-//! Kinds: `error=CODE`, `hang=MS`, `stale`, `jump=COUNTS` of the arm, `jump-alpha=COUNTS`, `unplug=MS`.
+//! A fault has the form `FUNCTION:KIND[:AT[:TIMES]]`: calls of FUNCTION from the AT-th on (the
+//! first by default) have a fault of this KIND, TIMES of them (all by default). Kinds:
+//! `error=CODE`, `hang=MS`, `stale`, `jump=COUNTS` of the arm, `jump-alpha=COUNTS`, `unplug=MS`.
 
 use std::collections::BTreeMap;
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
@@ -31,7 +34,7 @@ const BOARD_NOT_FOUND: c_int = -108;
 const INVALID_CARD_HANDLE: c_int = -88;
 const DEVICE_NOT_CONNECTED: c_int = -1029;
 const WATCHDOG_START_NOT_SUPPORTED: c_int = -595;
-/// Of an expired watchdog; the vendor's number is not known.
+/// Code of an expired watchdog; the vendor's number is not known.
 const EXPIRED: c_int = -1500;
 
 /// The handle of the one card.
@@ -60,7 +63,7 @@ fn start_watchdog() {
     });
 }
 
-/// How an expired watchdog behaves.
+/// The behaviour of the watchdog when it expires, or its absence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Watchdog {
     Cuts,
@@ -89,10 +92,10 @@ struct Card {
     was_enabled: bool,
     voltage_v: f64,
     watchdog: Watchdog,
-    /// Timeout and last feed while it runs, us.
+    /// Timeout and time of the last reload of the watchdog, us; `None` while it does not run.
     running: Option<(u64, u64)>,
     is_expired: bool,
-    /// Outputs before the watchdog expired.
+    /// Enable output and voltage before the watchdog expired.
     before: (bool, f64),
     signs: [i32; 3],
     calls: BTreeMap<&'static str, u64>,
@@ -216,7 +219,8 @@ impl Card {
     }
 }
 
-/// One call of a function: counts it, applies its fault, lets time pass. `Err` is the code to return.
+/// Performs one call of a function: counts it, applies its fault, lets time pass. `Err` is the code
+/// to return.
 fn call<T>(
     function: &'static str,
     body: impl FnOnce(&mut Card) -> Result<T, c_int>,
@@ -273,7 +277,7 @@ fn call<T>(
     result
 }
 
-/// As [`call`], of an open card.
+/// Like [`call`], but refused unless the card is open and plugged in.
 fn call_open<T>(
     function: &'static str,
     body: impl FnOnce(&mut Card) -> Result<T, c_int>,
@@ -289,7 +293,7 @@ fn call_open<T>(
     })
 }
 
-/// As [`call_open`], of a card whose watchdog has not expired.
+/// Like [`call_open`], but refused after the watchdog has expired.
 fn call_io<T>(
     function: &'static str,
     body: impl FnOnce(&mut Card) -> Result<T, c_int>,
@@ -421,7 +425,7 @@ pub unsafe extern "C" fn hil_read(
 /// See the vendor's header.
 ///
 /// # Safety
-/// One channel and one value.
+/// `buffer` points to one value.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hil_write_analog(
     _handle: *mut c_void,
@@ -441,7 +445,7 @@ pub unsafe extern "C" fn hil_write_analog(
 /// See the vendor's header.
 ///
 /// # Safety
-/// One channel and one value.
+/// `buffer` points to one value.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hil_write_digital(
     _handle: *mut c_void,
@@ -578,7 +582,7 @@ pub unsafe extern "C" fn msg_get_error_messageA(
     unsafe { copy(text, buffer, size) }
 }
 
-/// See the vendor's header.
+/// Copies a text with a null byte at its end, cut to `size` bytes; returns 0.
 ///
 /// # Safety
 /// The buffer has `size` bytes.

@@ -1,4 +1,4 @@
-//! Repeats tests in real time on a computer that does not always keep up.
+//! Repeats a test in real time if it fails on a computer that did not keep up.
 
 use std::any::Any;
 use std::io::Write;
@@ -11,7 +11,7 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 /// Words with which the program reports that the computer was too late.
 const TOO_LATE: &str = "keep this computer busy";
 
-/// Number of repetitions of a test.
+/// Largest number of repetitions of a test.
 const AGAIN: u32 = 6;
 
 /// Lateness of a thread that shows a stalled computer: longer than a control period and than the
@@ -24,7 +24,7 @@ const NAP: Duration = Duration::from_millis(2);
 /// Time without a stall after which the computer counts as calm.
 const CALM: Duration = Duration::from_secs(2);
 
-/// Number of such intervals to wait for before a repetition.
+/// Largest number of such intervals to wait for before a repetition.
 const CALMS: u32 = 15;
 
 /// Runs a test whose emulated Qube is served in real time. If it fails and the computer stalled
@@ -42,7 +42,8 @@ pub fn in_real_time(test: impl Fn()) {
         // Bypasses the test harness, which hides the output of a test that passes.
         let _ = writeln!(
             std::io::stderr(),
-            "begun again, {again} of at most {AGAIN} times: the computer stood still for {} ms{says}",
+            "begun again, {again} of at most {AGAIN} times: \
+             the computer stood still for {} ms{says}",
             stood.as_millis()
         );
         wait_for_calm();

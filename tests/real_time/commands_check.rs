@@ -106,7 +106,7 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
         refused(port(&with_fault("qube-absent@0")), &["module id 0x0000", "power"]);
         refused(port(&with_fault("silent@0")), &["no answer to"]);
 
-        // A device of another kind, or one at another baud rate, says something; a modem echoes.
+        // A device of another kind, or at another baud rate, says something; a modem echoes.
         for echoes in [false, true] {
             let (mut master, slave) = serialport::TTYPort::pair().unwrap();
             let name = serialport::SerialPort::name(&slave).unwrap();
@@ -115,7 +115,7 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
                 let _held_open = slave;
                 serialport::SerialPort::set_timeout(&mut master, Duration::from_secs(60)).unwrap();
                 let mut buffer = [0; 256];
-                // Ends with the file that is written when the test is complete.
+                // Ends at the word `end`, which the test writes below.
                 while let Ok(length) = master.read(&mut buffer) {
                     let said =
                         if echoes { &buffer[..length] } else { b"ready\r\n\x00\xf0\x8a\x00" };

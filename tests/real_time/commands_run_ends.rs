@@ -18,7 +18,7 @@ use crate::busy_computer::in_real_time;
 /// Time that suffices on any computer that is merely busy.
 const PATIENCE: Duration = Duration::from_secs(600);
 
-/// The number from which an emulated Qube's serial number follows.
+/// Seed of the emulated Qube, from which its serial number follows.
 const SEED: u64 = 5;
 
 fn program(directory: &Path, arguments: &[&str]) -> Command {
@@ -55,7 +55,7 @@ impl Drop for Qube {
     }
 }
 
-/// `run` on that Qube, homed by hand, which takes some seconds only.
+/// Calls `run` on that Qube with homing by hand, which takes only some seconds.
 fn run(directory: &Path, out: &str, more: &[&str]) -> (Output, Value, String) {
     let device = directory.join("qube");
     let mut arguments = vec!["run", "--policy", "classical", "--home", "hand", "--json"];
@@ -71,8 +71,9 @@ fn run(directory: &Path, out: &str, more: &[&str]) -> (Output, Value, String) {
 /// Times after which the cable comes out, s. The first lies in homing on a computer that keeps up.
 const UNPLUGGED_S: [f64; 4] = [0.7, 2.0, 6.0, 20.0];
 
-/// `run` on an emulated Qube whose cable comes out while the program homes it; `back` says when it is plugged in
-/// again. A busy computer may not have begun to home by then: the cable of the next run comes out later.
+/// Calls `run` on an emulated Qube whose cable comes out while the program homes it; `back` says
+/// when it is plugged in again. A busy computer may not have begun to home by then: the cable of
+/// the next run comes out later.
 fn run_unplugged(back: &str, more: &[&str]) -> (TempDir, Qube, (Output, Value, String)) {
     let mut last = String::new();
     for after_s in UNPLUGGED_S {
@@ -98,7 +99,7 @@ fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let directory = directory.path();
-        // The doubt that an earlier run has left.
+        // An earlier run has left this doubt.
         let memory = DoubtStore::new(directory.join("qube-hil"));
         let board = format!("{SEED:016x}");
         memory.store(&Doubt { fault: Some(Fault::StallError), board: board.clone(), unix_s: None });
@@ -158,7 +159,7 @@ fn a_cable_that_stays_out_is_a_fault_and_no_bad_usage() {
         let returns = result["returns"].as_array().unwrap();
         let recordings = std::fs::read_dir(directory.join("out")).map_or(0, Iterator::count);
         assert_eq!(recordings, returns.len(), "{result}");
-        // Without a port the command line is wrong.
+        // A port that does not exist makes the command line wrong.
         let (output, _, told) = run(directory, "again", &["--skip-check"]);
         assert_eq!(code(&output), Some(2), "{told}");
     });

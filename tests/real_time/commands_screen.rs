@@ -1,7 +1,7 @@
 //! Tests the screen in tmux, which is a real terminal: the contents, the keys, a change of size,
 //! and that every way out leaves the terminal as it was.
 //!
-//! Without tmux the tests say that they are skipped; with `QUBE_HIL_REQUIRE_TMUX` they fail instead.
+//! Without tmux the tests print that they are skipped; with `QUBE_HIL_REQUIRE_TMUX` they fail.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -63,12 +63,13 @@ impl Tmux {
         String::from_utf8_lossy(&self.tmux(&["capture-pane", "-p"]).stdout).into_owned()
     }
 
-    /// Whether it shows any colour.
+    /// Whether the window shows any colour.
     fn has_colours(&self) -> bool {
         let shown = self.tmux(&["capture-pane", "-p", "-e"]).stdout;
         let shown = String::from_utf8_lossy(&shown).into_owned();
         let mut styles = shown.split("\x1b[").skip(1).filter_map(|rest| rest.split('m').next());
-        // Select graphic rendition: 30 to 49 and 90 to 107 are colours, apart from the defaults 39 and 49.
+        // Of the numbers that select a style, 30 to 49 and 90 to 107 are colours, apart from the
+        // defaults 39 and 49.
         styles.any(|style| {
             style.split(';').filter_map(|number| number.parse().ok()).any(|number: u8| {
                 (30..39).contains(&number) || (40..49).contains(&number) || number >= 90
@@ -106,7 +107,8 @@ impl Tmux {
         self.type_line(&format!("clear; {program} {arguments}; echo \"exit=\"$?"));
     }
 
-    /// Checks that the terminal is as before the program: the ordinary screen, a cursor, echo and lines.
+    /// Checks that the program ended with this exit code and left the terminal as before: the
+    /// ordinary screen, a cursor, echo, whole lines and signals.
     #[track_caller]
     fn is_restored(&self, exit_code: i32) {
         let shown = self.wait_for(&format!("exit={exit_code}"));
@@ -181,7 +183,7 @@ fn a_run_shows_its_rollouts_reacts_to_keys_and_leaves_the_terminal_clean() {
         tmux.wait_for("Stop now and quit?");
         tmux.press("y");
         tmux.is_restored(130);
-        // The messages are printed again, the results follow them.
+        // The program prints the messages again, and then the results.
         tmux.tmux(&["resize-window", "-x", "160", "-y", "60"]);
         let shown = tmux.shown();
         for part in [

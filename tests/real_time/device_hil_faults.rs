@@ -1,6 +1,6 @@
-//! Tests every function of the vendor's library with every kind of fault: however a run ends, the amplifier is off
-//! and the program has ended by itself. Each run is a whole process in real time, and several run at once; a late
-//! computer only changes how a run ends.
+//! Tests every function of the vendor's library with every kind of fault: however a run ends, the
+//! amplifier is off and the program has ended by itself. Each run is a whole process in real time,
+//! and several run at once; a late computer only changes how a run ends.
 
 use std::process::Stdio;
 use std::sync::Mutex;
@@ -24,7 +24,7 @@ const FREQUENT: &[u64] = &[1, 260, 420];
 /// The same for the functions that every act calls.
 const ACTS: &[u64] = &[1, 3, 150];
 
-/// The functions, and the numbers of the calls from which each fails.
+/// The functions, and the numbers of the calls from which each fails, counted from 1.
 const FUNCTIONS: [(&str, &[u64]); 14] = [
     ("hil_open", &[1]),
     ("hil_is_valid", RARE),
@@ -42,13 +42,13 @@ const FUNCTIONS: [(&str, &[u64]); 14] = [
     ("hil_close", &[1]),
 ];
 
-/// Faults after which the program asks whether the watchdog has expired: a read that fails within the rollout, and one
-/// within homing that takes so long that the watchdog expires.
+/// Faults after which the program asks whether the watchdog has expired: a read that fails within
+/// the rollout, and one within homing that takes so long that the watchdog expires.
 const ASKED_AFTER: [&str; 2] = ["hil_read:error=13:420:1", "hil_read:hang=120:300:1"];
 
-/// The faults of the sweep, in the notation of the test library (`tests/hil/library.rs`). Without `all`, each function
-/// fails only from its last call in [`FUNCTIONS`] on, and for good; the faults of [`ASKED_AFTER`], of the counts and of
-/// the cable are always included.
+/// The faults of the sweep, in the notation of the test library (`tests/hil/library.rs`). Without
+/// `all`, each function fails only from its last call in [`FUNCTIONS`] on, and for good; the faults
+/// of [`ASKED_AFTER`], of the counts and of the cable are always included.
 fn faults(all: bool) -> Vec<String> {
     let mut faults = Vec::new();
     for (function, calls) in FUNCTIONS {

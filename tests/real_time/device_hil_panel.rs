@@ -1,13 +1,13 @@
-//! Tests a Qube with the USB panel: whole processes that load a library with the vendor's C interface over the
-//! emulator's plant, in real time.
+//! Tests a Qube with the USB panel: whole processes that load a library with the vendor's C
+//! interface over the emulator's plant, in real time.
 
 use serde_json::Value;
 
 use crate::busy_computer::in_real_time;
 use crate::panel::{Ended, Panel, library};
 
-/// Checks that the program refused: exit code 2, one sentence with these words, and nothing was
-/// armed.
+/// Checks that the program refused: it ended with exit code 2, printed one message, printed these
+/// words, and armed nothing.
 #[track_caller]
 fn refused(panel: &Panel, ended: &Ended, words: &[&str]) {
     assert_eq!(ended.code, Some(2), "{ended:?}");

@@ -1,6 +1,7 @@
 //! Tests the wire over a real pty and the serial port library, against the emulated Qube.
 //!
-//! Nothing here depends on the load of the machine: all times are by the device's clock.
+//! Nothing here depends on the load of the computer: a time is by the device's clock, has seconds
+//! to spare, or is tried again.
 
 use std::io::{Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd, IntoRawFd, OwnedFd};
@@ -27,7 +28,7 @@ fn sample(link: &mut SerialLink<Tty>) -> Measurement {
     link.sample(MonotonicClock.now_ns() + PATIENCE_NS).unwrap()
 }
 
-/// Greets and arms until a sample shows the device armed: on a busy machine the watchdog may be
+/// Greets and arms until a sample shows the device armed: on a busy computer the watchdog may be
 /// faster than the test.
 fn arm(link: &mut SerialLink<Tty>) {
     loop {
@@ -234,8 +235,8 @@ fn a_second_name_goes_with_the_qube() {
 
 #[test]
 fn a_port_is_opened_again_and_shows_whether_the_board_has_restarted() {
-    // Under a name of its own: the kernel gives the number of a closed pty to the next one, which may be
-    // another test's.
+    // The port has a name of its own, because the kernel gives the number of a closed pty to the
+    // next one, which may be another test's.
     let folder = tempfile::tempdir().unwrap();
     let name = folder.path().join("qube");
     let mut quiet = qube(None);
@@ -253,7 +254,8 @@ fn a_port_is_opened_again_and_shows_whether_the_board_has_restarted() {
     assert!(matches!(link.reopen(), Err(DeviceError::NoSuchPort { .. } | DeviceError::Io { .. })));
     assert_eq!(link.sample(MonotonicClock.now_ns() + PATIENCE_NS), Err(LinkFault::Gone));
 
-    // On a busy computer even the first hello may follow the restart; both hellos then show one start.
+    // On a busy computer even the first hello may follow the restart; both hellos then show the
+    // same start.
     let saw_the_restart = (0..20).any(|_| {
         let restarting = qube(Some(EmulatorFault::BrownOut { after_s: 1.0 }));
         let mut link = open(&restarting);

@@ -1,4 +1,5 @@
-//! Tests the live view of running commands: a page and viewers beside a rollout, and a stop that comes from there.
+//! Tests the live view of running commands: the page beside a rollout or a training, and a stop
+//! that comes from there.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -44,7 +45,7 @@ impl Watched {
         stream
     }
 
-    /// Waits until the page has heard of something.
+    /// Waits until the page's events contain this text.
     fn hears(&self, text: &str) {
         let mut stream = self.request("GET /events HTTP/1.1");
         let (mut all, mut part) = (Vec::new(), [0; 4096]);
@@ -77,7 +78,7 @@ fn the_page_stops_a_run_and_its_recording_is_whole() {
     let watched = Watched::start(directory.path(), &arguments);
     watched.hears("event: ticks");
     watched.stop();
-    // The operator's Ctrl-C after it does not end the program before the arm is braked.
+    // A Ctrl-C after the page's stop does not end the program before the arm is braked.
     let process = rustix::process::Pid::from_child(&watched.child);
     rustix::process::kill_process(process, rustix::process::Signal::INT).unwrap();
     let (code, told) = watched.end();

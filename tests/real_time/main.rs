@@ -1,7 +1,7 @@
-//! Tests that wait by the wall clock: programs at a real pty or a terminal, an emulated Qube that is served while time
-//! passes, and the vendor's library with a plant behind it.
+//! Tests that wait by the wall clock: programs at a real pty or a terminal, an emulated Qube that
+//! is served while time passes, and the vendor's library with a plant behind it.
 //!
-//! They mostly wait, so that two tests at once take the time of one. Tests that compute are in
+//! Most of them wait, so that two tests at once take the time of one. Tests that compute are in
 //! `tests/virtual_time`, because here they would make the others late. An emulated Qube on a pty
 //! also locks the memory of its process, which tests that need much memory thus avoid.
 

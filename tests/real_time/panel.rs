@@ -32,11 +32,13 @@ pub fn library() -> &'static Path {
     })
 }
 
-/// A directory with the state of the card's amplifier, and the settings of the test library.
+/// The directory in which the program runs, the directory with the state of the card's amplifier,
+/// and the settings of the test library.
 pub struct Panel {
     directory: tempfile::TempDir,
-    /// In memory if possible: the test library writes the amplifier's state in every tick, and a
-    /// disk that other programs keep busy would delay the ticks.
+    /// Directory of the amplifier's state, in memory if possible: the test library writes the
+    /// amplifier's state in every tick, and a disk that other programs keep busy would delay the
+    /// ticks.
     state: tempfile::TempDir,
     variables: Vec<(&'static str, String)>,
 }

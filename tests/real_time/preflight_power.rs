@@ -22,7 +22,7 @@ const AT_STOP_S: u64 = 20;
 /// Delay of the operator's hand: the motor presses by then.
 const AN_OPERATOR_TAKES: Duration = Duration::from_millis(500);
 
-/// A Qube with or without an operator's finger at its arm, under a stable name.
+/// An emulated Qube with or without an operator's finger at its arm, at the port `link`.
 fn qube(link: &Path, finger: Option<Finger>) -> EmulatedQube {
     let start = Some(State::default());
     let settings = EmulatorSettings { seed: 5, start, finger, ..EmulatorSettings::default() };
@@ -41,7 +41,7 @@ fn program(directory: &Path, arguments: &[&str]) -> Command {
 enum AtThePlug {
     /// Pulls the plug and answers this.
     Pulled(&'static str),
-    /// Leaves the plug in while the program stalls.
+    /// Leaves the plug in, while the program is stopped for a moment.
     Stopped,
 }
 
@@ -54,7 +54,7 @@ struct Told {
     connected: Option<EmulatedQube>,
 }
 
-/// The whole test with an operator who follows each instruction.
+/// Runs the whole power test with an operator who follows each instruction.
 fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
     let link = directory.join("qube");
     let finger = Finger { from_us: AT_STOP_S * 1_000_000, every_us: 2_500_000, counts: 40 };
@@ -103,7 +103,8 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
     Told { code: output.status.code(), told, text, connected }
 }
 
-/// The whole test with an operator who pulls the plug; returns the reconnected Qube and the printed object.
+/// Runs the whole power test with an operator who pulls the plug; returns the reconnected Qube and
+/// the printed object.
 fn pulled(directory: &Path, answer: &'static str) -> (EmulatedQube, Value) {
     let Told { code, told, text, connected } = tested(directory, &AtThePlug::Pulled(answer));
     assert_eq!(code, Some(0), "{told}\n{text}");
@@ -138,14 +139,14 @@ fn the_power_test_is_done_once_a_rig_and_its_result_ends_the_warning() {
         assert_eq!(Some(power.board), file.board);
         assert_eq!(power.date.len(), "2026-01-31".len());
 
-        // Known with the file and unknown without it, in one line each.
+        // Without the file, the run warns in one line; with it, the result is known.
         let arguments = ["run", "--device", "qube", "--policy", "classical", "--out"];
         let warns = |out: &str, rename: bool| {
             if rename {
                 std::fs::rename(directory.path().join("qube.toml"), directory.path().join("kept"))
                     .unwrap();
             }
-            // It ends at once: the verdict is announced before anything is driven.
+            // The warning comes before anything is driven, so the run is killed when homing begins.
             let arguments = [&arguments[..], &[out, "--rollouts", "1"]].concat();
             let mut child = program(directory.path(), &arguments)
                 .stdout(Stdio::null())
@@ -169,7 +170,7 @@ fn a_computer_that_stands_still_is_not_taken_for_a_pulled_plug() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::Stopped);
-        // The text has the cures of checks that a busy computer fails.
+        // The text holds the remedies of failed checks, by which a busy computer is recognised.
         assert!(told.contains("Now pull the USB plug"), "{told}\n{text}");
         assert_eq!(code, Some(4), "{told}");
         assert!(told.contains("keep this computer busy"), "{told}");

@@ -1,5 +1,5 @@
-//! Tests that a process that is killed with SIGKILL while recording has every tick older than 250
-//! ms in its file.
+//! Tests that a process that is killed with SIGKILL while it records has every tick that is older
+//! than 250 ms in its file.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Write};
@@ -19,8 +19,8 @@ const CHILD: &str = "QUBE_HIL_TEST_RECORD_TO";
 const PROMISE_NS: u64 = 250_000_000;
 const TICKS: u32 = 47;
 
-/// Attempts. No program can keep the promise on a computer that keeps the recorder from running for
-/// 0.1 s; a recorder that does not flush fails all attempts.
+/// Largest number of attempts. No program can keep the promise on a computer that keeps the
+/// recorder from running for 0.1 s; a recorder that does not flush fails all attempts.
 const ATTEMPTS: u64 = 8;
 
 fn header() -> RolloutHeader {
@@ -55,7 +55,7 @@ fn header() -> RolloutHeader {
     }
 }
 
-/// The process that is killed; run as a test it does nothing.
+/// The process that is killed. Without the variable [`CHILD`], as a test, it does nothing.
 #[test]
 fn child() {
     let Some(path) = std::env::var_os(CHILD) else { return };
@@ -65,7 +65,8 @@ fn child() {
             .unwrap();
     let clock = MonotonicClock;
     let mut deadline_ns = clock.now_ns();
-    // Ticks at 100 Hz, then none: the last ones wait in a block that is not full.
+    // The ticks come at 100 Hz and then stop, so that the last ones wait in a block that is not
+    // full.
     for number in 0..TICKS {
         clock.sleep_until(deadline_ns);
         let record = TickRecord {
@@ -82,7 +83,7 @@ fn child() {
     std::thread::sleep(Duration::from_secs(60));
 }
 
-/// Number and time of a tick that the child has handed over.
+/// Number and time, ns, of a tick that the child has given the recorder; `None` for other lines.
 fn tick(line: String) -> Option<(u32, u64)> {
     let (number, time_ns) = line.split_once("tick ")?.1.split_once(' ')?;
     Some((number.parse().ok()?, time_ns.parse().ok()?))
@@ -111,7 +112,7 @@ fn missing_after_kill(ticks: usize, pause: Duration) -> Vec<u32> {
     let recording = read(&path).unwrap();
     assert!(matches!(recording.completeness, Completeness::CutOff { .. }));
     assert_eq!(recording.policy, b"policy");
-    assert!(!recording.has_gaps(), "what is there is there from the start");
+    assert!(!recording.has_gaps(), "the recording does not begin with its first tick, or has gaps");
     let found = recording.ticks.len() as u32;
     let promised = pushed.iter().filter(|(_, time_ns)| time_ns + PROMISE_NS <= killed_ns);
     promised.map(|(number, _)| *number).filter(|number| *number >= found).collect()

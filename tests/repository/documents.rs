@@ -1,5 +1,5 @@
-//! Tests the pages: every link has a target, every file that they name exists, every page is in the book, and
-//! every block of commands runs or states why it does not.
+//! Tests the pages: every link has a target, every source file that they name exists, every page of
+//! `docs` is in the book, and every block of commands runs or states why it does not.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -7,7 +7,7 @@ use std::os::unix::fs::symlink;
 use std::path::{Component, Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Folders without pages of their own.
+/// Names of folders whose pages, if any, do not belong to the repository's.
 const SKIPPED: [&str; 5] = ["target", ".git", "corpus", "build", "tests"];
 
 /// Languages of fenced blocks that hold commands.
@@ -32,7 +32,7 @@ fn pages() -> Vec<PathBuf> {
     }
     let mut found = Vec::new();
     collect(root(), &mut found);
-    // Sessions in logs/ may hold anything; its own page is the only one of the repository.
+    // The sessions in logs/ may hold any pages; only its README belongs to the repository.
     found.retain(|page| !page.starts_with("logs") || page == Path::new("logs/README.md"));
     found.sort();
     found
@@ -66,7 +66,7 @@ fn parts(page: &Path) -> (Vec<Block>, String) {
 /// Targets of the links and pictures of a page, without those on other hosts.
 fn links(page: &Path) -> Vec<String> {
     let prose = parts(page).1;
-    // The text of a link may span two lines, its target may not.
+    // The text of a link may span two lines, but its target may not.
     let targets = prose.split("](").skip(1).filter_map(|rest| rest.split([')', ' ', '\n']).next());
     targets.filter(|it| !it.contains("://") && !it.starts_with("mailto:")).map(Into::into).collect()
 }
@@ -195,7 +195,8 @@ fn every_test_that_a_page_or_a_script_calls_exists() {
     assert!(lost.is_empty(), "tests that do not exist:\n{}", lost.join("\n"));
 }
 
-/// The commands of a block: all of a script, or what follows the prompts of a console.
+/// The commands of a block: the whole text of a script, or the lines after the prompts of a console
+/// with their continuation lines.
 fn commands(language: &str, text: &str) -> String {
     if language != "console" {
         return text.to_owned();

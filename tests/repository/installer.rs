@@ -1,4 +1,5 @@
-//! Tests that the installer can be repeated, and that it installs what the manual says.
+//! Tests that the installer can be repeated, that it installs its files, and that its rules take
+//! only known boards for a Qube.
 
 use std::fs;
 use std::path::Path;
@@ -86,8 +87,9 @@ struct Port<'a> {
     serial: Option<&'a str>,
 }
 
-/// The names that rules give a port. It implements the subset of udev's language that our rules use
-/// and fails on the rest.
+/// The names that udev rules give a port. It implements the subset of udev's language that the
+/// rules use: a condition on an unknown property counts as not met, and an unknown assignment is an
+/// error.
 fn names(rules: &str, port: &Port) -> Vec<String> {
     let mut names = Vec::new();
     let mut wanted: Option<String> = None;

@@ -1,4 +1,5 @@
-//! Tests of the repository: its pages against the program, the walls between its rooms, its packages and its installer.
+//! Tests of the repository: its pages against the program, the walls between its rooms, its
+//! packages and its installer.
 
 mod documents;
 mod installer;

@@ -1,5 +1,5 @@
-//! Tests the packages: the one for Debian holds what the installer installs, and the crates name each other's
-//! version.
+//! Tests the packages: the one for Debian holds the files that the installer installs, and the
+//! crates of the workspace have one version.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! Tests that every promise in SAFETY.md names an existing test.
+//! Tests that every promise in SAFETY.md names tests, each of which is a function of the source or
+//! a file that exists.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -3,8 +3,7 @@
 //! Every source file is read as tokens, so that a path is found wherever it is written: in nested
 //! groups of a `use`, in an expression, in a type, in the arguments or the definition of a macro,
 //! in an attribute's text. A path that cannot be followed (an alias of the crate's root, a glob
-//! import of the root) is a breach of its own, and so is a room that re-exports an item of another
-//! one.
+//! import of the root) is a breach of its own, and so is a room's re-export of another room's item.
 
 mod import_paths;
 
@@ -81,11 +80,11 @@ const ROOMS: &[Room] = &[
                       "identification", "rig", "scoring", "storage"]),
     room("experiment", &["elementary", "qube", "policy", "simulation", "learning", "jobs", "search",
                          "recording", "telemetry", "rig", "session", "scoring", "storage", "identification", "replay"]),
-    // Drawing alone: it computes no results.
+    // It only draws and computes no results.
     room("charts", &["qube", "simulation", "replay", "search", "surrogate"]),
-    // Shows ticks while they are recorded.
+    // It shows ticks while they are recorded.
     room("live", &["recording", "telemetry"]),
-    // Writes a page from the results of other rooms.
+    // It writes a page from the results of other rooms.
     room("report", &["experiment", "session", "scoring", "replay", "identification", "recording", "search", "surrogate",
                      "learning", "simulation", "telemetry", "storage", "qube"]),
     room("commands", EVERY_ROOM),
@@ -101,7 +100,7 @@ const WORLD: &[&str] = &["fs", "net", "process", "env", "thread", "time"];
 /// Parts of the standard library that the tick may not use.
 const FORBIDDEN_IN_CONTROL: &[&str] = &["fs", "net", "process", "env"];
 
-/// Rooms that may not even draw from a seed.
+/// Rooms that may not draw random numbers, not even from a seed.
 const WITHOUT_RANDOMNESS: &[&str] = &["elementary", "qube", "estimation", "safety", "telemetry"];
 
 /// A breach of a wall.
@@ -235,7 +234,7 @@ fn the_library_names_no_word_of_the_command_line() {
     assert!(breaches.is_empty(), "{}", list(&breaches));
 }
 
-/// An option or a call of the program in a text.
+/// The first option in a text, or else the first call of the program in it.
 fn command_line_word(text: &str) -> Option<&str> {
     let is_letter = |letter: Option<char>| letter.is_some_and(|it| it.is_ascii_lowercase());
     let option = text.match_indices("--").find(|(at, dashes)| {
@@ -298,7 +297,7 @@ fn check_file(file: &Path, source: &str) -> Vec<Breach> {
     }
 }
 
-/// The breaches of one import.
+/// The breach that an import is, in words; `None` if it is allowed.
 fn check_import(room: &Room, module: &[String], import: &Import) -> Option<String> {
     let name = room.name;
     let is_allowed = |target: &str| {

@@ -4,8 +4,8 @@ use qube_hil::qube::State;
 use super::genes::Genes;
 use super::moves::{Moves, MovesKind, Segment, features, weigh};
 
-/// A policy that tries to throw the arm against its stop: it moves the arm and may strike once, in a state of its
-/// choice.
+/// A policy that tries to throw the arm against its stop: it moves the arm and may strike once, in
+/// a state of its choice.
 pub struct Attacker {
     moves: Moves,
     strike: Option<Strike>,
@@ -16,7 +16,8 @@ pub struct Attacker {
 struct Strike {
     /// First step at which the strike may begin.
     from: u32,
-    /// Weights of the state's features; the strike begins when their weighted sum is positive.
+    /// Weights of the state's features. The strike begins when the features' weighted sum is
+    /// positive.
     state: [f64; 6],
     segments: Vec<Segment>,
     /// Step at which the strike began.

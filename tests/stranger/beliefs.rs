@@ -15,7 +15,8 @@ pub enum BeliefKind {
     Precise,
 }
 
-/// A Qube within a belief: its parameters, and the fractions of positive and negative voltages that reach its motor.
+/// A Qube within a belief: its parameters, and the fractions of positive and negative voltages that
+/// reach its motor.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnQube {
     pub model: QubeModel,
@@ -38,8 +39,8 @@ impl BeliefKind {
         ForesightSettings { identified, ..ForesightSettings::default() }
     }
 
-    /// The belief from whose box the Qube is drawn: the identified Qube's with at least 10 % of each number, or that of any
-    /// Qube.
+    /// The belief from whose box the Qube is drawn: that of the identified Qube, wide enough for
+    /// the tolerated error of the model, or that of any Qube.
     fn belief(self) -> Belief {
         let ForesightSettings { belief, identified, .. } = self.settings();
         identified.map_or(belief, |identified| identified.tolerated())

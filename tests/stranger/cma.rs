@@ -4,18 +4,20 @@ use rand_chacha::ChaCha8Rng;
 use super::genes::normal;
 use super::optimiser::Optimiser;
 
-/// Limits of the step size, in standard deviations of the start.
+/// Limits of the step size, as multiples of the standard deviation at the start.
 const STEPS: std::ops::RangeInclusive<f64> = 0.02..=2.0;
 
-/// Covariance matrix adaptation with the full matrix (Hansen 2016, arXiv:1604.00772, figure 6).
+/// Covariance matrix adaptation with the full matrix (Hansen 2016, arXiv:1604.00772, figure 6),
+/// with positive weights only.
 pub struct Cma {
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
     step: f64,
     covariance_path: DVector<f64>,
     step_path: DVector<f64>,
-    /// The covariance's square root and its inverse.
+    /// Square root of the covariance.
     root: DMatrix<f64>,
+    /// Inverse of `root`.
     inverse_root: DMatrix<f64>,
     generation: i32,
 }

@@ -1,7 +1,7 @@
 use rand::{Rng, RngExt};
 
-/// Reads genes one after the other; each is about normally distributed, and those beyond the last
-/// are zero.
+/// A reader of genes, one after the other. Each gene is about normally distributed; those beyond
+/// the last are zero.
 pub struct Genes<'a> {
     rest: std::slice::Iter<'a, f64>,
     read: usize,

@@ -23,8 +23,8 @@ pub enum MishapKind {
 }
 
 impl MishapKind {
-    /// Whether the guard can still brake: at most three consecutive samples are lost, and no act is
-    /// late in addition.
+    /// Whether foresight promises to hold the arm under this mishap: at most three consecutive
+    /// samples are lost, and no act is late in addition.
     pub fn is_promised(self) -> bool {
         !matches!(self, Self::LinkDead | Self::LostAndStalled)
     }
@@ -33,11 +33,12 @@ impl MishapKind {
 /// Onset of a mishap.
 #[derive(Clone, Copy, Debug)]
 enum Instant {
-    /// In this step of the policy.
+    /// After this many steps of the policy.
     Step(u32),
-    /// As soon as the arm's angle, extrapolated by 50 ms at its velocity, is above this, rad.
+    /// As soon as the policy drives and the arm's angle, extrapolated by 50 ms at its velocity, is
+    /// farther than this from the middle, rad.
     Outward(f64),
-    /// This many ticks after the brake began.
+    /// This many ticks after the brake's first tick.
     Brake(u32),
 }
 
@@ -53,20 +54,20 @@ struct Since {
 pub struct Mishap {
     kind: MishapKind,
     loss: Since,
-    /// Samples that are lost in a row.
+    /// Number of samples that are lost in a row.
     lost: u32,
-    /// Good samples between two such losses.
+    /// Number of good samples between two such losses.
     pause: u32,
     stall: Since,
     stall_ns: u64,
 }
 
-/// Knowledge at the beginning of a tick.
+/// The circumstances at the beginning of a tick, which decide whether a mishap begins.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
     /// Steps of the policy so far; `None` before its first.
     pub step: Option<u32>,
-    /// Ticks of the brake so far; `None` before its first.
+    /// Ticks since the brake's first tick; `None` before it.
     pub brake: Option<u32>,
     /// The true state.
     pub state: State,

@@ -17,7 +17,7 @@ pub enum MovesKind {
     BangBang,
     /// Pumps energy into the pendulum.
     Pump,
-    /// Pushes in a row, some of which change their sign every 1 to 12 steps.
+    /// A row of pushes, some of which change their sign every 1 to 12 steps.
     Chatter,
     /// The shipped policy `robust` with other weights.
     Robust,
@@ -56,7 +56,7 @@ pub enum Switch {
 pub struct Segment {
     pub steps: u32,
     pub voltage_v: f64,
-    /// Number of steps after which the sign changes; `None` if it does not.
+    /// Number of steps after which the sign changes each time; `None` if it does not change.
     pub period: Option<u32>,
 }
 
@@ -68,7 +68,7 @@ impl Segment {
         }
     }
 
-    /// The voltage of consecutive segments in a step; `None` after the last.
+    /// The voltage that consecutive segments give in a step, V; `None` after the last segment.
     pub fn of(segments: &[Self], mut step: u32) -> Option<f64> {
         for segment in segments {
             if step < segment.steps {
@@ -189,7 +189,7 @@ impl Moves {
         }
     }
 
-    /// The policy begins.
+    /// Prepares the moves for the first step of a rollout.
     pub fn start(&mut self) {
         match self {
             Self::Feedback { stage, .. } => *stage = 0,
@@ -198,7 +198,7 @@ impl Moves {
         }
     }
 
-    /// The motor had this voltage, V.
+    /// Takes note of the voltage that the motor had, V.
     pub fn applied(&mut self, voltage_v: f64) {
         if let Self::Shipped { network } = self {
             network.applied(voltage_v);
@@ -206,7 +206,8 @@ impl Moves {
     }
 }
 
-/// Moves weights by a fraction of their mean absolute value.
+/// Moves a layer's weights and biases in a random direction, by `along` times the mean absolute
+/// value of each.
 fn move_along(layer: &mut LayerWeights, along: f64, random: &mut ChaCha8Rng) {
     for numbers in [&mut layer.weight, &mut layer.bias] {
         let sum: f64 = numbers.iter().map(|number| f64::from(number.abs())).sum();

@@ -7,7 +7,7 @@ use super::beliefs::DrawnQube;
 /// Longest integration step, ns: friction at rest is stable with it for every Qube of the beliefs.
 const STEP_NS: u64 = 1_000_000;
 
-/// The true Qube: its commands arrive late, its amplifier is weak, and its arm has stops.
+/// The true Qube: its commands arrive late, its amplifier may be weak, and its arm has stops.
 #[derive(Clone)]
 pub struct Plant {
     pub state: State,
@@ -67,7 +67,7 @@ impl Plant {
             / motor.motor_resistance_ohm
     }
 
-    /// Advances the time.
+    /// Advances the simulation to this time, ns.
     pub fn go_on_until(&mut self, until_ns: u64) {
         while self.now_ns < until_ns {
             while let Some(&(at_ns, voltage_v)) = self.under_way.front()
@@ -85,7 +85,7 @@ impl Plant {
         }
     }
 
-    /// Whether arm and pendulum are at rest.
+    /// Whether the arm is at rest and the pendulum hangs at rest.
     pub fn is_at_rest(&self) -> bool {
         let State { alpha, theta_dot, alpha_dot, .. } = self.state;
         theta_dot.abs() < 0.02

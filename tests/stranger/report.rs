@@ -14,7 +14,7 @@ pub struct Found {
     pub outcome: Outcome,
 }
 
-/// The result of a search: a line of the file.
+/// The result of a search: a line of the example's output file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SearchRecord {
     pub method: Method,
@@ -22,13 +22,13 @@ pub struct SearchRecord {
     pub genes: usize,
     pub episodes: u64,
     pub hits: u64,
-    /// Hits on an undisturbed link.
+    /// Hits before which nothing went wrong: no sample lost, no act late, no stop requested.
     #[serde(default)]
     pub clean_hits: u64,
     pub farthest_rad: f64,
-    /// Endings of the rollouts, with their numbers.
+    /// Number of rollouts with each ending.
     pub endings: BTreeMap<String, u64>,
-    /// Faults of healthy Qubes on working links, with their numbers.
+    /// Number of episodes with each fault of a healthy Qube on a working link.
     pub false_faults: BTreeMap<String, u64>,
     pub farthest: Option<Found>,
     pub kept_hits: Vec<Found>,
@@ -43,7 +43,8 @@ pub fn summary(records: &[SearchRecord]) -> String {
     let farthest = records.iter().map(|record| record.farthest_rad).fold(0.0, f64::max);
     let _ = writeln!(
         text,
-        "{} searches, {} episodes, {} hits in {} searches, {} of them clean, farthest {farthest:.4} rad",
+        "{} searches, {} episodes, {} hits in {} searches, {} of them clean, \
+         farthest {farthest:.4} rad",
         records.len(),
         total(|record| record.episodes),
         total(|record| record.hits),
@@ -98,7 +99,7 @@ pub fn summary(records: &[SearchRecord]) -> String {
     text
 }
 
-/// Searches, hits and farthest angle of each kind.
+/// Appends a line for each kind: its number of searches, its hits and its farthest angle.
 fn by(records: &[SearchRecord], text: &mut String, kind: impl Fn(&SearchRecord) -> String) {
     let mut kinds = BTreeMap::<String, (u64, u64, f64)>::new();
     for record in records {

@@ -18,10 +18,11 @@ pub struct Effort {
     pub population: usize,
 }
 
-/// Number of hits whose genes a record keeps, in addition to the farthest episode.
+/// Number of hits whose genes a record keeps, in addition to the farthest episode and to one
+/// episode for each kind of false fault.
 const KEPT_HITS: usize = 3;
 
-/// A search: seed, belief, optimiser and guard determine it completely.
+/// A search: seed, belief, optimiser, guard and its [`Effort`] determine the result completely.
 #[derive(Clone, Copy, Debug)]
 pub struct AdversarySearch {
     pub seed: u64,
@@ -31,7 +32,7 @@ pub struct AdversarySearch {
 }
 
 impl AdversarySearch {
-    /// Searches.
+    /// Searches within the scenario of the seed.
     pub fn run(&self, effort: Effort) -> SearchRecord {
         self.run_scenario(Scenario::new(self.seed, self.known), effort)
     }
@@ -63,7 +64,7 @@ impl AdversarySearch {
         record
     }
 
-    /// Plays the episode of these genes by settings that `change` changes.
+    /// Plays the episode of these genes with the search's settings as changed by `change`.
     #[allow(dead_code, reason = "the example plays by the search's settings alone")]
     pub fn play_by(
         &self,

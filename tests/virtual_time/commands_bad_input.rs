@@ -1,5 +1,5 @@
-//! Tests the messages for bad input: one clear sentence on stderr (what, where, what to do), the
-//! documented exit code, and nothing on stdout.
+//! Tests the messages for bad input: one clear sentence on stderr (the error, its place, the
+//! remedy), the documented exit code, and nothing on stdout.
 
 use std::io::Write;
 use std::path::Path;
@@ -47,7 +47,8 @@ fn policies_that_are_none() {
     std::fs::write(&path, b"not a policy at all").unwrap();
     run(&["bad.safetensors"]);
 
-    // A shipped policy with its first weight turned into NaN, and one with another width.
+    // A shipped policy with its first number turned into NaN, and one whose header gives a layer
+    // another width.
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors");
     let whole = std::fs::read(shipped).unwrap();
     let header = 8 + u64::from_le_bytes(whole[..8].try_into().unwrap()) as usize;
@@ -172,7 +173,7 @@ fn values_with_a_dash_are_told_by_their_option() {
     }
 }
 
-/// The last line of stdout is an object that names the cause of every failure.
+/// With `--json`, the last line of stdout is a JSON object that names the cause of the failure.
 #[test]
 fn scripts_are_told_too() {
     let directory = tempfile::tempdir().unwrap();
@@ -297,7 +298,7 @@ fn folders_that_cannot_be() {
     refused(directory.path(), &out, 2, &["taken", "exists", "--resume"]);
     let resume = ["session", "--clock", "virtual", "--resume", "taken"];
     refused(directory.path(), &resume, 2, &["taken", "no session"]);
-    // A kill leaves this of a session that has not begun.
+    // A session that is killed before it has begun leaves such a folder.
     std::fs::create_dir_all(directory.path().join("left/candidates")).unwrap();
     let resume = ["session", "--clock", "virtual", "--resume", "left"];
     refused(directory.path(), &resume, 2, &["nothing to resume", "--out left"]);

@@ -62,7 +62,7 @@ fn an_error_names_line_and_key() {
 fn no_number_of_the_printed_settings_may_be_anything() {
     let directory = tempfile::tempdir().unwrap();
     let printed = succeeds(directory.path(), &["config", "print"]);
-    // The settings that are absent by default, too.
+    // The comments with settings that are absent by default count as settings, too.
     let lines: Vec<&str> = printed
         .lines()
         .map(|line| line.strip_prefix('#').filter(|it| !it.starts_with(' ')).unwrap_or(line))
@@ -77,7 +77,7 @@ fn no_number_of_the_printed_settings_may_be_anything() {
         let wrong = if is_whole {
             &["nan", "inf"][..]
         } else if key == "largest_gradient_norm" {
-            // Infinite for no limit.
+            // Infinity means no limit.
             &["nan", "-inf", "-1e300"][..]
         } else {
             &["nan", "inf", "-inf", "1e300", "-1e300"][..]
@@ -91,7 +91,7 @@ fn no_number_of_the_printed_settings_may_be_anything() {
             let told = String::from_utf8(output.stderr).unwrap();
             let place = format!("line {}: {changed}", index + 1);
             assert_eq!(output.status.code(), Some(2), "{place} is accepted");
-            // The end of a range of psi is told by the header of its table.
+            // For the end of a range of psi the message names the header of its table.
             let is_named = told.contains(key) || told.contains("[[psi]]");
             assert!(told.contains("bad.toml") && is_named, "{place}: {told}");
             assert!(told.contains("line "), "{place}: {told}");

@@ -13,7 +13,7 @@ use crate::folders::files_of;
 /// Policies with two small updates of training.
 const TINY: &str = "[settings.training]\nupdates = 2\npendulums = 16\nepochs = 1\n";
 
-/// A search of four candidates.
+/// A search of three candidates, whose recommendation is verified; one rollout each.
 const SEARCH: &str = "[settings.extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 1\n\
                       verification_rollouts = 1\n";
 
@@ -71,7 +71,7 @@ fn table(directory: &Path) -> String {
     succeeds(&output) + &std::fs::read_to_string(directory.join("one.csv")).unwrap()
 }
 
-/// Every policy and recording by its name, without the files that were put aside.
+/// The bytes of every file by its path, without files that an interruption has left unfinished.
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let whole = files_of(folder).into_iter();
     whole.filter(|(name, _)| !name.contains("unfinished")).collect()
@@ -106,7 +106,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     assert_eq!(output.status.code(), Some(2));
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(told.contains("--csv foreign.csv exists already"), "{told}");
-    // Its rollouts are compared, so all have the same guard and homing.
+    // The rollouts of an experiment are compared, so all of them have the same guard and homing.
     for (option, words) in [
         (&["--unidentified"][..], "leave --unidentified out"),
         (&["--home", "hand"], "give --home stops"),
@@ -126,7 +126,8 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     succeeds(&experiment(whole.path(), &arguments).output().unwrap());
     assert!(expected.ends_with(&std::fs::read_to_string(&foreign).unwrap()));
 
-    // --table shows finished work without running anything; a resumed experiment makes missing files again.
+    // --table shows finished work without running anything; a resumed experiment makes missing
+    // files again.
     let lost = "one/policies/tiny-nominal/002/lab/rollout-1-attempt-0.mcap";
     std::fs::remove_file(whole.path().join(lost)).unwrap();
     let output = experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap();
@@ -136,7 +137,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     assert_eq!(table(whole.path()), expected);
     assert!(files(&whole.path().join("one")) == expected_files);
 
-    // Settings that were changed show what is finished, and nothing more is made with them.
+    // With changed settings the finished work can still be shown, but nothing more is made.
     let settings = whole.path().join("one/experiment.toml");
     let begun_with = std::fs::read_to_string(&settings).unwrap();
     std::fs::write(&settings, begun_with.replacen("seed = 4", "seed = 5", 1)).unwrap();
@@ -158,13 +159,15 @@ fn run_with_interruptions(directory: &Path, arguments: &[&str]) {
     let mut child = begin(directory, arguments, "1");
     let mut interruptions = 0;
     loop {
-        // The times cover all its phases; the first interruption comes at once, on any computer.
+        // The pauses differ, so that the interruptions come in different phases. The first pause is
+        // zero, so that at least one interruption comes on any computer.
         std::thread::sleep(Duration::from_millis(53 * (interruptions % 7)));
         if let Some(status) = child.try_wait().unwrap() {
             assert!(status.success(), "after {interruptions} interruptions: {status}");
             break;
         }
-        // Each attempt leaves more behind, so this ends; the limit only shortens a failure.
+        // After 30 interruptions the program runs to its end, even on a computer that is too slow
+        // to finish anything between two of them.
         if interruptions < 30 {
             let signal = if interruptions % 2 == 0 { Signal::KILL } else { Signal::INT };
             let _ = kill_process(Pid::from_child(&child), signal);
@@ -238,8 +241,8 @@ fn strategies_that_are_killed_and_gone_on_with_come_to_the_same_table() {
     let expected_files = files(&whole.path().join("one"));
     let count = |end: &str| expected_files.keys().filter(|name| name.ends_with(end)).count();
     assert_eq!(count("refused-2.txt"), 2);
-    // Of the three policies that score a recommendation the first decides: every recommendation
-    // fails here.
+    // Of the three policies that score a recommendation the first decides, because every
+    // recommendation fails here. The four refused ones of `identify` have no policy.
     let judged = expected.lines().filter(|line| line.contains(",false,")).count() - 4;
     let search_policies = 2 * 2 * 3;
     assert_eq!(count("policy.safetensors"), search_policies + judged);
@@ -315,7 +318,7 @@ fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
         ];
         assert_eq!(of_plant, expected, "{plant}");
     }
-    // Policies are trained twice at most: robust and the first of random serve several budgets.
+    // One policy of `robust` serves all budgets.
     let names = files(&whole.path().join("one"));
     let count = |start: &str, end: &str| {
         names.keys().filter(|name| name.starts_with(start) && name.ends_with(end)).count()

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use qube_hil::session::SessionSettings;
 
-/// ESC [ and CSI as one character, OSC with BEL, a change of the writing direction, and a line of
-/// its own, as JSON strings.
+/// Hostile text with the escapes of JSON: ESC [, CSI as one character, OSC with BEL, a change of
+/// the writing direction, and a forged line of output.
 const HOSTILE_JSON: &str = "x\\u001b[2J\\u009b31m\\u001b]0;owned\\u0007\\u202egnp\\n\
                             rollout 0: return  600.0  success";
 
@@ -105,7 +105,8 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
     let small = "[extent]\ninitial_candidates = 1\niterations = 0\nrollouts = 1\n\
                  verification_rollouts = 1\n[training]\nupdates = 1\npendulums = 16\nepochs = 1\n";
     std::fs::write(at("small.toml"), small).unwrap();
-    // The output of each command, and what already exists there.
+    // Each case: the folder of the command's output, the names of links in it (names with a space
+    // between them at the same time, the others one after the other), and the command.
     let cases: [(&str, &[&str], &[&str]); 5] = [
         (
             "session",

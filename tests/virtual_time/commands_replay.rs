@@ -14,7 +14,8 @@ fn qube_hil(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_qube-hil")).args(arguments).output().unwrap()
 }
 
-/// A whole rollout of the classical controller in virtual time, in the box.
+/// Records a whole rollout of the classical controller in virtual time under the guard `box`;
+/// returns the path of the recording.
 fn recorded(folder: &Path) -> PathBuf {
     recorded_under("box", folder)
 }
@@ -52,7 +53,7 @@ fn a_rollout_comes_out_again_bit_for_bit() {
 
     assert!(recording.get("note").is_none(), "{recording}");
 
-    // Under foresight too, whose settings are in the recording.
+    // The same holds under foresight, whose settings are in the recording.
     let foreseen = recorded_under("foresight", &folder.path().join("foreseen"));
     let header = qube_hil::recording::read(&foreseen).unwrap().header;
     assert!(header.settings.foresight.is_some());
@@ -93,16 +94,16 @@ fn a_rollout_that_foresight_ended_says_for_which_qube() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.contains(&format!("the arm of particle {}", foreseen.particle)), "{text}");
 
-    // A wider margin gives other reasons for the same decisions.
+    // With a wider margin another prediction ends the recomputed rollout.
     let known = recording.header.settings.foresight.as_mut().unwrap();
     known.margin_rad = 0.2;
     let policy = Policy::from_bytes(&recording.policy).unwrap();
     assert_ne!(rerun(&recording, policy).foreseen, Some(foreseen));
 }
 
-/// A recording of an older program that guarded the speed envelope, which the policy left. To keep
-/// it small, its blocks were merged into one and its index was dropped; every message is as that
-/// program wrote it.
+/// Replays a recording of an older program, whose guard was the speed envelope and whose policy
+/// left it. To keep the file small, its blocks are merged into one and its index is left out; every
+/// message is as that program wrote it.
 #[test]
 fn a_rollout_under_a_retired_guard_is_compared_until_it_brakes() {
     let fixture =
@@ -117,7 +118,7 @@ fn a_rollout_under_a_retired_guard_is_compared_until_it_brakes() {
     let again = rerun(&recording, policy());
     assert!(again.agrees() && again.ending_of_the_file, "{again:?}");
     assert_eq!((again.actions_compared, again.ending), (braking, Some(left)));
-    // They are compared.
+    // A changed action before the braking is found.
     let mut changed = recording.clone();
     changed.ticks[braking - 1].voltage_mv += 1;
     assert_eq!(rerun(&changed, policy()).actions_different, 1);

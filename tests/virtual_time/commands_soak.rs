@@ -1,5 +1,5 @@
-//! Tests the command `soak` with minutes of ticks in virtual time: none lost, and no growth of
-//! memory. `scripts/durability soak` runs a day of them.
+//! Tests the command `soak` with minutes of ticks in virtual time: no tick is lost, and the memory
+//! does not grow. `scripts/durability soak` runs a day of them.
 
 use std::process::Command;
 

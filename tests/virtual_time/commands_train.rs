@@ -43,8 +43,8 @@ fn the_policy_is_the_same_on_two_threads_and_with_the_instructions_of_an_older_p
     assert!(undisturbed() == bytes("avx2.safetensors", &["--instruction-set", "avx2"]));
 }
 
-/// Stops a training at its first checkpoint. Returns whether it was still running then: a computer may be so
-/// busy that this thread sees the checkpoint only after the training's end.
+/// Stops a training at its first checkpoint. Returns whether it was still running then: a computer
+/// may be so busy that this thread sees the checkpoint only after the training's end.
 fn stop_at_first_checkpoint(directory: &Path, resumable: &[&str; 2]) -> bool {
     let checkpoint = directory.join(resumable[1]);
     let mut training = train(directory, "resumed.safetensors", resumable).spawn().unwrap();

@@ -1,5 +1,6 @@
-//! Tests that no fault of sensors or motor is reported for a healthy Qube under a policy that uses
-//! only full voltage. The guard is off, so that the policy runs as long as possible.
+//! Tests that no fault of sensors or motor is reported for a healthy Qube whose arm keeps off its
+//! stops, under a policy that uses only full voltage. The guard is the box without foresight, so
+//! that the policy runs as long as possible.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -20,7 +21,7 @@ use qube_hil::telemetry::{Ending, Fault, TickSettings};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-/// Rollouts on one Qube.
+/// Largest number of rollouts on one Qube.
 const ROLLOUTS: u64 = 20;
 
 /// A policy of full voltage whose sign is random or depends on the side of a plane in state space.
@@ -32,6 +33,7 @@ struct BangBang {
     plane: Option<[f64; 4]>,
     /// Longest time for which a random sign holds, ticks.
     longest: u32,
+    /// Ticks for which the present sign still holds.
     left: u32,
     sign: f64,
 }
@@ -65,8 +67,8 @@ impl Controller for BangBang {
     }
 }
 
-/// A Qube whose parameters lie within 10 % of the name plate's, with up to 1.5 times the friction, dead zones,
-/// cable and delay of `lab`.
+/// A Qube whose parameters lie within 10 % of the name plate's, with up to 1.5 times the friction,
+/// dead zones, cable and delay of `lab`.
 fn qube(seed: u64) -> EmulatorSettings {
     let lab = Profile::lab().model();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -111,9 +113,9 @@ struct Counted {
     not_homed: Vec<u64>,
     /// Faults while the arm had kept off its stops.
     faults: BTreeMap<String, Vec<u64>>,
-    /// Faults after the arm had hit a stop, which is possible without a guard.
+    /// Faults after the arm had hit a stop, which is possible without foresight.
     after_a_hit: BTreeMap<String, Vec<u64>>,
-    /// Brakes in the box alone that took longer than a second.
+    /// Brakes of the box that had not stopped the arm after a second.
     brakes_timed_out: Vec<u64>,
 }
 

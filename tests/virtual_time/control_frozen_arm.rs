@@ -12,8 +12,9 @@ use qube_hil::telemetry::{Ending, Fault};
 
 use crate::harmless::freezes::{freezes, policies, qubes};
 
-/// Ticks from the freeze to the alarm, while the arm is driven to and fro beside a swinging
-/// pendulum. Without a freeze (`None`) any alarm counts.
+/// Ticks from the freeze to the alarm of a frozen encoder, while the arm is driven to and fro
+/// beside a swinging pendulum; `None` if there is no such alarm. Without a freeze (`frozen_at` is
+/// `None`), such an alarm gives 0 ticks. Other alarms are ignored.
 fn found_after(
     nonidealities: Nonidealities,
     alpha: f64,

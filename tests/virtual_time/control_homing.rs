@@ -1,11 +1,12 @@
-//! Tests starts with one fault each: while homing and settling no stop is touched hard, and the
-//! fault is named. `scripts/harmless-homing` plays 10^4 of them; this is a small number.
+//! Tests starts with one fault each: no stop is touched hard while homing and settling, and in 14
+//! of the 26 cases no fault is named wrongly. `scripts/harmless-homing` plays 10^4 of them; this is
+//! a small number.
 
 use crate::harmless::case::{Case, Start};
 use crate::harmless::table::Row;
 use crate::harmless::trial::play;
 
-/// Starts of each of the 26 cases: 260 in all.
+/// Seeds of the starts of each of the 26 cases: 260 starts in all.
 const SEEDS: std::ops::Range<u64> = 0..10;
 
 #[test]
@@ -22,8 +23,9 @@ fn whatever_is_wrong_homing_and_settling_touch_no_stop_hard() {
             if trial.falls_short(start) {
                 println!("falls short: {because}");
             }
-            // A fault that exists from the start is named by homing, or there is none; and a hand
-            // never leads to a wrong sign.
+            // In these cases there is no fault, it begins early, or a hand acts. The fault must be
+            // named correctly (a weak motor may stay unnamed), and a hand must not lead to a wrong
+            // sign. The other cases are only printed.
             let from_the_start = matches!(
                 case,
                 Case::Healthy

@@ -1,5 +1,5 @@
-//! Tests that a computer that stalls again and again raises no doubt about a healthy Qube: motions
-//! that it ends are reported as late. In virtual time.
+//! Tests in virtual time that a computer that stalls again and again raises no doubt about a
+//! healthy Qube: a motion that a stall ends has a fault after which the rollout may be repeated.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -18,10 +18,14 @@ use qube_hil::telemetry::{Ending, Fault};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Mean time between stalls, and their longest duration, s: up to a skipped tick, nearly the
-/// longest that a motion survives, and longer.
+/// Mean times between stalls, s.
 const EVERY_S: [f64; 3] = [0.5, 1.0, 2.0];
+
+/// Longest durations of a stall, s: one late tick, nearly the longest that a motion survives, and
+/// longer.
 const LONGEST_S: [f64; 3] = [0.012, 0.034, 0.06];
+
+/// Shortest duration of a stall, s.
 const SHORTEST_S: f64 = 0.004;
 
 /// A clock on which waits end late now and then, at random times.
@@ -58,6 +62,7 @@ impl Clock for LateClock {
     }
 }
 
+/// A computer with an emulated Qube and a clock whose stalls are drawn from this seed.
 #[derive(Debug)]
 struct LateComputer(u64);
 
@@ -101,7 +106,7 @@ fn rollout(rig: &Rig, seed: u64, path: &Path) -> Result<Ending, RigError> {
     Ok(rig.rollout(&MachineDisk, path, plan.header(), &policy.to_bytes())?.outcome.ending)
 }
 
-/// The faults that ended a homing and some rollouts.
+/// The faults that ended the homing or a rollout, in up to four rollouts.
 fn faults(seed: u64, folder: &Path) -> Vec<Fault> {
     let mut faults = Vec::new();
     let mut rig = match Rig::open(&settings(seed), &Arc::new(AtomicBool::new(false))) {
@@ -122,12 +127,13 @@ fn faults(seed: u64, folder: &Path) -> Vec<Fault> {
     faults
 }
 
-/// A number from the environment.
+/// A number from an environment variable; `default` if the variable is absent or no number.
 fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
 }
 
-/// Drives `RIGS` Qubes, whose seeds begin at `SEED` (environment variables).
+/// Drives as many Qubes as the environment variable `RIGS` says, 40 by default, with seeds from
+/// `SEED` on, 1000 by default.
 #[test]
 fn a_computer_that_stands_still_now_and_then_leaves_no_doubt_about_a_healthy_qube() {
     let folder = tempfile::tempdir().unwrap();

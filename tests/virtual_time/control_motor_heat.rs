@@ -36,7 +36,7 @@ impl Rig {
         Self { device, clock, homing, heat }
     }
 
-    /// The next rollout, without a pause.
+    /// Runs the next rollout without a pause; returns its outcome.
     fn rollout(
         &mut self,
         controller: impl Controller,
@@ -63,7 +63,7 @@ impl Rig {
 }
 
 /// Full voltage that changes its sign every second tick: the arm moves by a few counts, and the
-/// winding dissipates at 5 V / 8.4 ohm.
+/// winding carries 5 V / 8.4 ohm.
 #[derive(Default)]
 struct Trembling {
     ticks: u32,
@@ -113,8 +113,8 @@ fn rollouts_back_to_back(rollouts: u64) {
             }
             let mean = sum / rollouts as f64;
             println!(
-                "{name:9} on {plant:12}: after homing {homed:.3}; largest of a rollout {mean:.3} in \
-                 the mean, {largest:.3} of all {rollouts}"
+                "{name:9} on {plant:12}: after homing {homed:.3}; largest of a rollout {mean:.3} \
+                 in the mean, {largest:.3} of all {rollouts}"
             );
             warmest = warmest.max(largest);
         }
@@ -140,7 +140,8 @@ fn a_policy_that_burns_current_is_braked_in_the_computed_time() {
     rig.heat = MotorHeat::default();
     let outcome = rig.rollout(Trembling::default(), 0, 6000);
     assert_eq!(outcome.ending, Ending::Fault(Fault::MotorOverheated));
-    // Settling takes less than 1 s; then 17.6 s at 0.595 A, by the closed formula.
+    // The steps do not include settling, which hardly warms the motor. By the closed formula, the
+    // motor reaches the limit after 17.6 s at 0.595 A.
     let heating = (5.0_f64 / 8.4 / 0.54).powi(2);
     let computed_s = -rig.heat.time_constant_s() * (1.0 - LARGEST_LOAD / heating).ln();
     let burnt_s = f64::from(outcome.steps) * 0.01;

@@ -1,10 +1,10 @@
-//! Tests the methods from the literature from end to end: recordings of an emulated Qube in virtual time, what is learnt
-//! from them, and a policy at each budget.
+//! Tests the methods from the literature from end to end: recordings of an emulated Qube in virtual
+//! time, the beliefs that are learnt from them, and a policy at each budget.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// Policies with two small updates of training, and a model whose psi nobody searches here.
+/// A recipe for policies with two small updates of training; its psi is not searched here.
 const TINY: &str = "name = \"tiny\"\nmodel = \"opt-robust\"\n\n\
                     [settings.training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
 
@@ -22,7 +22,8 @@ fn experiment(folder: &Path, arguments: &[&str]) -> serde_json::Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Runs methods on the emulated `lab` at budgets and returns the folder and the names of the rows.
+/// Runs methods on the emulated `lab` at budgets, checks that a resumed run has the same results,
+/// and returns the folder and the names of the rows.
 fn rows_of(methods: &str, budgets: &str) -> (tempfile::TempDir, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("tiny.toml"), TINY).unwrap();
@@ -44,7 +45,7 @@ fn a_rival_learns_from_a_rollout_of_its_first_policy_and_has_one_at_each_budget(
     let belief = std::fs::read_to_string(run.join("belief-1.json")).unwrap();
     assert!(belief.contains("gaussian"), "{belief}");
     assert!(run.join("recordings/rollout-0-attempt-0.mcap").exists());
-    // The recorded policy is the one of budget 0, and the two budgets have policies of their own.
+    // The two budgets have policies of their own.
     let policy = |number: &str| {
         std::fs::read(run.join("judged").join(number).join("000/policy.safetensors"))
     };
@@ -63,8 +64,8 @@ fn strategy_optimisation_tries_inputs_of_one_policy_and_recommends_the_best() {
         let name = format!("recordings/rollout-{number}-attempt-0.mcap");
         qube_hil::recording::read(&run.join(name)).unwrap().policy
     };
-    // The first candidate has the inputs of the prior's mean, which are those without a rollout; the recommendation is
-    // one of the two candidates.
+    // The first candidate has the inputs of the prior's mean, which are also recommended without a
+    // rollout. The recommendation after two rollouts is one of the two candidates.
     assert_eq!(recorded(0), judged("000"));
     assert_ne!(recorded(0), recorded(1));
     assert!([recorded(0), recorded(1)].contains(&judged("002")));

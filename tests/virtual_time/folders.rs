@@ -1,4 +1,4 @@
-//! Reads folders as a whole, to compare what two runs of the program have left.
+//! Reads folders as a whole, to compare the files that two runs of the program have left.
 
 use std::collections::BTreeMap;
 use std::path::Path;

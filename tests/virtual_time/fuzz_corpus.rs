@@ -13,15 +13,15 @@ fn corpus(target: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target)
 }
 
-/// Runs a body on each file of its corpus, on truncated copies, and on copies with one of the first
-/// bytes changed.
+/// Runs a body on each file of its corpus, and on up to 16 truncated copies of the file and as many
+/// copies with one changed byte.
 fn replay(target: &str, body: fn(&[u8])) {
     let mut files: Vec<_> = std::fs::read_dir(corpus(target))
         .unwrap_or_else(|error| panic!("{target}: {error}"))
         .map(|file| file.unwrap().path())
         .collect();
     files.sort();
-    assert!(files.len() >= 3, "{target} has no corpus");
+    assert!(files.len() >= 3, "{target}: the corpus has fewer than three files");
     for file in files {
         let bytes = std::fs::read(&file).unwrap();
         body(&bytes);
@@ -59,7 +59,7 @@ fn ledger() {
     replay("ledger", bodies::ledger);
 }
 
-/// Rebuilds the seeds of the corpus from what this program writes.
+/// Rebuilds the seeds of the corpus from files that this program writes.
 #[test]
 #[ignore = "writes into fuzz/; run it when a format has changed"]
 fn make_seeds() {
@@ -149,7 +149,7 @@ fn records(bytes: &[u8]) -> Vec<(u8, usize, usize)> {
     records
 }
 
-/// The last word of a line as bytes, where it is a frame.
+/// The bytes of the frame that is the last word of a line; `None` if that word is no frame.
 fn hexadecimal(line: &str) -> Option<Vec<u8>> {
     let digits = line.split_whitespace().next_back()?.as_bytes();
     if line.starts_with('#') || digits.len() < 14 || digits.len() % 2 == 1 {

@@ -16,7 +16,7 @@ fn larger() -> PlantModel {
     PlantModel::parse(&std::fs::read_to_string(LARGER).unwrap()).unwrap()
 }
 
-/// A specimen that differs from the plant's file as the Qube `lab` differs from a Qube's name plate.
+/// A specimen that differs from the plant's file as the Qube `lab` differs from the nominal Qube.
 fn specimen() -> Profile {
     let lab = Profile::parse(&std::fs::read_to_string(LAB).unwrap()).unwrap();
     let model = larger().in_proportion(&lab.model());
@@ -93,7 +93,8 @@ fn a_larger_pendulum_is_identified_within_its_intervals() {
     for estimate in found["estimates"].as_array().unwrap() {
         let quantity = Quantity::from_name(estimate["name"].as_str().unwrap()).unwrap();
         let number = |field: &str| estimate[field].as_f64().unwrap();
-        // The measured delay begins with the sample, so the time on the wire, at most 1.5 ms, adds to the specimen's.
+        // The fitted delay begins with the sample, so it is longer than the specimen's by the time
+        // on the wire, at most 1.5 ms.
         let wire_s = if quantity.name() == "command_delay_s" { 0.0015 } else { 0.0 };
         let off = (number("value") - truth.get(quantity)).abs();
         let most = 4.0 * number("standard_error") + wire_s;

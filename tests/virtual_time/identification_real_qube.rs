@@ -1,7 +1,8 @@
 //! Compares the simulator with recordings of a real Qube.
 //!
-//! The recordings are not part of the repository: they are searched in `$QUBE_HIL_RECORDINGS`, then
-//! in `../shared/data/qube-recordings` beside it. Without them these tests report that and pass.
+//! The recordings are not part of the repository. `$QUBE_HIL_RECORDINGS` names their folder; if the
+//! variable is not set, the folder is `../shared/data/qube-recordings`, relative to the repository.
+//! Without that folder these tests say that they are skipped, and pass.
 
 use std::path::{Path, PathBuf};
 
@@ -104,7 +105,8 @@ fn a_model_with_friction_cable_and_delay_predicts_chirps_that_it_was_not_fitted_
     assert!(error.rms.theta_rad <= 0.07 && error.rms.alpha_rad <= 0.03, "{error:?}");
 }
 
-/// Fitted to two chirps and two swing-ups; `examples/held_out_recordings.rs` holds out each recording in turn.
+/// The model is fitted to two chirps and two swing-ups; `examples/held_out_recordings.rs` holds out
+/// each recording in turn.
 #[test]
 fn a_model_fitted_to_chirps_and_swing_ups_predicts_swing_ups_that_it_was_not_fitted_to() {
     let Some(folder) = recordings() else { return };
@@ -132,7 +134,8 @@ fn a_model_fitted_to_chirps_and_swing_ups_predicts_swing_ups_that_it_was_not_fit
     assert!(nominal.rms.theta_rad > 0.3, "{nominal:?}");
 }
 
-/// Swing-ups and chirps of a real Qube, sample by sample, raise no fault.
+/// Samples of a real Qube's swing-ups and chirps, at least 10 ms apart, raise no alarm. The
+/// recordings have no current, so the check for a motor without current does not act.
 #[test]
 fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
     let Some(folder) = recordings() else { return };
@@ -154,7 +157,7 @@ fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
                     device_time_us: (1e6 * sample.time_s).round() as u64,
                     theta_counts: (sample.state.theta / RAD_PER_COUNT).round() as i32,
                     alpha_counts: (sample.state.alpha / RAD_PER_COUNT).round() as i32,
-                    // The recordings have no tachometer; their filter stands in for it.
+                    // The recordings have no tachometer; their filtered velocity takes its place.
                     tachometer_counts_s: (sample.state.theta_dot / RAD_PER_COUNT) as i32,
                     ..Measurement::default()
                 },

@@ -1,5 +1,5 @@
-//! Tests identification end to end: recordings of excitations give the profile they were made with,
-//! and the first rollouts of a day are compared with it.
+//! Tests identification end to end: recordings of an emulated Qube give the profile with which they
+//! were made, and the first rollouts of a session or run are compared with the Qube's profile.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -52,14 +52,14 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
         let (value, standard_error) = (number("value"), number("standard_error"));
         let in_table = |table: &str| expected[table].get(name).and_then(toml::Value::as_float);
         let expected = in_table("parameters").or_else(|| in_table("gap")).unwrap();
-        // The measured delay begins with the sample, so the time on the wire, at most 1.5 ms, adds
-        // to the profile's.
+        // The fitted delay begins with the sample, so it is longer than the profile's by the time
+        // on the wire, at most 1.5 ms.
         let wire = if name == "command_delay_s" { 0.0015 } else { 0.0 };
         let off = (value - expected).abs();
         assert!(off < 4.0 * standard_error + wire, "{name} = {value}, not {expected}: {estimate}");
         told += u32::from(number("told_by_data") > 0.5);
     }
-    assert!(told >= 6, "the recordings tell only {told} quantities");
+    assert!(told >= 6, "the recordings determine only {told} quantities");
 }
 
 #[test]
@@ -67,7 +67,7 @@ fn an_identification_without_unknowns_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let names = qube_hil::identification::Unknown::all().map(|unknown| unknown.name());
     let fixed = names.flat_map(|name| ["--fix", name]);
-    // It is refused before a recording is read.
+    // The command is refused before it reads a recording: none.csv does not exist.
     let arguments: Vec<&str> = ["identify", "none.csv"].into_iter().chain(fixed).collect();
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
     let output = command.current_dir(directory.path()).args(arguments).output().unwrap();
@@ -203,7 +203,7 @@ fn incomplete_recordings_are_named_with_the_seconds_that_are_used() {
     qube_hil(directory.path(), &[&run[..], &["--excite", "chirp", "--out", "chirp"]].concat());
     let whole = std::fs::read(path("chirp/rollout-0.mcap")).unwrap();
     std::fs::write(path("cut.mcap"), &whole[..whole.len() / 2]).unwrap();
-    // Only the index is missing in this one, and every tick is there.
+    // This file lacks only its last bytes; every tick is there.
     std::fs::write(path("index.mcap"), &whole[..whole.len() - 20]).unwrap();
     let mut recover = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
     recover.current_dir(directory.path()).args(["recover", "cut.mcap"]);

@@ -22,7 +22,7 @@ const TINY: &str = "name = \"tiny\"\nmodel = \"nominal\"\n[settings.training]\nu
 /// Workers on this computer, as a scheduler would start them.
 const BY_XARGS: &str = "seq {workers} | xargs -P {workers} -I '{}' {work} --slot '{}/{workers}'";
 
-/// Runs an experiment of three trainings in this folder.
+/// Runs an experiment of three trainings in this folder and returns its output.
 fn experiment(directory: &Path, out: &str, options: &[&str]) -> Output {
     std::fs::write(directory.join("tiny.toml"), TINY).unwrap();
     Command::new(env!("CARGO_BIN_EXE_qube-hil"))
@@ -35,7 +35,7 @@ fn experiment(directory: &Path, out: &str, options: &[&str]) -> Output {
         .unwrap()
 }
 
-/// The bytes of the policies, learning curves and recordings of an experiment, by their names.
+/// The bytes of the policies, learning curves and recordings of an experiment, by their paths.
 fn bytes(root: &Path) -> BTreeMap<String, Vec<u8>> {
     files_of(&root.join("policies"))
 }

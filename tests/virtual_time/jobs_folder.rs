@@ -29,7 +29,7 @@ fn jobs(count: u64, updates: u32) -> Vec<TrainingJob> {
     (0..count).map(of_seed).collect()
 }
 
-/// The bytes of each job's result, by the job's index; each is told once.
+/// The bytes of each job's result, by the job's index. The executor must tell each result once.
 fn trained(
     executor: &dyn Executor,
     jobs: &[TrainingJob],
@@ -91,7 +91,8 @@ impl WorkerProcess {
     }
 
     fn signal(&self, signal: i32) {
-        // SAFETY: `kill` touches no memory; the child has not been waited for, so its number is its own.
+        // SAFETY: `kill` touches no memory; the child has not been waited for, so no other process
+        // has its id.
         assert_eq!(unsafe { libc::kill(self.0.id() as i32, signal) }, 0);
     }
 }
@@ -103,7 +104,7 @@ impl Drop for WorkerProcess {
     }
 }
 
-/// A worker of another computer. This computer knows by its beats alone whether it lives.
+/// A process on another computer. Only its beats show this computer whether it lives.
 fn elsewhere() -> Holder {
     Holder { host: "elsewhere".into(), ..Holder::this_process() }
 }
@@ -151,7 +152,7 @@ fn a_worker_that_is_taken_for_dead_and_wakes_up_changes_nothing() {
         asleep.signal(libc::SIGSTOP);
         let mut other = WorkerProcess::start(root, &[]);
         other.says("try 2");
-        // Now two workers are at one job.
+        // Two workers then train for the same job.
         asleep.signal(libc::SIGCONT);
         results.join().unwrap()
     });
@@ -198,7 +199,7 @@ fn a_half_written_result_is_made_again() {
     let whole = fs::read(&one).unwrap();
     fs::write(&one, &whole[..whole.len() / 2]).unwrap();
     fs::remove_file(other).unwrap();
-    // One that was never renamed is no result at all.
+    // A result that was never renamed does not count.
     fs::write(root.join("results").join(format!("{name}.a-1-2.unfinished")), &whole).unwrap();
     let _worker = WorkerProcess::start(root, &[]);
     are_those_of_this_computer(&jobs, trained(&executor, &jobs));
@@ -268,7 +269,7 @@ fn the_jobs_of_a_killed_coordinator_are_found_again() {
     });
     are_those_of_this_computer(&jobs, results);
     drop(executor);
-    // The same worker did both.
+    // The only worker has done both jobs, and ends without an error.
     assert!(worker.0.wait().unwrap().success(), "worker {number}");
 }
 
@@ -314,7 +315,7 @@ fn a_folder_has_one_coordinator() {
     let folder = JobFolder::create(Arc::new(MachineDisk), root, other).unwrap();
     let refused = folder.coordinate(&Holder::this_process(), &never()).unwrap_err();
     assert!(matches!(refused, JobFolderError::TwoCoordinators { .. }), "{refused}");
-    // One of another computer is known by its beats.
+    // A coordinator on another computer sees by the first one's beats that it lives.
     let refused = folder.coordinate(&elsewhere(), &never()).unwrap_err();
     assert!(matches!(refused, JobFolderError::TwoCoordinators { .. }), "{refused}");
     // Neither has changed the terms of the first.

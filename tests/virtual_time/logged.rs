@@ -16,7 +16,7 @@ impl Log {
         tracing_subscriber::fmt().with_writer(move || writer.clone()).with_ansi(false).finish()
     }
 
-    /// The text that was logged so far.
+    /// The text that has been logged so far.
     pub fn text(&self) -> String {
         String::from_utf8(self.0.lock().unwrap().clone()).unwrap()
     }

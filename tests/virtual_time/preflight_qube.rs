@@ -1,5 +1,5 @@
-//! Tests the check before a session, in virtual time: it names the fault of a Qube, finds the signs
-//! with which the Qube swings up, and its result is in every recording.
+//! Tests the check before a session, in virtual time: it names the fault of a Qube, and it finds
+//! the signs with which the Qube swings up.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -84,7 +84,7 @@ fn an_arm_that_lies_at_a_stop_is_judged_right() {
             identity,
             plant: qube_hil::qube::PlantModel::QUBE,
         };
-        // It takes its time until the pendulum hangs still again.
+        // The pendulum needs this time until it hangs still again.
         clock.advance(30_000_000_000);
         let found = examine(&mut link, &clock, &mut MotorHeat::default(), &stop(), &settings)
             .unwrap()
@@ -104,8 +104,9 @@ fn a_defect_is_named_with_a_remedy_and_the_arm_is_not_homed() {
         ("dead-motor@0", &["motor"]),
         ("blocked-arm@0", &["stall"]),
         ("amplifier@0", &["watchdog"]),
-        // While the arm is pushed: after 2 s of samples and 0.6 s of rest.
+        // At 3 s the arm is pushed, after 2 s of samples and 0.6 s of rest.
         ("stall@3", &["stall"]),
+        // Every seventh reply has a wrong bit.
         ("garble@7", &["latency"]),
     ] {
         let found = checked(Some(fault), false);
@@ -171,7 +172,7 @@ fn homing_by_hand_passes_too_and_a_stop_ends_a_check() {
     assert_eq!(error.to_string(), "the check was stopped");
 }
 
-/// The phases of an undisturbed rollout, each with a time at which it lasts, s since the start.
+/// The phases of an undisturbed rollout, each with a time within it, s since the Qube's start.
 fn moments(directory: &Path) -> Vec<(Phase, f64)> {
     let path = directory.join("undisturbed.mcap");
     let rig = Rig::open(&settings(None), &stop()).unwrap();

@@ -59,7 +59,7 @@ fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
     judge("healthy", &found, &[]);
     assert!(touch_rad_s < 2.0, "{seed}: a stop was touched at {touch_rad_s} rad/s");
 
-    // Signs that are not known.
+    // The examination starts from random signs and must find the right ones.
     let mut random = ChaCha8Rng::seed_from_u64(seed + 1_000_000);
     let unknown = Calibration {
         theta_inverted: random.random_range(0..2) == 0,
@@ -109,7 +109,8 @@ fn no_verdict_is_wrong_on_two_hundred_rigs() {
     trial(FIRST_SEED..FIRST_SEED + 216);
 }
 
-/// `RIGS` rigs from `SEED` on: `cargo test --test virtual_time preflight_rigs:: -- --ignored --nocapture`.
+/// The variables `RIGS` and `SEED` give the number of rigs and the first seed:
+/// `cargo test --test virtual_time wrong_on_many_rigs -- --ignored --nocapture`.
 #[test]
 #[ignore = "minutes"]
 fn no_verdict_is_wrong_on_many_rigs() {
@@ -117,7 +118,8 @@ fn no_verdict_is_wrong_on_many_rigs() {
     trial(first..first + number("RIGS", 2000));
 }
 
-/// Rigs at a stop, with each encoder alive or dead, whatever signs the file has.
+/// Arms at a stop or up to 0.3 rad from it, with both encoders alive or one of them dead; the
+/// assumed signs are right on some rigs and wrong on others.
 #[test]
 fn the_probe_touches_no_stop_hard() {
     for seed in 0..48 {

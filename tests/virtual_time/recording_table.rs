@@ -45,7 +45,7 @@ fn every_tick_is_a_row_that_reads_back_exactly() {
     }
     assert!((earned - return_of(&recording.ticks, &recording.header.reward)).abs() < 1e-9);
 
-    // What is missing or not finite is empty, and the row keeps its columns.
+    // The cell of a value that is missing or not finite is empty, and the row keeps its columns.
     recording.ticks.truncate(1);
     recording.ticks[0].measurement = None;
     recording.ticks[0].state.theta = f64::NAN;
@@ -55,11 +55,12 @@ fn every_tick_is_a_row_that_reads_back_exactly() {
     assert_eq!((row[column("theta_rad")], row[column("device_time_us")]), ("", ""));
     assert_ne!(row[column("deadline_ns")], "");
 
-    // An existing table is kept.
+    // The program refuses to replace an existing table.
     let output = qube_hil(directory, &export);
     assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
 
-    // The same table in Parquet has the same columns, numbers and gaps. python/tests reads it with another reader.
+    // The same table in Parquet has the same columns, numbers and gaps. python/tests reads such a
+    // table with another reader.
     let parquet = ["export", "run/rollout-0.mcap", "--out", "tables", "--format", "parquet"];
     let output = qube_hil(directory, &parquet);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

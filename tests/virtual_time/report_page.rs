@@ -6,12 +6,12 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-/// Trainings too short to learn a swing-up.
+/// Settings of a session whose trainings are too short to learn a swing-up.
 const SMALL: &str = "seed = 5\n\
     [extent]\ninitial_candidates = 3\niterations = 1\nrollouts = 2\nverification_rollouts = 2\n\
     [training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
 
-/// A name for folders that is markup and shell code.
+/// A folder's name that is also markup and shell code.
 const HOSTILE: &str = "<img src=x onerror=alert(1)> $(id) 'x'";
 
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
@@ -36,7 +36,8 @@ fn commands(page: &str) -> Vec<String> {
     blocks.map(read).collect()
 }
 
-/// Looks at pages in Chromium.
+/// Checks pages in Chromium. Where there is none, the check says that it is skipped, unless
+/// `QUBE_HIL_REQUIRE_BROWSER` is set.
 fn look_at(pages: &[&Path]) {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/report-check");
     let is_required = std::env::var_os("QUBE_HIL_REQUIRE_BROWSER").is_some();
@@ -64,7 +65,7 @@ fn a_search_becomes_a_page_that_a_browser_shows_and_a_shell_repeats() {
     let path = directory.join(told["report"].as_str().unwrap());
     let page = fs::read_to_string(&path).unwrap();
     assert!(page.len() < 5_000_000, "{}", page.len());
-    assert!(page.contains("verifying rollouts on the Qube"), "it begins with the outcome");
+    assert!(page.contains("verifying rollouts on the Qube"), "the outcome is missing");
     assert!(!page.contains("<img"), "a name became markup");
     let best = format!("{:.1}", told["best"]["mean_return"].as_f64().unwrap());
     assert!(page.contains(&format!("a mean return of {best} of at most 600")), "{best}");
@@ -73,12 +74,12 @@ fn a_search_becomes_a_page_that_a_browser_shows_and_a_shell_repeats() {
     {
         assert!(page.contains(&format!("<h2>{section}</h2>")), "{section}");
     }
-    // Written again, it is the same page.
+    // The page is the same when it is written again.
     let again = succeeds(directory, &["report", HOSTILE]);
     assert_eq!(again["bytes"], page.len());
     assert_eq!(fs::read_to_string(&path).unwrap(), page);
 
-    // The page's commands work as they stand.
+    // The page's commands work; the test adds only the virtual clock and --json.
     let bin = Path::new(env!("CARGO_BIN_EXE_qube-hil")).parent().unwrap();
     let search_path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
     let commands = commands(&page);
@@ -97,7 +98,7 @@ fn a_search_becomes_a_page_that_a_browser_shows_and_a_shell_repeats() {
         }
     }
 
-    // What cannot be read is named, and the rest is shown.
+    // The page names each file that cannot be read, and shows the others.
     let folder = directory.join(HOSTILE);
     fs::remove_file(folder.join("candidates/001/rollout-0-attempt-0.mcap")).unwrap();
     fs::write(folder.join("candidates/002/curve.csv"), "update,steps\n<b>\n").unwrap();
@@ -129,7 +130,7 @@ fn an_identified_session_and_single_recordings_become_pages() {
     assert_eq!(told["report"], "s/report.html");
     assert!(page.contains("The Qube was identified from "), "no identification");
     assert!(page.contains("Correlations of the errors") && page.contains("class=\"matrix\""));
-    // The verification is in the last profile, and tests the one before.
+    // The last profile is fitted to the verification too, so the verification tests the one before.
     assert!(page.contains("profile-1.toml, so that the verification tests it"));
     assert!(page.contains("held out"), "no prediction of a rollout");
 
@@ -170,7 +171,7 @@ fn an_experiment_becomes_a_page_and_a_rollout_a_moving_picture() {
     let svg = fs::read_to_string(directory.join("moving.svg")).unwrap();
     assert!(svg.len() < 100_000 && svg.matches("<animate").count() == 10, "{}", svg.len());
 
-    // What the guard saw is in no recording: the report replays it.
+    // A recording does not hold the guard's predictions, so the report replays the rollout.
     succeeds(directory, &["report", "run/rollout-0.mcap"]);
     let single = directory.join("run/rollout-0.html");
     let page = fs::read_to_string(&single).unwrap();

@@ -20,10 +20,10 @@ use qube_hil::telemetry::Fault;
 
 const MS: Nanoseconds = 1_000_000;
 
-/// The fault of a wire for some time.
+/// A temporary fault of a wire.
 #[derive(Clone, Copy, Debug)]
 enum Trouble {
-    /// Bytes from the device arrive this much later.
+    /// Bytes from the device arrive later by this time, ns.
     Late(Nanoseconds),
     /// The port is gone and can be reopened afterwards.
     Gone,
@@ -174,7 +174,7 @@ fn two_seconds_of_late_answers_do_not_use_up_the_tries_of_homing() {
 
 #[test]
 fn answers_that_are_late_for_a_moment_are_no_fault_of_the_motor() {
-    // While the arm is pushed.
+    // At these times the arm is pushed.
     for from_s in [2.8, 2.9, 3.0, 3.1, 3.2, 3.4, 3.6, 3.8, 4.0] {
         let clock = VirtualClock::default();
         let settings = settings(&clock, Trouble::Late(60 * MS), from_s, from_s + 0.07);
@@ -234,13 +234,13 @@ fn a_board_that_restarts_between_two_rollouts_is_homed_again() {
     let mut rig = Rig::open(&settings, &stop()).unwrap();
     let path = directory.path().join("before.mcap");
     rollout(&rig, &path).unwrap();
-    assert!(clock.now_ns() < 39_000 * MS, "the first rollout ends before the restart");
+    assert!(clock.now_ns() < 39_000 * MS, "the first rollout ended after the restart");
     clock.sleep_until(40_100 * MS);
     let path = directory.path().join("after.mcap");
     let error = rollout(&rig, &path).unwrap_err();
     let is_restart = matches!(error, RigError::NotBegun { fault: Fault::BoardRestarted, .. });
     assert!(is_restart, "the old zero would be used: {error}");
-    assert!(!path.exists(), "a rollout that never began leaves no file");
+    assert!(!path.exists(), "a rollout that never began left a file");
     rig.start_again().unwrap();
     rollout(&rig, &path).unwrap();
     let verdict = score(&MachineDisk, &path).unwrap();

@@ -1,5 +1,6 @@
 //! Tests the rig as homing measured it: counts that move while nothing is driven require a new
-//! homing, and the box follows the measured stops. In virtual time, with access to the true state.
+//! homing, and the box follows the measured stops. The tests run in virtual time and see the true
+//! state.
 
 use std::path::Path;
 use std::sync::atomic::AtomicU32;
@@ -122,16 +123,17 @@ fn shipped(name: &str) -> Policy {
     Policy::load(&path).unwrap()
 }
 
-/// Error of the arm's angle at rest, by the rollout's zero, rad.
+/// Error of the arm's angle in the last sample, measured from the rollout's zero, rad.
 fn theta_error_rad(bench: &Bench, recording: &Recording) -> f64 {
     let last = bench.last.lock().unwrap().unwrap();
     let (theta_rad, _) = recording.header.settings.calibration.angles_rad(&last);
     (theta_rad - bench.wire().state().theta).abs()
 }
 
-/// A rollout, a fault of an encoder, and the next rollout as `run` does it: returns why the second
-/// did not begin at first, its recording, and the true error of its arm's angle, rad. The fault
-/// occurs `after_ms` after the end of the first rollout.
+/// Runs a rollout, lets an encoder fail, and runs the next rollout as `run` does. The fault occurs
+/// `after_ms` after the end of the first rollout, or before it if negative. Returns the reason why
+/// the second rollout did not begin at the first attempt, its recording, and the true error of its
+/// arm's angle, rad.
 fn next_rollout(kind: &str, counts: i32, after_ms: i64) -> (Option<Moved>, Recording, f64) {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");
@@ -141,7 +143,7 @@ fn next_rollout(kind: &str, counts: i32, after_ms: i64) -> (Option<Moved>, Recor
     rollout(&rig, 0, &path, &classical()).unwrap();
     let end_ns = bench.clock.now_ns();
 
-    // The same again, with the fault.
+    // The same rollout on the same Qube, with the fault.
     let after_s = (end_ns as i64 + after_ms * MS as i64) as f64 * 1e-9;
     let fault: EmulatorFault = format!("{kind}@{after_s}:{counts}").parse().unwrap();
     let bench = Bench::default();
@@ -156,7 +158,7 @@ fn next_rollout(kind: &str, counts: i32, after_ms: i64) -> (Option<Moved>, Recor
             fault: Fault::CountsMoved,
             source: ControlError::Moved(moved),
         }) => {
-            assert!(!path.exists(), "a rollout that never began leaves no file");
+            assert!(!path.exists(), "a rollout that never began left a file");
             rig.start_again().unwrap();
             (Some(moved), rollout(&rig, 1, &path, &classical()).unwrap())
         }
@@ -217,7 +219,7 @@ fn a_healthy_qube_is_not_homed_again_for_nothing() {
             let ticks_s = recording.ticks.len() as f64 * 0.01;
             driven_s += ticks_s;
             between_s += (bench.clock.now_ns() - begin_ns) as f64 * 1e-9 - ticks_s;
-            // Another client uses the Qube meanwhile.
+            // For half a second nobody samples the Qube, and its arm may creep.
             if number % 10 == 5 {
                 let before_rad = bench.wire().state().theta;
                 bench.clock.advance(500 * MS);
@@ -227,11 +229,12 @@ fn a_healthy_qube_is_not_homed_again_for_nothing() {
         }
         eprintln!(
             "{name}: 50 rollouts, homed once; {driven_s:.1} s driven, {between_s:.1} s watched in \
-             between; the largest error of the arm's angle is {largest_error_rad:.3} rad; it creeps by up \
-             to {largest_creep_rad:.3} rad in 0.5 s"
+             between; the largest error of the arm's angle is {largest_error_rad:.3} rad; it \
+             creeps by up to {largest_creep_rad:.3} rad in 0.5 s"
         );
         assert!(largest_error_rad < 0.02, "{name}: {largest_error_rad} rad");
-        // Judged by rollouts, not by driven time, because the guard may end many of them early.
+        // The limit is a time for each rollout, not a share of the driven time, because the guard
+        // may end many rollouts early.
         assert!(between_s < 5.0 * 50.0, "{name}: {between_s} s");
     }
 }

@@ -1,5 +1,5 @@
-//! Tests the permission to drive: hardware is declared and never guessed, and on hardware neither a
-//! file nor a caller can widen a limit. In virtual time.
+//! Tests the permission to drive, in virtual time: a device that declares nothing counts as
+//! hardware, and on hardware neither a file nor a caller can widen a limit.
 
 use std::sync::Arc;
 
@@ -79,7 +79,8 @@ fn a_device_that_declares_nothing_is_hardware_before_and_after_it_has_answered()
     assert!(!RigSettings::in_virtual_time(DeviceChoice::Emulated).is_hardware());
     let rig = Rig::connect(&silent, &Arc::default()).unwrap();
     assert!(rig.is_hardware());
-    // The device's own declaration counts, whatever the transport declares.
+    // This device does not declare that it is emulated, so it is hardware, whatever its transport
+    // declares.
     let way = Way { declares_emulated: true };
     let rig = Rig::connect(
         &RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(way))),
@@ -174,7 +175,7 @@ fn a_rig_on_hardware_refuses_a_wider_box_whoever_asks() {
 
     let rig = open(HardwareLimits::of(SafetyBox::THESIS, consent).unwrap());
     assert!(rollout(&rig, wide).is_err());
-    assert!(rollout(&rig, SafetyBox::THESIS).unwrap(), "the recording does not say it");
+    assert!(rollout(&rig, SafetyBox::THESIS).unwrap(), "the recording does not name the consent");
     assert!(!rollout(&rig, SafetyBox::GUARDED).unwrap());
 
     // An experiment on an emulated Qube may choose its box, but not the guard of old recordings.
@@ -189,7 +190,7 @@ fn a_rig_on_hardware_refuses_a_wider_box_whoever_asks() {
     );
 }
 
-/// A file of the fuzzers' corpus, written before there was a guard.
+/// A file of the fuzzers' corpus that names no guard.
 fn old(name: &str) -> Vec<u8> {
     let corpus = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus");
     std::fs::read(corpus.join(name)).unwrap()
@@ -200,7 +201,7 @@ fn files_that_name_no_guard_mean_the_box_as_they_ran() {
     for name in ["recording/block", "recording/two-blocks"] {
         let bytes = old(name);
         assert!(!bytes.windows(7).any(|word| word == b"\"guard\""), "{name} names a guard");
-        // A file of the corpus may be torn; a readable header names the guard.
+        // A file of the corpus may be torn. If its header can be read, its guard is the box.
         let Ok(recording) = parse(&bytes) else { continue };
         assert_eq!(recording.header.settings.safety_box, SafetyBox::THESIS, "{name}");
         assert!(!recording.header.hard_stop_accepted);
@@ -211,7 +212,7 @@ fn files_that_name_no_guard_mean_the_box_as_they_ran() {
     let single: SafetyBox<f32> = serde_json::from_str("{}").unwrap();
     assert_eq!(single, SafetyBox::THESIS.cast());
 
-    // The part of a session.toml from before there was a guard; the rest of that file is older yet.
+    // This part of a session.toml names no guard; the rest of the file is left out.
     let whole = String::from_utf8(old("configuration/resolved")).unwrap();
     let after = whole.split("[safety_box]").nth(1).unwrap();
     let part = format!("[safety_box]{}", after.split("\n[").next().unwrap());

@@ -1,5 +1,5 @@
-//! Tests that a file may narrow a limit but not widen one, and cannot switch off the guard of a
-//! real Qube: exit code 2, one sentence, and nothing has begun (no folder, no port).
+//! Tests that no file can widen a limit or switch off the guard of a real Qube. The program exits
+//! with code 2 and one sentence, creates no folder and opens no port.
 
 use std::path::Path;
 use std::process::Output;
@@ -11,7 +11,7 @@ use qube_hil::safety::{Guard, SafetyBox};
 use qube_hil::session::{EmulatedQubeSettings, SessionFolder, SessionSettings};
 use qube_hil::simulation::Model;
 
-/// A port that does not exist: the message about it shows that all limits were passed.
+/// A port that does not exist. The message about it shows that all limits were accepted.
 const PORT: [&str; 2] = ["--device", "/dev/ttyNOWHERE"];
 const EMULATED: [&str; 2] = ["--clock", "virtual"];
 
@@ -30,7 +30,7 @@ fn refused(directory: &Path, arguments: &[&str], words: &[&str]) {
     for word in words {
         assert!(stderr.contains(word), "{arguments:?}: {word:?} is missing in: {stderr}");
     }
-    // A path between quotes may have spaces; a sentence has one line.
+    // The message is one line.
     let sentences = stderr.lines().filter(|line| line.starts_with("qube-hil:")).count();
     assert_eq!(sentences, 1, "{stderr}");
 }
@@ -85,7 +85,7 @@ fn both_words_on_one_command_line_lead_to_the_port() {
     assert!(!directory.path().join("session").exists(), "a session without a Qube was begun");
     let settings = SessionSettings::quick().with_guard(Guard::Box).to_toml().unwrap();
     drop(SessionFolder::create(&directory.path().join("session"), &settings).unwrap());
-    // The guard is the session's now, and every process that drives asks for consent again.
+    // The session's settings name the guard, and each process that drives asks for consent again.
     let resume = ["session", "--resume", "session"];
     let named = ["session.toml", "guard", "--accept-hard-stop"];
     refused(directory.path(), &[&resume, &PORT[..]].concat(), &named);
@@ -114,7 +114,7 @@ fn a_session_that_is_resumed_widens_nothing() {
         resume(&wide, &["session.toml", "safety_box.theta", "at most 2.3"]);
     }
     let off = whole.replace("guard = \"foresight\"", "guard = \"box\"");
-    // Files from before there was a guard name none, and mean the box.
+    // A file that names no guard means the box.
     let silent = whole.replace("guard = \"foresight\"\n", "");
     for text in [off, silent] {
         assert_ne!(text, whole);
@@ -127,7 +127,8 @@ fn a_session_that_is_resumed_widens_nothing() {
     }
 }
 
-/// Nothing starts or resumes under the guard of old recordings, whatever asks for it.
+/// Nothing starts or resumes under the guard of old recordings, even if an option or a file names
+/// it.
 #[test]
 fn a_retired_guard_is_refused_with_its_replacement() {
     let directory = tempfile::tempdir().unwrap();
@@ -172,7 +173,7 @@ fn a_retired_guard_is_refused_with_its_replacement() {
     }
     assert!(!directory.path().join("begun").exists());
 
-    // Files that a session and an experiment of that version wrote.
+    // The files of a session and of an experiment with these keys.
     let root = directory.path().join("session");
     let whole = SessionSettings::quick().to_toml().unwrap();
     drop(SessionFolder::create(&root, &whole).unwrap());
@@ -238,7 +239,7 @@ fn an_experiment_widens_nothing() {
     }
     recipe("guard = \"box\"", &PORT, &["mine", "guard", "--accept-hard-stop"]);
 
-    // The same in the file that an experiment goes on with.
+    // The file with which an experiment is resumed widens nothing either.
     let small =
         ["--models", "nominal", "--policies", "1", "--rollouts", "1", "--out", "experiment"];
     let guarded = ["experiment", "--guard", "foresight"];
@@ -246,7 +247,7 @@ fn an_experiment_widens_nothing() {
     let toml = directory.path().join("experiment/experiment.toml");
     assert!(toml.exists(), "{}", String::from_utf8_lossy(&begun.stderr));
     let sealed = std::fs::read_to_string(&toml).unwrap();
-    // Earlier versions wrote no checksum.
+    // A file without a checksum is accepted, so the test can change it.
     let (whole, _) = sealed.split_once("# checksum").unwrap();
     let resume = ["experiment", "--resume", "experiment"];
     let other = [&resume, &PORT[..]].concat();

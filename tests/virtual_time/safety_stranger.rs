@@ -1,8 +1,9 @@
-//! Tests foresight against an adversary that knows only its promise, in a search small enough for
-//! every run of the tests.
+//! Tests foresight against an adversary that knows only what foresight promises, in a search small
+//! enough for every run of the tests.
 //!
-//! `cargo run --release --example strangers_adversary` searches at full size. This search has no
-//! mishaps on the link; one episode with lost samples, in which the arm once reached its stop, is repeated.
+//! `cargo run --release --example strangers_adversary` searches at full size. The search of these
+//! tests has no mishaps on the link. Two episodes with lost samples, in which the arm reaches its
+//! stop if a part of foresight is switched off, are repeated.
 
 use qube_hil::safety::Guard;
 use qube_hil::telemetry::TickRules;
@@ -12,7 +13,7 @@ use crate::stranger::{
     AdversarySearch, BeliefKind, Effort, Method, Scenario, SearchRecord, summary,
 };
 
-/// Far fewer episodes than in the example.
+/// Extent of the searches: far fewer episodes than in the example.
 const EFFORT: Effort = Effort { generations: 3, population: 16 };
 
 /// A seed whose attack is linear feedback in three stages on a link without mishaps; the Qube is
@@ -63,7 +64,7 @@ struct Episode {
     genes: Vec<f64>,
 }
 
-/// Reads an episode of the unknown or the identified Qube.
+/// Reads an episode; returns it with a search on the same Qube under foresight.
 fn episode(text: &str) -> (AdversarySearch, Episode) {
     let episode: Episode = serde_json::from_str(text).unwrap();
     let Scenario { seed, known, .. } = episode.scenario;
@@ -71,7 +72,8 @@ fn episode(text: &str) -> (AdversarySearch, Episode) {
     (AdversarySearch { seed, known, method: Method::Ce, guard }, episode)
 }
 
-/// Three samples are lost twice within 0.1 s while the brake rings on the strongest motor with the lightest arm.
+/// Three samples are lost twice within 0.1 s while the brake rings on the strongest motor with the
+/// lightest arm.
 #[test]
 fn samples_that_are_lost_twice_while_the_brake_rings_do_not_throw_the_arm_into_its_stop() {
     let (search, Episode { scenario, genes }) =
@@ -85,8 +87,8 @@ fn samples_that_are_lost_twice_while_the_brake_rings_do_not_throw_the_arm_into_i
     assert!(!tried.is_hit() && tried.farthest_rad < 2.2, "{tried:?}");
 }
 
-/// Three samples are lost twice within 70 ms while the pendulum spins, so that the one velocity between is a mean over
-/// 40 ms in which the arm's changes by 9 rad/s.
+/// Three samples are lost twice within 70 ms while the pendulum spins. The one velocity between the
+/// losses is a mean over 40 ms, in which the arm's velocity changes by 9 rad/s.
 #[test]
 fn samples_that_are_lost_twice_while_the_pendulum_spins_do_not_throw_the_arm_into_its_stop() {
     let (search, Episode { scenario, genes }) =

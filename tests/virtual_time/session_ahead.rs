@@ -1,4 +1,5 @@
-//! Tests that policies are trained while others run on the Qube, and that nothing depends on which ends first.
+//! Tests that policies are trained while others run on the Qube, and that no result depends on
+//! which of them ends first.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -44,8 +45,8 @@ fn open(root: &Path, settings: &SessionSettings, executor: Arc<dyn Executor>) ->
     Session::open(folder, settings.clone(), rig, Arc::default()).unwrap().trained_by(executor)
 }
 
-/// Trains on several cores and delays each training, by a time that differs from job to job and
-/// from one executor to the next.
+/// Trains up to `threads` policies at a time, and delays each training by a time that differs from
+/// job to job and from one executor to the next.
 struct Dawdling {
     threads: usize,
     seed: u64,
@@ -118,7 +119,8 @@ fn a_session_has_the_same_bytes_however_long_its_trainings_take() {
     assert_eq!(pending_of(&ledgers[2]), [[0, 1], [1, 2], [2, 3]]);
 }
 
-/// Holds the trainings of the search's candidates back until a rollout of the candidate before has ended.
+/// Holds the training of each candidate after the initial ones back until the rollout of the
+/// candidate before it has ended.
 struct Holding {
     jobs: AtomicU64,
     /// Number of candidates whose rollouts have ended.
@@ -167,7 +169,7 @@ fn a_stop_while_the_qube_waits_ends_the_trainings_and_the_session_goes_on_to_the
     let whole = directory.path().join("whole");
     open(&whole, &settings(2), Arc::new(Dawdling::new(2, 1))).run(&mut |_| ()).unwrap();
 
-    // Stopped after each of the session's events in turn, until none is left to stop it at.
+    // Each run is stopped at its third event, until a run reaches the session's end.
     let root = directory.path().join("stopped");
     let mut stops = 0;
     loop {
@@ -208,7 +210,7 @@ fn a_stop_while_the_qube_waits_ends_the_trainings_and_the_session_goes_on_to_the
     }
 }
 
-/// Fails every training after the first ones.
+/// Carries out the first `left` trainings and fails every later one.
 struct Failing {
     left: AtomicU64,
 }
@@ -225,7 +227,7 @@ impl Executor for Failing {
             return LocalExecutor::on_cores(1).train(jobs, stop, tell);
         }
         let mut job = jobs[0].clone();
-        // Refused by the training itself.
+        // The training itself refuses these settings.
         job.settings.num_envs = 0;
         LocalExecutor::on_cores(1).train(&[job], stop, tell);
     }
@@ -239,7 +241,8 @@ fn a_training_that_fails_ends_the_session_when_its_policy_is_needed_and_not_befo
     let mut session = open(&root, &settings(1), Arc::new(executor));
     let error = session.run(&mut |_| ()).unwrap_err();
     assert!(error.to_string().contains("num_envs"), "{error}");
-    // Both initial candidates have run by then, and a third was proposed beside the one that failed.
+    // Both initial candidates have run by then, and a candidate was proposed beside the one whose
+    // training failed.
     let finished: Vec<usize> =
         session.state().candidates().iter().map(|it| it.finished.len()).collect();
     assert_eq!(finished, [1, 1, 0, 0]);

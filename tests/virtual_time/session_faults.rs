@@ -1,5 +1,5 @@
-//! Tests a fault during a session, in virtual time: the motor is off, the rollout is void and kept,
-//! and the session can be resumed once the fault is mended.
+//! Tests a fault during a session, in virtual time: the rollout is void, its recording is kept, and
+//! the session can be resumed once the fault is mended.
 
 use std::path::Path;
 use std::sync::Arc;

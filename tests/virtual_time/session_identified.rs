@@ -16,7 +16,7 @@ use qube_hil::session::{
 };
 use serde_json::Value;
 
-/// Trainings too short to learn a swing-up.
+/// Settings of a session whose trainings are too short to learn a swing-up.
 const SMALL: &str = "seed = 5\n\
     [extent]\ninitial_candidates = 2\niterations = 0\nrollouts = 1\nverification_rollouts = 2\nbaseline = true\n\
     [training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
@@ -50,7 +50,8 @@ fn a_qube_is_identified_and_the_search_varies_the_errors_of_its_profile() {
     let delay_s = profile.nonidealities.command_delay_s;
     assert!((0.008..0.014).contains(&delay_s), "{delay_s}");
 
-    // The first candidate is trained on the Qube as it was identified, the second elsewhere.
+    // The first candidate is trained at psi = 0, the Qube as it was identified, the second at
+    // another psi.
     let candidates = list(&told, "candidates");
     let psi = |candidate: &Value| candidate["psi"].as_object().unwrap().clone();
     assert_eq!(candidates.len(), 2);
@@ -72,7 +73,7 @@ fn a_qube_is_identified_and_the_search_varies_the_errors_of_its_profile() {
     // A finished session is only read.
     let again = session(directory.path(), &settings, &["--resume", "s"]);
     assert_eq!(again["best"], told["best"]);
-    // The guard follows the profile: a changed one is refused.
+    // The guard follows the profile, so a changed profile is refused.
     std::fs::write(directory.path().join("s/profile-1.toml"), text + "# mine\n").unwrap();
     let mut command = Command::cargo_bin("qube-hil").unwrap();
     let resume = ["session", "--clock", "virtual", "--resume", "s"];
@@ -100,7 +101,8 @@ fn a_qube_that_cannot_be_identified_is_searched_as_an_unknown_one() {
 #[test]
 fn where_the_fit_is_doubted_a_policy_for_an_unknown_qube_competes() {
     let directory = tempfile::tempdir().unwrap();
-    // Policies of so small a training differ by luck alone, so the one for an unknown Qube wins with some seeds.
+    // Policies of so small a training differ by luck alone, so the one for an unknown Qube wins
+    // with some seeds.
     let kept = |effect: &[&str], seed: u32| {
         let settings = format!("{SMALL}[identification]\ncandidates = 1\n")
             .replace("seed = 5", &format!("seed = {seed}"));
@@ -121,8 +123,8 @@ fn where_the_fit_is_doubted_a_policy_for_an_unknown_qube_competes() {
     assert!(sure.iter().all(|it| *it == (0, "opt-profile".to_owned())), "{sure:?}");
 }
 
-/// A computer that, in its first connections, is late by two ticks five times a second: too often for a fit, too
-/// briefly for the watchdog.
+/// A computer that, in its first connections, is late by two ticks five times a second. That is too
+/// often for a fit, and too brief for the watchdog.
 #[derive(Debug)]
 struct StallingComputer {
     connections: AtomicU32,

@@ -9,11 +9,11 @@ use qube_hil::recording::{Recording, RolloutWriter, read};
 use qube_hil::storage::MachineDisk;
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Updates of the policies: a session takes a few seconds with the first number. A computer on which it ends
-/// before it can be interrupted tries the next one.
+/// Numbers of updates of each training, which are tried in turn until a session lasts long enough
+/// to be interrupted. With the first number a session takes a few seconds.
 const UPDATES: [u32; 4] = [2, 16, 128, 1024];
 
-/// A session of six candidates.
+/// Settings of a session of five candidates and two verified policies.
 fn small(updates: u32) -> String {
     format!(
         "seed = 5\n\
@@ -34,7 +34,7 @@ fn session(directory: &Path, arguments: &[&str]) -> Child {
         .expect("the program starts")
 }
 
-/// A session of three candidates that identifies its Qube first.
+/// Settings of a session of up to three candidates that identifies its Qube first.
 fn identified(updates: u32) -> String {
     format!(
         "seed = 5\n\
@@ -44,7 +44,7 @@ fn identified(updates: u32) -> String {
     )
 }
 
-/// The session of six candidates, which trains while the Qube runs.
+/// The settings of [`small`] with trainings beside the rollouts.
 fn ahead(updates: u32) -> String {
     small(updates).replace("[extent]\n", "[extent]\npending = 1\n")
 }
@@ -72,7 +72,7 @@ fn decisions(ledger: &[u8]) -> String {
 
 fn signal(child: &Child, signal: Signal) {
     let id = Pid::from_child(child);
-    // It may have ended by itself.
+    // The process may have ended by itself.
     let _ = kill_process(id, signal);
 }
 
@@ -84,7 +84,8 @@ fn killed_again_and_again_the_ledger_is_that_of_an_undisturbed_session() {
     }
 }
 
-/// Kills a session again and again and compares its ledger; returns whether there was time for a kill.
+/// Kills a session again and again and compares its ledger with that of an undisturbed session;
+/// returns whether there was time for a kill.
 fn is_killed_and_resumed(settings: &str) -> bool {
     let directory = tempfile::tempdir().unwrap();
     let begin = |name| begin_with(directory.path(), name, settings);
@@ -92,19 +93,20 @@ fn is_killed_and_resumed(settings: &str) -> bool {
     let whole = ledger(directory.path(), "whole");
     assert!(whole.iter().filter(|&&byte| byte == b'\n').count() >= 16);
 
-    // State after a kill before the session has written its session.toml.
+    // A kill before the session has written its session.toml leaves this state.
     std::fs::create_dir_all(directory.path().join("killed/candidates")).unwrap();
     std::fs::write(directory.path().join("killed/session.unfinished"), "seed").unwrap();
     let mut child = begin("killed");
     let mut kills = 0;
     loop {
-        // The times cover all its phases.
+        // The times vary, so that kills fall into different phases of the session.
         std::thread::sleep(Duration::from_millis(40 + 37 * (kills % 9)));
         if let Some(status) = child.try_wait().unwrap() {
             assert!(status.success(), "after {kills} kills: {status}");
             break;
         }
-        // Each kill leaves more behind, so this ends; the limit only shortens a failure.
+        // After 40 kills the session runs on, because a training that takes longer than the longest
+        // of these times would never end.
         if kills < 40 {
             signal(&child, Signal::KILL);
             kills += 1;
@@ -147,7 +149,7 @@ fn is_stopped_and_resumed(kind: Signal, expected: i32, updates: u32) -> bool {
     code == Some(expected)
 }
 
-/// Runs a session in this folder; returns its exit code and messages.
+/// Resumes a session in this folder; returns its exit code, and its messages before its result.
 fn resumed(directory: &Path, name: &str) -> (Option<i32>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
         .current_dir(directory)
@@ -177,7 +179,7 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     let (code, told) = resumed(directory.path(), "mine");
     assert_eq!(code, Some(0), "{told}");
 
-    // A ledger of a program that stored no checksum of its settings.
+    // A ledger without a checksum of the settings is accepted.
     let ledger = directory.path().join("mine/ledger.jsonl");
     let lines = std::fs::read_to_string(&ledger).unwrap();
     let (first, others) = lines.split_once('\n').unwrap();
@@ -236,7 +238,7 @@ fn a_finished_recording_that_was_cut_is_data_lost() {
     assert_eq!(resumed(directory.path(), "mine").0, Some(0));
 }
 
-/// Exit code and messages of a session with these arguments.
+/// Runs a session with these arguments; returns its exit code and messages.
 fn ended(directory: &Path, arguments: &[&str]) -> (Option<i32>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
         .current_dir(directory)

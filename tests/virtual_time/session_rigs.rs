@@ -1,4 +1,5 @@
-//! Tests sessions that drive several Qubes: a policy for each in a session of its own, or one that they share.
+//! Tests sessions that drive several Qubes: each Qube has a session and policies of its own, or the
+//! Qubes share a session and its policies.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,11 +22,12 @@ use crate::folders::files_of;
 /// Environment variable that is set for the process whose log is read.
 const LOGGED: &str = "QUBE_HIL_TEST_LOGGED";
 
+/// Settings of a small session without the number of updates, which a test appends.
 const SMALL: &str = "seed = 5\n\
     [extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 2\nverification_rollouts = 2\n\
     [training]\nnum_envs = 16\nepochs = 1\n";
 
-/// The command line of a session that drives two emulated Qubes in virtual time.
+/// The command `session` in virtual time with these arguments.
 fn pair(directory: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
     command.current_dir(directory).args(["session", "--clock", "virtual"]).args(arguments);
@@ -53,7 +55,8 @@ fn begin(rig_policy: &str) -> Vec<&str> {
     BEGIN.into_iter().chain(["--rig-policy", rig_policy]).collect()
 }
 
-/// The files of a session but its reports, which name folders of this computer, and what a kill has cut off.
+/// The files of a session without its reports, which name folders of this computer, and without the
+/// unfinished files that a kill leaves.
 fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = files_of(root);
     files.retain(|name, _| !name.ends_with("report.html") && !name.contains("unfinished"));
@@ -65,8 +68,8 @@ fn json(output: &Output) -> Value {
     serde_json::from_str(told.lines().last().unwrap()).unwrap()
 }
 
-/// Kills a session again and again and compares its files with those of one that nothing disturbs; returns whether
-/// there was time for a kill.
+/// Kills a session again and again and compares its files with those of an undisturbed session;
+/// returns whether there was time for a kill.
 fn is_killed_and_resumed(rig_policy: &str, first_file: &str, updates: u32) -> bool {
     let whole = with_settings(updates);
     assert!(pair(whole.path(), &begin(rig_policy)).status().unwrap().success());
@@ -83,7 +86,7 @@ fn is_killed_and_resumed(rig_policy: &str, first_file: &str, updates: u32) -> bo
             assert!(status.success(), "after {kills} kills: {status}");
             break;
         }
-        // The limit only shortens a failure.
+        // After 20 kills the session runs on.
         if kills < 20 {
             let _ = kill_process(Pid::from_child(&child), Signal::KILL);
             kills += 1;
@@ -128,13 +131,13 @@ fn each_of_two_qubes_has_a_session_of_its_own() {
     let report = report.current_dir(directory.path()).args(["report", "two"]).output().unwrap();
     let told = String::from_utf8_lossy(&report.stderr);
     assert!(report.status.code() == Some(2) && told.contains("as two/rig-1"), "{told}");
-    // One Qube more or less than at the start is refused.
+    // A number of Qubes that differs from that at the start is refused.
     let alone = ended(directory.path(), &["--resume", "two", "--device", "emulated"]);
     let told = String::from_utf8_lossy(&alone.stderr);
     assert_eq!(alone.status.code(), Some(2), "{told}");
     assert!(told.contains("two drives 2 Qubes"), "{told}");
-    // So is an emulated Qube in place of a port, and a file whose number of Qubes is not that of
-    // the sessions.
+    // An emulated Qube in place of a port is refused too, and so is a file whose number of Qubes
+    // differs from the number of sessions.
     for (rigs, message) in [
         ("[\"/dev/ttyACM0\", \"emulated\"]", "rig 1 of two began at /dev/ttyACM0"),
         ("[\"emulated\"]", "devices names 1 rigs, but there is two/rig-2"),
@@ -198,7 +201,8 @@ fn sessions_of_two_qubes_that_are_killed_go_on_to_the_same_bytes() {
 fn what_is_left_of_a_start_that_was_killed_is_in_nobodys_way() {
     let directory = with_settings(2);
     assert!(ended(directory.path(), &begin("own")).status.success());
-    // A kill after the first of two sessions has begun, and before the second and rigs.toml.
+    // A kill after the first of two sessions has begun, and before the second one and rigs.toml
+    // exist, leaves this state.
     let left = directory.path().join("left");
     std::fs::create_dir_all(left.join("rig-1/candidates")).unwrap();
     let settings = directory.path().join("two/rig-1/session.toml");
@@ -276,7 +280,7 @@ fn settings() -> SessionSettings {
     settings
 }
 
-/// An emulated Qube in virtual time, with a fault.
+/// An emulated Qube in virtual time, with a fault or none.
 fn emulated(settings: &SessionSettings, fault: Option<&str>) -> RigSettings {
     let fault: Option<EmulatorFault> = fault.map(|fault| fault.parse().unwrap());
     let emulator = EmulatorSettings { fault, ..EmulatorSettings::default() };
@@ -303,7 +307,7 @@ fn the_fault_of_one_qube_ends_its_own_session_only() {
     assert!(ended[1].is_ok(), "{:?}", ended[1]);
     open("alone", None).run(&mut |_| ()).unwrap();
     let files_in = |name: &str| files(&directory.path().join(name));
-    assert!(files_in("sound") == files_in("alone"), "the other session's fault changed something");
+    assert!(files_in("sound") == files_in("alone"), "the fault changed files of the other session");
 }
 
 /// A session that two emulated Qubes share, each with a fault or none; opens it again if it exists.
@@ -319,8 +323,8 @@ fn shared(root: &Path, faults: [Option<&str>; 2]) -> Session {
     Session::open(folder, settings, first, stop).unwrap().spread_over([(second, None)])
 }
 
-/// Runs sessions of two rigs in a process of their own, whose log another test reads. Run as a test
-/// it does nothing.
+/// Runs sessions of two rigs in a process of their own, whose log another test reads. Without the
+/// variable [`LOGGED`] it does nothing.
 #[test]
 fn sessions_that_are_logged() {
     if std::env::var_os(LOGGED).is_none() {
@@ -328,7 +332,7 @@ fn sessions_that_are_logged() {
     }
     tracing_subscriber::fmt().with_ansi(false).init();
     let directory = tempfile::tempdir().unwrap();
-    // While the arm is homed; only this test's boards restart.
+    // The board restarts while the arm is homed.
     let fault = Some("board-restart@5");
     shared(&directory.path().join("shared"), [None, fault]).run(&mut |_| ()).unwrap();
     let open = |name: &str, fault| alone(&directory.path().join(name), fault);
@@ -396,7 +400,8 @@ fn the_rollouts_of_a_rig_that_faults_are_made_by_the_other() {
     }
 }
 
-/// Cuts the ledger after each line around the fault, as a crash does, and goes on to the same bytes.
+/// Cuts the ledger after each line around the fault, as a crash does, and checks that the resumed
+/// session ends with the same bytes.
 fn goes_on_from_each_line(root: &Path, fault: &str) {
     let whole = files(root);
     let text = String::from_utf8(whole["ledger.jsonl"].clone()).unwrap();

@@ -23,7 +23,7 @@ fn the_service_manager_is_told() {
         .spawn()
         .unwrap();
 
-    // Read continuously, as systemd does: the socket holds only some datagrams.
+    // The test reads continuously, as systemd does, because the socket holds only some datagrams.
     let mut told = Vec::new();
     let mut buffer = [0; 256];
     socket.set_read_timeout(Some(Duration::from_millis(50))).unwrap();
@@ -39,11 +39,12 @@ fn the_service_manager_is_told() {
     assert!(status.success(), "{status}");
     assert_eq!(told.first().map(String::as_str), Some("READY=1"), "{told:?}");
     assert_eq!(told.last().map(String::as_str), Some("STOPPING=1"), "{told:?}");
-    // At least: two candidates proposed and trained, two rollouts.
+    // The session proposes and trains at least two candidates, and runs at least two rollouts.
     assert!(told.iter().filter(|word| *word == "WATCHDOG=1").count() >= 6, "{told:?}");
 }
 
-/// The value of a setting in its section of the unit file; the last one counts, as in systemd.
+/// The value of a setting in its section of the unit file. The last value counts, as in systemd for
+/// settings that are no lists.
 fn of_unit(section: &str, name: &str) -> Option<String> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/scripts/qube-hil@.service");
     let unit = std::fs::read_to_string(path).unwrap();
@@ -73,7 +74,8 @@ fn a_loop_of_crashes_ends() {
     let (interval, burst) =
         (seconds("Unit", "StartLimitIntervalSec"), seconds("Unit", "StartLimitBurst"));
     // The longest life of a session that only checks, homes and hangs: the manager's timeout for
-    // its start (90 s unless the unit says otherwise), its watchdog, and its time to stop.
+    // its start (90 s, the default, because the unit names none), its watchdog, and its time to
+    // stop.
     let start = 90;
     let hangs = start + seconds("Service", "WatchdogSec") + seconds("Service", "TimeoutStopSec");
     let between_starts = hangs + seconds("Service", "RestartSec");

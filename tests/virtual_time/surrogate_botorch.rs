@@ -1,8 +1,8 @@
-//! Compares every number of the surrogate with BoTorch's.
+//! Compares the numbers of the surrogate with BoTorch's.
 //!
-//! Reads each `botorch_fixture_*.json` in `$QUBE_HIL_FIXTURES`, or else in `../shared/fixtures`
-//! beside the checkout; each file describes its numbers. `tests/fixtures` has four small ones
-//! of the same kind, so that the test always has something to compare with.
+//! Reads each `botorch_fixture_*.json` in `tests/fixtures`, which has four small files, and in
+//! `$QUBE_HIL_FIXTURES`; if that variable is not set, in `../shared/fixtures`, relative to the
+//! repository. Each file describes its numbers.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ use serde::Deserialize;
 
 #[derive(Deserialize)]
 struct Fixture {
-    /// Absent in BoTorch's own fixtures, which all use Matérn 5/2.
+    /// Kernel of the process; a file that names none uses Matérn 5/2.
     #[serde(default)]
     kernel: Kernel,
     bounds_lo: Vec<f64>,
@@ -58,7 +58,7 @@ struct AcquisitionOptimum {
     log_ei: f64,
 }
 
-/// The fixtures of one folder; empty where it does not exist.
+/// The fixtures of one folder, by name; empty if the folder cannot be read.
 fn fixtures_in(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else {
         return Vec::new();
@@ -129,7 +129,7 @@ fn compare(path: &Path) {
         println!("{name}: objective after fitting minus theirs {advantage:+.2e} (seed {seed})");
     }
 
-    // the acquisition optimum was sought at the fitted hyperparameters
+    // BoTorch's acquisition optimum is that at its fitted hyperparameters.
     let process = process_at(&data, fixture.kernel, &theirs.hyperparameters);
     let acquisition = OnProcess {
         process: &process,
@@ -169,9 +169,9 @@ fn at_given_hyperparameters(
     close(name, "log marginal likelihood", evidence.value, theirs.log_marginal_likelihood);
     close(name, "log prior", hyperparameters.log_prior(priors), theirs.log_prior_total);
 
-    // Gradients: theirs are with respect to raw parameters, l = ln(1 + exp(raw)) for gamma, l = raw
-    // otherwise. Near the optimum they are differences of large terms, so the error is relative to
-    // those.
+    // Their gradients are with respect to raw parameters: l = ln(1 + exp(raw)) for gamma priors,
+    // and l = raw otherwise. A gradient near 0 is a difference of larger terms, so the error is
+    // relative to the largest component, or to 1 if that is larger.
     let size = theirs.d_lml_d_raw_lengthscale.iter().fold(1.0_f64, |most, g| most.max(g.abs()));
     for ((ours, l), raw) in evidence
         .d_log_lengthscales
@@ -209,7 +209,7 @@ fn at_given_hyperparameters(
     }
 }
 
-/// Checks that two numbers are equal to 1e-9, relative.
+/// Checks that two numbers differ by less than a relative 1e-9.
 fn close(name: &str, what: &str, ours: f64, theirs: f64) {
     let error = (ours - theirs).abs() / theirs.abs();
     assert!(

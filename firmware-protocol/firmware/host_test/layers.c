@@ -1,5 +1,6 @@
-/* The firmware's pure layers, compiled for the computer and asked over standard input: one question
- * a line, one answer a line. The test firmware-protocol/tests/firmware_layers.rs asks.
+/* Answers questions about the firmware's pure layers, compiled for the computer: one question a
+ * line of standard input, one answer a line of output. The test
+ * firmware-protocol/tests/firmware_layers.rs asks.
  *
  *   stream HEX              the frames and the dropped frames in these bytes
  *   again HEX               a frame decoded and encoded again
@@ -7,13 +8,15 @@
  *   current RAW             milliampere
  *   tachometer RAW          counts per second
  *   extend LAST RAW         the counter in 32 bits
- *   newer CANDIDATE LAST    1 if an act numbered CANDIDATE is accepted after an Arm numbered LAST, else 0
- *   watchdog FED NOW        the state at NOW of a device armed at FED
- *   fresh SAMPLED GIVEN NOW 1 if an act at NOW that names the sample of SAMPLED is accepted when the last
- *                           sample given is that of GIVEN (or none), else 0
- *   stop FITTED EVENTS      the emergency stop. EVENTS: c or o a millisecond of closed or open contact,
- *                           h a Hello, a an Arm. Answers the state after each event, with ! while the stop
- *                           is latched and ? while no switch is known; r where the stop refuses an Arm
+ *   newer CANDIDATE LAST    1 if an act numbered CANDIDATE is accepted after an Arm numbered LAST,
+ *                           else 0
+ *   watchdog FED NOW        the state and the motor word at NOW of a device armed at FED
+ *   fresh SAMPLED GIVEN NOW 1 if an act at NOW that names the sample of SAMPLED is accepted when
+ *                           the last sample given is that of GIVEN (or none), else 0
+ *   stop FITTED EVENTS      the state after each event, with ! while the emergency stop is latched
+ *                           and ? while no switch is known; r where the stop refuses an Arm.
+ *                           EVENTS: c or o a millisecond of closed or open contact, h a Hello,
+ *                           a an Arm
  */
 #include <inttypes.h>
 #include <stdio.h>
@@ -77,7 +80,7 @@ static bool ask(struct device *device, uint8_t type, uint16_t sequence, uint32_t
     return device_request(device, &request, now_us, reply);
 }
 
-/* A greeted device with a Qube. */
+/* Starts a device with a Qube and greets it by a Hello numbered one below `sequence`. */
 static void greet(struct device *device, uint16_t sequence, uint32_t now_us, bool stop_switch_fitted)
 {
     static const struct device_identity IDENTITY = {.kind = KIND_ATMEGA328P};
@@ -91,7 +94,7 @@ static void greet(struct device *device, uint16_t sequence, uint32_t now_us, boo
     ask(device, REQUEST_HELLO, sequence - 1, PROTOCOL_VERSION, 2, now_us, &reply);
 }
 
-/* The same device, armed by a request with this sequence number. */
+/* Starts and greets a device with a Qube, and arms it by a request with this sequence number. */
 static void arm(struct device *device, uint16_t sequence, uint32_t now_us)
 {
     struct link_frame reply;

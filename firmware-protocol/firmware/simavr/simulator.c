@@ -7,9 +7,9 @@
  *   simulator ELF atmega328p|atmega2560 MEMORY_SEED
  *
  * MEMORY_SEED determines the content of the memory at power-on.
- * Prints the pty's path on its first line of output. Then, in binary, one `struct event` when chip
- * select falls, which must be answered on standard input by one `struct answer` before time goes
- * on, and one when it rises. Ends when standard input does. */
+ * Prints the pty's path on its first line of output. Then it writes, in binary, one `struct event`
+ * when chip select falls, which must be answered on standard input by one `struct answer` before
+ * time goes on, and one when it rises. Ends when standard input does. */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
@@ -44,7 +44,7 @@
 
 #define FRAME_BYTES 17u
 
-/* Longest step of the simulation. */
+/* Longest step of the simulation before the program looks at the pty again. */
 #define SLICE_US 100u
 /* Longest delay that the simulation makes up for. The excess of a longer one is skipped: otherwise
  * the program would see a silent host only because this process was not scheduled. */

@@ -7,7 +7,8 @@ use proc_macro2::{Delimiter, LineColumn, Spacing, TokenStream, TokenTree};
 /// A path, from the crate's root or from outside.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Import {
-    /// `crate` or the name of another crate, then the segments after it.
+    /// `crate`, the name of another crate or a name of the module itself, then the segments after
+    /// it.
     pub path: Vec<String>,
     pub line: usize,
     pub in_tests: bool,
@@ -184,10 +185,10 @@ impl Walk {
     }
 }
 
-/// Position of a path.
+/// The place that a path has reached so far.
 #[derive(Clone, Debug)]
 enum Base {
-    /// Not started.
+    /// The path has not begun.
     Unknown,
     /// In a module of this crate.
     Inside(Vec<String>),
@@ -255,7 +256,8 @@ fn item_length(tokens: &[TokenTree]) -> usize {
     }
 }
 
-/// First and last token of the imports of a `use` item with any visibility.
+/// The range of the tokens between `use` and the semicolon of a `use` item with any visibility; the
+/// second index is that of the semicolon.
 fn use_item(tokens: &[TokenTree]) -> Option<(usize, usize)> {
     let start = match tokens {
         [first, ..] if is_ident(first, "use") => 1,
@@ -279,7 +281,7 @@ fn path_length(tokens: &[TokenTree]) -> usize {
     length
 }
 
-/// The parts between commas.
+/// The parts of a group between its commas.
 fn branches(tokens: &[TokenTree]) -> Vec<&[TokenTree]> {
     tokens.split(|token| is_punct(token, ',')).filter(|branch| !branch.is_empty()).collect()
 }

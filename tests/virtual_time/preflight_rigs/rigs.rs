@@ -2,8 +2,8 @@
 //!
 //! A rig follows from its seed: all eight wirings; the profile `lab` 0.5, 1 and 1.5 times as far
 //! from nominal; parameters within 10 % of that; 1 to 4 times the friction; up to 1 degree of play.
-//! Half of the rigs lie in the corners of that domain. Published figures use seeds from 1000 on, on
-//! which nothing was tuned.
+//! About half of the rigs lie in the corners of that domain. Published figures use seeds from 1000
+//! on, on which nothing was tuned.
 
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings, Wiring};
 use qube_hil::estimation::Calibration;
@@ -126,8 +126,8 @@ impl Defect {
             Self::HeldArm => rig.fault = Some(EmulatorFault::BlockedArm { after_s }),
             Self::DeadMotor => rig.fault = Some(EmulatorFault::DeadMotor { after_s }),
             Self::NoPendulum | Self::HeldPendulum => {
-                // The shaft stays with the arm; a pendulum that is fixed to the arm adds its mass
-                // to it (J_r = M_r L_r^2 / 12).
+                // The encoder's shaft does not turn against the arm. A pendulum that is fixed to
+                // the arm adds its mass at the arm's end (J_r = M_r L_r^2 / 12).
                 rig.fault = Some(EmulatorFault::FrozenAlpha { after_s });
                 let parameters = &mut rig.model.parameters;
                 if self == Self::HeldPendulum {
@@ -140,7 +140,7 @@ impl Defect {
     }
 }
 
-/// A number from the environment.
+/// The number in an environment variable; `default` if the variable is not set or no number.
 pub fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
 }

@@ -1,4 +1,4 @@
-//! The whole check with homing, followed by a settling and a rollout.
+//! Tests the whole check with homing, and the rollout that follows it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -41,7 +41,7 @@ fn rollout(rig: &Rig, seed: u64) -> Ending {
     rig.rollout(&MachineDisk, &path, plan.header(), &policy.to_bytes()).unwrap().outcome.ending
 }
 
-/// Description of a rig for reports.
+/// Describes a rig in a test's output.
 fn about(seed: u64, emulator: &EmulatorSettings) -> String {
     let QubeModel { parameters, nonidealities } = &emulator.model;
     format!(
@@ -53,7 +53,8 @@ fn about(seed: u64, emulator: &EmulatorSettings) -> String {
     )
 }
 
-/// The failures of a healthy rig's check and first rollout, in words.
+/// The failures of a healthy rig's check, or else the fault of its first rollout, in words; `None`
+/// without either.
 fn false_faults(seed: u64) -> Option<String> {
     let emulator = rig(seed);
     let mut opened = connected(emulator, signs_of(emulator.wiring));
@@ -67,10 +68,10 @@ fn false_faults(seed: u64) -> Option<String> {
     }
 }
 
-/// A defect that begins during a check: the check of the examination that may name it, and the
-/// faults of homing.
+/// The defects that may begin during a check. With each are the check of the examination that may
+/// name it, and the faults of homing that may.
 const LATER: [(&str, &str, &[Fault]); 4] = [
-    // A motor at rest does not show it: the second name covers both.
+    // If the count freezes while the arm rests, homing reports `ArmHeld`, which names both causes.
     ("frozen-theta", "arm", &[Fault::EncoderFrozen, Fault::ArmHeld]),
     ("frozen-alpha", "pendulum", &[Fault::PendulumFrozen]),
     ("dead-motor", "motor", &[Fault::MotorDead]),
@@ -88,8 +89,8 @@ fn names(told: &[(String, String)], of_the_examination: &str, of_homing: &[Fault
     }
 }
 
-/// The checks of a rig with a single defect that give another name, in words: one defect from the
-/// start, and one that begins during the check.
+/// The checks of rigs with a single defect that name something else, in words. The defect exists
+/// from the start or begins during the check.
 #[derive(Default)]
 struct Misnamed {
     from_the_start: Vec<String>,
@@ -141,7 +142,7 @@ fn single_defects_are_named(seeds: std::ops::Range<u64>) {
     let (from_the_start, later) =
         (all(|misnamed| &misnamed.from_the_start), all(|misnamed| &misnamed.later));
     println!(
-        "misnamed: {} of {} defects from the start, {} of {} that begin in the middle\n{}",
+        "misnamed: {} of {} defects from the start, {} of {} that may begin during the check\n{}",
         from_the_start.len(),
         rigs * (DEFECTS.len() + 1),
         later.len(),
@@ -164,7 +165,8 @@ fn healthy_rigs_pass_the_whole_check_and_give_a_rollout() {
     healthy_rigs_open(FIRST_SEED..FIRST_SEED + 24);
 }
 
-/// `RIGS` from `SEED` on: `cargo test --test virtual_time many_healthy -- --ignored --nocapture`.
+/// The variables `RIGS` and `SEED` give the number of rigs and the first seed:
+/// `cargo test --test virtual_time many_healthy -- --ignored --nocapture`.
 #[test]
 #[ignore = "minutes"]
 fn many_healthy_rigs_pass_the_whole_check_and_give_a_rollout() {
@@ -177,7 +179,8 @@ fn the_whole_check_names_a_single_defect() {
     single_defects_are_named(FIRST_SEED..FIRST_SEED + 24);
 }
 
-/// `RIGS` from `SEED` on: `cargo test --test virtual_time many_single -- --ignored --nocapture`.
+/// The variables `RIGS` and `SEED` give the number of rigs and the first seed:
+/// `cargo test --test virtual_time many_single -- --ignored --nocapture`.
 #[test]
 #[ignore = "minutes"]
 fn many_single_defects_are_named_by_the_whole_check() {
