@@ -120,7 +120,7 @@ impl ExecutorArguments {
             _ => command,
         };
         if starter.is_none() {
-            print_message(&format!("start workers by hand: qube-hil work {}", root.display()));
+            print_message(&format!("start workers by hand: {work}"));
         }
         let leave = self.leave_workers;
         let executor = FolderExecutor::new(folder, starter, self.workers, leave, &stop.flag);

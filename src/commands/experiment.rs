@@ -31,6 +31,7 @@ use crate::estimation::EstimatorSettings;
 use crate::experiment::{
     Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe,
 };
+use crate::jobs::starter::quoted;
 use crate::learning::{Preset, TrainSettings};
 use crate::rig::RigSettings;
 use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
@@ -232,7 +233,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         device.check_port()?;
     }
     let stop = Stop::on_signals()?;
-    let resume = format!("qube-hil experiment --resume {}", folder.root().display());
+    let root = quoted(&folder.root().to_string_lossy());
+    let resume = format!("qube-hil experiment --resume {root}{}", device.options());
     print_message(&format!("experiment in {}", folder.root().display()));
 
     let first = &settings.recipes[0].settings;
@@ -276,7 +278,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let viewers = screens.into_iter().chain(live.viewer()).collect();
     screen.progress().update(|state| state.live = live.url());
     let rig = RigSettings { viewers, ..rig };
-    let keyboard = Keyboard::of_screen(&stop, &screen.progress());
+    let keyboard = match is_hardware && !arguments.table {
+        true => Some(Keyboard::watch(&stop, &screen.progress())),
+        false => Keyboard::of_screen(&stop, &screen.progress()),
+    };
     let progress = ExperimentProgress::new(&settings, &screen.progress(), &stop);
     let executor = match arguments.table {
         true => None,
@@ -533,7 +538,9 @@ fn resumed(
         )));
     }
     check_device(settings.strategies.as_ref(), device)?;
-    check_resumed_device(&settings, device)?;
+    if !arguments.table {
+        check_resumed_device(&settings, device)?;
+    }
     let unidentified = settings.plants.iter().any(|it| it.emulated.unidentified);
     if let Some(Recipe { settings: SessionSettings { homing, .. }, .. }) = settings.recipes.first()
     {

@@ -6,9 +6,11 @@ use serde_json::{Value, json};
 use super::destination::OutputFolder;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
+use super::keyboard::Keyboard;
 use super::number_arguments::positive;
 use super::output::Output;
 use super::printable::print_message;
+use super::screen::Screen;
 use super::stop::Stop;
 use super::{failures, warn_without_realtime};
 use crate::device::emulator::EmulatorSettings;
@@ -70,9 +72,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let folder = Folder::new(arguments.keep.clone())?;
     let device = arguments.device.choose()?;
+    let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
     let started = Instant::now();
     let mut soaked = Soaked::default();
     let mut ended = soaked.soak(&arguments, &device, &folder, &stop);
+    drop(keyboard);
     if stop.requested() {
         ended = Err(stop.failure("stopped before the hours were over"));
     }

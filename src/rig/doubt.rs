@@ -93,8 +93,14 @@ impl DoubtStore {
     }
 
     fn path(&self, board: &str) -> PathBuf {
-        // The device supplies the serial number, which must not name another folder.
-        let name: String = board.chars().filter(char::is_ascii_alphanumeric).collect();
+        // The device supplies the serial number, which must not name another folder. Letters and
+        // digits stay, and every other byte becomes its hexadecimal number, so that different
+        // serial numbers have different files.
+        let character = |byte: u8| match byte {
+            byte if byte.is_ascii_alphanumeric() => char::from(byte).to_string(),
+            byte => format!("_{byte:02x}"),
+        };
+        let name: String = board.bytes().map(character).collect();
         self.folder.join(format!("doubt-{name}.json"))
     }
 }
@@ -127,6 +133,9 @@ mod tests {
             std::fs::write(memory.path("a"), bytes).unwrap();
             assert_eq!(memory.load("a").unwrap().fault, None);
         }
-        assert_eq!(memory.path("../../a"), memory.path("a"));
+        assert_eq!(memory.path("../../a").parent(), Some(directory.path()));
+        for (one, other) in [("../a", "a"), ("hil:1-2", "hil:12"), ("a_2e", "a.")] {
+            assert_ne!(memory.path(one), memory.path(other));
+        }
     }
 }

@@ -160,6 +160,26 @@ impl QubeFile {
         write_whole(&MachineDisk, path, text.as_bytes()).map_err(ConfigurationError::NotWritten)
     }
 
+    /// These entries for the rig with this board. If the file belongs to another board, the entries
+    /// that were measured on its rig are left out, except the limits and the motor's rating, which
+    /// can only make things safer: profile, power test, watchdog, offset and travel of the homing,
+    /// and the signs.
+    #[must_use]
+    pub fn of_board(self, board: &str) -> Self {
+        if self.board.as_deref().is_none_or(|own| own == board) {
+            return self;
+        }
+        let homing = RigHoming { method: self.homing.method, ..RigHoming::default() };
+        Self { homing, limits: self.limits, motor: self.motor, ..Self::default() }
+    }
+
+    /// The result of the power test, if it was done with this file's board.
+    #[must_use]
+    pub fn power(&self) -> Option<&PowerTest> {
+        let is_own = |test: &&PowerTest| self.board.as_ref().is_none_or(|it| *it == test.board);
+        self.power.as_ref().filter(is_own)
+    }
+
     /// The homing settings of this Qube, with this estimator of the velocities during homing.
     #[must_use]
     pub fn homing(&self, estimator: EstimatorSettings) -> HomingSettings {
@@ -319,6 +339,24 @@ mod tests {
             file.save(&path, "this test").unwrap();
             assert_eq!(QubeFile::load(&path).unwrap(), file);
         }
+    }
+
+    #[test]
+    fn another_boards_rig_keeps_only_what_makes_it_safer() {
+        let text = "port = \"/dev/qube\"\nboard = \"a\"\nprofile = \"lab.toml\"\n\
+                    [signs]\nalpha_inverted = true\n\
+                    [homing]\nmethod = \"hand\"\ntheta_offset_rad = 0.1\ntravel_rad = 4.3\n\
+                    [limits]\ntheta_rad = 2.0\n[motor]\ncontinuous_a = 0.5\n\
+                    [power]\nusb_lost = \"motor off\"\ndate = \"2026-01-31\"\nboard = \"a\"\n";
+        let file = read_back(text).unwrap();
+        assert_eq!(file.clone().of_board("a"), file);
+        assert!(file.power().is_some());
+        let moved = QubeFile { board: Some("b".into()), ..file.clone() };
+        assert_eq!(moved.power(), None, "the power test names its own board");
+        let other = file.of_board("b");
+        let kept =
+            "[homing]\nmethod = \"hand\"\n[limits]\ntheta_rad = 2.0\n[motor]\ncontinuous_a = 0.5\n";
+        assert_eq!(other, read_back(kept).unwrap());
     }
 
     #[test]

@@ -11,8 +11,8 @@ use crate::search::SearchError;
 use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
 
 /// Largest offset of the arm's zero from the middle between the stops, rad. At any offset the rig
-/// narrows the box to the stops that homing touched. Homing by hand touches none, so after it the
-/// box is not narrowed.
+/// narrows the box to the stops: those that homing touched, or, after homing by hand, those that
+/// offset and accepted travel imply.
 pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 
 /// Advice when a session cannot be resumed, because its settings are of an earlier version.

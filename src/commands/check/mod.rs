@@ -13,8 +13,10 @@ use super::destination::OutputFile;
 use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::failures;
+use super::keyboard::Keyboard;
 use super::output::Output;
 use super::printable::print_message;
+use super::screen::Screen;
 use super::stop::Stop;
 use super::warn_without_realtime;
 use crate::device::emulator::EmulatorSettings;
@@ -47,7 +49,7 @@ pub struct Arguments {
     conformance: bool,
 
     /// Use the signs that are found, and write them to a file with the port's lasting name. Other entries
-    /// of the file are kept, its comments are not [without FILE: qube.toml]
+    /// of the file are kept (of another board's file only those that make it safer), its comments are not [without FILE: qube.toml]
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = QUBE_FILE)]
     write: Option<PathBuf>,
 
@@ -92,7 +94,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let failed = |error| failures::rig(error, &stop);
     let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
     warn_without_realtime(rig.realtime());
-    let examination = rig.check(file.is_some()).map_err(failed)?;
+    // The power test reads whole lines, so the single keys are read no longer than the check lasts.
+    let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
+    let examined = rig.check(file.is_some());
+    drop(keyboard);
+    let examination = examined.map_err(failed)?;
 
     let results = &examination.results;
     let passed = examination.passed();
@@ -108,16 +114,24 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let (mut written, mut unwritten) = (None, None);
     if let Some((path, base)) = file.filter(|_| passed) {
         let port = stable_port_name(&rig.identity().port);
+        let serial = &rig.identity().serial;
+        if base.board.as_ref().is_some_and(|board| board != serial) {
+            print_message(&format!(
+                "warning: {} was of another board: only its limits, its rating of the motor and its method of \
+                 homing are kept",
+                path.display()
+            ));
+        }
         let file = QubeFile {
             port: Some(port),
-            board: Some(rig.identity().serial.clone()),
+            board: Some(serial.clone()),
             signs: examination.signs.into(),
             watchdog: examination.library_watchdog_ms.map(|expired_ms| LibraryWatchdog {
                 expired_ms: (expired_ms * 10.0).round() / 10.0,
                 date: jiff::Zoned::now().date().to_string(),
-                board: rig.identity().serial.clone(),
+                board: serial.clone(),
             }),
-            ..base
+            ..base.of_board(serial)
         };
         match file.save(path, WRITER) {
             Ok(()) => {
@@ -145,7 +159,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                 port: Some(stable_port_name(&rig.identity().port)),
                 board: Some(rig.identity().serial.clone()),
                 signs: examination.signs.into(),
-                ..base_file(&path, &device)?
+                ..base_file(&path, &device)?.of_board(&rig.identity().serial)
             };
             let tested = power_test::run(rig, &settings, &path, file, &stop);
             value["power_test"] = match &tested {

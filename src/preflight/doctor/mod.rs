@@ -112,7 +112,7 @@ fn rights(realtime: &RealtimeRefusals) -> Vec<Diagnosis> {
         Diagnosis::advice(
             "timer slack",
             "cannot be set: without real-time priority ticks are 0.05 ms late",
-            RIGHTS_REMEDY,
+            "allow the system call prctl(PR_SET_TIMERSLACK), which a container may forbid",
         )
     });
     [scheduling, memory, awake].into_iter().chain(timer_slack).collect()
