@@ -99,12 +99,13 @@ fn compare(first: &RecipeResult, second: &RecipeResult) -> Option<Comparison> {
 /// none differs.
 fn mcnemar(gained: usize, lost: usize) -> f64 {
     let differing = gained + lost;
-    // The probability of each count under a fair coin, from the one before it.
-    let mut probability = 0.5_f64.powi(differing as i32);
+    // The logarithm of each count's probability under a fair coin, from the one before it. The
+    // probability itself would be too small for an f64 where more than 1074 pairs differ.
+    let mut log_probability = -std::f64::consts::LN_2 * differing as f64;
     let mut tail = 0.0;
     for count in 0..=gained.min(lost) {
-        tail += probability;
-        probability *= (differing - count) as f64 / (count + 1) as f64;
+        tail += log_probability.exp();
+        log_probability += ((differing - count) as f64 / (count + 1) as f64).ln();
     }
     (2.0 * tail).min(1.0)
 }
@@ -161,6 +162,8 @@ mod tests {
         assert!((mcnemar(5, 0) - 0.0625).abs() < 1e-12);
         assert!((mcnemar(12, 3) - 0.035_156_25).abs() < 1e-12);
         assert_eq!((mcnemar(0, 0), mcnemar(4, 4)), (1.0, 1.0));
+        // From logarithms of the gamma function.
+        assert!((mcnemar(950, 1050) - 0.026_824_146).abs() < 1e-8);
     }
 
     #[test]

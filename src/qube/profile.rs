@@ -123,12 +123,12 @@ impl Profile {
         Self::parse(include_str!("../../profiles/lab.toml")).expect("the profile of the program")
     }
 
-    /// The profile of another Qube that is known as well as this one: its standard errors are as
+    /// The profile of another specimen of the plant, known as well as this one: its standard errors are as
     /// large relative to its parameters, and as large for its nonidealities, with the same
     /// correlations.
     #[must_use]
     pub fn around(&self, name: &str, model: &QubeModel) -> Self {
-        let mut other = Self::exact(name, model);
+        let mut other = Self { plant: self.plant, ..Self::exact(name, model) };
         other.correlations.clone_from(&self.correlations);
         other.standard_errors.clone_from(&self.standard_errors);
         for parameter in DomainParameter::ALL {

@@ -11,8 +11,8 @@ use super::Holder;
 use crate::storage::{Disk, DiskFile};
 
 /// Largest part of a heartbeat file that is read, bytes. With a beat every 5 s a file reaches it in
-/// two months; then it seems to grow no more, and its process counts as dead.
-const MAX_BYTES: u64 = 1 << 20;
+/// 2.6 years; then it seems to grow no more, and its process counts as dead.
+const MAX_BYTES: u64 = 1 << 24;
 
 /// The reason why a process has given up its heartbeat file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

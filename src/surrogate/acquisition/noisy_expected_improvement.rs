@@ -55,7 +55,10 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
         seed: u64,
     ) -> Result<Self, SurrogateError> {
         let mut all = Cow::Borrowed(process);
+        let data = process.data();
         for point in pending {
+            // The mean of a point of another dimension does not exist.
+            data.search_box().check(data.len(), point)?;
             all = Cow::Owned(all.conditioned_on_fantasy(point, process.mean(point))?);
         }
         let noiseless = all.noiseless_factor()?;
