@@ -4,6 +4,7 @@
 use std::path::PathBuf;
 
 use super::Session;
+use super::rollouts::SessionRig;
 use crate::identification::{
     Identified, IdentifyError, ModelVerdict, Unknown, check_recording, identify,
 };
@@ -46,9 +47,11 @@ impl Session {
         if settings.is_hardware() && settings.board.is_none() {
             self.rigs[0].settings.board = self.board(None)?;
         }
-        self.rigs[0].settings.profile = Some(latest);
-        // The guard's belief is set when the rig is opened.
-        self.rigs[0].opened = None;
+        let SessionRig { settings, opened, .. } = &mut self.rigs[0];
+        settings.profile = Some(latest);
+        if let Some(rig) = opened {
+            rig.identify(settings);
+        }
         Ok(())
     }
 

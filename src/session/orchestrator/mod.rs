@@ -2,6 +2,7 @@
 
 mod identification;
 mod policies;
+mod prepared;
 mod proposals;
 mod rollouts;
 mod training;
@@ -12,6 +13,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use prepared::PreparedTrainings;
 use rollouts::SessionRig;
 use training_ahead::TrainingAhead;
 
@@ -45,6 +47,11 @@ pub struct Session {
     /// Trainings that run beside the rollouts; `None` unless the search proposes while returns are
     /// pending.
     ahead: Option<TrainingAhead>,
+    /// Trainings that began before they were asked for.
+    prepared: PreparedTrainings,
+    /// Whether trainings may begin before they are asked for: on this computer, if it has a core
+    /// beside that of the control thread, while a Qube moves in real time.
+    prepares: bool,
 }
 
 impl Session {
@@ -71,6 +78,7 @@ impl Session {
         } else {
             LocalExecutor::on_all_cores()
         };
+        let has_another_core = std::thread::available_parallelism().is_ok_and(|it| it.get() > 1);
         let mut session = Self {
             folder,
             ledger,
@@ -80,6 +88,8 @@ impl Session {
             stop,
             executor: Arc::new(executor),
             ahead: None,
+            prepared: PreparedTrainings::default(),
+            prepares: in_real_time && has_another_core,
         };
         session.guard_as_unknown();
         session.search_around_identified()?;
@@ -116,6 +126,7 @@ impl Session {
     #[must_use]
     pub fn trained_by(mut self, executor: Arc<dyn Executor>) -> Self {
         self.executor = executor;
+        self.prepares = false;
         self
     }
 
@@ -205,6 +216,7 @@ impl Session {
             // An error ends the trainings that run ahead; they begin again when the session is
             // resumed.
             self.ahead = None;
+            self.prepared = PreparedTrainings::default();
         }
         ended
     }
@@ -218,12 +230,14 @@ impl Session {
         // Reads every recording before anything moves or is trained, because the search needs every
         // return.
         self.scored_candidates()?;
+        self.prepare_trainings()?;
         self.connect_early(on_event)?;
         while goes_on(self.ledger.state()) {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped);
             }
             self.train_ahead(on_event)?;
+            self.prepare_trainings()?;
             match self.next_step() {
                 Step::Propose { count, purpose } => self.propose(count, purpose, on_event)?,
                 Step::Identify => self.identify(on_event)?,

@@ -11,7 +11,8 @@ use crate::policy::{
 };
 use crate::rig::ClockChoice;
 use crate::session::{
-    Candidate, Entry, Purpose, SessionError, SessionEvent, SessionSettings, trains_ahead,
+    Candidate, Entry, Identification, Purpose, SessionError, SessionEvent, SessionSettings, Step,
+    trains_ahead,
 };
 use crate::storage::write_whole;
 
@@ -32,7 +33,7 @@ impl Session {
             for &number in numbers {
                 due.extend(self.prepare(number)?);
             }
-            self.trainer().train(due, &self.stop, on_event)?;
+            self.trainer().train(due, &mut self.prepared, &self.stop, on_event)?;
         }
         // The entries are in the order of the candidates' numbers, whichever was trained first.
         for &candidate in numbers {
@@ -64,6 +65,27 @@ impl Session {
             }
         }
         self.ahead = Some(ahead);
+        Ok(())
+    }
+
+    /// Begins trainings that depend on no recording while the Qube is homed and moves: the policy
+    /// for an unidentified Qube, which a doubted identification needs, before the Qube is
+    /// identified; and the baseline, while the policy that may be the last one is verified. Their
+    /// numbers are those that the candidates will have if nothing unexpected happens; otherwise the
+    /// trainings are not used.
+    pub(super) fn prepare_trainings(&mut self) -> Result<(), SessionError> {
+        let prepares = self.prepares && self.next_step() != Step::Done;
+        let Some(plan) = self.settings.identification.filter(|_| prepares) else { return Ok(()) };
+        let candidates = self.ledger.state().candidates();
+        let is_verifying = candidates.last().is_some_and(|it| it.purpose.verifies());
+        let job = match self.ledger.state().identification() {
+            Identification::None => self.trainer().competitor_for_unknown(plan.excitations)?,
+            Identification::Found { .. } if self.settings.extent.baseline && is_verifying => {
+                self.trainer().baseline(candidates.len() as u32)?
+            }
+            Identification::Found { .. } | Identification::Refused(_) => return Ok(()),
+        };
+        self.prepared.begin(job);
         Ok(())
     }
 

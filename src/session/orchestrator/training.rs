@@ -4,8 +4,9 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use super::prepared::{PreparedTraining, PreparedTrainings};
 use crate::jobs::{
-    CHOSEN_OF_STARTS, Executor, JobEvent, ROUNDS, SUCCEEDED, TrainingJob, worst_return,
+    CHOSEN_OF_STARTS, Executor, JobError, JobEvent, ROUNDS, SUCCEEDED, TrainingJob, worst_return,
 };
 use crate::learning::{Origin, Preset, TrainSettings, Trained, curve_csv, evaluate_on_new_starts};
 use crate::policy::Network;
@@ -40,6 +41,10 @@ struct Competition {
     times: Vec<TrainingTime>,
 }
 
+/// A training of a round: the index of its candidate, its number among that candidate's trainings,
+/// and the Qubes that it is for.
+type Entered = (usize, u32, TrainedFor);
+
 /// A candidate whose policy is to be trained, with the times of its trainings so far.
 type Due = (Candidate, Vec<TrainingTime>);
 
@@ -58,11 +63,13 @@ pub(super) struct Trainer {
 }
 
 impl Trainer {
-    /// Trains the policies of these candidates. A candidate whose competing policies all fail in
+    /// Trains the policies of these candidates; a training that is prepared is not done again. A
+    /// candidate whose competing policies all fail in
     /// simulation is trained again with other seeds, in at most [`ROUNDS`] rounds in all.
     pub(super) fn train(
         &self,
         candidates: Vec<Candidate>,
+        prepared: &mut PreparedTrainings,
         stop: &AtomicBool,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
@@ -71,7 +78,7 @@ impl Trainer {
             if due.is_empty() {
                 break;
             }
-            due = self.train_round(due, round, stop, on_event)?;
+            due = self.train_round(due, round, prepared, stop, on_event)?;
         }
         Ok(())
     }
@@ -104,27 +111,49 @@ impl Trainer {
         &self,
         due: Vec<Due>,
         round: u32,
+        prepared: &mut PreparedTrainings,
         stop: &AtomicBool,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<Vec<Due>, SessionError> {
         let is_last = round + 1 == ROUNDS;
-        let (mut jobs, mut of_job) = (Vec::new(), Vec::new());
+        let (mut jobs, mut of_job, mut of_prepared) = (Vec::new(), Vec::new(), Vec::new());
         let mut competitions = Vec::new();
         let (candidates, times): (Vec<Candidate>, Vec<_>) = due.into_iter().unzip();
         for (index, (candidate, times)) in candidates.iter().zip(times).enumerate() {
             let trainings = self.trainings(candidate);
             let missing = trainings.len() as u32;
             for (training, trained_for) in (round * missing..).zip(trainings) {
-                let (distribution, settings) = self.training_of(candidate, trained_for)?;
-                let seed_for = SeedFor::Training { candidate: candidate.number, training };
-                let seed = derived_seed(self.settings.seed, seed_for);
-                jobs.push(TrainingJob { distribution, settings, seed });
-                of_job.push((index, training, trained_for));
+                let job = self.job(candidate, training, trained_for)?;
+                let entered = (index, training, trained_for);
+                if prepared.has(&job) {
+                    of_prepared.push((job, entered));
+                } else {
+                    jobs.push(job);
+                    of_job.push(entered);
+                }
             }
             competitions.push(Competition { missing, best: None, times });
         }
         let mut began_unix_ns = vec![unix_ns(); jobs.len()];
         let mut failed = None;
+        let mut enter = |(index, _, trained_for): Entered,
+                         time: TrainingTime,
+                         result: Result<Trained, JobError>,
+                         on_event: &mut dyn FnMut(SessionEvent)| {
+            let (candidate, competition) = (&candidates[index], &mut competitions[index]);
+            competition.times.push(time);
+            let kept = result.map_err(SessionError::from).and_then(|trained| {
+                self.compete(candidate, competition, (trained, trained_for), is_last)
+            });
+            match kept {
+                Ok(Some(best_return)) => {
+                    let (candidate, best_return) = (candidate.number, Some(best_return));
+                    on_event(SessionEvent::Trained { candidate, best_return });
+                }
+                Ok(None) => {}
+                Err(error) => failed = Some(error),
+            }
+        };
         self.executor.train(&jobs, stop, &mut |event| match event {
             JobEvent::Begun { job } => began_unix_ns[job] = unix_ns(),
             JobEvent::Update { job, update } => {
@@ -133,27 +162,20 @@ impl Trainer {
                 on_event(SessionEvent::Training { candidate, training, update: &update });
             }
             JobEvent::Finished { job, result } => {
-                let (index, training, trained_for) = of_job[job];
-                let (candidate, competition) = (&candidates[index], &mut competitions[index]);
-                competition.times.push(TrainingTime {
-                    training,
+                let entered = of_job[job];
+                let time = TrainingTime {
+                    training: entered.1,
                     began_unix_ns: began_unix_ns[job],
                     // A clock may be set back.
                     ended_unix_ns: unix_ns().max(began_unix_ns[job]),
-                });
-                let kept = result.map_err(SessionError::from).and_then(|trained| {
-                    self.compete(candidate, competition, (*trained, trained_for), is_last)
-                });
-                match kept {
-                    Ok(Some(best_return)) => {
-                        let (candidate, best_return) = (candidate.number, Some(best_return));
-                        on_event(SessionEvent::Trained { candidate, best_return });
-                    }
-                    Ok(None) => {}
-                    Err(error) => failed = Some(error),
-                }
+                };
+                enter(entered, time, result.map(|trained| *trained), on_event);
             }
         });
+        for (job, entered) in of_prepared {
+            let PreparedTraining { result, time } = prepared.take(&job, entered.1, stop);
+            enter(entered, time, result, on_event);
+        }
         if let Some(error) = failed {
             return Err(error);
         }
@@ -197,17 +219,61 @@ impl Trainer {
         Ok(Some(best_return))
     }
 
-    /// The distribution and settings of a candidate's training.
-    fn training_of(
+    /// The training of the policy for an unidentified Qube that competes in the first round of this
+    /// candidate if it is exactly as identified and its identification is doubted.
+    ///
+    /// # Errors
+    /// The distribution is invalid.
+    pub(super) fn competitor_for_unknown(
+        &self,
+        candidate: u32,
+    ) -> Result<TrainingJob, SessionError> {
+        let plan = self.settings.identification.unwrap_or_default();
+        self.job_of(candidate, plan.trainings, &[], TrainedFor::Unknown)
+    }
+
+    /// The training of the baseline, if it is this candidate.
+    ///
+    /// # Errors
+    /// The distribution is invalid.
+    pub(super) fn baseline(&self, candidate: u32) -> Result<TrainingJob, SessionError> {
+        self.job_of(candidate, 0, &[], TrainedFor::Nominal)
+    }
+
+    fn job(
         &self,
         candidate: &Candidate,
+        training: u32,
+        trained_for: TrainedFor,
+    ) -> Result<TrainingJob, SessionError> {
+        self.job_of(candidate.number, training, &candidate.psi, trained_for)
+    }
+
+    /// The training with this number among those of a candidate with this psi.
+    fn job_of(
+        &self,
+        candidate: u32,
+        training: u32,
+        psi: &[f64],
+        trained_for: TrainedFor,
+    ) -> Result<TrainingJob, SessionError> {
+        let (distribution, settings) = self.training_of(psi, trained_for)?;
+        let seed_for = SeedFor::Training { candidate, training };
+        let seed = derived_seed(self.settings.seed, seed_for);
+        Ok(TrainingJob { distribution, settings, seed })
+    }
+
+    /// The distribution and settings of the training of a candidate with this psi.
+    fn training_of(
+        &self,
+        psi: &[f64],
         trained_for: TrainedFor,
     ) -> Result<(DomainDistribution, TrainSettings), SessionError> {
         let settings = &self.settings;
         let base = |model: Model| model.distribution(settings.plant(), settings.family, None, None);
         Ok(match trained_for {
             TrainedFor::Psi => {
-                let psi = settings.psi.psi(&candidate.psi)?;
+                let psi = settings.psi.psi(psi)?;
                 let simulation = settings.simulation(&psi);
                 let training = TrainSettings { simulation, ..settings.training.clone() };
                 (settings.distribution(&psi)?, training)
@@ -258,5 +324,59 @@ impl Trainer {
         write_whole(disk, &paths.curve(), curve_csv(&trained.curve).as_bytes())?;
         write_whole(disk, &paths.policy(), &trained.into_policy(origin).to_bytes())?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::jobs::LocalExecutor;
+    use crate::qube::Profile;
+    use crate::session::IdentificationSettings;
+    use crate::storage::MachineDisk;
+
+    fn trainer(settings: SessionSettings, identification: Identification) -> Trainer {
+        Trainer {
+            disk: Arc::new(MachineDisk),
+            paths: SessionPaths::new(Path::new("session")),
+            settings,
+            identification,
+            executor: Arc::new(LocalExecutor::on_cores(1)),
+            in_real_time: true,
+        }
+    }
+
+    #[test]
+    fn trainings_that_begin_early_are_those_that_the_session_asks_for() {
+        let plan = IdentificationSettings::default();
+        let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
+        let lab = Profile::lab();
+        let around = settings.clone().around(&plan, &lab, &lab);
+        let doubted = Identification::Found {
+            recordings: 1,
+            verdict: "fits but for".into(),
+            doubts: vec!["play".into()],
+            profiles: Vec::new(),
+        };
+        let candidate = |number, purpose, psi| Candidate {
+            number,
+            purpose,
+            psi,
+            trained: false,
+            finished: Vec::new(),
+            void: 0,
+            void_before: 0,
+        };
+        let first = candidate(plan.excitations, Purpose::Initial, around.psi.as_identified());
+        let baseline = candidate(3, Purpose::Baseline, Vec::new());
+        let (before, later) = (trainer(settings, Identification::None), trainer(around, doubted));
+        let early = before.competitor_for_unknown(plan.excitations).unwrap();
+        for (asked, early) in [(first, early), (baseline, later.baseline(3).unwrap())] {
+            let jobs = (0..).zip(later.trainings(&asked));
+            let mut jobs = jobs.map(|(training, of)| later.job(&asked, training, of).unwrap());
+            assert!(jobs.any(|job| job == early), "{:?}", asked.purpose);
+        }
     }
 }

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender, unbounded};
 
+use super::prepared::PreparedTrainings;
 use super::training::Trainer;
 use crate::learning::TrainUpdate;
 use crate::session::{Candidate, SessionError, SessionEvent};
@@ -165,7 +166,8 @@ fn train_one(
         return;
     }
     let number = candidate.number;
-    let result = trainer.train(vec![candidate], dropped, &mut |event| match event {
+    let mut prepared = PreparedTrainings::default();
+    let result = trainer.train(vec![candidate], &mut prepared, dropped, &mut |event| match event {
         SessionEvent::Training { candidate, training, update } => {
             report(TrainingEvent::Update { candidate, training, update: *update });
         }

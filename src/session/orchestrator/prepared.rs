@@ -1,0 +1,158 @@
+//! Trains policies that depend on no recording while the Qube is homed and moves, before the
+//! session knows whether it needs them.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
+
+use crate::jobs::{Executor, JobError, LocalExecutor, TrainingJob};
+use crate::learning::{TrainError, Trained};
+use crate::session::TrainingTime;
+use crate::session::training_time::unix_ns;
+
+/// Longest wait for a result between two looks at the stop flag.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+
+/// The trainings that have begun before the session asked for them.
+///
+/// They leave a core to the control thread and have the lowest priority. A training that the
+/// session never asks for changes nothing, and one that it asks for has the bytes that it would
+/// have had later. Dropping this value stops the trainings and waits for their threads.
+#[derive(Default)]
+pub(super) struct PreparedTrainings {
+    begun: Vec<Prepared>,
+    dropped: Arc<AtomicBool>,
+}
+
+struct Prepared {
+    job: TrainingJob,
+    result: Receiver<PreparedTraining>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// The result of a prepared training.
+pub(super) struct PreparedTraining {
+    /// Policy and learning curve, or the reason of the failure.
+    pub(super) result: Result<Trained, JobError>,
+    /// Start and end; the number of the training is that with which the result was asked for.
+    pub(super) time: TrainingTime,
+}
+
+impl PreparedTrainings {
+    /// Begins a training, unless the same one has begun before.
+    pub(super) fn begin(&mut self, job: TrainingJob) {
+        if self.begun.iter().any(|prepared| prepared.job == job) {
+            return;
+        }
+        let (sender, result) = bounded(1);
+        let (dropped, of_thread) = (Arc::clone(&self.dropped), job.clone());
+        let thread = std::thread::spawn(move || {
+            let began_unix_ns = unix_ns();
+            let executor = LocalExecutor::beside_control_thread();
+            let result = executor.train_one(&of_thread, &dropped, &mut |_| ());
+            // A clock may be set back.
+            let ended_unix_ns = unix_ns().max(began_unix_ns);
+            let time = TrainingTime { training: 0, began_unix_ns, ended_unix_ns };
+            // If the receiver is gone, nobody needs the result.
+            let _ = sender.send(PreparedTraining { result, time });
+        });
+        self.begun.push(Prepared { job, result, thread: Some(thread) });
+    }
+
+    /// Whether this training has begun.
+    pub(super) fn has(&self, job: &TrainingJob) -> bool {
+        self.begun.iter().any(|prepared| prepared.job == *job)
+    }
+
+    /// Waits for the result of a training that has begun, the `training`-th of its candidate. The
+    /// result is that of a stopped training if `stop` is set first.
+    ///
+    /// # Panics
+    /// Panics if the training panicked, or if it has not begun.
+    pub(super) fn take(
+        &mut self,
+        job: &TrainingJob,
+        training: u32,
+        stop: &AtomicBool,
+    ) -> PreparedTraining {
+        let index = self.begun.iter().position(|prepared| prepared.job == *job);
+        let mut prepared = self.begun.swap_remove(index.expect("the training has begun"));
+        loop {
+            match prepared.result.recv_timeout(POLL_INTERVAL) {
+                Ok(PreparedTraining { result, time }) => {
+                    return PreparedTraining { result, time: TrainingTime { training, ..time } };
+                }
+                Err(RecvTimeoutError::Disconnected) => {
+                    if let Some(Err(panic)) = prepared.thread.take().map(JoinHandle::join) {
+                        std::panic::resume_unwind(panic);
+                    }
+                    unreachable!("a thread that does not panic sends its result");
+                }
+                Err(RecvTimeoutError::Timeout) if stop.load(Ordering::Relaxed) => {
+                    let now_unix_ns = unix_ns();
+                    let time = TrainingTime {
+                        training,
+                        began_unix_ns: now_unix_ns,
+                        ended_unix_ns: now_unix_ns,
+                    };
+                    // The thread ends with the others, when this value is dropped.
+                    self.begun.push(prepared);
+                    return PreparedTraining { result: Err(TrainError::Stopped.into()), time };
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+        }
+    }
+}
+
+impl Drop for PreparedTrainings {
+    fn drop(&mut self) {
+        self.dropped.store(true, Ordering::Relaxed);
+        for thread in self.begun.iter_mut().filter_map(|prepared| prepared.thread.take()) {
+            let _ = thread.join();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::learning::TrainSettings;
+    use crate::simulation::DomainDistribution;
+
+    fn job(seed: u64, updates: u32) -> TrainingJob {
+        let settings = TrainSettings { updates, epochs: 1, ..TrainSettings::quick() };
+        TrainingJob { distribution: DomainDistribution::nominal(), settings, seed }
+    }
+
+    #[test]
+    fn a_prepared_training_gives_the_policy_that_it_would_have_given_later() {
+        let never = AtomicBool::new(false);
+        let (wanted, other) = (job(1, 2), job(2, 1));
+        let mut prepared = PreparedTrainings::default();
+        prepared.begin(wanted.clone());
+        prepared.begin(other.clone());
+        prepared.begin(wanted.clone());
+        assert_eq!(prepared.begun.len(), 2);
+        assert!(prepared.has(&wanted) && !prepared.has(&job(1, 3)));
+        let PreparedTraining { result, time } = prepared.take(&wanted, 7, &never);
+        assert!(time.training == 7 && time.ended_unix_ns > time.began_unix_ns);
+        let later = LocalExecutor::on_cores(1).train_one(&wanted, &never, &mut |_| ());
+        assert_eq!(result.unwrap(), later.unwrap());
+        assert!(!prepared.has(&wanted) && prepared.has(&other));
+    }
+
+    #[test]
+    fn a_stop_ends_the_wait_and_the_training() {
+        let mut prepared = PreparedTrainings::default();
+        let long = job(1, 1_000_000);
+        prepared.begin(long.clone());
+        let stopped = prepared.take(&long, 0, &AtomicBool::new(true)).result;
+        assert!(stopped.is_err());
+        assert!(prepared.has(&long));
+        drop(prepared);
+    }
+}
