@@ -1,13 +1,27 @@
 //! Gives the program the revision that it is built from, so that each recording can name it.
 
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn main() {
-    let revision = git(&["rev-parse", "--short=12", "HEAD"]).unwrap_or_else(|| "unknown".into());
+    let revision = git(&["rev-parse", "--short=12", "HEAD"]).filter(|_| is_repository());
+    let revision = revision.unwrap_or_else(|| "unknown".into());
     println!("cargo:rustc-env=QUBE_HIL_GIT_REVISION={revision}");
     println!("cargo:rerun-if-changed=build.rs");
     if let Some(directory) = git(&["rev-parse", "--absolute-git-dir"]) {
         println!("cargo:rerun-if-changed={directory}/logs/HEAD");
+    }
+}
+
+/// Whether this folder is a repository of its own. Git also finds one that contains this folder,
+/// such as that of a user who unpacked an archive inside another project.
+fn is_repository() -> bool {
+    let here = std::env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
+    let top = git(&["rev-parse", "--show-toplevel"]);
+    let (Some(here), Some(top)) = (here, top) else { return false };
+    match (here.canonicalize(), Path::new(&top).canonicalize()) {
+        (Ok(here), Ok(top)) => here == top,
+        _ => false,
     }
 }
 

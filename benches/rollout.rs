@@ -44,6 +44,7 @@ fn virtual_rollout(criterion: &mut Criterion) {
                 let (mut producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
                 let mut tick = Tick::new(&settings, policy.clone());
                 drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop)
+                    .expect("it drives")
             });
         });
     }

@@ -20,7 +20,7 @@ fn control_steps(criterion: &mut Criterion) {
     for (name, sensors, history, distribution) in [
         ("true_state", SensorModel::TrueState, 0, &handcrafted),
         ("encoders", encoders, 0, &handcrafted),
-        ("gap_and_history", encoders, 2, &DomainDistribution::robust()),
+        ("nonidealities_and_history", encoders, 2, &DomainDistribution::robust()),
     ] {
         let settings = SimulationSettings { sensors, history, ..SimulationSettings::default() };
         let mut group = criterion.benchmark_group(format!("control_step/{name}"));

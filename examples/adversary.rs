@@ -67,7 +67,7 @@ fn main() {
             worst.episode.farthest_rad,
             worst.episode.farthest_at_s,
             worst.episode.ending,
-            worst.episode.ticks,
+            worst.episode.last_tick,
             worst.seed,
             worst.genes
         );

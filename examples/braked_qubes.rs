@@ -139,9 +139,9 @@ fn main() {
             }
         }
         rest_periods.sort_unstable();
-        // The time within which the Qubes that came to rest did so, but for one in `fraction`, s.
-        let all_but = |fraction: usize| {
-            let (count, last) = (rest_periods.len(), rest_periods.len() / fraction + 1);
+        // The time within which the Qubes that came to rest did so, but for one in `one_in`, s.
+        let all_but = |one_in: usize| {
+            let (count, last) = (rest_periods.len(), rest_periods.len() / one_in + 1);
             let periods = count.checked_sub(last).map(|index| rest_periods[index]);
             periods.map_or(f64::NAN, |periods| CONTROL_PERIOD_S * periods as f64)
         };

@@ -49,18 +49,24 @@ fn main() {
     for (qube, settings) in qubes() {
         for (name, policy) in policies() {
             let mut frozen: [Vec<Freeze>; KINDS.len()] = Default::default();
-            let (mut healthy, mut false_alarms) = (0, 0);
+            let (mut healthy, mut false_alarms, mut missing) = (0, 0, 0);
             for seed in first_seed..first_seed + seeds {
                 let settings = EmulatorSettings { seed, ..settings };
                 let Some((outcome, freezes)) = freezes(settings, &policy) else { continue };
                 healthy += 1;
                 false_alarms += u32::from(matches!(outcome.ending, Ending::Fault(_)));
-                frozen.iter_mut().zip(freezes).for_each(|(row, freeze)| row.push(freeze));
+                for (row, freeze) in frozen.iter_mut().zip(freezes) {
+                    missing += u32::from(freeze.is_none());
+                    row.extend(freeze);
+                }
             }
             for ((kind, _), frozen) in KINDS.iter().zip(&frozen) {
                 println!("| {qube} | {name} | {kind} | {}", row(frozen));
             }
-            println!("{qube}, {name}: {false_alarms} false alarms in {healthy} healthy rollouts");
+            println!(
+                "{qube}, {name}: {false_alarms} false alarms in {healthy} healthy rollouts of \
+                 {seeds} seeds; {missing} rollouts with a freeze gave no result"
+            );
         }
     }
 }

@@ -4,7 +4,7 @@
 //! `cargo run --release --example harmless_homing -- SEEDS [FIRST_SEED [list [CASES]]]` runs each
 //! case with SEEDS seeds (10 unless named). `list` also prints each start whose fault was named
 //! wrongly or not at all, that hit a stop too fast, or that gave a false result. CASES holds the
-//! names of the only cases to run.
+//! names of the only cases to run, with commas between them.
 
 #[path = "../tests/harmless/mod.rs"]
 mod harmless;
@@ -12,6 +12,15 @@ mod harmless;
 use harmless::case::{Case, Start};
 use harmless::table::Row;
 use harmless::trial::{Trial, play};
+
+/// The cases with these names, which have commas between them.
+fn cases_of(names: &str) -> Vec<Case> {
+    let case_of = |name: &str| Case::ALL.into_iter().find(|case| format!("{case:?}") == name);
+    names
+        .split(',')
+        .map(|name| case_of(name).unwrap_or_else(|| panic!("there is no case {name:?}")))
+        .collect()
+}
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -23,9 +32,8 @@ fn main() {
     let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
     let mut harmless = true;
     println!("{}", Row::HEAD);
-    let only = arguments.get(3);
-    let is_wanted = |case: &Case| only.is_none_or(|names| names.contains(&format!("{case:?}")));
-    for case in Case::ALL.into_iter().filter(is_wanted) {
+    let cases = arguments.get(3).map_or_else(|| Case::ALL.to_vec(), |names| cases_of(names));
+    for case in cases {
         let mut trials: Vec<(Start, Trial)> = std::thread::scope(|scope| {
             let workers: Vec<_> = (0..threads)
                 .map(|thread| {
@@ -49,12 +57,12 @@ fn main() {
                     "    seed {} fault {:?} at {:.2} s in {:?}: {:?}, off after {:.2} s, homed {:?}, contacts {:.2} {:.2} (off {:.2}), false results {}",
                     start.seed,
                     start.settings.fault,
-                    start.onset_s,
+                    start.fault_onset_s,
                     trial.struck_in,
                     trial.ending,
                     trial.off_after_s,
                     trial.homed_after_s,
-                    trial.gentle_contact_rad_s,
+                    trial.contact_before_policy_rad_s,
                     trial.rollout_contact_rad_s,
                     trial.contact_off_rad_s,
                     trial.false_results

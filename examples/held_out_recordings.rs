@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use qube_hil::identification::{
-    HorizonError, Phase, Unknown, comes_upright, horizon_error, identify, phase_error,
+    HorizonError, Phase, Unknown, comes_upright, horizon_error, identify, phase_error, series_of,
 };
 use qube_hil::qube::{Profile, QubeModel};
 use qube_hil::replay::MotionLog;
@@ -104,7 +104,7 @@ fn in_turn(name: &str, files: &[PathBuf], logs: &[MotionLog], kind: impl Fn(&Mot
                 let seconds = started.elapsed().as_secs_f64();
                 let fitted = kept.iter().filter(|&&index| index != held_out).enumerate();
                 let alike: Vec<usize> = fitted
-                    .filter(|(_, index)| series(&files[**index]) == series(&files[held_out]))
+                    .filter(|(_, index)| series_of(&files[**index]) == series_of(&files[held_out]))
                     .map(|(place, _)| place)
                     .collect();
                 let model = found.model_of(&alike);
@@ -117,11 +117,6 @@ fn in_turn(name: &str, files: &[PathBuf], logs: &[MotionLog], kind: impl Fn(&Mot
         }
     }
     line(name, &scores);
-}
-
-/// The series of a recording: its name without the number at the end.
-fn series(path: &Path) -> String {
-    file_name(path).trim_end_matches(|character: char| character.is_ascii_digit()).to_owned()
 }
 
 fn file_name(path: &Path) -> String {

@@ -48,7 +48,7 @@ def run(*arguments):
         raise SystemExit(told.stderr.strip().splitlines()[-1])
 
 
-def compare(folder, name, seed, policies, threads):
+def study(folder, name, seed, policies, threads):
     folder.mkdir(parents=True, exist_ok=True)
     truth, found, qube, recipe = (folder / file for file in ("plant.toml", "found.toml", "qube.toml", "recipe.toml"))
     truth.write_text(plant(name, seed))
@@ -85,9 +85,9 @@ def main():
     for name in asked.plants.split(","):
         if name == "drawn":
             for seed in range(asked.seed, asked.seed + asked.policies):
-                print(compare(asked.out / f"drawn-{seed}", name, seed, 1, asked.threads), flush=True)
+                print(study(asked.out / f"drawn-{seed}", name, seed, 1, asked.threads), flush=True)
         else:
-            print(compare(asked.out / name, name, asked.seed, asked.policies, asked.threads), flush=True)
+            print(study(asked.out / name, name, asked.seed, asked.policies, asked.threads), flush=True)
 
 
 if __name__ == "__main__":

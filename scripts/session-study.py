@@ -11,10 +11,10 @@ usage: scripts/session-study.py [--plants lab,gap,delay,drawn,play] [--seeds N] 
   drawn   each number of lab within 15 per cent except gravity, with other numbers for each session
   play    lab with a backlash of 1 degree between motor and arm, which no simulation of the program has
 
-The columns: all sessions; those whose policy balanced in all of its verification rollouts; then, of the sessions that
-ended with a verified policy, the mean return, the real rollouts (median and most), the number of sessions whose
-identification doubted the model, failed or did not take place, and the mean return of the nominal policy in one
-rollout. A session whose result, even a failure, is in FOLDER is not run again.
+The columns: the sessions that ended with a verified policy, of all; then, of these, the number whose policy balanced in
+all of its verification rollouts, the mean return, the real rollouts (median and most), the number of sessions whose
+identification doubted the model or failed, and the mean return of the nominal policy in one rollout. A session whose
+result is in FOLDER is not run again; one that failed continues.
 Defaults: all plants, N = 10, S = 3000, M = identified, P = all processors, FOLDER session-study.
 """
 import argparse
@@ -56,29 +56,34 @@ def plant(name, folder, seed):
     }[name]()
 
 
+def failure(told):
+    """The reason why a result holds no verified policy; an empty text if it holds one."""
+    return str(told.get("ended_by") or ("" if told.get("best") else "it has no verified policy"))
+
+
 def session(folder, name, method, seed):
-    """Runs one session, or reads its result."""
+    """Runs one session, or reads its result. The result of a session that failed is not stored."""
     result = folder / f"{method}-{name}-{seed}.json"
-    if not result.exists():
+    told = json.loads(result.read_text()) if result.exists() else {}
+    if failure(told):
         out = folder / f"{method}-{name}-{seed}"
         where = ["--resume", out] if out.exists() else [
             "--method", method, "--seed", str(seed), "--out", out, *plant(name, folder, seed)]
-        told = subprocess.run([PROGRAM, "session", "--clock", "virtual", "--json", *map(str, where)],
+        done = subprocess.run([PROGRAM, "session", "--clock", "virtual", "--json", *map(str, where)],
                               capture_output=True, text=True)
-        result.write_text(told.stdout.splitlines()[-1] if told.stdout else json.dumps({"error": told.stderr[-300:]}))
-    told = json.loads(result.read_text())
-    best = told.get("best")
-    if told.get("ended_by") or not best:
-        return {"seed": seed, "error": str(told.get("ended_by") or told.get("error"))}
+        told = json.loads(done.stdout.splitlines()[-1]) if done.stdout else {"ended_by": done.stderr[-300:]}
+        if failure(told):
+            return {"seed": seed, "error": failure(told)}
+        result.write_text(json.dumps(told))
+    best, known = told["best"], told["identification"]
     returns = best["returns"]
-    known = told["identification"] or {}
     return {
         "seed": seed,
         "successes": best["successes"],
         "rollouts": len(returns),
         "mean": statistics.mean(returns),
         "real": told["real_rollouts"],
-        "verdict": known.get("verdict", "refused"),
+        "doubted": known is not None and known.get("verdict") != "fits",
         "nominal": (told["baseline"] or [{"returns": [float("nan")]}])[0]["returns"][0],
     }
 
@@ -105,8 +110,9 @@ def main():
             continue
         good = sum(it["successes"] == it["rollouts"] for it in done)
         real = [it["real"] for it in done]
-        doubted = sum(it["verdict"] != "fits" for it in done)
-        print(f"{name:6} {len(results):8}  {good:11}  {statistics.mean(it['mean'] for it in done):11.1f}  "
+        doubted = sum(it["doubted"] for it in done)
+        sessions = f"{len(done)} of {len(results)}"
+        print(f"{name:6} {sessions:>8}  {good:11}  {statistics.mean(it['mean'] for it in done):11.1f}  "
               f"{statistics.median(real):21g}, {max(real):4}  {doubted:7}  "
               f"{statistics.mean(it['nominal'] for it in done):7.1f}", flush=True)
 

@@ -15,13 +15,14 @@ use qube_hil::clock::{Clock, MonotonicClock, VirtualClock, enter_realtime};
 use qube_hil::control::{Homing, HomingMethod, HomingSettings, Motion, RING_CAPACITY, Tick, drive};
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
-use qube_hil::estimation::{Calibration, EstimatorSettings, ObserverSettings};
+use qube_hil::estimation::{EstimatorSettings, MeasuredRig, ObserverSettings};
 use qube_hil::policy::{
-    Activation, ClassicalController, ClassicalGains, LayerWeights, Network, OutputKind, Policy,
+    Activation, ClassicalController, ClassicalGains, LayerWeights, MAX_WIDTH, Network, OutputKind,
+    Policy,
 };
-use qube_hil::qube::{MAX_HISTORY, Measurement, State};
-use qube_hil::safety::{ForesightSettings, SafetyBox};
-use qube_hil::telemetry::{Ending, Fault, TickSettings};
+use qube_hil::qube::{MAX_HISTORY, Measurement, OBSERVATION_SIZE, PlantModel, Profile, State};
+use qube_hil::safety::{ForesightSettings, IdentifiedQube, SafetyBox};
+use qube_hil::telemetry::{Ending, RolloutOutcome, TickRules, TickSettings};
 
 thread_local! {
     static IN_THE_LOOP: Cell<bool> = const { Cell::new(false) };
@@ -93,15 +94,46 @@ impl<D: Device> Device for Watched<D> {
     }
 }
 
-/// Drives a motion to its end; returns its ending and the allocations of the loop.
-fn driven(device: impl Device, clock: &dyn Clock, motion: &mut dyn Motion) -> (Ending, u32) {
-    let mut device = Watched(device);
-    device.hello().expect("an emulated Qube answers");
+impl<D: Device> Watched<D> {
+    fn new(mut device: D) -> Self {
+        device.hello().expect("an emulated Qube answers");
+        Self(device)
+    }
+}
+
+/// Drives a motion to its end, checks that its loop allocates nothing, and returns its outcome.
+fn driven(
+    device: &mut Watched<impl Device>,
+    clock: &dyn Clock,
+    motion: &mut dyn Motion,
+) -> RolloutOutcome {
     let (mut producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
     ALLOCATIONS.set(0);
     let stop = AtomicBool::new(false);
-    let report = drive(&mut device, clock, motion, Some(&mut producer), &stop).expect("it arms");
-    (report.outcome.ending, ALLOCATIONS.get())
+    let report = drive(device, clock, motion, Some(&mut producer), &stop).expect("it arms");
+    assert_eq!(ALLOCATIONS.get(), 0, "{:?}", report.outcome);
+    report.outcome
+}
+
+/// Homes a Qube without an allocation in the loop; returns what homing has measured.
+fn homed(
+    device: &mut Watched<impl Device>,
+    clock: &dyn Clock,
+    method: HomingMethod,
+) -> MeasuredRig {
+    let mut homing = Homing::new(&HomingSettings { method, ..HomingSettings::default() });
+    let outcome = driven(device, clock, &mut homing);
+    without_fault(&outcome);
+    homing.measured().expect("it homes")
+}
+
+/// Panics if a fault has ended a motion. The message contains the operator's step, which tells
+/// whether a busy computer is the cause.
+#[track_caller]
+fn without_fault(outcome: &RolloutOutcome) {
+    if let Ending::Fault(fault) = outcome.ending {
+        panic!("{fault}. {}", fault.operator_step());
+    }
 }
 
 fn classical() -> Policy {
@@ -124,11 +156,12 @@ fn network_with_history() -> Policy {
     Policy::Network(policy)
 }
 
-/// A network with three of at most four hidden layers, all of the largest width. Its weights are so
-/// small that its voltage stays near 0.
+/// The largest network: four hidden layers of the largest width, and the longest history. Its
+/// weights are so small that its voltage stays near 0.
 fn large_network() -> Policy {
     let Policy::Network(mut policy) = network() else { unreachable!("it is a network") };
-    let sizes = [10, 256, 256, 256, 1];
+    let inputs = OBSERVATION_SIZE + MAX_HISTORY;
+    let sizes = [inputs, MAX_WIDTH, MAX_WIDTH, MAX_WIDTH, MAX_WIDTH, 1];
     let layers = sizes.windows(2).map(|size| LayerWeights {
         weight: vec![1e-4; size[0] * size[1]],
         bias: vec![1e-3; size[1]],
@@ -138,23 +171,19 @@ fn large_network() -> Policy {
     Policy::Network(policy)
 }
 
-fn rollout(policy: Policy, max_steps: u32) -> Tick {
-    rollout_seen_by(EstimatorSettings::default(), policy, max_steps)
-}
-
-fn rollout_seen_by(estimator: EstimatorSettings, policy: Policy, max_steps: u32) -> Tick {
-    let settings = TickSettings {
-        calibration: Calibration::IDENTITY,
-        estimator,
+/// The settings of a rollout under the box alone on a Qube that has been homed.
+fn settings(rig: MeasuredRig, max_steps: u32) -> TickSettings {
+    TickSettings {
+        calibration: rig.calibration,
+        estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
         max_steps,
         start_theta_rad: 0.0,
-        stops: None,
+        stops: rig.stops,
         foresight: None,
-        rules: qube_hil::telemetry::TickRules::NEWEST,
-        plant: qube_hil::qube::PlantModel::QUBE,
-    };
-    Tick::new(&settings, policy)
+        rules: TickRules::NEWEST,
+        plant: PlantModel::QUBE,
+    }
 }
 
 #[test]
@@ -171,25 +200,34 @@ fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
     in_real_time(|| {
         // The control thread requests the same rights.
         let _ = enter_realtime();
-        for homing in [true, false] {
-            let qube = EmulatedQube::spawn(EmulatorSettings::default()).expect("a pty");
-            let port = qube.port().to_string_lossy().into_owned();
-            let device = SerialLink::open(&port, Arc::new(MonotonicClock)).expect("the pty opens");
-            let settings =
-                HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
-            let (ending, allocations) = if homing {
-                driven(device, &MonotonicClock, &mut Homing::new(&settings))
-            } else {
-                driven(device, &MonotonicClock, &mut rollout(network(), 100))
-            };
-            // With uncalibrated counts settling never comes to rest, so the rollout ends before its
-            // policy runs. Only a fault of the link fails the test.
-            if let Ending::Fault(fault @ (Fault::NoSample | Fault::LinkGone)) = ending {
-                panic!("{fault}. {}", fault.operator_step());
-            }
-            assert_eq!(allocations, 0);
-        }
+        // The arm starts in the middle, where a homing by hand takes it to be.
+        let middle = EmulatorSettings { start: Some(State::default()), ..Default::default() };
+        let qube = EmulatedQube::spawn(middle).expect("a pty");
+        let port = qube.port().to_string_lossy().into_owned();
+        let link = SerialLink::open(&port, Arc::new(MonotonicClock)).expect("the pty opens");
+        let mut device = Watched::new(link);
+        let rig = homed(&mut device, &MonotonicClock, HomingMethod::Hand);
+        let mut rollout = Tick::new(&settings(rig, 100), network());
+        let outcome = driven(&mut device, &MonotonicClock, &mut rollout);
+        without_fault(&outcome);
+        assert!(outcome.steps > 0, "no policy ran: {outcome:?}");
     });
+}
+
+/// Homes an emulated Qube in virtual time and runs a rollout on it, whose settings `change` adapts;
+/// checks that neither allocates and that the policy had the motor.
+#[track_caller]
+fn runs_without_allocating(
+    emulator: EmulatorSettings,
+    policy: Policy,
+    change: impl Fn(TickSettings) -> TickSettings,
+) {
+    let clock = VirtualClock::default();
+    let mut device = Watched::new(SerialLink::in_process(emulator, clock.clone()));
+    let rig = homed(&mut device, &clock, HomingMethod::Stops);
+    let mut rollout = Tick::new(&change(settings(rig, 600)), policy);
+    let outcome = driven(&mut device, &clock, &mut rollout);
+    assert!(outcome.steps > 0, "no policy ran: {outcome:?}");
 }
 
 #[test]
@@ -202,18 +240,33 @@ fn a_rollout_in_virtual_time_allocates_nothing() {
         (large_network(), EstimatorSettings::default()),
         (network(), EstimatorSettings::observer(delayed)),
     ] {
-        let clock = VirtualClock::default();
-        let device = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
-        let mut rollout = rollout_seen_by(estimator, policy, 600);
-        let (_, allocations) = driven(device, &clock, &mut rollout);
-        assert_eq!(allocations, 0);
+        runs_without_allocating(EmulatorSettings::default(), policy, |settings| TickSettings {
+            estimator,
+            ..settings
+        });
+    }
+}
+
+/// Checks rollouts under foresight, which simulates the brake in each tick: for any Qube, and for
+/// one whose profile is known.
+#[test]
+fn a_rollout_under_foresight_allocates_nothing() {
+    let lab = Profile::lab();
+    let emulator = EmulatorSettings { model: lab.model(), ..EmulatorSettings::default() };
+    let known = IdentifiedQube::of(&lab, &PlantModel::QUBE);
+    for identified in [None, Some(known)] {
+        let foresight = ForesightSettings { identified, ..ForesightSettings::default() };
+        runs_without_allocating(emulator, classical(), |settings| TickSettings {
+            safety_box: SafetyBox::GUARDED,
+            foresight: Some(foresight),
+            ..settings
+        });
     }
 }
 
 #[test]
 fn the_trial_of_the_brake_allocates_nothing() {
-    let mut foresight =
-        ForesightSettings::default().foresight(None, &qube_hil::qube::PlantModel::QUBE);
+    let mut foresight = ForesightSettings::default().foresight(None, &PlantModel::QUBE);
     let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
     let outward = State { theta: 1.9, theta_dot: 20.0, ..at_rest };
     IN_THE_LOOP.set(true);

@@ -2,8 +2,8 @@
 //! that finishes every job at once: `cargo test --test jobs_cost -- --ignored --nocapture` prints
 //! them for up to 10 000 jobs.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use qube_hil::jobs::folder::{Holder, JobFolder, Terms};
@@ -11,6 +11,9 @@ use qube_hil::jobs::{Executor, FolderExecutor, JobEvent, LocalExecutor, Training
 use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
 use qube_hil::storage::MachineDisk;
+
+/// Lock that lets one measurement run at a time: processor time and memory are of the process.
+static TURN: Mutex<()> = Mutex::new(());
 
 /// The cost of a number of jobs.
 struct Cost {
@@ -93,6 +96,7 @@ fn cost(count: u64) -> Cost {
 
 #[track_caller]
 fn is_cheap(count: u64) {
+    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
     let Cost { cpu_ms, wall_s } = cost(count);
     let peak_mb = peak_mb();
     println!("{count:6} jobs: {cpu_ms:.3} ms of CPU a job, {wall_s:.1} s, at most {peak_mb:.1} MB");

@@ -222,7 +222,7 @@ fn is_hexadecimal_byte(word: &str) -> bool {
 /// Rewrites the frames of requests and replies in the file and keeps the other lines.
 #[test]
 #[ignore = "writes golden.txt; run it when the wire has changed"]
-fn write_the_frames_anew() {
+fn rewrite_golden_txt() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/golden.txt");
     let frames = |kind: &str| -> Vec<String> {
         if kind == "request" {

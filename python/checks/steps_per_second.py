@@ -59,7 +59,7 @@ def main() -> None:
     measured = {
         "4096 Qubes, true states": many(600),
         "4096 Qubes, true states, arrays written over": many(600, copy=False),
-        "4096 Qubes, reality gap": many(100, model="robust", settings="robust"),
+        "4096 Qubes, nonidealities": many(100, model="robust", settings="robust"),
         "one Qube": single(60_000),
     }
     if as_json:

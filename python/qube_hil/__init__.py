@@ -21,7 +21,7 @@ from .errors import (
     SettingsError,
     TrainingError,
 )
-from .learning import Estimate, Identified, Trained, identify, train
+from .learning import Estimate, Identified, IncompleteRecording, Trained, identify, train
 from .policies import Policy
 from .recordings import Recording, recording
 from .sessions import Candidate, Session, Surrogate
@@ -41,6 +41,7 @@ __all__ = [
     "Estimate",
     "IdentificationError",
     "Identified",
+    "IncompleteRecording",
     "LateError",
     "Normal",
     "Policy",

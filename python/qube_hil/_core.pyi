@@ -65,8 +65,8 @@ class Policy:
         output: str,
         action_scale_v: float,
         observation: str | None,
-        history: int,
-        corner_rad_s: float,
+        history: int | None,
+        corner_rad_s: float | None,
         clip_observation: float | None,
     ) -> Policy: ...
     @staticmethod
@@ -74,8 +74,8 @@ class Policy:
         path: str,
         action_scale_v: float | None,
         observation: str | None,
-        history: int,
-        corner_rad_s: float,
+        history: int | None,
+        corner_rad_s: float | None,
         clip_observation: float | None,
     ) -> Policy: ...
     def to_onnx(self) -> bytes: ...
@@ -89,6 +89,7 @@ class Policy:
     def sizes(self) -> list[int] | None: ...
     @property
     def training(self) -> str | None: ...
+    def start(self) -> None: ...
     def voltages(
         self, observations: npt.NDArray[np.float32], voltages_v: npt.NDArray[np.float32]
     ) -> None: ...

@@ -1,11 +1,26 @@
 """Distributions of a simulated Qube's quantities."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 from .errors import SettingsError
+
+
+def _finite(number: object) -> float:
+    """A number of a distribution as a float."""
+    if not isinstance(number, Real):
+        raise SettingsError(f"a distribution has {number!r}: give a number")
+    try:
+        value = float(number)
+    except OverflowError:
+        value = math.inf
+    if not math.isfinite(value):
+        raise SettingsError(f"a distribution has {number!r}: give a finite number")
+    return value
 
 
 @dataclass(frozen=True)
@@ -15,7 +30,7 @@ class Constant:
     value: float
 
     def _fields(self) -> dict[str, object]:
-        return {"type": "constant", "value": float(self.value)}
+        return {"type": "constant", "value": _finite(self.value)}
 
 
 @dataclass(frozen=True)
@@ -28,8 +43,8 @@ class Normal:
     def _fields(self) -> dict[str, object]:
         return {
             "type": "normal",
-            "mean": float(self.mean),
-            "standard_deviation": float(self.standard_deviation),
+            "mean": _finite(self.mean),
+            "standard_deviation": _finite(self.standard_deviation),
         }
 
 
@@ -41,12 +56,13 @@ class Uniform:
     upper: float
 
     def _fields(self) -> dict[str, object]:
-        if not self.lower <= self.upper:
-            raise SettingsError(f"Uniform({self.lower}, {self.upper}): give the smaller value first")
-        half_width = 0.5 * (self.upper - self.lower)
+        lower, upper = _finite(self.lower), _finite(self.upper)
+        if not lower <= upper:
+            raise SettingsError(f"Uniform({lower}, {upper}): give the smaller value first")
+        half_width = 0.5 * (upper - lower)
         return {
             "type": "uniform",
-            "mean": 0.5 * (self.lower + self.upper),
+            "mean": 0.5 * (lower + upper),
             "standard_deviation": half_width / 3.0**0.5,
         }
 
@@ -68,14 +84,15 @@ def read(fields: Mapping[str, Any]) -> Distribution:
 def written(distributions: Mapping[str, Distribution | float] | None) -> str:
     """The distributions by quantity as JSON; a number is a constant."""
     named = {}
-    for name, distribution in (distributions or {}).items():
-        if isinstance(distribution, (int, float)):
-            distribution = Constant(distribution)
-        if not isinstance(distribution, Distribution):
-            raise SettingsError(
-                f"{name} is {distribution!r}: give a number, Constant, Normal or Uniform"
-            )
-        named[name] = distribution._fields()
+    given: Any
+    for name, given in (distributions or {}).items():
+        try:
+            distribution = Constant(_finite(given)) if isinstance(given, Real) else given
+            if not isinstance(distribution, Distribution):
+                raise SettingsError(f"{given!r} is no number: give one, or a Constant, Normal or Uniform")
+            named[name] = distribution._fields()
+        except SettingsError as error:
+            raise SettingsError(f"{name}: {error}") from None
     try:
         return json.dumps(named, allow_nan=False)
     except ValueError as error:

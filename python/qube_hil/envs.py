@@ -138,7 +138,7 @@ class QubeEnv(gymnasium.Env[Any, Any]):
         """Applies a voltage, a fraction of 5 V, for 10 ms."""
         if not self._is_running:
             raise EpisodeOverError("no episode is running: call reset() first")
-        if type(action) is not np.ndarray or action.dtype != np.float32:
+        if type(action) is not np.ndarray or action.dtype != np.float32 or action.ndim != 1:
             action = _as_actions(action, (1,))
         observation, reward, terminated, truncated, guarded = self._simulation.step_one(action)
         self._is_running = not (terminated or truncated)

@@ -94,6 +94,18 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class IncompleteRecording:
+    """A recording that holds only a part of its rollout."""
+
+    file: str
+    """Path of the file."""
+    reason: str
+    """Why: its end or ticks are missing, or the rollout ended early."""
+    used_s: float
+    """Duration of the motion that was fitted, s."""
+
+
+@dataclass(frozen=True)
 class Identified:
     """The result of an identification."""
 
@@ -105,6 +117,8 @@ class Identified:
     """Names of the effects that the model seems to lack."""
     profile: str
     """The profile as TOML, as the program's commands read it."""
+    incomplete: list[IncompleteRecording]
+    """Recordings that hold only a part of their rollouts; the fit used that part."""
 
 
 def identify(
@@ -116,7 +130,8 @@ def identify(
     """Fits a Qube to recordings by maximum likelihood.
 
     Args:
-        recordings: Files: MCAP, or CSV with the columns of `docs/reference/files.md`.
+        recordings: Files, each named once, of the same plant: MCAP, or CSV with the columns of
+            `docs/reference/files.md`. A CSV file is taken to be of the plant of the files before it, else of the Qube.
         name: Name of the profile.
         fixed: Names of the quantities that keep their nominal values.
     """
@@ -125,4 +140,5 @@ def identify(
     paths = [os.fspath(path) for path in recordings]
     read = json.loads(_core.identify(paths, name, list(fixed)))
     estimates = {it.pop("name"): Estimate(**it) for it in read["estimates"]}
-    return Identified(estimates, read["verdict"], read["doubts"], read["profile"])
+    incomplete = [IncompleteRecording(**it) for it in read["incomplete"]]
+    return Identified(estimates, read["verdict"], read["doubts"], read["profile"], incomplete)

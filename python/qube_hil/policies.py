@@ -43,8 +43,8 @@ class Policy:
         activation: str = "tanh",
         output: str = "linear",
         observation: Sequence[str] | None = None,
-        history: int = 0,
-        filter_rad_s: float = 200.0,
+        history: int | None = None,
+        filter_rad_s: float | None = None,
         clip_observation: float | None = None,
     ) -> "Policy":
         """Makes a policy of the layers of a multilayer perceptron.
@@ -56,8 +56,10 @@ class Policy:
             output: ``linear`` or ``tanh``.
             observation: Entries of the observation in the network's order, as the option of `qube-hil import`; None for
                 the program's own.
-            history: Number of last commands in the program's own observation.
-            filter_rad_s: Corner of the velocity filter in training, rad/s, for the policy's record.
+            history: Number of last commands in the program's own observation, 0 to 4; None stands for 0. An
+                ``observation`` names its commands itself.
+            filter_rad_s: Corner of the velocity filter in training, rad/s, for the policy's record; None stands for
+                200.
             clip_observation: Magnitude at which each entry of the observation, as the network sees it, is clipped; None
                 clips nothing.
         """
@@ -94,13 +96,13 @@ class Policy:
         *,
         action_scale_v: float | None = None,
         observation: Sequence[str] | None = None,
-        history: int = 0,
-        filter_rad_s: float = 200.0,
+        history: int | None = None,
+        filter_rad_s: float | None = None,
         clip_observation: float | None = None,
     ) -> "Policy":
         """Makes a policy of an ONNX file, as `qube-hil import` does. A file of another program needs ``action_scale_v``
         and its other conventions, named as for `from_layers`. A file that this program exported contains its
-        conventions: it needs no arguments, and gives exactly the policy that was exported."""
+        conventions: it takes no arguments, and gives exactly the policy that was exported."""
         names = None if observation is None else ",".join(observation)
         return cls(
             _core.Policy.from_onnx(
@@ -121,11 +123,23 @@ class Policy:
     def from_sb3(cls, model: Any, *, action_scale_v: float = 5.0, **named: Any) -> "Policy":
         """Makes a policy of the actor of a Stable-Baselines3 model: PPO or A2C, SAC, or TD3, with a policy of the kind
         ``MlpPolicy``. An action of 1 is ``action_scale_v``, as in the environments of this package. Observations that
-        ``VecNormalize`` has scaled are refused. ``named`` is as for `from_layers`."""
+        ``VecNormalize`` has scaled, a features extractor other than the default one, and ``squash_output`` of PPO or
+        A2C are refused. ``named`` is as for `from_layers`."""
         if getattr(model, "get_vec_normalize_env", lambda: None)() is not None:
             raise PolicyError("the model sees observations that VecNormalize has scaled: train it without")
         policy = model.policy
+        # SB3's default extractor only flattens the observation.
+        extractor = getattr(getattr(policy, "actor", policy), "features_extractor", None)
+        if extractor is not None and type(extractor).__name__ != "FlattenExtractor":
+            raise PolicyError(
+                f"the features extractor {type(extractor).__name__} comes before the actor and is unknown: train with "
+                "the default features_extractor_class, FlattenExtractor"
+            )
         if hasattr(policy, "mlp_extractor"):
+            if getattr(policy, "squash_output", False):
+                raise PolicyError(
+                    "the policy has squash_output=True, a tanh outside of its modules: train it without squash_output"
+                )
             modules = [*policy.mlp_extractor.policy_net, policy.action_net]
         elif hasattr(policy, "actor") and hasattr(policy.actor, "latent_pi"):
             modules = [*policy.actor.latent_pi, policy.actor.mu, _LastTanh()]
@@ -153,10 +167,17 @@ class Policy:
         before and after the network."""
         return self._core.to_onnx()
 
+    def start(self) -> None:
+        """Begins an episode: a classical controller swings up again, an excitation begins again. A network has no
+        memory."""
+        self._core.start()
+
     def act(self, observation: npt.ArrayLike) -> Float32s:
         """The action of an environment for an observation: a fraction of 5 V from -1 to 1.
 
-        Takes ``[observation_size]`` and returns ``[1]``, or takes ``[n, observation_size]`` and returns ``[n, 1]``.
+        Takes ``[observation_size]`` and returns ``[1]``, or takes ``[n, observation_size]`` and returns ``[n, 1]``. A
+        classical controller and an excitation remember the motion of one Qube, so that they take one observation at a
+        time; `start` makes them forget it.
         """
         return self.voltage_v(observation) / np.float32(MAX_VOLTAGE_V)
 

@@ -19,13 +19,11 @@ use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Ending, Phase};
 
+use crate::POLL_INTERVAL;
 use crate::errors::{
     ActionError, ClosedError, DeviceError, EpisodeOverError, LateError, bad_settings,
 };
 use crate::exchange::{Exchange, Remote, Slot};
-
-/// Time between two checks for Ctrl-C.
-const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Longest deadline that is chosen from the measured link, us: half of the tick.
 const LONGEST_OWN_DEADLINE_US: f64 = 5000.0;
@@ -105,7 +103,6 @@ impl Device {
             return Err(bad_settings(format!("deadline_ms = {ms}: give 0.1 to 8.5, or None")));
         }
         let (settings, plan) = qube_hil::commands::rollouts_asked(options).map_err(bad_settings)?;
-        let is_virtual = settings.clock == ClockChoice::Virtual;
         let mut device = Self {
             served: ManuallyDrop::new(Some(serve(settings, plan, deadline_ms)?)),
             process: std::process::id(),
@@ -116,7 +113,7 @@ impl Device {
         };
         match device.end(py) {
             Ok(Ok(End::Opened { deadline_us })) => {
-                device.deadline_ms = deadline_us.filter(|_| !is_virtual).map(|us| 1e-3 * us);
+                device.deadline_ms = deadline_us.map(|us| 1e-3 * us);
                 Ok(device)
             }
             Ok(Ok(End::Episode(_))) => Err(DeviceError::new_err("the Qube was not opened")),
@@ -212,13 +209,17 @@ impl Device {
         Ok((observed, reward, left, whole, slot.late, Some((ending_text(ending), return_))))
     }
 
-    /// Brakes the arm and ends the running episode, if there is one.
+    /// Brakes the arm and ends the running episode, if there is one. An episode that ends by an
+    /// error raises it.
     fn halt(&mut self, py: Python<'_>) -> PyResult<()> {
         if self.running.is_none() {
             return Ok(());
         }
         self.request_stop()?;
-        self.ended(py).map(drop)
+        match self.ended(py)? {
+            Ok(_) => Ok(()),
+            Err(ErrorMessage(sentence)) => Err(DeviceError::new_err(sentence)),
+        }
     }
 
     /// Brakes the arm, switches the motor off and closes the Qube. Further calls do nothing.
@@ -259,7 +260,9 @@ impl Device {
                 return Ok(slot);
             }
             if let Err(interrupt) = py.check_signals() {
-                self.halt(py)?;
+                if let Err(error) = self.halt(py) {
+                    interrupt.set_cause(py, Some(error));
+                }
                 return Err(interrupt);
             }
         }
@@ -321,11 +324,19 @@ impl Device {
 impl Drop for Device {
     fn drop(&mut self) {
         // In a forked process the thread does not exist, so a wait for it would never end.
-        if self.process == std::process::id()
-            && let Some(served) = self.served.take()
-        {
-            served.close();
+        if self.process != std::process::id() {
+            return;
         }
+        let mut served = self.served.take();
+        let mut close = || {
+            if let Some(served) = served.take() {
+                served.close();
+            }
+        };
+        // Other threads of Python go on while the brake works.
+        Python::try_attach(|py| py.detach(&mut close));
+        // An interpreter that shuts down attaches no thread.
+        close();
     }
 }
 

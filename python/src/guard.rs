@@ -3,16 +3,19 @@
 use qube_hil::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
 use qube_hil::qube::{CONTROL_PERIOD_S, MAX_HISTORY, PlantModel, State};
 use qube_hil::safety::{Brake, ForesightSettings, TrustedForesight, clamp_to_mv};
+use qube_hil::simulation::{SensorModel, SimulationSettings};
 
 /// Foresight for many Qubes of a known plant. It does not know the parameters of a single Qube.
 ///
-/// It estimates velocities by a filter of its own from the angles that the sensors show, and
-/// simulates the brake before each voltage. It replaces a voltage after which the brake would come
-/// too late by the brake's voltage.
+/// It sees the state as the guard of a real Qube does, through encoders and a filter, and simulates
+/// the brake before each voltage. It replaces a voltage after which the brake would come too late
+/// by the brake's voltage.
 pub struct Guard {
     plant: PlantModel,
     foresight: TrustedForesight,
-    filter: FilterGains,
+    /// Filter that estimates velocities from the true angles, because foresight expects velocities
+    /// with the lag of a filter; `None` with encoders, whose simulation has the guard's filter.
+    filter: Option<FilterGains>,
     lanes: Vec<Guarded>,
 }
 
@@ -27,21 +30,23 @@ struct Guarded {
 
 impl Guard {
     /// A guard of this many Qubes.
-    pub fn new(lanes: usize, plant: &PlantModel) -> Self {
+    pub fn new(lanes: usize, settings: &SimulationSettings) -> Self {
+        let plant = &settings.plant;
+        let filters = settings.sensors == SensorModel::TrueState;
         let idle =
             Guarded { state: State::default(), sent_v: [0.0; MAX_HISTORY], took_over: false };
         Self {
             plant: *plant,
             foresight: ForesightSettings::of_plant(plant).foresight(None, plant),
-            filter: FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S),
+            filter: filters.then(|| FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S)),
             lanes: vec![idle; lanes],
         }
     }
 
-    /// Begins an episode of the Qube in this lane. `seen` has the angles that the Qube's sensors
-    /// show, rad; the velocities count as 0.
-    pub fn begin(&mut self, lane: usize, seen: State<f32>) {
-        let State { theta, alpha, .. } = seen;
+    /// Begins an episode of the Qube in this lane. `guarded` has the angles that the simulation
+    /// shows to the guard, rad; the velocities count as 0.
+    pub fn begin(&mut self, lane: usize, guarded: State<f32>) {
+        let State { theta, alpha, .. } = guarded;
         let state = State { theta: theta.into(), alpha: alpha.into(), ..State::default() };
         self.lanes[lane] = Guarded { state, sent_v: [0.0; MAX_HISTORY], took_over: false };
     }
@@ -69,10 +74,18 @@ impl Guard {
         if too_late { voltage_v } else { wanted_v }
     }
 
-    /// Updates the estimated state from the angles after a control period, rad.
-    pub fn observe(&mut self, lane: usize, seen: State<f32>) {
+    /// Updates the estimated state after a control period. `guarded` is the state that the
+    /// simulation shows to the guard, rad and rad/s.
+    pub fn observe(&mut self, lane: usize, guarded: State<f32>) {
         let state = &mut self.lanes[lane].state;
-        *state = through_filters(state, seen.theta.into(), seen.alpha.into(), &self.filter);
+        let (theta, alpha) = (guarded.theta.into(), guarded.alpha.into());
+        *state = match &self.filter {
+            Some(filter) => through_filters(state, theta, alpha, filter),
+            None => {
+                let (theta_dot, alpha_dot) = (guarded.theta_dot.into(), guarded.alpha_dot.into());
+                State { theta, alpha, theta_dot, alpha_dot }
+            }
+        };
     }
 
     /// Whether the guard took over from the policy in this episode.

@@ -1,23 +1,22 @@
 //! Identification of a Qube from its recordings.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
 
 use pyo3::prelude::*;
-use qube_hil::identification::{Unknown, check_recording, identify as fit};
-use qube_hil::replay::MotionLog;
+use qube_hil::identification::{Recordings, Unknown, identify as fit, read_recordings};
 use serde_json::json;
 
+use crate::POLL_INTERVAL;
 use crate::errors::{IdentificationError, bad_settings};
 
-/// Time between two checks for Ctrl-C.
-const POLL_INTERVAL: Duration = Duration::from_millis(50);
+/// Name of the thread of a fit.
+const THREAD: &str = "identify";
 
 /// Fits a Qube to recordings, MCAP or CSV. `fixed` names the quantities that keep their nominal
-/// values, and `name` is the name of the profile. Returns JSON: estimates, verdict, doubts, and the
-/// profile as TOML.
+/// values, and `name` is the name of the profile. Returns JSON: estimates, verdict, doubts, the
+/// recordings that are incomplete, and the profile as TOML.
 #[pyfunction]
 pub fn identify(
     py: Python<'_>,
@@ -40,7 +39,12 @@ pub fn identify(
     // The fit cannot be stopped: after Ctrl-C its thread runs to the end and its result is dropped.
     let (outbox, inbox) = sync_channel(1);
     let name = name.to_owned();
-    std::thread::spawn(move || outbox.send(fitted(&paths, &name, &unknowns)));
+    std::thread::Builder::new()
+        .name(THREAD.into())
+        .spawn(move || outbox.send(fitted(&paths, &name, &unknowns)))
+        .map_err(|error| {
+            IdentificationError::new_err(format!("a thread cannot be started: {error}"))
+        })?;
     let inbox = Mutex::new(inbox);
     loop {
         py.check_signals()?;
@@ -59,9 +63,9 @@ pub fn identify(
 }
 
 fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String, String> {
-    let logs = paths.iter().map(|path| read(path)).collect::<Result<Vec<_>, _>>()?;
-    let nominal = logs.first().map(|log| log.plant).unwrap_or_default().nominal();
-    let identified = fit(&logs, unknowns, &nominal).map_err(|error| error.to_string())?;
+    let Recordings { groups: [logs], plant, incomplete } =
+        read_recordings([paths], None).map_err(|error| error.to_string())?;
+    let identified = fit(&logs, unknowns, &plant.nominal()).map_err(|error| error.to_string())?;
     let file_name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into();
     let profile = identified.profile(name, paths.iter().map(file_name).collect());
     let estimates = identified.estimates.iter().map(|estimate| {
@@ -72,19 +76,20 @@ fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String,
             "told_by_data": estimate.variance_removed,
         })
     });
+    let incomplete = incomplete.iter().map(|it| {
+        json!({
+            "file": it.path.to_string_lossy(),
+            "reason": it.why.to_string(),
+            "used_s": it.used_s,
+        })
+    });
     let assessment = &identified.assessment;
     let result = json!({
         "estimates": estimates.collect::<Vec<_>>(),
         "verdict": assessment.verdict.name(),
         "doubts": assessment.doubts.iter().map(|doubt| doubt.name()).collect::<Vec<_>>(),
+        "incomplete": incomplete.collect::<Vec<_>>(),
         "profile": toml::to_string_pretty(&profile).map_err(|error| error.to_string())?,
     });
     Ok(result.to_string())
-}
-
-fn read(path: &Path) -> Result<MotionLog, String> {
-    let log = MotionLog::read(path).map_err(|error| error.to_string())?;
-    let located = |message: &dyn std::fmt::Display| format!("{}: {message}", path.display());
-    check_recording(&log).map_err(|why| located(&why))?;
-    Ok(log)
 }

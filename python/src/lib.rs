@@ -17,7 +17,12 @@ mod session;
 mod simulation;
 mod training;
 
+use std::time::Duration;
+
 use pyo3::prelude::*;
+
+/// Time between two checks for Ctrl-C of a function that waits for another thread.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The compiled part of `qube_hil`; the package's Python modules wrap it.
 #[pymodule]

@@ -5,11 +5,14 @@ use std::path::{Path, PathBuf};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
+use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::onnx::{
     ForeignConventions, ImportError, Layers, MAX_FILE_BYTES, ObservationLayout, from_onnx, to_onnx,
 };
 use qube_hil::policy::{Activation, Controller, LayerWeights, OutputKind, Policy as Kind};
-use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State};
+use qube_hil::qube::{
+    ALPHA_DOT_FACTOR, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State, THETA_DOT_FACTOR,
+};
 use qube_hil::storage::{Disk, MachineDisk, read_bounded, write_whole};
 
 use crate::errors::{ActionError, bad_policy};
@@ -37,19 +40,32 @@ impl Policy {
     }
 
     /// Reads a policy from an ONNX file. A file of another program needs `action_scale_v`, the
-    /// voltage of an output of 1, V; a file that this program wrote needs only its path.
+    /// voltage of an output of 1, V; a file that this program wrote needs only its path, and no
+    /// other argument goes without `action_scale_v`.
     #[staticmethod]
     fn from_onnx(
         path: PathBuf,
         action_scale_v: Option<f64>,
         observation: Option<&str>,
-        history: usize,
-        corner_rad_s: f64,
+        history: Option<usize>,
+        corner_rad_s: Option<f64>,
         clip_observation: Option<f32>,
     ) -> PyResult<Self> {
         let foreign = action_scale_v
             .map(|scale_v| foreign(scale_v, observation, history, corner_rad_s, clip_observation))
             .transpose()?;
+        let named = [
+            ("observation", observation.is_some()),
+            ("history", history.is_some()),
+            ("filter_rad_s", corner_rad_s.is_some()),
+            ("clip_observation", clip_observation.is_some()),
+        ];
+        if let Some((name, _)) = named.into_iter().find(|(_, given)| *given && foreign.is_none()) {
+            return Err(bad_policy(format!(
+                "{name} without action_scale_v: name action_scale_v too, or leave both out for a file that this \
+                 program exported, which names its conventions"
+            )));
+        }
         let located =
             |message: &dyn std::fmt::Display| bad_policy(format!("{}: {message}", path.display()));
         let bytes = read_bounded(&path, MAX_FILE_BYTES)
@@ -86,8 +102,8 @@ impl Policy {
         output: &str,
         action_scale_v: f64,
         observation: Option<&str>,
-        history: usize,
-        corner_rad_s: f64,
+        history: Option<usize>,
+        corner_rad_s: Option<f64>,
         clip_observation: Option<f32>,
     ) -> PyResult<Self> {
         let activation = Activation::named(activation).ok_or_else(|| {
@@ -172,8 +188,14 @@ impl Policy {
         serde_json::to_string(&policy.training).map(Some).map_err(bad_policy)
     }
 
+    /// Starts a rollout: a controller with a memory forgets the last rollout.
+    fn start(&mut self) {
+        self.policy.start();
+    }
+
     /// Computes the voltage for each of the observations `[n, observation_size]` and writes it to
-    /// `voltages_v`, `[n, 1]`, V, limited to the motor's range.
+    /// `voltages_v`, `[n, 1]`, V, limited to the motor's range. A policy other than a network
+    /// remembers the motion of one Qube, so that it takes one observation at a time.
     fn voltages(
         &mut self,
         py: Python<'_>,
@@ -191,6 +213,13 @@ impl Policy {
         if given != size {
             return Err(ActionError::new_err(format!(
                 "the observation has {given} entries: this policy sees {size}"
+            )));
+        }
+        if count > 1 && !matches!(self.policy, Kind::Network(_)) {
+            return Err(ActionError::new_err(format!(
+                "there are {count} observations: a policy of the kind {} remembers the motion of one Qube, so give one \
+                 observation at a time, and each Qube a policy of its own",
+                self.kind()
             )));
         }
         if voltages_v.shape() != [count, 1] {
@@ -218,14 +247,24 @@ impl Policy {
     }
 }
 
-/// Checks and collects the conventions of another program's policy.
+/// Checks and collects the conventions of another program's policy. Without `observation` and
+/// `history` the policy sees the program's own observation without commands; the default of
+/// `corner_rad_s` is that of the program's filter.
 fn foreign(
     action_scale_v: f64,
     observation: Option<&str>,
-    history: usize,
-    corner_rad_s: f64,
+    history: Option<usize>,
+    corner_rad_s: Option<f64>,
     clip_observation: Option<f32>,
 ) -> PyResult<ForeignConventions> {
+    if let (Some(_), Some(history)) = (observation, history) {
+        return Err(bad_policy(format!(
+            "history = {history} beside observation: name the last commands in observation (command_1 ...), or give \
+             history alone"
+        )));
+    }
+    let history = history.unwrap_or_default();
+    let corner_rad_s = corner_rad_s.unwrap_or(EstimatorSettings::default().corner_rad_s);
     if !(action_scale_v.abs() > 0.0 && action_scale_v.abs() <= 100.0) {
         return Err(bad_policy(format!(
             "action_scale_v = {action_scale_v}: give a voltage from -100 to 100 that is not 0"
@@ -251,8 +290,8 @@ fn state_of(observation: &[f32]) -> State {
     State {
         theta: entry(0).atan2(entry(1)),
         alpha: entry(2).atan2(entry(3)),
-        theta_dot: entry(4) / 0.1,
-        alpha_dot: entry(5) / 0.05,
+        theta_dot: entry(4) / THETA_DOT_FACTOR,
+        alpha_dot: entry(5) / ALPHA_DOT_FACTOR,
     }
 }
 

@@ -72,7 +72,7 @@ impl Simulation {
         let distribution = read_distribution(model, distributions, &settings)?;
         let guard = match guard {
             "box" => None,
-            "foresight" => Some(Guard::new(num_envs, &settings.plant)),
+            "foresight" => Some(Guard::new(num_envs, &settings)),
             other => {
                 return Err(bad_settings(format!("guard = {other:?}: give box or foresight")));
             }
@@ -253,7 +253,7 @@ impl Simulation {
         self.next += 1;
         self.lanes.pendulums.restart(lane, &trajectory);
         if let Some(guard) = &mut self.guard {
-            guard.begin(lane, self.lanes.pendulums.seen(lane));
+            guard.begin(lane, self.lanes.pendulums.guarded(lane));
         }
     }
 
@@ -266,7 +266,7 @@ impl Simulation {
         }
         self.lanes.step();
         for (lane, status) in self.lanes.statuses[..self.num_envs].iter_mut().enumerate() {
-            guard.observe(lane, self.lanes.pendulums.seen(lane));
+            guard.observe(lane, self.lanes.pendulums.guarded(lane));
             if guard.took_over(lane) {
                 *status = LaneStatus::LeftBox;
             }
@@ -292,19 +292,19 @@ impl Simulation {
 impl Lanes {
     /// Converts the actions to voltages, which are limited to the motor's range; an error if one is
     /// not a finite number.
-    fn take_actions(&mut self, actions: impl Iterator<Item = f32>) -> PyResult<()> {
+    fn take_actions(&mut self, actions: impl Iterator<Item = f32> + Clone) -> PyResult<()> {
         let mut finite = true;
-        for (voltage_v, action) in self.voltages_v.iter_mut().zip(actions) {
+        for (voltage_v, action) in self.voltages_v.iter_mut().zip(actions.clone()) {
             finite &= action.is_finite();
             *voltage_v = MAX_VOLTAGE_V as f32 * action.clamp(-1.0, 1.0);
         }
-        if finite { Ok(()) } else { Err(self.not_finite()) }
+        if finite { Ok(()) } else { Err(Self::not_finite(actions)) }
     }
 
     /// The error for actions that contain a number that is not finite. The simulation has not
     /// advanced.
-    fn not_finite(&self) -> PyErr {
-        let index = self.voltages_v.iter().position(|voltage_v| !voltage_v.is_finite());
+    fn not_finite(mut actions: impl Iterator<Item = f32>) -> PyErr {
+        let index = actions.position(|action| !action.is_finite());
         let place = index.map_or(String::new(), |index| format!(" of environment {index}"));
         ActionError::new_err(format!("the action{place} is not a finite number: give -1 to 1"))
     }
@@ -346,9 +346,27 @@ fn slice_of<'a>(
     array.as_slice_mut().map_err(bad_settings)
 }
 
-/// Parses the settings of a simulation from JSON and checks them. A setting that the JSON leaves
-/// out has its default.
+/// Settings of simulations by name, in the order in which messages list them.
+fn named_settings() -> [(&'static str, SimulationSettings); 3] {
+    [
+        ("thesis", SimulationSettings::default()),
+        ("machine", SimulationSettings::machine()),
+        ("robust", SimulationSettings::robust()),
+    ]
+}
+
+/// Parses the settings of a simulation from JSON, either a name or an object, and checks them. A
+/// setting that the object leaves out has its default.
 pub fn read_settings(json: &str) -> PyResult<SimulationSettings> {
+    if let Ok(name) = serde_json::from_str::<String>(json) {
+        let known = named_settings().into_iter().find(|(known, _)| *known == name);
+        return known.map(|(_, settings)| settings).ok_or_else(|| {
+            let names = named_settings().map(|(known, _)| known).join(", ");
+            bad_settings(format!(
+                "there are no settings {name:?}: give a mapping or one of {names}"
+            ))
+        });
+    }
     let settings: SimulationSettings = serde_json::from_str(json)
         .map_err(|error| bad_settings(format!("the simulation's settings: {error}")))?;
     if settings.history > MAX_HISTORY {

@@ -2,7 +2,6 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::time::Duration;
 
 use pyo3::prelude::*;
 use qube_hil::learning::{
@@ -12,12 +11,10 @@ use qube_hil::policy::{Network, Policy as Kind};
 use qube_hil::simulation::{DomainDistribution, SimulationSettings};
 use serde_json::{Map, Value};
 
+use crate::POLL_INTERVAL;
 use crate::errors::{TrainingError, bad_policy, bad_settings};
 use crate::policy::Policy;
 use crate::simulation::{read_distribution, read_settings};
-
-/// Time between two checks for Ctrl-C.
-const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Trains a policy and calls `on_update` with each update as JSON. Ctrl-C, or an exception in
 /// `on_update`, ends the training.

@@ -1,8 +1,12 @@
 """Recordings and a session that the program makes in virtual time."""
 
+import atexit
+import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -22,12 +26,25 @@ def beside(name):
 SHIPPED = beside("policies")
 PROGRAM = Path(sys.executable).parent / "qube-hil"
 
+# The program's memory of doubts about Qubes: that of the user is neither read nor written.
+STATE = tempfile.mkdtemp(prefix="qube-hil-state-")
+atexit.register(shutil.rmtree, STATE, ignore_errors=True)
+os.environ["XDG_STATE_HOME"] = STATE
+os.environ.pop("STATE_DIRECTORY", None)
+# The program of this environment comes first, as after its activation.
+os.environ["PATH"] = f"{PROGRAM.parent}{os.pathsep}{os.environ['PATH']}"
+
+
+def run(*arguments):
+    """Runs the program to its end."""
+    return subprocess.run(
+        [PROGRAM, *map(str, arguments)], capture_output=True, text=True, timeout=600
+    )
+
 
 def program(*arguments, code=0):
     """Runs the program, asserts that it ends with this exit code, and returns its standard output."""
-    ended = subprocess.run(
-        [PROGRAM, *map(str, arguments)], capture_output=True, text=True, timeout=600
-    )
+    ended = run(*arguments)
     assert ended.returncode == code, ended.stderr
     return ended.stdout
 
@@ -48,7 +65,7 @@ rollouts = 2
 verification_rollouts = 1
 [training]
 updates = 4
-pendulums = 32
+num_envs = 32
 [identification]
 candidates = 4
 """

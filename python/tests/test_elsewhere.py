@@ -85,19 +85,57 @@ class Named:
         self.__dict__.update(named)
 
 
-def test_the_actors_of_ppo_and_sac_are_found():
+class FlattenExtractor:
+    pass
+
+
+class CombinedExtractor:
+    pass
+
+
+def test_the_actors_of_ppo_sac_and_td3_are_found():
     hidden = [Linear(6, 12), Tanh(), Linear(12, 12), Tanh()]
     action = Linear(12, 1)
-    ppo = Named(policy=Named(mlp_extractor=Named(policy_net=hidden), action_net=action))
+    ppo = Named(
+        policy=Named(
+            mlp_extractor=Named(policy_net=hidden),
+            action_net=action,
+            features_extractor=FlattenExtractor(),
+            squash_output=False,
+        )
+    )
     observations = RANDOM.uniform(-1.0, 1.0, size=(50, 6)).astype(np.float32)
     expected = computed([*hidden, action], observations)
     assert np.abs(Policy.from_sb3(ppo).act(observations) - np.clip(expected, -1.0, 1.0)).max() < 1e-6
     hidden = [Linear(6, 12), ReLU(), Linear(12, 12), ReLU()]
-    sac = Named(policy=Named(actor=Named(latent_pi=hidden, mu=action)))
+    flat = FlattenExtractor()
+    sac = Named(policy=Named(actor=Named(latent_pi=hidden, mu=action, features_extractor=flat), squash_output=True))
     expected = np.tanh(computed([*hidden, action], observations))
     assert np.abs(Policy.from_sb3(sac).act(observations) - expected).max() < 1e-6
+    # The actor of TD3 has its tanh within its modules.
+    modules = [*hidden, action, Tanh()]
+    td3 = Named(policy=Named(actor=Named(mu=modules, features_extractor=flat), squash_output=True))
+    assert np.abs(Policy.from_sb3(td3).act(observations) - expected).max() < 1e-6
+
+
+def test_an_actor_with_computations_outside_of_its_modules_is_refused():
+    hidden, action = [Linear(6, 12), Tanh()], Linear(12, 1)
+    ppo = {"mlp_extractor": Named(policy_net=hidden), "action_net": action}
+    Policy.from_sb3(Named(policy=Named(**ppo)))
     with pytest.raises(qube_hil.PolicyError, match="VecNormalize"):
-        Policy.from_sb3(Named(policy=ppo.policy, get_vec_normalize_env=lambda: object()))
+        Policy.from_sb3(Named(policy=Named(**ppo), get_vec_normalize_env=lambda: object()))
+    with pytest.raises(qube_hil.PolicyError, match="squash_output"):
+        Policy.from_sb3(Named(policy=Named(**ppo, squash_output=True)))
+    combined = CombinedExtractor()
+    for policy in [
+        Named(**ppo, features_extractor=combined),
+        Named(actor=Named(latent_pi=hidden, mu=action, features_extractor=combined)),
+        Named(actor=Named(mu=[*hidden, action, Tanh()], features_extractor=combined)),
+    ]:
+        with pytest.raises(qube_hil.PolicyError, match="CombinedExtractor"):
+            Policy.from_sb3(Named(policy=policy))
+    with pytest.raises(qube_hil.PolicyError, match="no known actor"):
+        Policy.from_sb3(Named(policy=Named()))
 
 
 @pytest.mark.parametrize(
@@ -127,6 +165,7 @@ def test_arrays_and_names_that_cannot_be_are_named():
         ({"output": "clip"}, "clip"),
         ({"observation": ["sin_beta"]}, "sin_beta"),
         ({"history": 2}, "6 inputs"),
+        ({"observation": ["sin_theta"], "history": 1}, "beside observation"),
         ({"filter_rad_s": 0.0}, "filter"),
         ({"layers": [(np.full((4, 6), np.nan), None), layers[1]]}, "NaN"),
         ({"layers": [(np.ones(6), None)]}, "shapes"),

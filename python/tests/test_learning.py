@@ -1,7 +1,10 @@
 """Training, policies and identification."""
 
 import _thread
+import shutil
 import threading
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -61,7 +64,7 @@ def test_ctrl_c_ends_the_training():
         begun.wait()
         _thread.interrupt_main()
 
-    interrupter = threading.Thread(target=interrupt)
+    interrupter = threading.Thread(target=interrupt, daemon=True)
     interrupter.start()
     with pytest.raises(KeyboardInterrupt):
         qube_hil.train(preset="thesis", updates=1_000_000, callback=lambda _: begun.set())
@@ -104,12 +107,35 @@ def test_a_training_goes_on_from_a_policy_as_the_command_does(tmp_path):
             qube_hil.train(initial=wrong, **SMALL)
 
 
-def test_ctrl_c_ends_an_identification_at_once(swing_up):
-    interrupter = threading.Timer(0.2, _thread.interrupt_main)
-    interrupter.start()
+def a_fit_runs():
+    """Whether a thread of this process is at a fit."""
+    for thread in Path("/proc/self/task").iterdir():
+        try:
+            if (thread / "comm").read_text() == "identify\n":
+                return True
+        except OSError:
+            # The thread has ended.
+            pass
+    return False
+
+
+def test_ctrl_c_ends_an_identification_at_once(swing_up, tmp_path):
+    # The fit of ten recordings takes much longer than the interrupter and the check for Ctrl-C.
+    recordings = [tmp_path / f"{index}.mcap" for index in range(10)]
+    for recording in recordings:
+        shutil.copy(swing_up, recording)
+
+    def interrupt():
+        limit_s = time.monotonic() + 60.0
+        while not a_fit_runs() and time.monotonic() < limit_s:
+            time.sleep(0.001)
+        _thread.interrupt_main()
+
+    interrupter = threading.Thread(target=interrupt, daemon=True)
     with pytest.raises(KeyboardInterrupt):
-        for _ in range(1000):
-            qube_hil.identify([swing_up])
+        interrupter.start()
+        qube_hil.identify(recordings)
+    assert a_fit_runs(), "the exception has waited for the fit"
     interrupter.join()
 
 
@@ -129,7 +155,7 @@ def test_a_policy_is_saved_and_read(tmp_path):
     assert np.abs(policy.act(1e3 * observations)).max() <= 1.0
 
 
-def test_what_is_no_policy_or_observation_is_named(tmp_path):
+def test_a_bad_policy_or_observation_is_named(tmp_path):
     with pytest.raises(qube_hil.PolicyError, match="missing"):
         Policy.load(tmp_path / "missing")
     with pytest.raises(qube_hil.PolicyError, match="safetensors"):
@@ -154,6 +180,24 @@ def test_the_classical_controller_swings_up_a_simulated_qube(swing_up):
     assert total > 400.0
 
 
+def test_a_classical_controller_remembers_one_qube_until_it_starts_again(swing_up):
+    policy = qube_hil.recording(swing_up).policy
+
+    def at(from_upright):
+        alpha = np.pi - from_upright
+        return np.array([0.0, 1.0, np.sin(alpha), np.cos(alpha), 0.0, 0.0], np.float32)
+
+    # Between the angles at which balancing begins and ends, the voltage depends on the last observation.
+    swinging = policy.act(at(0.5))
+    policy.act(at(0.1))
+    assert policy.act(at(0.5)) != swinging
+    policy.start()
+    assert policy.act(at(0.5)) == swinging
+    assert policy.act(np.stack([at(0.5)])) == swinging
+    with pytest.raises(qube_hil.ActionError, match="one observation at a time"):
+        policy.act(np.stack([at(0.1), at(0.5)]))
+
+
 def test_a_qube_is_identified_from_its_recordings(tmp_path):
     program(
         "run", "--clock", "virtual", "--excite", "chirp", "--rollouts", 2, "--profile", "lab",
@@ -164,6 +208,16 @@ def test_a_qube_is_identified_from_its_recordings(tmp_path):
     assert found.verdict in ("fits", "fits_but")
     resistance = found.estimates["R_m"]
     assert resistance.standard_error > 0.0
+    assert found.incomplete == []
+    cut = tmp_path / "cut.mcap"
+    data = recordings[0].read_bytes()
+    cut.write_bytes(data[: len(data) * 9 // 10])
+    (incomplete,) = qube_hil.identify([recordings[1], cut]).incomplete
+    assert incomplete.file == str(cut) and "missing" in incomplete.reason
+    assert 2.0 <= incomplete.used_s <= 10.0
+    again = tmp_path / "chirps" / ".." / "chirps" / recordings[0].name
+    with pytest.raises(qube_hil.IdentificationError, match="named twice"):
+        qube_hil.identify([recordings[0], again])
     file = tmp_path / "found.toml"
     file.write_text(found.profile)
     program("train", "--profile", file, "--preset", "quick", "--out", tmp_path / "around.safetensors")

@@ -94,9 +94,9 @@ def test_the_file_says_what_the_graph_is_and_what_it_is_not(tmp_path):
     assert re.search(rb"B\x04\n\x00\x10\x11", model)
 
 
-def test_what_cannot_be_exported_or_imported_is_named(tmp_path):
-    classical = Policy.load(SHIPPED / "nominal.safetensors")
-    classical.save(tmp_path / "p.safetensors")
+def test_a_refused_export_or_import_is_named(tmp_path):
+    nominal = Policy.load(SHIPPED / "nominal.safetensors")
+    nominal.save(tmp_path / "p.safetensors")
     program("export", "--onnx", tmp_path / "p.safetensors")
     program("export", "--onnx", tmp_path / "p.safetensors", code=2)
     program("export", "--onnx", tmp_path / "p.safetensors", "--force")
@@ -105,6 +105,13 @@ def test_what_cannot_be_exported_or_imported_is_named(tmp_path):
     program("import", tmp_path / "p.onnx", "--history", 2, code=2)
     for named in [{"action_scale_v": 5.0}, {"action_scale_v": 0.0}]:
         with pytest.raises(qube_hil.PolicyError, match="names its conventions|not 0"):
+            Policy.from_onnx(tmp_path / "p.onnx", **named)
+    # Every other convention needs an action scale, so that none is ignored.
+    for named in [
+        {"observation": ["sin_theta"]}, {"history": 2}, {"filter_rad_s": 50.0}, {"clip_observation": 1.0}
+    ]:
+        (name,) = named
+        with pytest.raises(qube_hil.PolicyError, match=f"{name} without action_scale_v"):
             Policy.from_onnx(tmp_path / "p.onnx", **named)
     cut = tmp_path / "cut.onnx"
     cut.write_bytes((tmp_path / "p.onnx").read_bytes()[:-100])

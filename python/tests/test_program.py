@@ -1,16 +1,8 @@
 """The program that the package brings."""
 
-import subprocess
-import sys
-from pathlib import Path
+from conftest import run
 
 import qube_hil
-
-PROGRAM = Path(sys.executable).parent / "qube-hil"
-
-
-def run(*arguments):
-    return subprocess.run([PROGRAM, *arguments], capture_output=True, text=True, timeout=300)
 
 
 def test_the_package_brings_the_program_of_its_version():

@@ -168,6 +168,11 @@ def test_distributions_replace_those_of_the_model():
     assert abs(np.mean(masses) - 0.03) < 0.0002 and 0.0008 < np.std(masses) < 0.0012
     assert {qube["R_m"] for qube in qubes} == {9.0}
     assert len({qube["coulomb_torque_n_m"] for qube in qubes}) > 200
+    # A number of any kind is a constant.
+    for number in [9, np.float32(9), np.int64(9)]:
+        env = QubeEnv(distributions={"R_m": number})
+        env.reset(seed=1)
+        assert env.qube(0)["R_m"] == 9.0
 
 
 def test_an_arm_that_is_pushed_turns_and_the_last_commands_are_observed():
@@ -178,6 +183,12 @@ def test_an_arm_that_is_pushed_turns_and_the_last_commands_are_observed():
     observation, *_ = env.step(np.array([-1.7], np.float32))
     # Actions are clipped to the motor's 5 V.
     assert np.allclose(observation[6:], [-1.0, 0.3])
+    for push in [0.4, -0.4]:
+        env.reset(seed=0)
+        start = env.state[0]
+        for _ in range(10):
+            env.step(np.array([push], np.float32))
+        assert np.sign(env.state[0] - start) == np.sign(push)
 
 
 def test_arrays_are_written_over_where_the_caller_wants_no_copies():
@@ -199,6 +210,7 @@ def test_arrays_are_written_over_where_the_caller_wants_no_copies():
         (np.array([np.inf]), "finite"),
         (np.zeros(2, np.float32), "shape"),
         (np.zeros((1, 1)), "shape"),
+        (np.zeros((1, 1), np.float32), "shape"),
         (np.float32(0.0), "shape"),
         (np.array(["1"]), "type"),
         (np.array([True]), "type"),
@@ -216,6 +228,7 @@ def test_an_action_that_is_none_is_refused_and_moves_nothing(action, told):
     env.reset(seed=0)
     before = env.states
     actions = None if action is None else np.stack([np.zeros_like(action), action, action])
+    told = "environment 1 is not a finite" if told == "finite" else told
     with pytest.raises(qube_hil.ActionError, match=told):
         env.step(actions)
     assert (env.states == before).all()
@@ -236,6 +249,10 @@ def test_an_action_that_is_none_is_refused_and_moves_nothing(action, told):
         ({"distributions": {"M_p": "heavy"}}, "heavy"),
         ({"distributions": {"M_p": -1.0}}, "M_p"),
         ({"distributions": {"M_p": float("nan")}}, "finite"),
+        ({"distributions": {"M_p": Uniform(float("nan"), 1.0)}}, "M_p.*finite"),
+        ({"distributions": {"M_p": 10**400}}, "finite"),
+        ({"distributions": {"M_p": qube_hil.Constant("x")}}, "M_p.*'x'.*number"),
+        ({"distributions": {"M_p": Uniform("a", "b")}}, "'a'.*number"),
         ({"distributions": {"M_p": Uniform(2.0, 1.0)}}, "smaller"),
         ({"distributions": {"command_delay_s": Uniform(0.0, 0.2)}}, "delay"),
         ({"seed": -1}, "seed"),

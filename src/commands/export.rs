@@ -6,11 +6,11 @@ use serde_json::json;
 use super::destination::OutputFile;
 use super::exit::Failure;
 use super::failures;
-use super::input_files::duplicate;
 use super::onnx_model::onnx_model;
 use super::output::Output;
 use super::parquet_table::parquet_table;
 use super::replay::recording_failure;
+use crate::identification::duplicate;
 use crate::recording::{Completeness, Recording, csv_table, read};
 use crate::storage::{Disk, MachineDisk};
 

@@ -6,18 +6,18 @@ use serde_json::{Value, json};
 
 use super::destination::{OutputFile, OutputFolder};
 use super::exit::Failure;
-use super::input_files::duplicate;
 use super::output::Output;
 use super::plant_file::PlantArgument;
 use super::printable::print_message;
 use super::profile;
 use crate::charts::motion_svg;
 use crate::identification::{
-    Blind, Estimate, HorizonError, Identified, ModelVerdict, Phase, Unknown, check_recording,
-    comes_upright, duration_of, horizon_error, identify, phase_error, start_state,
+    Blind, Estimate, HorizonError, Identified, IncompleteRecording, ModelVerdict, Phase,
+    Recordings, Unknown, comes_upright, horizon_error, identify, phase_error, read_recordings,
+    series_of, start_state,
 };
-use crate::qube::{PlantModel, QubeModel};
-use crate::replay::{Incomplete, MotionLog, simulate_from};
+use crate::qube::QubeModel;
+use crate::replay::{MotionLog, simulate_from};
 use crate::storage::{MachineDisk, write_whole};
 
 /// Horizons at which the table shows the predictions of recordings whose pendulum stays down, such as
@@ -87,21 +87,13 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         .as_deref()
         .map(|folder| OutputFolder::of_option("--plot", folder))
         .transpose()?;
-    let mut plant = arguments.plant.given()?;
-    let mut incomplete = Vec::new();
-    let fitted = read(&arguments.files, &mut plant, &mut incomplete)?;
-    let held_out = read(&arguments.holdout, &mut plant, &mut incomplete)?;
-    if let Some(duplicate) = duplicate(arguments.files.iter().chain(&arguments.holdout)) {
-        let shown = duplicate.display();
-        return Err(Failure::usage(format!(
-            "{shown} is named twice: the same data would count as new evidence. Name each recording once"
-        )));
-    }
+    let groups = [&arguments.files[..], &arguments.holdout[..]];
+    let Recordings { groups: [fitted, held_out], plant, incomplete } =
+        read_recordings(groups, arguments.plant.given()?).map_err(Failure::usage)?;
     if !incomplete.is_empty() {
-        let parts: Vec<String> = incomplete.iter().map(IncompleteRecording::words).collect();
+        let parts: Vec<String> = incomplete.iter().map(ToString::to_string).collect();
         print_message(&format!("warning: not every recording is complete: {}", parts.join("; ")));
     }
-    let plant = plant.unwrap_or_default();
     let first_guess = match &arguments.from {
         Some(path) => profile::load(path, &plant)?.model(),
         None => plant.nominal(),
@@ -154,7 +146,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let _ = write!(text, "\n{}", assessment(&identified));
     let _ = write!(text, "\nwrote {} after a fit of {seconds:.1} s", arguments.out.display());
     let mut result = result(&identified, &errors, seconds, arguments);
-    result["incomplete"] = incomplete.iter().map(IncompleteRecording::json).collect();
+    result["incomplete"] = incomplete.iter().map(incomplete_json).collect();
     output.print(&text, &result);
     Ok(())
 }
@@ -178,63 +170,9 @@ fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
     Ok(unknowns)
 }
 
-/// The series of a recording: its path without the number and ending of its name, such as
-/// `chirps/rollout-` of `chirps/rollout-2.mcap`. The recordings of a series are made after one
-/// homing.
-fn series_of(path: &Path) -> PathBuf {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    path.with_file_name(stem.trim_end_matches(|character: char| character.is_ascii_digit()))
-}
-
-/// A recording that holds only a part of its rollout.
-struct IncompleteRecording {
-    path: PathBuf,
-    why: Incomplete,
-    /// Duration of the motion that is used, s.
-    used_s: f64,
-}
-
-impl IncompleteRecording {
-    fn words(&self) -> String {
-        let Self { path, why, used_s } = self;
-        format!("{} ({why}; {used_s:.2} s of it are used)", path.display())
-    }
-
-    fn json(&self) -> Value {
-        let Self { path, why, used_s } = self;
-        json!({ "file": path.to_string_lossy(), "reason": why.to_string(), "used_s": used_s })
-    }
-}
-
-/// Reads recordings and refuses those that cannot be fitted; adds those that hold only a part of their
-/// rollout to `incomplete`. All must be of the plant in `plant`; if that is `None`, the first recording
-/// sets it.
-fn read(
-    files: &[PathBuf],
-    plant: &mut Option<PlantModel>,
-    incomplete: &mut Vec<IncompleteRecording>,
-) -> Result<Vec<MotionLog>, Failure> {
-    let mut read_one = |path: &PathBuf| {
-        let (log, why) =
-            MotionLog::read_of(path, &plant.unwrap_or_default()).map_err(Failure::usage)?;
-        let used_s = duration_of(&log.samples);
-        incomplete.extend(why.map(|why| IncompleteRecording { path: path.clone(), why, used_s }));
-        let (own, others) = (&log.plant, plant.get_or_insert(log.plant));
-        if own != others {
-            let of = match own.name == others.name {
-                true => {
-                    format!("it was recorded with another description of the plant {}", own.name)
-                }
-                false => format!("it is of the plant {}, not of {}", own.name, others.name),
-            };
-            let path = path.display();
-            return Err(Failure::usage(format!("{path}: {of}: identify one plant at a time")));
-        }
-        check_recording(&log)
-            .map_err(|why| Failure::usage(format!("{}: {why}", path.display())))?;
-        Ok(log)
-    };
-    files.iter().map(&mut read_one).collect()
+fn incomplete_json(recording: &IncompleteRecording) -> Value {
+    let IncompleteRecording { path, why, used_s } = recording;
+    json!({ "file": path.to_string_lossy(), "reason": why.to_string(), "used_s": used_s })
 }
 
 fn file_name(path: &Path) -> String {
@@ -449,18 +387,4 @@ fn result(
         "inflation": identified.inflation,
         "profile": arguments.out.to_string_lossy(),
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn recordings_whose_names_differ_in_their_last_number_are_a_series() {
-        let series = |path: &str| series_of(Path::new(path));
-        assert_eq!(series("chirps/rollout-0.mcap"), series("chirps/rollout-12.mcap"));
-        assert_eq!(series("chirp_plus1.5V_1.csv"), series("chirp_plus1.5V_3.csv"));
-        assert_ne!(series("chirp_plus1.5V_1.csv"), series("chirp_minus1.5V_1.csv"));
-        assert_ne!(series("monday/rollout-0.mcap"), series("friday/rollout-0.mcap"));
-    }
 }

@@ -28,7 +28,6 @@ mod failures;
 mod guard_argument;
 mod identify;
 mod import;
-mod input_files;
 mod keyboard;
 #[cfg(feature = "live")]
 mod live;

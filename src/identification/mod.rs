@@ -3,8 +3,9 @@
 //! [`identify()`] estimates parameters and nonidealities by maximum likelihood over windows, each
 //! with its own start state (multiple shooting). It gives standard errors and the combinations that
 //! the recordings do not determine, and tests whether the model describes the Qube. [`drift()`]
-//! estimates the quantities that change from day to day. The room is pure computation over motions
-//! that were read before, and may import `qube`, `replay` and `elementary`.
+//! estimates the quantities that change from day to day. Only [`read_recordings`] and [`duplicate`]
+//! look at files; the rest of the room is pure computation. It may import `qube`, `replay` and
+//! `elementary`.
 
 mod assessment;
 #[cfg(test)]
@@ -18,6 +19,7 @@ mod identify;
 mod offsets;
 mod prediction;
 mod profile;
+mod recordings;
 mod residuals;
 mod sensitivity;
 mod stretch;
@@ -32,6 +34,9 @@ pub use fitness::{Unfit, check_recording};
 pub use identify::{Cause, Identified, IdentifyError, Sign, identify};
 pub use offsets::{Offset, Scatter};
 pub use prediction::{HorizonError, KNOWN_S, Phase, horizon_error, phase_error, start_state};
+pub use recordings::{
+    IncompleteRecording, Recordings, RecordingsError, duplicate, read_recordings, series_of,
+};
 pub use residuals::ResidualScale;
 pub use stretch::{comes_upright, duration_of};
 pub use uncertainty::{Blind, Estimate};

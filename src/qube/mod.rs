@@ -53,7 +53,9 @@ pub use motor_rating::MotorRating;
 pub use nonidealities::{
     MAX_CABLE_DRIFT_RAD_PER_MIN, ModelError, NonidealDynamics, Nonidealities, QubeModel,
 };
-pub use observation::{MAX_HISTORY, OBSERVATION_SIZE, observation};
+pub use observation::{
+    ALPHA_DOT_FACTOR, MAX_HISTORY, OBSERVATION_SIZE, THETA_DOT_FACTOR, observation,
+};
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
 pub use plant_model::{PlantError, PlantLimits, PlantModel, PlantMotor};
 pub use plant_name::PlantName;

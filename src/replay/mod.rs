@@ -6,7 +6,7 @@
 //! [`simulate_from_first_state`] measures a model: it gives the simulator the start state and the
 //! recorded voltages alone, and compares the motions.
 //!
-//! The room may import `scoring`, `recording`, `control`, `policy`, `safety`, `estimation`,
+//! The room may import `scoring`, `recording`, `control`, `policy`, `safety`,
 //! `telemetry`, `qube`, `elementary` and `storage`.
 
 mod csv;

@@ -46,6 +46,11 @@ impl Block {
         self.lanes.seen.lane(lane)
     }
 
+    /// The state of the Qube in a lane as the guard sees it, rad and rad/s.
+    pub(super) fn guarded(&self, lane: usize) -> State<f32> {
+        self.lanes.guarded.lane(lane)
+    }
+
     /// The longest possible observation of a lane: the features of the state, then all remembered
     /// commands, newest first.
     pub(super) fn observed(&self, lane: usize) -> [f32; OBSERVATION_SIZE + MAX_HISTORY] {

@@ -185,4 +185,14 @@ impl Pendulums {
     pub fn seen(&self, lane: usize) -> State<f32> {
         self.blocks[lane / BLOCK].seen(lane % BLOCK)
     }
+
+    /// The state of the Qube in a lane as sensors and filter show it to the guard, rad and rad/s;
+    /// with true states, the true state.
+    ///
+    /// # Panics
+    /// Panics if the lane does not exist.
+    #[must_use]
+    pub fn guarded(&self, lane: usize) -> State<f32> {
+        self.blocks[lane / BLOCK].guarded(lane % BLOCK)
+    }
 }

@@ -55,7 +55,7 @@ pub struct Episode {
     /// Ending that the tick reported.
     pub ending: Option<Ending>,
     /// Number of the tick that ended the episode, from 0.
-    pub ticks: u32,
+    pub last_tick: u32,
 }
 
 /// Largest angle at which the cable begins to pull, rad. A cable that pulls a resting arm into its
@@ -135,8 +135,13 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut acts: VecDeque<(f64, i16)> = VecDeque::with_capacity(8);
     let mut sent_at_s = 0.0_f64;
-    let mut episode =
-        Episode { farthest_rad: 0.0, farthest_at_s: 0.0, largest_mv: 0, ending: None, ticks: 0 };
+    let mut episode = Episode {
+        farthest_rad: 0.0,
+        farthest_at_s: 0.0,
+        largest_mv: 0,
+        ending: None,
+        last_tick: 0,
+    };
     let mut applied_mv = 0;
     for number in 0_u32.. {
         let now_s = f64::from(number) * 0.01;
@@ -150,7 +155,7 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
         }
         plant.advance_to(now_s);
         if episode.ending.is_some() {
-            if number > episode.ticks + COASTING_TICKS {
+            if number > episode.last_tick + COASTING_TICKS {
                 break;
             }
             continue;
@@ -172,7 +177,7 @@ pub fn play(genes: &Genome, domain: &Domain, seed: u64) -> Episode {
         });
         episode.largest_mv = episode.largest_mv.max(output.voltage_mv.saturating_abs());
         episode.ending = output.ending;
-        episode.ticks = number;
+        episode.last_tick = number;
         let jitter = 1.0 - share(10) * random.random::<f64>();
         let delay_s = domain.longest_delay_s * share(9) * jitter;
         // The wire keeps the order of its frames.

@@ -70,11 +70,13 @@ fn a_job_survives_whatever_happens_to_the_disk_of_its_first_worker() {
             work(&disk, "first");
             for stopped in [Stopped::Killed, Stopped::PowerLost(at)] {
                 let disk = disk.restarted(stopped);
-                // A loss of power may take back a claim or a result whose folder is not synced. A
-                // coordinator discards a damaged result, and so does this test.
+                // A loss of power may take back a claim or a result whose folder is not synced, but
+                // a result that is there is whole.
                 let reopened = JobFolder::open(Arc::new(disk.clone()), Path::new(ROOT)).unwrap();
-                if reopened.has_result(&name) && reopened.read_result(&name, &job).is_err() {
-                    reopened.discard_result(&name).unwrap();
+                if reopened.has_result(&name)
+                    && let Err(error) = reopened.read_result(&name, &job)
+                {
+                    panic!("{fault:?} at operation {at}, {stopped:?}: {error}");
                 }
                 work(&disk, "second");
                 let result = reopened.read_result(&name, &job).unwrap_or_else(|error| {

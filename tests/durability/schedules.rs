@@ -10,6 +10,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use qube_hil::control::HomingMethod;
+use qube_hil::rig::RigError;
 use qube_hil::safety::SafetyBox;
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::search::StrategyKind;
@@ -124,7 +125,8 @@ pub struct Life {
     pub longest_on_us: u64,
 }
 
-/// Starts or resumes the session and runs it until it ends.
+/// Starts or resumes the session and runs it until it ends. Panics if the control thread has
+/// panicked, for instance in a check of its wire.
 pub fn live(
     settings: &SessionSettings,
     disk: &SimulatedDisk,
@@ -148,8 +150,21 @@ pub fn live(
         }
         Err(error) => (Err(error), Vec::new()),
     };
+    if let Err(error) = &result {
+        assert!(!is_thread_gone(error), "{error}");
+    }
     let wire_operations = wiring.operations();
     Life { result, entries, wire_operations, longest_on_us: wiring.must_end_safe() }
+}
+
+/// Whether the control thread is gone, which only a panic ends before its rig is dropped.
+fn is_thread_gone(error: &SessionError) -> bool {
+    let error = match error {
+        SessionError::Rig(error) => error,
+        SessionError::NotStartedAgain { source, .. } => source.as_ref(),
+        _ => return false,
+    };
+    matches!(error, RigError::ThreadGone(_))
 }
 
 /// Counts over the lives of one schedule, or of several.

@@ -1,13 +1,16 @@
 //! A disk in memory that fails at chosen operations and can lose its power.
 //!
-//! It makes full use of what POSIX permits: until a file is synced, its new bytes may be lost or
-//! read as zeros; until a folder is synced, its names may be the old or the new ones.
+//! Until a file is synced, its new bytes may be lost or read as zeros, and a file that was cut or
+//! begun anew may have its old bytes again. Bytes that a failed sync has not written are not
+//! written by a later one either, as under Linux. Until a folder is synced, its names may be the
+//! old or the new ones, all of them alike.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fmt;
 use std::fs::TryLockError;
 use std::io::{self, ErrorKind, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -25,7 +28,7 @@ pub enum DiskFault {
     ReadOnly,
     /// A write or a change of names fails with EIO, once; a write takes half of its bytes.
     WriteFails,
-    /// The next sync fails with EIO, once; its data may be lost.
+    /// The next sync fails with EIO, once; bytes of a file that it should have written are lost.
     SyncFails,
     /// The process is killed, or the power fails, during the operation. Every later operation that
     /// changes the disk fails, until [`SimulatedDisk::restarted`].
@@ -41,10 +44,61 @@ pub enum Stopped {
     PowerLost(u64),
 }
 
+/// A file.
 #[derive(Clone, Debug, Default)]
 struct Node {
+    /// Bytes that a process reads.
     bytes: Vec<u8>,
+    /// Bytes on disk after the last sync.
     synced: Vec<u8>,
+    /// Number of leading bytes of `synced` that have not changed since.
+    kept: usize,
+    /// Range of `bytes` that a failed sync has not written; the next sync leaves zeros there.
+    lost: Range<usize>,
+}
+
+impl Node {
+    /// A file with these bytes, on disk.
+    fn on_disk(bytes: Vec<u8>) -> Self {
+        Self { synced: bytes.clone(), kept: bytes.len(), bytes, lost: 0..0 }
+    }
+
+    fn cut_to(&mut self, length: usize) {
+        self.bytes.truncate(length);
+        self.kept = self.kept.min(length);
+        self.lost.end = self.lost.end.min(length);
+    }
+
+    fn sync(&mut self) {
+        self.synced.truncate(self.kept);
+        self.synced.extend_from_slice(&self.bytes[self.kept..]);
+        if let Some(lost) = self.synced.get_mut(self.lost.clone()) {
+            lost.fill(0);
+        }
+        self.kept = self.synced.len();
+        self.lost = 0..0;
+    }
+
+    fn fail_to_sync(&mut self) {
+        self.lost = self.kept..self.bytes.len();
+    }
+
+    /// The bytes of the file that have reached the disk: all synced ones, and some of the others,
+    /// the last of them perhaps as zeros. A file that was cut or begun anew may have its synced
+    /// content.
+    fn after_power_loss(&self, random: &mut ChaCha8Rng) -> Vec<u8> {
+        let is_cut = self.kept < self.synced.len();
+        if (is_cut && random.random()) || (!is_cut && self.kept == self.bytes.len()) {
+            return self.synced.clone();
+        }
+        let length = random.random_range(self.kept..=self.bytes.len());
+        let mut bytes = [&self.synced[..self.kept], &self.bytes[self.kept..length]].concat();
+        if random.random() {
+            let zeros_from = random.random_range(self.kept..=length);
+            bytes[zeros_from..].fill(0);
+        }
+        bytes
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -126,7 +180,7 @@ impl SimulatedDisk {
             Stopped::PowerLost(seed) => {
                 let mut random = ChaCha8Rng::seed_from_u64(seed);
                 for node in &mut after.nodes {
-                    node.bytes = got_through(node, &mut random);
+                    node.bytes = node.after_power_loss(&mut random);
                 }
                 // Each folder has its old or its new names.
                 let mut is_new: BTreeMap<PathBuf, bool> = BTreeMap::new();
@@ -153,7 +207,7 @@ impl SimulatedDisk {
             }
         }
         for node in &mut after.nodes {
-            node.synced = node.bytes.clone();
+            *node = Node::on_disk(std::mem::take(&mut node.bytes));
         }
         after.synced_names = after.names.clone();
         Self::holding(after)
@@ -171,8 +225,7 @@ impl SimulatedDisk {
     /// Gives a file other bytes, on disk at once.
     pub fn put(&self, path: &Path, bytes: &[u8]) {
         let mut content = self.content();
-        let node = Node { bytes: bytes.to_vec(), synced: bytes.to_vec() };
-        content.nodes.push(node);
+        content.nodes.push(Node::on_disk(bytes.to_vec()));
         let name = Name::File(content.nodes.len() - 1);
         content.names.insert(path.to_owned(), name);
         content.synced_names.insert(path.to_owned(), name);
@@ -225,25 +278,6 @@ impl SimulatedDisk {
     }
 }
 
-/// The bytes of a file that have reached the disk: all synced ones, and some of the others, the
-/// last of them perhaps as zeros.
-fn got_through(node: &Node, random: &mut ChaCha8Rng) -> Vec<u8> {
-    if node.bytes == node.synced {
-        return node.bytes.clone();
-    }
-    if !node.bytes.starts_with(&node.synced) {
-        // A truncated or restarted file has its old or its new content.
-        return if random.random() { node.bytes.clone() } else { node.synced.clone() };
-    }
-    let length = random.random_range(node.synced.len()..=node.bytes.len());
-    let mut bytes = node.bytes[..length].to_vec();
-    if random.random() {
-        let zeros_from = random.random_range(node.synced.len()..=length);
-        bytes[zeros_from..].fill(0);
-    }
-    bytes
-}
-
 impl Disk for SimulatedDisk {
     fn create_folder(&self, path: &Path) -> io::Result<()> {
         for folder in path.ancestors().collect::<Vec<_>>().into_iter().rev() {
@@ -262,7 +296,7 @@ impl Disk for SimulatedDisk {
             Some(_) if !replace => return Err(ErrorKind::AlreadyExists.into()),
             Some(Name::File(node)) => {
                 let node = *node;
-                content.nodes[node].bytes.clear();
+                content.nodes[node].cut_to(0);
                 node
             }
             Some(Name::Folder) => return Err(ErrorKind::IsADirectory.into()),
@@ -368,14 +402,20 @@ impl Write for SimulatedFile {
 
 impl DiskFile for SimulatedFile {
     fn sync(&mut self) -> io::Result<()> {
-        let mut content = self.disk.begin(true).map_err(|(error, _)| error)?;
-        let node = &mut content.nodes[self.node];
-        node.synced = node.bytes.clone();
-        Ok(())
+        match self.disk.begin(true) {
+            Ok(mut content) => {
+                content.nodes[self.node].sync();
+                Ok(())
+            }
+            Err((error, _)) => {
+                self.disk.content().nodes[self.node].fail_to_sync();
+                Err(error)
+            }
+        }
     }
 
     fn cut_to(&mut self, length: u64) -> io::Result<()> {
-        self.disk.change()?.nodes[self.node].bytes.truncate(length as usize);
+        self.disk.change()?.nodes[self.node].cut_to(length as usize);
         Ok(())
     }
 }
@@ -400,4 +440,39 @@ fn synced_bytes_survive_and_others_may_be_lost() {
     assert!(found.iter().any(|bytes| bytes.contains(&0)));
     let killed = disk.restarted(Stopped::Killed).bytes(path);
     assert_eq!(killed, Some(b"kept lost".to_vec()));
+}
+
+#[test]
+fn a_file_that_is_begun_anew_may_be_cut_anywhere() {
+    let disk = SimulatedDisk::default();
+    let path = Path::new("/file");
+    disk.put(path, b"old");
+    disk.create(path, true).unwrap().write_all(b"newer").unwrap();
+    let after = |seed| disk.restarted(Stopped::PowerLost(seed)).bytes(path).unwrap();
+    let found: Vec<_> = (0..256).map(after).collect();
+    for wanted in [&b"old"[..], b"", b"new", b"newer"] {
+        assert!(found.iter().any(|bytes| bytes == wanted), "{wanted:?} is not in {found:?}");
+    }
+}
+
+#[test]
+fn bytes_of_a_failed_sync_stay_lost() {
+    let disk = SimulatedDisk::default();
+    let path = Path::new("/file");
+    disk.put(path, b"kept");
+    let mut file = disk.append(path).unwrap();
+    file.write_all(b" lost").unwrap();
+    disk.plan([(0, DiskFault::SyncFails)]);
+    assert!(file.sync().is_err());
+    file.write_all(b" new").unwrap();
+    file.sync().unwrap();
+    let after = disk.restarted(Stopped::PowerLost(0)).bytes(path).unwrap();
+    assert_eq!(after, b"kept\0\0\0\0\0 new");
+
+    // What is cut off and written again is written.
+    file.cut_to(4).unwrap();
+    file.write_all(b" again").unwrap();
+    file.sync().unwrap();
+    let after = disk.restarted(Stopped::PowerLost(0)).bytes(path).unwrap();
+    assert_eq!(after, b"kept again");
 }

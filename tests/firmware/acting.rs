@@ -54,15 +54,15 @@ fn the_firmware_passes_an_act_on_at_once() {
                 samples_us.iter().all(|sample_us| is_of_a_frame(begins_us + sample_us))
             })
             .expect("the device's clock begins somewhere");
-        let mut delays_us: Vec<u64> =
-            acts.iter()
-                .map(|&(accepted_us, word)| {
-                    let through = qube.commands.iter().find(|it| {
-                        it.time_us > clock_begins_us + accepted_us && it.motor_word == word
-                    });
-                    through.unwrap().time_us - clock_begins_us - accepted_us
-                })
-                .collect();
+        let mut delays_us: Vec<u64> = acts
+            .iter()
+            .map(|&(accepted_us, word)| {
+                let through = qube.commands.iter().find(|it| {
+                    it.deselected_us > clock_begins_us + accepted_us && it.motor_word == word
+                });
+                through.unwrap().deselected_us - clock_begins_us - accepted_us
+            })
+            .collect();
         drop(qube);
         delays_us.sort_unstable();
         println!("act to Qube: {delays_us:?} us");

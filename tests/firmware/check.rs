@@ -12,15 +12,20 @@ use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
 /// Attempts, because the computer may answer late.
-const ATTEMPTS: u32 = 4;
+const ATTEMPTS: u32 = 10;
 
 #[test]
 fn the_firmware_passes_the_check_of_a_qube() {
     let Some(toolchain) = toolchain() else { return };
-    for attempt in 1.. {
+    let mut given_up_us = 0;
+    for _ in 0..ATTEMPTS {
         let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(0));
         let stop = Arc::new(AtomicBool::new(false));
         let found = Rig::connect(&rig_settings(&board), &stop).unwrap().check(false).unwrap();
+        let identity = &found.results[0].value;
+        assert!(identity.contains("atmega328p"), "{identity}");
+        assert!(identity.contains("no emergency-stop switch"), "{identity}");
+        assert_eq!(found.results.last().map(|last| last.name.as_str()), Some("homing"));
         let failed: Vec<&str> = found
             .results
             .iter()
@@ -28,18 +33,12 @@ fn the_firmware_passes_the_check_of_a_qube() {
             .map(|result| result.name.as_str())
             .collect();
         if failed.is_empty() {
-            let identity = &found.results[0].value;
-            assert!(identity.contains("atmega328p"), "{identity}");
-            assert!(identity.contains("no emergency-stop switch"), "{identity}");
-            assert_eq!(found.results.last().map(|last| last.name.as_str()), Some("homing"));
             return;
         }
         // The time of an answer depends on the computer.
-        let complaint = format!("{:#?}\n{} us not simulated", found.results, board.given_up_us());
-        assert_eq!(failed, ["latency"], "{complaint}");
-        if attempt == ATTEMPTS {
-            println!("too busy a computer for this check in {ATTEMPTS} attempts: {complaint}");
-            return;
-        }
+        assert_eq!(failed, ["latency"], "{:#?}", found.results);
+        given_up_us += board.given_up_us();
     }
+    assert!(given_up_us > 0, "too slow {ATTEMPTS} times, but not because of the computer");
+    println!("too busy a computer for this check in {ATTEMPTS} attempts: {given_up_us} us lost");
 }

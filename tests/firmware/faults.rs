@@ -26,7 +26,7 @@ fn off_for_good(commands: &[Command]) -> u64 {
     assert!(off.iter().all(|it| it.motor_word == 0), "off is the motor word 0x0000: {off:?}");
     assert!(off.iter().skip(1).all(|it| it.is_red() || it.leds == [0; 3]), "{:?}", &off[1..20]);
     assert!(off.iter().any(Command::is_red));
-    off[0].time_us
+    off[0].deselected_us
 }
 
 #[test]
@@ -36,7 +36,7 @@ fn the_first_frame_of_the_firmware_switches_off_a_motor_that_was_left_on() {
         let board = SimulatedBoard::start(toolchain, chip, Qube::new(0));
         board.wait_us(20_000);
         let commands = board.qube().commands.clone();
-        assert!(commands[0].time_us < 5_000, "{:?}", commands[0]);
+        assert!(commands[0].deselected_us < 5_000, "{:?}", commands[0]);
         assert!(commands.iter().all(|it| it.motor_word == 0 && it.write_mask == 0x1F));
     }
 }
@@ -52,7 +52,7 @@ fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
         let status = host.sample().map_err(|_| Disturbed)?.status;
         assert!(status.watchdog_tripped && !status.armed, "{status:?}");
         // Steady red is the colour of the watchdog.
-        assert!(commands.iter().filter(|it| it.time_us > off_us).all(Command::is_red));
+        assert!(commands.iter().filter(|it| it.deselected_us > off_us).all(Command::is_red));
 
         // The last act does not show on the SPI, which repeats the same word for long. So the
         // silence is measured again from an arm, whose 0 V show.
@@ -61,7 +61,8 @@ fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
         host.link.arm().unwrap();
         host.board.wait_us(100_000);
         let commands = host.commands_since(armed_us);
-        let on_us = commands.iter().find(|it| it.motor_is_on()).expect("it was armed").time_us;
+        let on_us =
+            commands.iter().find(|it| it.motor_is_on()).expect("it was armed").deselected_us;
         let on_for_us = off_for_good(&commands) - on_us;
         let (least_us, most_us) =
             (u64::from(WATCHDOG_MS) * 1000, u64::from(WATCHDOG_MS + WATCHDOG_POLL_MS) * 1000);
@@ -80,7 +81,7 @@ fn the_firmware_latches_an_amplifier_fault() {
         let fault_us = {
             let mut qube = host.board.qube();
             qube.amplifier_fault = true;
-            qube.commands.last().unwrap().time_us
+            qube.commands.last().unwrap().deselected_us
         };
         host.drive_until(|sample| sample.status.amplifier_fault && !sample.status.armed)?;
         host.board.qube().amplifier_fault = false;
@@ -190,14 +191,10 @@ fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
     scenario(|host| {
         host.arm_and_drive()?;
         host.board.order(Order::Hang);
-        let hung_us = host.board.time_us();
         // The chip restarts, so frames appear again.
         host.board.wait_us(100_000);
-        let commands = host.commands_since(hung_us - 50_000);
-        let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
-        let off = &commands[last_on + 1..];
+        let (off_after_us, off) = host.off_after_order()?;
         assert!(off.iter().all(|it| it.motor_word == 0));
-        let off_after_us = off[0].time_us - hung_us;
         assert!(
             off_after_us <= CHIP_WATCHDOG_US + 2 * TWO_PERIODS_US,
             "off {off_after_us} us after the program hung"

@@ -16,6 +16,9 @@ const PERIOD: Duration = Duration::from_millis(10);
 const TOO_SLOW: Duration = Duration::from_millis(40);
 const PATIENCE_NS: u64 = 30_000_000;
 
+/// Time before an order in which the motor must have been on, us.
+const BEFORE_ORDER_US: u64 = 10_000;
+
 /// Attempts of a scenario, because the computer may be too slow for it.
 const ATTEMPTS: u32 = 50;
 
@@ -32,7 +35,7 @@ pub struct Host {
 impl Host {
     pub const VOLTAGE_MV: i16 = 1000;
 
-    pub fn hello(board: SimulatedBoard) -> Self {
+    pub fn greet(board: SimulatedBoard) -> Self {
         let mut link = SerialLink::open(board.port(), Arc::new(MonotonicClock)).unwrap();
         link.hello().unwrap();
         Self { board, link }
@@ -78,7 +81,21 @@ impl Host {
 
     /// Commands that the Qube received after a simulated time.
     pub fn commands_since(&self, time_us: u64) -> Vec<Command> {
-        self.board.qube().commands.iter().filter(|it| it.time_us > time_us).copied().collect()
+        self.board.qube().commands.iter().filter(|it| it.deselected_us > time_us).copied().collect()
+    }
+
+    /// After an order that switches the motor off: the time from the order to the first command
+    /// without the motor, us, and all commands from that one on. The motor must have been on when
+    /// the order came.
+    pub fn off_after_order(&self) -> Result<(u64, Vec<Command>), Disturbed> {
+        let ordered_us = self.board.ordered_us();
+        let mut off = self.commands_since(ordered_us.saturating_sub(BEFORE_ORDER_US));
+        let last_on = off.iter().rposition(Command::motor_is_on).ok_or(Disturbed)?;
+        off.drain(..=last_on);
+        let first = off.first().expect("the motor goes off");
+        // A slow computer lets the device's watchdog come before the order.
+        let off_after_us = first.deselected_us.checked_sub(ordered_us).ok_or(Disturbed)?;
+        Ok((off_after_us, off))
     }
 }
 
@@ -92,7 +109,7 @@ pub fn scenario_on(chip: Chip, run: impl Fn(&mut Host) -> Result<(), Disturbed>)
     let Some(toolchain) = toolchain() else { return };
     for _ in 0..ATTEMPTS {
         let board = SimulatedBoard::start(toolchain, chip, Qube::new(1));
-        let mut host = Host::hello(board);
+        let mut host = Host::greet(board);
         if run(&mut host).is_ok() {
             return;
         }

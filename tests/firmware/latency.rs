@@ -47,7 +47,7 @@ fn latency_on_the_firmware() {
     drop(board);
 
     let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(0));
-    let mut host = Host::hello(board);
+    let mut host = Host::greet(board);
     let mut round_trips_us = Vec::new();
     let mut random = ChaCha8Rng::seed_from_u64(0);
     // Last, because this thread keeps its priority. Without the right to real time the tail is

@@ -27,19 +27,19 @@ fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), D
     let before = host.link.hello().unwrap();
     host.arm_and_drive()?;
     host.board.order(order);
-    let ordered_us = host.board.time_us();
     host.board.wait_us(150_000);
-    let commands = host.commands_since(ordered_us - 10_000);
-    let last_on = commands.iter().rposition(|it| it.motor_is_on()).expect("it was driving");
-    let off = &commands[last_on + 1..];
+    let (on_us, off) = host.off_after_order()?;
     assert!(off.len() > 10 && off.iter().all(|it| it.motor_word == 0), "{off:?}");
     // Not by the firmware's watchdog, which needs 50 ms and turns the LED red.
     assert!(off[0].is_red() && !off[5].is_red(), "the first frame of a start is red, then white");
     let refused = host.sample();
+    if refused == Err(LinkFault::Timeout) {
+        return Err(Disturbed);
+    }
     assert_eq!(refused, Err(LinkFault::NotArmed), "a restarted board knows of no hello");
     let after = host.link.hello().unwrap();
     host.arm_and_drive()?;
-    Ok((off[0].time_us - ordered_us, before, after))
+    Ok((on_us, before, after))
 }
 
 #[test]
@@ -79,7 +79,7 @@ fn a_board_without_supply_leaves_the_motor_on() {
         assert!(last.motor_is_on(), "{last:?}");
         let mut fastest_rad_s = 0.0_f64;
         let slam_us = (0..5_000_000).step_by(500).find(|elapsed_us| {
-            let state = qube.state_at(last.time_us + elapsed_us);
+            let state = qube.state_at(last.deselected_us + elapsed_us);
             if state.theta.abs() < HARD_STOP_RAD {
                 fastest_rad_s = fastest_rad_s.max(state.theta_dot.abs());
             }

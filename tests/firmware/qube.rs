@@ -40,7 +40,7 @@ const SPSR_DOUBLE_SPEED: u8 = 1 << 0;
 pub struct Command {
     /// Times of the falling and rising edges of chip select, simulated.
     pub selected_us: u64,
-    pub time_us: u64,
+    pub deselected_us: u64,
     pub write_mask: u8,
     /// Red, green, blue.
     pub leds: [u16; 3],
@@ -182,7 +182,7 @@ impl Qube {
         self.plant.set_voltage(f64::from(voltage_mv) * 1e-3);
         self.commands.push(Command {
             selected_us: self.selected_us,
-            time_us,
+            deselected_us: time_us,
             write_mask,
             leds: self.leds,
             motor_word: self.motor_word,

@@ -47,6 +47,7 @@ const PATIENCE: Duration = Duration::from_secs(300);
 #[derive(Default)]
 struct Shared {
     order: AtomicU8,
+    ordered_us: AtomicU64,
     time_us: AtomicU64,
     given_up_us: AtomicU64,
     lost_bytes: AtomicU64,
@@ -147,6 +148,11 @@ impl SimulatedBoard {
         self.shared.order.store(order as u8, Ordering::Relaxed);
     }
 
+    /// Simulated time of the frame that brought the last order to the board, us.
+    pub fn ordered_us(&self) -> u64 {
+        self.shared.ordered_us.load(Ordering::Relaxed)
+    }
+
     /// Waits until the simulator has ended, as it does when the board loses its supply.
     pub fn wait_for_end(&mut self) {
         self.simulator.wait().expect("it is this process's child");
@@ -206,6 +212,9 @@ fn serve(
         if event[0] == CHIP_SELECT_FALLS {
             let mut answer = [0; 1 + FRAME_BYTES];
             answer[0] = shared.order.swap(GO_ON, Ordering::Relaxed);
+            if answer[0] != GO_ON {
+                shared.ordered_us.store(time_us, Ordering::Relaxed);
+            }
             answer[1..].copy_from_slice(&qube.selected(time_us));
             drop(qube);
             if answers.write_all(&answer).is_err() {

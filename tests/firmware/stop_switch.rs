@@ -6,7 +6,7 @@ use qube_hil::clock::MonotonicClock;
 use qube_hil::device::{Device, DeviceError, SerialLink};
 
 use crate::host::{Disturbed, Host, scenario_on};
-use crate::qube::{Command, Qube};
+use crate::qube::Qube;
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
 
@@ -37,14 +37,10 @@ fn stops(chip: Chip) {
         host.arm_and_drive()?;
 
         host.board.order(Order::OpenStop);
-        let opened_us = host.board.time_us();
         let last = host.drive_until(|sample| sample.status.emergency_stop)?;
         assert!(!last.status.armed && !last.status.watchdog_tripped, "{:?}", last.status);
         host.board.wait_us(50_000);
-        let commands = host.commands_since(opened_us - 10_000);
-        let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
-        let off = &commands[last_on + 1..];
-        let off_after_us = off[0].time_us - opened_us;
+        let (off_after_us, off) = host.off_after_order()?;
         println!("{}: off {off_after_us} us after the switch opened", chip.name());
         assert!(off_after_us <= STOP_US + ORDER_US, "off after {off_after_us} us");
         let [red, green, blue] = off.last().unwrap().leds;

@@ -132,7 +132,7 @@ pub struct Start {
     pub seed: u64,
     pub settings: EmulatorSettings,
     /// Onset of the fault, s of the device's clock; without meaning in a start without a fault.
-    pub onset_s: f64,
+    pub fault_onset_s: f64,
 }
 
 impl Start {
@@ -241,7 +241,7 @@ impl Start {
         }
         let settings =
             EmulatorSettings { model, seed, fault, start: Some(start), ..Default::default() };
-        Self { case, seed, settings, onset_s }
+        Self { case, seed, settings, fault_onset_s: onset_s }
     }
 }
 

@@ -132,11 +132,15 @@ impl Freeze {
     }
 }
 
+/// A result for each of the [`KINDS`] of freeze; `None` where the [`rollout`] with the freeze gives
+/// none.
+pub type Freezes = [Option<Freeze>; KINDS.len()];
+
 /// Runs an undisturbed rollout, then the same rollout with a freeze of each of the [`KINDS`];
 /// `None` if the undisturbed [`rollout`] gives none. The seed determines the instant of the freeze:
 /// over many seeds the instants are spread evenly over the time in which the policy drives, except
 /// its last 0.35 s.
-pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<Freeze>)> {
+pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Freezes)> {
     let healthy = rollout(qube, policy, None)?;
     let (from_s, to_s) = healthy.ran_s;
     let share = (qube.seed as f64 * 0.618_033_988_75).fract();
@@ -145,7 +149,7 @@ pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Vec<
         let outcome = rollout(qube, policy, Some(fault(onset_s)))?;
         Some(Freeze { outcome, onset_s })
     });
-    Some((healthy, frozen.into_iter().flatten().collect()))
+    Some((healthy, frozen))
 }
 
 /// Qubes by name: nominal, like a real one, farther from nominal, with much friction, with play.

@@ -19,7 +19,7 @@ impl Trial {
     /// Whether every contact with a stop while homing or settling was as slow as is accepted, or
     /// at most 1 % faster than with the amplifier off.
     pub fn is_harmless(&self) -> bool {
-        self.gentle_contact_rad_s <= FASTEST_CONTACT_RAD_S.max(1.01 * self.contact_off_rad_s)
+        self.contact_before_policy_rad_s <= FASTEST_CONTACT_RAD_S.max(1.01 * self.contact_off_rad_s)
     }
 
     /// Whether the fault was named correctly, or none was named and none must be.
@@ -99,7 +99,7 @@ impl Row {
             case,
             starts: trials.len(),
             harmless: case.is_by_hand() || trials.iter().all(|(_, trial)| trial.is_harmless()),
-            gentle_rad_s: largest(|trial| trial.gentle_contact_rad_s),
+            gentle_rad_s: largest(|trial| trial.contact_before_policy_rad_s),
             rollout_rad_s: largest(|trial| trial.rollout_contact_rad_s),
             too_fast: count(&|_, trial| !trial.is_harmless()),
             named_rightly: count(&|start, trial| trial.is_named_rightly(start)),

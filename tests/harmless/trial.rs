@@ -29,7 +29,7 @@ const ZERO_WITHIN_RAD: f64 = 0.05;
 pub struct Trial {
     /// Fastest contact with a stop while homing or settling, and while the arm coasted after it,
     /// rad/s. A contact counts only if it was faster than all before it.
-    pub gentle_contact_rad_s: f64,
+    pub contact_before_policy_rad_s: f64,
     /// Fastest contact in a rollout, its braking, and while the arm coasted after it, rad/s. A
     /// contact counts only if it was faster than all before it.
     pub rollout_contact_rad_s: f64,
@@ -153,7 +153,7 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
     let mut notes = Notes {
         wire,
         clock: clock.clone(),
-        onset_s: start.onset_s,
+        onset_s: start.fault_onset_s,
         so_far_rad_s: 0.0,
         gentle_rad_s: 0.0,
         rollout_rad_s: 0.0,
@@ -192,7 +192,7 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
             // An encoder that fails while the arm is at rest loses no counts: the zero decides.
             let sample = device.sample(clock.now_ns() + 6_000_000).expect("it answers");
             let zero_error_rad = rig.angles_rad(&sample).0 - notes.wire.state().theta;
-            let strikes = start.settings.fault.is_some() && notes.ran_until_s > start.onset_s;
+            let strikes = start.settings.fault.is_some() && notes.ran_until_s > start.fault_onset_s;
             false_results += u32::from(strikes && zero_error_rad.abs() > ZERO_WITHIN_RAD);
             // A session needs this time between two rollouts.
             clock.advance(20 * CONTROL_PERIOD_NS);
@@ -200,13 +200,13 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
     }
     notes.coast();
     Trial {
-        gentle_contact_rad_s: notes.gentle_rad_s,
+        contact_before_policy_rad_s: notes.gentle_rad_s,
         rollout_contact_rad_s: notes.rollout_rad_s,
         contact_off_rad_s: 0.0,
         homed_after_s,
         ending,
         struck_in: notes.struck_in,
-        off_after_s: off_s - start.onset_s,
+        off_after_s: off_s - start.fault_onset_s,
         lasted_s: seconds(&clock),
         false_results,
     }
@@ -219,13 +219,13 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
 /// It is computed with the same ticks, because a falling pendulum amplifies every rounding.
 fn contact_off_rad_s(start: &Start, trial: &Trial) -> f64 {
     let from_s = match start.case {
-        Case::MotorDeadLater => start.onset_s,
+        Case::MotorDeadLater => start.fault_onset_s,
         Case::BesideAStop | Case::BesideAStopFalling => 0.0,
         _ => return 0.0,
     };
-    if trial.gentle_contact_rad_s == 0.0 {
+    if trial.contact_before_policy_rad_s == 0.0 {
         return 0.0;
     }
     let off = play_until(start, Some((from_s, trial.lasted_s)));
-    off.gentle_contact_rad_s.max(off.rollout_contact_rad_s)
+    off.contact_before_policy_rad_s.max(off.rollout_contact_rad_s)
 }

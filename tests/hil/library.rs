@@ -4,7 +4,8 @@
 //! It is as unkind as the vendor's header allows: after the watchdog has expired, every read and
 //! write is refused until it is cleared, and clearing restores the outputs from before the expiry.
 //! A call from a second thread ends the process. Environment variables choose faults. Every change
-//! of the amplifier is written to a file, which shows how the motor was left:
+//! of the amplifier and the beginning of every fault is written to a file, which shows how the
+//! motor was left:
 //!
 //! | variable | meaning |
 //! | --- | --- |
@@ -243,6 +244,9 @@ fn call<T>(
     let hit = hit.cloned();
     card.go_on();
     if let Some(fault) = hit {
+        if number == fault.at {
+            card.write_down();
+        }
         match fault.kind.as_str() {
             "error" => return Err(-(fault.value as c_int)),
             "hang" => {

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// Words with which the program reports that the computer was too late.
-const TOO_LATE: &str = "keep this computer busy";
+pub const TOO_LATE: &str = "keep this computer busy";
 
 /// Largest number of repetitions of a test.
 const AGAIN: u32 = 6;

@@ -189,7 +189,7 @@ fn a_fault_in_homing_is_named_and_its_last_second_kept() {
 }
 
 #[test]
-fn settings_of_a_qube_that_are_none() {
+fn settings_of_a_qube_that_are_missing_or_wrong_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let refused = |arguments: &[&str], words: &[&str]| {
         let output = qube_hil(directory.path(), arguments);

@@ -110,7 +110,7 @@ impl Tmux {
     /// Checks that the program ended with this exit code and left the terminal as before: the
     /// ordinary screen, a cursor, echo, whole lines and signals.
     #[track_caller]
-    fn is_restored(&self, exit_code: i32) {
+    fn must_be_restored(&self, exit_code: i32) {
         let shown = self.wait_for(&format!("exit={exit_code}"));
         assert_eq!(self.value("#{alternate_on} #{cursor_flag}"), "0 1", "{shown}");
         self.type_line("stty -a | tr ';' '\\n' | grep -c -w -e '-icanon' -e '-echo' -e '-isig'");
@@ -182,7 +182,7 @@ fn a_run_shows_its_rollouts_reacts_to_keys_and_leaves_the_terminal_clean() {
         tmux.press("q");
         tmux.wait_for("Stop now and quit?");
         tmux.press("y");
-        tmux.is_restored(130);
+        tmux.must_be_restored(130);
         // The program prints the messages again, and then the results.
         tmux.tmux(&["resize-window", "-x", "160", "-y", "60"]);
         let shown = tmux.shown();
@@ -214,7 +214,7 @@ fn signals_and_suspension_leave_the_terminal_clean() {
             tmux.run(&format!("{RUN} {number}"));
             tmux.wait_for("the policy has the motor");
             signal(name);
-            tmux.is_restored(exit_code);
+            tmux.must_be_restored(exit_code);
         }
 
         // Ctrl-Z gives the shell its terminal; fg brings the screen back.
@@ -255,7 +255,7 @@ fn a_training_draws_its_curve() {
     tmux.press("q");
     tmux.wait_for("Nothing is written");
     tmux.press("y");
-    tmux.is_restored(130);
+    tmux.must_be_restored(130);
     assert!(!directory.path().join("mine.safetensors").exists());
 
     tmux.type_line("export NO_COLOR=1");
@@ -263,5 +263,5 @@ fn a_training_draws_its_curve() {
     tmux.wait_for("update 2");
     assert!(!tmux.has_colours());
     tmux.press("Space");
-    tmux.is_restored(130);
+    tmux.must_be_restored(130);
 }

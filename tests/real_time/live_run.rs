@@ -10,6 +10,8 @@ use std::process::{Child, Command, Output, Stdio};
 use qube_hil::recording::{Completeness, read};
 use qube_hil::telemetry::Ending;
 
+use crate::busy_computer::in_real_time;
+
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
     command.current_dir(directory).args(arguments).stdin(Stdio::null());
@@ -63,6 +65,7 @@ impl Watched {
         assert!(answer.starts_with("HTTP/1.1 200 OK\r\n"), "{answer}");
     }
 
+    /// Waits until the command has ended by itself; returns its exit code and its messages.
     fn end(mut self) -> (Option<i32>, String) {
         let mut told = String::new();
         self.told.read_to_string(&mut told).unwrap();
@@ -70,26 +73,40 @@ impl Watched {
     }
 }
 
+impl Drop for Watched {
+    /// Ends the command with the test.
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
 #[test]
 fn the_page_stops_a_run_and_its_recording_is_whole() {
-    let directory = tempfile::tempdir().unwrap();
-    let arguments =
-        ["run", "--policy", "classical", "--rollouts", "9", "--out", "run", "--live", "0"];
-    let watched = Watched::start(directory.path(), &arguments);
-    watched.hears("event: ticks");
-    watched.stop();
-    // A Ctrl-C after the page's stop does not end the program before the arm is braked.
-    let process = rustix::process::Pid::from_child(&watched.child);
-    rustix::process::kill_process(process, rustix::process::Signal::INT).unwrap();
-    let (code, told) = watched.end();
-    assert_eq!(code, Some(130), "{told}");
-    assert!(told.contains("at the request of the live view at 127.0.0.1"), "{told}");
-    assert!(told.contains("the recordings are complete"), "{told}");
-    let mut recordings: Vec<_> = fs::read_dir(directory.path().join("run")).unwrap().collect();
-    let last = recordings.pop().unwrap().unwrap().path();
-    let recording = read(&last).unwrap();
-    assert_eq!(recording.completeness, Completeness::Whole);
-    assert_eq!(recording.outcome.unwrap().ending, Ending::Stopped);
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let arguments =
+            ["run", "--policy", "classical", "--rollouts", "9", "--out", "run", "--live", "0"];
+        let watched = Watched::start(directory.path(), &arguments);
+        watched.hears("event: ticks");
+        watched.stop();
+        // A Ctrl-C after the page's stop does not end the program before the arm is braked.
+        let process = rustix::process::Pid::from_child(&watched.child);
+        rustix::process::kill_process(process, rustix::process::Signal::INT).unwrap();
+        let (code, told) = watched.end();
+        assert_eq!(code, Some(130), "{told}");
+        assert!(told.contains("at the request of the live view at 127.0.0.1"), "{told}");
+        assert!(told.contains("the recordings are complete"), "{told}");
+        // The numbers of the nine rollouts have one digit each.
+        let files = fs::read_dir(directory.path().join("run")).unwrap();
+        let recordings = files
+            .map(|file| file.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|extension| extension == "mcap"));
+        let last = recordings.max().unwrap();
+        let recording = read(&last).unwrap();
+        assert_eq!(recording.completeness, Completeness::Whole);
+        assert_eq!(recording.outcome.unwrap().ending, Ending::Stopped);
+    });
 }
 
 #[test]

@@ -18,5 +18,6 @@ mod live_run;
 mod panel;
 mod preflight_conformance;
 mod preflight_power;
+mod program;
 mod recording_killed;
 mod rig_slow_bridge;

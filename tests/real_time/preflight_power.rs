@@ -4,7 +4,7 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings, Finger};
@@ -13,7 +13,8 @@ use qube_hil::session::{QubeFile, UsbLost, power_warning};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-use crate::busy_computer::in_real_time;
+use crate::busy_computer::{TOO_LATE, in_real_time};
+use crate::program::program;
 
 /// Time at which the arm is carried to its stop, by the board's clock, s: after a check and a
 /// homing.
@@ -29,12 +30,6 @@ fn qube(link: &Path, finger: Option<Finger>) -> EmulatedQube {
     let mut qube = EmulatedQube::spawn(settings).unwrap();
     qube.link_as(link).unwrap();
     qube
-}
-
-fn program(directory: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).env("XDG_STATE_HOME", directory).args(arguments);
-    command
 }
 
 /// The operator's action at the request to pull the plug.
@@ -172,10 +167,12 @@ fn a_computer_that_stands_still_is_not_taken_for_a_pulled_plug() {
         let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::Stopped);
         // The text holds the remedies of failed checks, by which a busy computer is recognised.
         assert!(told.contains("Now pull the USB plug"), "{told}\n{text}");
-        assert_eq!(code, Some(4), "{told}");
-        assert!(told.contains("keep this computer busy"), "{told}");
+        // From here on the program calls the computer busy by design, so that these words in a
+        // message would only repeat the test.
+        assert_eq!(code, Some(4));
+        assert!(told.contains(TOO_LATE), "{told}");
         let result: Value = serde_json::from_str(&text).expect("one object");
-        assert_eq!(result["power_test"]["ended_by"]["consequence"], "try_again", "{result}");
+        assert_eq!(result["power_test"]["ended_by"]["consequence"], "try_again");
         assert!(!directory.path().join("qube.toml").exists());
     });
 }
@@ -192,7 +189,11 @@ fn nobody_at_the_terminal_means_no_test_and_no_file() {
         let output = program(directory.path(), &arguments).stdin(Stdio::null()).output().unwrap();
         assert_eq!(output.status.code(), Some(1), "{output:?}");
         let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(told.contains("needs an operator") || told.contains("failed:"), "{told}");
+        // A check may fail on a busy computer; its remedy, in lines of a table, then says so.
+        let remedies = String::from_utf8_lossy(&output.stdout);
+        let remedies = remedies.split_whitespace().collect::<Vec<_>>().join(" ");
+        let is_late = told.contains("failed:") && format!("{remedies} {told}").contains(TOO_LATE);
+        assert!(told.contains("needs an operator") || is_late, "{told}");
         assert!(!directory.path().join("qube.toml").exists());
     });
 }

@@ -59,7 +59,7 @@ fn lost_ticks(ticks: u64, sample_time_ns: u64) -> u32 {
 }
 
 #[test]
-fn through_a_genuine_unos_bridge_the_usual_limit_loses_samples_and_the_measured_one_none() {
+fn through_a_genuine_unos_bridge_the_usual_limit_loses_samples_and_the_measured_one_hardly_any() {
     let mut rig = Rig::connect(&settings(Some(UsbBridge::Atmega16u2), 1), &stop()).unwrap();
     let found = rig.check(false).unwrap();
     assert!(found.passed(), "{:#?}", found.results);

@@ -7,15 +7,13 @@ use std::os::unix::fs::symlink;
 use std::path::{Component, Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use crate::tree::root;
+
 /// Names of folders whose pages, if any, do not belong to the repository's.
 const SKIPPED: [&str; 5] = ["target", ".git", "corpus", "build", "tests"];
 
 /// Languages of fenced blocks that hold commands.
 const SHELLS: [&str; 4] = ["sh", "console", "bash", "shell"];
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
 
 /// Every page of the repository, as a path from its root.
 fn pages() -> Vec<PathBuf> {
@@ -179,20 +177,45 @@ fn every_test_that_a_page_or_a_script_calls_exists() {
     for file in files.chain(pages.map(|page| root().join(page))) {
         let text = fs::read_to_string(&file).unwrap();
         for call in text.split("--test ").skip(1) {
-            let mut words = call.split([' ', '`', '\n']);
+            // A call ends with its line, unless a backslash continues that, or with its quotation.
+            let call = call.replace("\\\n", " ");
+            let call = call.split(['`', '\n', '#']).next().unwrap();
+            let mut words = call.split([' ', '"']);
             let name = words.next().unwrap();
             let folder = root().join("tests").join(name);
-            let is_module = |word: &str| folder.join(word).with_extension("rs").exists();
             let exists = folder.with_extension("rs").exists() || folder.join("main.rs").exists();
-            let module = words.next().and_then(|word| Some(word.split_once("::")?.0));
             looked_at += 1;
-            if !exists || !module.is_none_or(is_module) {
-                lost.push(format!("{}: --test {name} {}", file.display(), module.unwrap_or("")));
+            if !exists {
+                lost.push(format!("{}: --test {name}", file.display()));
+            }
+            for filter in words.filter(|word| word.contains("::")) {
+                if !selects_a_test(&folder, filter) {
+                    lost.push(format!("{}: --test {name} {filter}", file.display()));
+                }
             }
         }
     }
     assert!(looked_at > 10, "the calls of tests were not found");
     assert!(lost.is_empty(), "tests that do not exist:\n{}", lost.join("\n"));
+}
+
+/// Whether a filter of the form `MODULE::` or `MODULE::FUNCTION` names a module of the tests in
+/// this folder, and in its file the beginning of a function.
+fn selects_a_test(folder: &Path, filter: &str) -> bool {
+    let (module, function) = filter.split_once("::").unwrap_or((filter, ""));
+    let text = fs::read_to_string(folder.join(module).with_extension("rs"));
+    text.is_ok_and(|text| text.contains(&format!("fn {function}")))
+}
+
+#[test]
+fn a_filter_that_selects_no_test_is_found() {
+    let folder = root().join("tests/repository");
+    for filter in ["documents::", "documents::a_filter_that", "walls::every_room"] {
+        assert!(selects_a_test(&folder, filter), "{filter}");
+    }
+    for filter in ["document::", "documents::no_such_function", "::"] {
+        assert!(!selects_a_test(&folder, filter), "{filter}");
+    }
 }
 
 /// The commands of a block: the whole text of a script, or the lines after the prompts of a console

@@ -2,11 +2,12 @@
 //! only known boards for a Qube.
 
 use std::fs;
-use std::path::Path;
 use std::process::{Command, Output};
 
+use crate::tree::root;
+
 fn install(arguments: &[&str]) -> Output {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/install");
+    let script = root().join("scripts/install");
     Command::new(script)
         .args(["--binary", env!("CARGO_BIN_EXE_qube-hil")])
         .args(arguments)
@@ -47,9 +48,20 @@ fn a_second_installation_changes_nothing() {
     assert_eq!(modified(), before);
 
     // A changed file is restored, and no other.
+    let source = root().join("scripts/60-qube-hil.rules");
+    let is_whole = || {
+        let installed = fs::read(directory.path().join(FILES[1])).unwrap();
+        installed == fs::read(&source).unwrap()
+    };
+    assert!(is_whole());
     fs::write(directory.path().join(FILES[1]), "mine").unwrap();
     let third = stdout(&install(&["--prefix", prefix]));
     assert!(third.contains(": 1 (groups"), "{third}");
+    assert!(is_whole());
+    let after = modified();
+    for other in [0, 2, 3, 4] {
+        assert_eq!(after[other], before[other], "{}", FILES[other]);
+    }
 
     let unit = fs::read_to_string(directory.path().join(FILES[4])).unwrap();
     for word in ["LimitRTPRIO=50", "LimitMEMLOCK=infinity", "WatchdogSec=", "Type=notify"] {

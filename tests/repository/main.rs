@@ -6,4 +6,5 @@ mod installer;
 mod packages;
 mod page_json;
 mod page_safety;
+mod tree;
 mod walls;

@@ -1,14 +1,12 @@
 //! Tests the packages: the one for Debian holds the files that the installer installs, and the
 //! crates of the workspace have one version.
 
+use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
 
 use toml::Value;
 
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
+use crate::tree::root;
 
 fn manifest() -> Value {
     fs::read_to_string(root().join("Cargo.toml")).unwrap().parse::<toml::Table>().unwrap().into()
@@ -52,11 +50,30 @@ fn the_debian_package_holds_what_the_installer_installs() {
 
 #[test]
 fn both_make_the_groups_and_the_user_that_the_rules_and_the_unit_name() {
+    let read = |file: &str| fs::read_to_string(root().join(file)).unwrap();
+    let rules = read("scripts/60-qube-hil.rules") + &read("scripts/61-qube-hil-realtime.rules");
+    let unit = read("scripts/qube-hil@.service");
+    let setting = |key: &str| unit.lines().find_map(|line| line.strip_prefix(key)).unwrap();
+    let of_ports = rules.split("GROUP=\"").skip(1).map(|rest| rest.split('"').next().unwrap());
+    let groups: BTreeSet<&str> =
+        of_ports.chain(setting("SupplementaryGroups=").split_whitespace()).collect();
+    assert!(groups.len() >= 2, "{groups:?}");
     for script in ["scripts/install", "scripts/debian/postinst"] {
-        let text = fs::read_to_string(root().join(script)).unwrap();
-        for name in ["dialout", "realtime", "qube-hil"] {
-            assert!(text.contains(name), "{script} does not make {name}");
+        let text = read(script).replace("\\\n", " ");
+        // Without `--system`, `adduser` only makes a user a member of a group.
+        let makes = |commands: [&str; 2], name: &str| {
+            text.lines().any(|line| {
+                let words = line.split_whitespace();
+                let made: Vec<&str> =
+                    words.skip_while(|word| !commands.contains(word)).skip(1).collect();
+                made.contains(&"--system") && made.contains(&name)
+            })
+        };
+        for group in &groups {
+            assert!(makes(["groupadd", "addgroup"], group), "{script} does not make {group}");
         }
+        let user = setting("User=");
+        assert!(makes(["useradd", "adduser"], user), "{script} does not make {user}");
     }
 }
 

@@ -2,18 +2,8 @@
 //! a file that exists.
 
 use std::fs;
-use std::path::{Path, PathBuf};
 
-fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
-    for entry in fs::read_dir(folder).expect("a folder of sources") {
-        let path = entry.expect("an entry").path();
-        if path.is_dir() {
-            sources(&path, found);
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
-            found.push(path);
-        }
-    }
-}
+use crate::tree::{root, source_files};
 
 /// The names between backticks in the fourth column of the tables of promises.
 fn named_tests(page: &str) -> Vec<String> {
@@ -32,17 +22,14 @@ fn named_tests(page: &str) -> Vec<String> {
 
 #[test]
 fn every_test_that_safety_md_names_exists() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let page = fs::read_to_string(root.join("SAFETY.md")).expect("SAFETY.md");
-    let mut files = Vec::new();
-    for folder in ["src", "tests", "firmware-protocol/src"] {
-        sources(&root.join(folder), &mut files);
-    }
-    let code: String = files.iter().map(|path| fs::read_to_string(path).expect("UTF-8")).collect();
+    let page = fs::read_to_string(root().join("SAFETY.md")).expect("SAFETY.md");
+    let folders = ["src", "tests", "firmware-protocol/src"];
+    let files = folders.into_iter().flat_map(|folder| source_files(&root().join(folder)));
+    let code: String = files.map(|path| fs::read_to_string(path).expect("UTF-8")).collect();
     let names = named_tests(&page);
     assert!(names.len() > 60, "the tables of promises were not found");
     for name in names {
-        let is_file = root.join(&name).exists();
+        let is_file = root().join(&name).exists();
         assert!(is_file || code.contains(&format!("fn {name}(")), "SAFETY.md names {name}");
     }
 }

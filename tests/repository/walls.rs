@@ -16,6 +16,8 @@ use std::str::FromStr;
 use import_paths::{Import, imports, is_ident, literals};
 use proc_macro2::{TokenStream, TokenTree};
 
+use crate::tree::{root, source_files};
+
 /// A room, the rooms that it may import, and those that only its tests may import in addition.
 struct Room {
     name: &'static str,
@@ -66,8 +68,12 @@ const ROOMS: &[Room] = &[
     },
     // Sessions, experiments, runs and replays score a rollout alike.
     room("scoring", &["recording", "telemetry", "qube", "storage"]),
-    room("replay", &["scoring", "recording", "control", "policy", "safety", "estimation", "telemetry",
-                     "qube", "elementary", "storage"]),
+    Room {
+        name: "replay",
+        may_import: &["scoring", "recording", "control", "policy", "safety", "telemetry", "qube",
+                      "elementary", "storage"],
+        tests_may_import: &["estimation"],
+    },
     room("identification", &["replay", "qube", "elementary"]),
     // The check measures with the tick's clock and drive, and reports signs and faults.
     room("preflight", &["clock", "device", "control", "estimation", "safety", "telemetry", "qube",
@@ -119,7 +125,7 @@ impl fmt::Display for Breach {
 
 #[test]
 fn every_room_keeps_to_its_walls() {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let source = root().join("src");
     let mut breaches = Vec::new();
     for file in source_files(&source) {
         let text = fs::read_to_string(&file).unwrap();
@@ -129,13 +135,14 @@ fn every_room_keeps_to_its_walls() {
 }
 
 #[test]
-fn no_room_may_import_what_it_does_not() {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+fn no_permission_to_import_is_unused() {
+    let source = root().join("src");
     for room in ROOMS.iter().filter(|room| room.may_import != EVERY_ROOM) {
-        let mut used = BTreeSet::new();
+        let (mut used, mut used_by_tests) = (BTreeSet::new(), BTreeSet::new());
         for file in source_files(&source.join(room.name)) {
             let module = module_of(file.strip_prefix(&source).unwrap());
             for import in imports(&module, &fs::read_to_string(&file).unwrap()) {
+                let used = if import.in_tests { &mut used_by_tests } else { &mut used };
                 match import.path.as_slice() {
                     [root, target, ..] if root == "crate" => used.insert(target.clone()),
                     [root, ..] => used.insert(root.clone()),
@@ -143,16 +150,19 @@ fn no_room_may_import_what_it_does_not() {
                 };
             }
         }
+        let name = room.name;
         for &target in room.may_import {
-            assert!(used.contains(target), "`{}` does not import `{target}`", room.name);
+            assert!(used.contains(target), "`{name}` does not import `{target}` outside its tests");
+        }
+        for &target in room.tests_may_import {
+            assert!(used_by_tests.contains(target), "the tests of `{name}` import no `{target}`");
         }
     }
 }
 
 #[test]
 fn the_table_of_rooms_in_architecture_is_these_walls() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let text = fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap();
+    let text = fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
     let rows: Vec<(String, String)> = text
         .lines()
         .skip_while(|line| !line.starts_with("| room |"))
@@ -178,7 +188,7 @@ fn the_table_of_rooms_in_architecture_is_these_walls() {
 
 #[test]
 fn the_page_of_each_room_states_its_walls() {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let source = root().join("src");
     for room in ROOMS.iter().filter(|room| room.may_import != EVERY_ROOM) {
         let text = fs::read_to_string(source.join(room.name).join("mod.rs")).unwrap();
         let page: Vec<&str> =
@@ -205,7 +215,7 @@ fn rooms_named_in(text: &str) -> BTreeSet<&'static str> {
 
 #[test]
 fn the_wire_needs_no_standard_library() {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("firmware-protocol/src");
+    let source = root().join("firmware-protocol/src");
     let lib = fs::read_to_string(source.join("lib.rs")).unwrap();
     assert!(lib.lines().any(|line| line.trim() == "#![no_std]"), "firmware-protocol is not no_std");
     let mut breaches = Vec::new();
@@ -217,7 +227,7 @@ fn the_wire_needs_no_standard_library() {
 
 #[test]
 fn the_library_names_no_word_of_the_command_line() {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let source = root().join("src");
     let mut breaches = Vec::new();
     for file in source_files(&source) {
         let module = module_of(file.strip_prefix(&source).unwrap());
@@ -249,20 +259,6 @@ fn command_line_word(text: &str) -> Option<&str> {
 fn list(breaches: &[Breach]) -> String {
     let lines: Vec<_> = breaches.iter().map(ToString::to_string).collect();
     format!("\n{}\n", lines.join("\n"))
-}
-
-fn source_files(folder: &Path) -> Vec<PathBuf> {
-    let mut files = Vec::new();
-    for entry in fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            files.extend(source_files(&path));
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
-            files.push(path);
-        }
-    }
-    files.sort();
-    files
 }
 
 /// The module of a file, from the crate's root.
@@ -324,13 +320,21 @@ fn check_import(room: &Room, module: &[String], import: &Import) -> Option<Strin
         ("firmware_protocol", _) => {
             (!is_allowed("firmware_protocol")).then(|| format!("`{name}` may not speak the wire"))
         }
-        ("std", Some(part)) if !import.in_tests => {
+        ("std", part) if !import.in_tests => {
             let forbidden = match name {
                 name if PURE.contains(&name) => WORLD,
                 "control" => FORBIDDEN_IN_CONTROL,
-                _ => &[],
+                _ => return None,
             };
-            forbidden.contains(&part).then(|| format!("`{name}` may not touch `std::{part}`"))
+            match part {
+                None | Some("*") => Some(
+                    "`std` under another name or as a whole cannot be followed: name its part"
+                        .to_owned(),
+                ),
+                Some(part) => forbidden
+                    .contains(&part)
+                    .then(|| format!("`{name}` may not touch `std::{part}`")),
+            }
         }
         ("rand" | "rand_chacha", _) if !import.in_tests => {
             WITHOUT_RANDOMNESS.contains(&name).then(|| format!("`{name}` draws no random numbers"))
@@ -452,6 +456,13 @@ mod the_checker {
         ] {
             finds("control/tick.rs", source, "cannot be followed");
         }
+        for source in
+            ["use std as s;", "use std::{self as s};", "use std::*;", "extern crate std as s;"]
+        {
+            finds("control/tick.rs", source, "cannot be followed");
+            finds("safety/gate.rs", source, "cannot be followed");
+            accepts("session/rig.rs", source);
+        }
         finds("control/tick.rs", "pub use crate::qube::State;", "re-exports an item of `qube`");
         finds("control/tick.rs", "use crate::utils::f;", "is no room");
         finds("utils/mod.rs", "", "is no room");
@@ -494,6 +505,7 @@ mod the_checker {
         accepts("device/emulator/mcu.rs", "use super::plant; use crate::qube::State;");
         accepts("device/emulator/mod.rs", "use firmware_protocol::Frame; use self::plant::Plant;");
         accepts("recording/tests.rs", "use crate::safety::Limit;");
+        accepts("recording/writer_tests.rs", "use crate::safety::Limit;");
         accepts("recording/writer.rs", "#[cfg(test)] mod t { use crate::safety::Limit; } ");
         accepts("safety/gate.rs", "#[cfg(test)] use std::time::Instant; use crate::qube::State;");
         accepts("commands/run.rs", "use crate::rig::Rig; use super::exit::Failure;");

@@ -3,15 +3,16 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::folders::files_of;
+use crate::program::succeeded;
 
 /// Policies with two small updates of training.
-const TINY: &str = "[settings.training]\nupdates = 2\npendulums = 16\nepochs = 1\n";
+const TINY: &str = "[settings.training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
 
 /// A search of three candidates, whose recommendation is verified; one rollout each.
 const SEARCH: &str = "[settings.extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 1\n\
@@ -53,11 +54,6 @@ const BEGIN: [&str; 14] = [
     "one",
 ];
 
-fn succeeds(output: &Output) -> String {
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8_lossy(&output.stdout).into_owned()
-}
-
 fn begin(directory: &Path, arguments: &[&str], threads: &str) -> Child {
     experiment(directory, &[arguments, &["--threads", threads]].concat())
         .stdout(Stdio::null())
@@ -68,7 +64,7 @@ fn begin(directory: &Path, arguments: &[&str], threads: &str) -> Child {
 
 fn table(directory: &Path) -> String {
     let output = experiment(directory, &["--resume", "one", "--csv", "one.csv"]).output().unwrap();
-    succeeds(&output) + &std::fs::read_to_string(directory.join("one.csv")).unwrap()
+    succeeded(&output) + &std::fs::read_to_string(directory.join("one.csv")).unwrap()
 }
 
 /// The bytes of every file by its path, without files that an interruption has left unfinished.
@@ -83,7 +79,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     prepare(whole.path());
     let tables = ["--csv", "one/first.csv", "--figures", "one/figures"];
     let output = experiment(whole.path(), &[&BEGIN[..], &tables].concat()).output().unwrap();
-    let text = succeeds(&output);
+    let text = succeeded(&output);
     for made in tables.map(|it| whole.path().join(it)).iter().skip(1).step_by(2) {
         assert!(made.exists(), "{}", made.display());
         if made.is_dir() { std::fs::remove_dir_all(made) } else { std::fs::remove_file(made) }
@@ -123,7 +119,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     assert_eq!(experiment(whole.path(), &refused).output().unwrap().status.code(), Some(2));
     assert!(!whole.path().join("two").exists(), "an experiment was begun");
     let arguments = [&arguments[..], &["--force"]].concat();
-    succeeds(&experiment(whole.path(), &arguments).output().unwrap());
+    succeeded(&experiment(whole.path(), &arguments).output().unwrap());
     assert!(expected.ends_with(&std::fs::read_to_string(&foreign).unwrap()));
 
     // --table shows finished work without running anything; a resumed experiment makes missing
@@ -131,7 +127,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let lost = "one/policies/tiny-nominal/002/lab/rollout-1-attempt-0.mcap";
     std::fs::remove_file(whole.path().join(lost)).unwrap();
     let output = experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap();
-    let text = succeeds(&output);
+    let text = succeeded(&output);
     assert!(text.contains("/2 ") && text.contains("/3 "), "{text}");
     assert!(!whole.path().join(lost).exists());
     assert_eq!(table(whole.path()), expected);
@@ -145,7 +141,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     assert_eq!(output.status.code(), Some(2));
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(told.contains("experiment.toml: it was changed since"), "{told}");
-    succeeds(&experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap());
+    succeeded(&experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap());
 
     let torn = tempfile::tempdir().unwrap();
     prepare(torn.path());
@@ -227,7 +223,7 @@ fn strategies_that_are_killed_and_gone_on_with_come_to_the_same_table() {
     let whole = tempfile::tempdir().unwrap();
     prepare(whole.path());
     let output = experiment(whole.path(), &arguments).output().unwrap();
-    let text = succeeds(&output);
+    let text = succeeded(&output);
     assert!(text.contains("tiny on lab"), "{text}");
     // Untrained policies never succeed, and a recording that is cut short cannot identify a Qube.
     for line in ["bayrn           0/2", "random          0/2", "identify        0/2", "identify: "]
@@ -248,7 +244,7 @@ fn strategies_that_are_killed_and_gone_on_with_come_to_the_same_table() {
     assert_eq!(count("policy.safetensors"), search_policies + judged);
 
     let drawn = experiment(whole.path(), &["--resume", "one", "--table", "--figures", "figures"]);
-    succeeds(&{ drawn }.output().unwrap());
+    succeeded(&{ drawn }.output().unwrap());
     let svg = std::fs::read_to_string(whole.path().join("figures/strategies.svg")).unwrap();
     assert!(svg.contains("bayrn") && svg.contains("identify"));
 
@@ -292,7 +288,7 @@ fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
     let whole = tempfile::tempdir().unwrap();
     prepare(whole.path());
     let output = experiment(whole.path(), &arguments).args(["--json"]).output().unwrap();
-    let result: serde_json::Value = serde_json::from_str(&succeeds(&output)).unwrap();
+    let result: serde_json::Value = serde_json::from_str(&succeeded(&output)).unwrap();
     let rows: Vec<(String, String)> = result["models"]
         .as_array()
         .unwrap()
@@ -327,7 +323,7 @@ fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
     assert_eq!(count("budgets/cable/posterior", "identified-2.toml"), 1);
     assert_eq!(count("budgets/cable/sequential/000/recordings", ".mcap"), 2);
     let drawn = experiment(whole.path(), &["--resume", "one", "--table", "--figures", "figures"]);
-    succeeds(&{ drawn }.output().unwrap());
+    succeeded(&{ drawn }.output().unwrap());
     let svg = std::fs::read_to_string(whole.path().join("figures/budgets.svg")).unwrap();
     for words in ["after 0 real", "after 2 real", "all plants", "posterior", "cable"] {
         assert!(svg.contains(words), "{words}");
@@ -385,7 +381,7 @@ fn scripts_get_the_models_with_their_intervals() {
     prepare(directory.path());
     let arguments = ["--recipe", "nominal.toml", "--policies", "2", "--rollouts", "1", "--json"];
     let output = experiment(directory.path(), &arguments).output().unwrap();
-    let text = succeeds(&output);
+    let text = succeeded(&output);
     let value: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
     let model = &value["models"][0];
     assert_eq!(model["model"], "tiny-nominal");

@@ -103,47 +103,50 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
     let at = |name: &str| directory.path().join(name);
     let foreign = at("foreign");
     let small = "[extent]\ninitial_candidates = 1\niterations = 0\nrollouts = 1\n\
-                 verification_rollouts = 1\n[training]\nupdates = 1\npendulums = 16\nepochs = 1\n";
+                 verification_rollouts = 1\n[training]\nupdates = 1\nnum_envs = 16\nepochs = 1\n";
     std::fs::write(at("small.toml"), small).unwrap();
     // Each case: the folder of the command's output, the names of links in it (names with a space
-    // between them at the same time, the others one after the other), and the command.
-    let cases: [(&str, &[&str], &[&str]); 5] = [
+    // between them at the same time, the others one after the other), the exit code, and the
+    // command. It refuses a folder or a checkpoint that it has not made, and replaces other files.
+    let train = [
+        "train",
+        "--model",
+        "nominal",
+        "--preset",
+        "quick",
+        "--checkpoint",
+        "train/p.checkpoint",
+        "--out",
+        "train/p.safetensors",
+        "--force",
+    ];
+    let cases: [(&str, &[&str], i32, &[&str]); 6] = [
         (
             "session",
             &["session.unfinished", "session.toml", "ledger.jsonl"],
+            2,
             &["session", "--clock", "virtual", "--config", "small.toml", "--out", "session"],
         ),
         (
             "run",
             &["rollout-0.mcap"],
+            2,
             &["run", "--policy", "classical", "--clock", "virtual", "--out", "run"],
         ),
-        ("toy", &["figure-3.2.svg"], &["toy", "--out", "toy"]),
-        (
-            "train",
-            &["p.unfinished p.safetensors p.csv p.checkpoint.new"],
-            &[
-                "train",
-                "--model",
-                "nominal",
-                "--preset",
-                "quick",
-                "--checkpoint",
-                "train/p.checkpoint",
-                "--out",
-                "train/p.safetensors",
-                "--force",
-            ],
-        ),
+        ("toy", &["figure-3.2.svg"], 0, &["toy", "--out", "toy"]),
+        // Checkpoint and policy are first written to the file `p.unfinished`.
+        ("train", &["p.unfinished p.safetensors"], 0, &train),
+        ("train", &["p.checkpoint"], 2, &train),
         (
             "plots",
             &["rollout-0.svg"],
+            0,
             &["replay", "run2/rollout-0.mcap", "--simulate", "--plot", "plots"],
         ),
     ];
     let run = ["run", "--policy", "classical", "--clock", "virtual", "--out", "run2"];
     assert!(qube_hil(directory.path(), &run).status.success());
-    for (folder, links, arguments) in cases {
+    for (folder, links, code, arguments) in cases {
         for link in links {
             std::fs::write(&foreign, "precious").unwrap();
             let _ = std::fs::remove_dir_all(at(folder));
@@ -153,6 +156,7 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
             }
             let output = qube_hil(directory.path(), arguments);
             let told = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(code), "{arguments:?}, {link}: {told}");
             let kept = std::fs::read(&foreign).unwrap();
             assert_eq!(kept, b"precious", "{arguments:?} wrote through {link}: {told}");
         }
@@ -165,8 +169,9 @@ fn a_file_without_an_end_is_refused_at_once() {
     let pipe = directory.path().join("pipe");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     std::fs::write(directory.path().join("settings.toml"), vec![b'#'; 2 << 20]).unwrap();
+    std::fs::create_dir(directory.path().join("a-place")).unwrap();
     let run = ["run", "--policy", "classical", "--clock", "virtual"];
-    for endless in ["/dev/zero", "pipe", ".", "settings.toml"] {
+    for endless in ["/dev/zero", "pipe", "a-place", "settings.toml"] {
         let cases: [&[&str]; 9] = [
             &["run", "--clock", "virtual", "--policy", endless],
             &[&run[..], &["--qube", endless]].concat(),

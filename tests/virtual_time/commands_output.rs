@@ -1,31 +1,13 @@
 //! Tests the places of results: a bad place is refused before a training or a motion, and existing
 //! files are not lost.
 
-use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::collections::BTreeSet;
+use std::process::{Command, Stdio};
+
+use crate::program::{has_refused, qube_hil, refused};
 
 /// A port that does not exist: the message about it shows that `--out` was accepted.
 const PORT: &str = "/dev/ttyNOWHERE";
-
-fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(directory)
-        .env("XDG_STATE_HOME", directory)
-        .args(arguments)
-        .stdin(Stdio::null())
-        .output()
-        .unwrap()
-}
-
-#[track_caller]
-fn refused(output: &Output, code: i32, words: &[&str]) {
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(code), "{stderr}");
-    assert!(output.stdout.is_empty(), "it printed a result");
-    for word in words {
-        assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
-    }
-}
 
 #[test]
 fn a_policy_or_a_profile_replaces_nothing_unless_asked() {
@@ -35,21 +17,21 @@ fn a_policy_or_a_profile_replaces_nothing_unless_asked() {
     std::os::unix::fs::symlink(&mine, directory.path().join("link")).unwrap();
     for out in ["mine", "link"] {
         let train = ["train", "--preset", "thesis", "--out", out];
-        refused(&qube_hil(directory.path(), &train), 2, &["--out", out, "exists", "--force"]);
+        refused(directory.path(), &train, 2, &["--out", out, "exists", "--force"]);
         let identify = ["identify", "no.mcap", "--out", out];
-        refused(&qube_hil(directory.path(), &identify), 2, &["--out", out, "exists", "--force"]);
+        refused(directory.path(), &identify, 2, &["--out", out, "exists", "--force"]);
         let forced = ["identify", "no.mcap", "--out", out, "--force"];
-        refused(&qube_hil(directory.path(), &forced), 2, &["no.mcap"]);
+        refused(directory.path(), &forced, 2, &["no.mcap"]);
     }
     for command in [&["train", "--preset", "thesis"][..], &["identify", "no.mcap"]] {
         let device = [command, &["--out", "/dev/null", "--force"]].concat();
-        refused(&qube_hil(directory.path(), &device), 2, &["/dev/null", "not a file"]);
+        refused(directory.path(), &device, 2, &["/dev/null", "not a file"]);
     }
     assert_eq!(std::fs::read_to_string(&mine).unwrap(), "precious");
 }
 
 #[test]
-fn a_place_that_cannot_be_written_is_bad_usage_of_every_command() {
+fn a_place_that_cannot_be_written_is_bad_usage() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::write(directory.path().join("file"), "").unwrap();
     std::fs::create_dir(directory.path().join("folder")).unwrap();
@@ -64,20 +46,19 @@ fn a_place_that_cannot_be_written_is_bad_usage_of_every_command() {
     for command in commands {
         // In the first not even root can create a file; the second is not a folder.
         for (out, name) in [("/proc/nowhere/out", "nowhere"), ("file/out", "file")] {
-            let output = qube_hil(directory.path(), &[command, &["--out", out]].concat());
-            refused(&output, 2, &[name]);
+            refused(directory.path(), &[command, &["--out", out]].concat(), 2, &[name]);
         }
     }
     for command in &commands[..2] {
         let missing = [command, &["--out", "missing/out"][..]].concat();
-        refused(&qube_hil(directory.path(), &missing), 2, &["missing", "create it first"]);
+        refused(directory.path(), &missing, 2, &["missing", "create it first"]);
         let folder = [command, &["--out", "folder"][..]].concat();
-        refused(&qube_hil(directory.path(), &folder), 2, &["folder", "not a file"]);
+        refused(directory.path(), &folder, 2, &["folder", "not a file"]);
     }
     let checkpoint = ["train", "--preset", "thesis", "--checkpoint", "missing/half"];
-    refused(&qube_hil(directory.path(), &checkpoint), 2, &["missing", "create it first"]);
+    refused(directory.path(), &checkpoint, 2, &["missing", "create it first"]);
     let soak = ["soak", "--device", PORT, "--keep", "file/out"];
-    refused(&qube_hil(directory.path(), &soak), 2, &["file"]);
+    refused(directory.path(), &soak, 2, &["file"]);
 }
 
 #[test]
@@ -94,7 +75,7 @@ fn a_full_disk_is_found_before_the_work() {
             .stdin(Stdio::null())
             .output()
             .unwrap();
-        refused(&output, 1, &["cannot be written"]);
+        has_refused(&output, 1, &["cannot be written"]);
     }
     assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "something was left");
 }
@@ -113,10 +94,10 @@ fn recordings_of_another_run_are_found_before_the_port_is_touched() {
         let out = ["--out", "taken", "--rollouts", rollouts, "--device", PORT];
         qube_hil(directory.path(), &[&["run", "--policy", "classical"], &out[..]].concat())
     };
-    refused(&run("3"), 2, &["taken/rollout-2.mcap", "exists"]);
-    refused(&run("2"), 2, &["no such port"]);
+    has_refused(&run("3"), 2, &["taken/rollout-2.mcap", "exists"]);
+    has_refused(&run("2"), 2, &["no such port"]);
     let soak = ["soak", "--keep", "taken", "--device", PORT];
-    refused(&qube_hil(directory.path(), &soak), 2, &["taken/rollout-2.mcap", "exists"]);
+    refused(directory.path(), &soak, 2, &["taken/rollout-2.mcap", "exists"]);
     assert_eq!(std::fs::read(folder.join("rollout-2.mcap")).unwrap(), b"precious");
     assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1, "something was left");
 }
@@ -128,7 +109,7 @@ fn a_port_that_is_none_leaves_nothing_behind() {
         for more in [&[][..], &["--out", "new/one"]] {
             for command in [&["session"][..], &["run", "--policy", "classical"]] {
                 let arguments = [command, &["--device", port], more].concat();
-                refused(&qube_hil(directory.path(), &arguments), 2, &[port]);
+                refused(directory.path(), &arguments, 2, &[port]);
             }
         }
     }
@@ -136,12 +117,15 @@ fn a_port_that_is_none_leaves_nothing_behind() {
     // An existing folder stays.
     std::fs::create_dir(directory.path().join("mine")).unwrap();
     let session = ["session", "--device", PORT, "--out", "mine"];
-    refused(&qube_hil(directory.path(), &session), 2, &[PORT]);
+    refused(directory.path(), &session, 2, &[PORT]);
     assert_eq!(std::fs::read_dir(directory.path().join("mine")).unwrap().count(), 0);
 }
 
-#[test]
-fn runs_that_begin_in_the_same_second_have_folders_of_their_own() {
+/// Largest number of attempts to begin two runs in the same second.
+const ATTEMPTS: u32 = 20;
+
+/// Begins three runs at once; returns the names of their folders, which differ.
+fn folders_of_three_runs() -> BTreeSet<String> {
     let directory = tempfile::tempdir().unwrap();
     let begin = || {
         Command::new(env!("CARGO_BIN_EXE_qube-hil"))
@@ -160,6 +144,25 @@ fn runs_that_begin_in_the_same_second_have_folders_of_their_own() {
         let stderr = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{:?}: {stderr}", output.status);
     }
-    let folders: Vec<_> = std::fs::read_dir(directory.path().join("logs")).unwrap().collect();
-    assert_eq!(folders.len(), 3, "{folders:?}");
+    let folders = std::fs::read_dir(directory.path().join("logs")).unwrap();
+    let names = folders.map(|folder| folder.unwrap().file_name().into_string().unwrap());
+    let names: BTreeSet<String> = names.collect();
+    assert_eq!(names.len(), 3, "{names:?}");
+    names
+}
+
+/// The second in the name of a run's folder, such as `run-20260102-030405` of the folder
+/// `run-20260102-030405-2`.
+fn second_of(name: &str) -> String {
+    name.split('-').take(3).collect::<Vec<_>>().join("-")
+}
+
+#[test]
+fn runs_that_begin_in_the_same_second_have_folders_of_their_own() {
+    let share_a_second = (0..ATTEMPTS).any(|_| {
+        let names = folders_of_three_runs();
+        let seconds: BTreeSet<String> = names.iter().map(|name| second_of(name)).collect();
+        seconds.len() < names.len()
+    });
+    assert!(share_a_second, "no two runs began in the same second");
 }

@@ -10,6 +10,8 @@ use qube_hil::safety::{Guard, Limit};
 use qube_hil::telemetry::{Ending, Phase};
 use serde_json::Value;
 
+use crate::folders::files_of;
+
 fn qube_hil(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_qube-hil")).args(arguments).output().unwrap()
 }
@@ -166,8 +168,10 @@ fn a_changed_byte_is_bad_input_and_a_cut_off_file_is_lost_data() {
     let output = qube_hil(&["replay", "--json", saved["recovered"].as_str().unwrap()]);
     assert_eq!(json(&output)["recordings"][0]["actions_compared"], saved["ticks"]);
 
+    let before = files_of(folder.path());
     let output = qube_hil(&["recover", path.to_str().unwrap()]);
-    assert_eq!(output.status.code(), Some(0), "a whole file is left alone");
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(files_of(folder.path()) == before, "a whole file is left alone");
 }
 
 #[test]

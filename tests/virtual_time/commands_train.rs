@@ -2,11 +2,14 @@
 //! set, or interruptions.
 
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 use std::time::Duration;
 
+use qube_hil::elementary::Level;
 use rustix::process::{Pid, Signal, kill_process};
+
+use crate::program::succeeded;
 
 fn train(directory: &Path, out: &str, more: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
@@ -17,17 +20,13 @@ fn train(directory: &Path, out: &str, more: &[&str]) -> Command {
     command
 }
 
-fn succeeds(output: &Output) {
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-}
-
 /// The policy of an undisturbed training, which is trained once.
 fn undisturbed() -> &'static [u8] {
     static POLICY: OnceLock<Vec<u8>> = OnceLock::new();
     POLICY.get_or_init(|| {
         let directory = tempfile::tempdir().unwrap();
         // A bare file name: the file goes into the working directory.
-        succeeds(&train(directory.path(), "whole.safetensors", &[]).output().unwrap());
+        succeeded(&train(directory.path(), "whole.safetensors", &[]).output().unwrap());
         std::fs::read(directory.path().join("whole.safetensors")).unwrap()
     })
 }
@@ -36,24 +35,33 @@ fn undisturbed() -> &'static [u8] {
 fn the_policy_is_the_same_on_two_threads_and_with_the_instructions_of_an_older_processor() {
     let directory = tempfile::tempdir().unwrap();
     let bytes = |out: &str, more: &[&str]| {
-        succeeds(&train(directory.path(), out, more).output().unwrap());
+        succeeded(&train(directory.path(), out, more).output().unwrap());
         std::fs::read(directory.path().join(out)).unwrap()
     };
     assert!(undisturbed() == bytes("threads.safetensors", &["--threads", "2"]));
     assert!(undisturbed() == bytes("avx2.safetensors", &["--instruction-set", "avx2"]));
+    if !Level::Avx512.is_available() {
+        println!("instruction sets are not compared: this processor has no AVX-512");
+    }
 }
 
-/// Stops a training at its first checkpoint. Returns whether it was still running then: a computer
-/// may be so busy that this thread sees the checkpoint only after the training's end.
+/// Stops a training at its first checkpoint, which its last message then names. Returns whether it
+/// was still running then: a computer may be so busy that this thread sees the checkpoint only
+/// after the training's end.
 fn stop_at_first_checkpoint(directory: &Path, resumable: &[&str; 2]) -> bool {
     let checkpoint = directory.join(resumable[1]);
-    let mut training = train(directory, "resumed.safetensors", resumable).spawn().unwrap();
+    let mut training =
+        train(directory, "resumed.safetensors", resumable).stderr(Stdio::piped()).spawn().unwrap();
     while !checkpoint.exists() && training.try_wait().unwrap().is_none() {
         std::thread::sleep(Duration::from_millis(2));
     }
     let _ = kill_process(Pid::from_child(&training), Signal::TERM);
-    let code = training.wait().unwrap().code();
-    assert!(matches!(code, Some(0 | 143)), "{code:?}");
+    let output = training.wait_with_output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    let code = output.status.code();
+    assert!(matches!(code, Some(0 | 143)), "{code:?}: {told}");
+    let continues = format!("continues from {}", resumable[1]);
+    assert_eq!(told.contains(&continues), code == Some(143), "{code:?}: {told}");
     code == Some(143)
 }
 
@@ -69,7 +77,7 @@ fn a_training_that_was_stopped_and_gone_on_with_gives_the_same_policy() {
     }
     assert!(checkpoint.exists() && !resumed.exists());
 
-    succeeds(&train(directory.path(), "resumed.safetensors", &resumable).output().unwrap());
+    succeeded(&train(directory.path(), "resumed.safetensors", &resumable).output().unwrap());
     assert!(!checkpoint.exists(), "the checkpoint of a finished training stays");
     assert!(undisturbed() == std::fs::read(&resumed).unwrap());
 

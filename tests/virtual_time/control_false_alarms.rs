@@ -94,6 +94,6 @@ fn a_healthy_qube_raises_no_fault_whatever_its_policy_does() {
 
 #[test]
 #[ignore = "a minute: scripts/adversary runs it"]
-fn nor_in_a_thousand_rollouts() {
+fn a_thousand_rollouts_on_healthy_qubes_raise_no_fault() {
     no_fault(0..1000);
 }

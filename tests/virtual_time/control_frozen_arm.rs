@@ -10,17 +10,17 @@ use qube_hil::qube::{
 };
 use qube_hil::telemetry::{Ending, Fault};
 
-use crate::harmless::freezes::{freezes, policies, qubes};
+use crate::harmless::freezes::{KINDS, freezes, policies, qubes};
 
-/// Ticks from the freeze to the alarm of a frozen encoder, while the arm is driven to and fro
-/// beside a swinging pendulum; `None` if there is no such alarm. Without a freeze (`frozen_at` is
-/// `None`), such an alarm gives 0 ticks. Other alarms are ignored.
-fn found_after(
+/// The first alarm and its tick while the arm is driven to and fro beside a swinging pendulum;
+/// `None` if there is no alarm in 400 ticks. The arm's encoder freezes after the tick `frozen_at`,
+/// or not at all.
+fn first_alarm(
     nonidealities: Nonidealities,
     alpha: f64,
     amplitude_v: f64,
     frozen_at: Option<u32>,
-) -> Option<u32> {
+) -> Option<(u32, Alarm)> {
     let dynamics = NonidealDynamics::new(&QubeModel { nonidealities, ..QubeModel::NOMINAL });
     let mut state = State { alpha, ..State::default() };
     let mut watch = SensorWatch::with_cross_check(&PlantModel::QUBE, Calibration::IDENTITY);
@@ -39,8 +39,8 @@ fn found_after(
         let voltage_mv = (1e3 * voltage_v) as i16;
         let swing_rad_s = state.alpha.cos() * state.alpha_dot;
         let alarm = watch.check(&sample, Some(ArmInput { voltage_mv, swing_rad_s }));
-        if alarm == Some(Alarm::Zero(Fault::EncoderFrozen)) {
-            return Some(tick - frozen_at.unwrap_or(tick));
+        if let Some(alarm) = alarm {
+            return Some((tick, alarm));
         }
         voltage_v = if tick % 60 < 30 { amplitude_v } else { -amplitude_v };
         state = control_step(&dynamics, state, voltage_v);
@@ -52,8 +52,11 @@ fn found_after(
 fn a_freeze_in_a_swing_is_found_within_300_ms() {
     for at in (60..300).step_by(7) {
         for (alpha, amplitude_v) in [(1.5, 2.0), (2.0, 4.0), (2.5, 3.0)] {
-            let found = found_after(Nonidealities::default(), alpha, amplitude_v, Some(at));
-            assert!(found.is_some_and(|ticks| ticks <= 30), "{at}, {alpha}: {found:?}");
+            let found = first_alarm(Nonidealities::default(), alpha, amplitude_v, Some(at));
+            let is_found = found.is_some_and(|(tick, alarm)| {
+                (at..=at + 30).contains(&tick) && alarm == Alarm::Zero(Fault::EncoderFrozen)
+            });
+            assert!(is_found, "{at}, {alpha}: {found:?}");
         }
     }
 }
@@ -64,8 +67,8 @@ fn an_arm_that_friction_holds_against_a_swinging_pendulum_is_not_frozen() {
     for nonidealities in [Nonidealities::default(), sticky] {
         for alpha in [0.0, 0.2, 0.5, 1.0, 2.0, 3.0, 3.1] {
             for amplitude_v in [0.0, 0.3, 0.6] {
-                let found = found_after(nonidealities, alpha, amplitude_v, None);
-                assert_eq!(found, None, "{alpha} rad, {amplitude_v} V");
+                let alarm = first_alarm(nonidealities, alpha, amplitude_v, None);
+                assert_eq!(alarm, None, "{alpha} rad, {amplitude_v} V");
             }
         }
     }
@@ -81,7 +84,9 @@ fn a_freeze_anywhere_in_a_rollout_is_found_within_300_ms_and_a_healthy_qube_is_l
                 let (healthy, frozen) = freezes(settings, &policy).expect("it is homed");
                 let of = format!("{qube}, {name}, seed {seed}");
                 assert!(!matches!(healthy.ending, Ending::Fault(_)), "{of}: {:?}", healthy.ending);
-                for freeze in frozen {
+                for ((kind, _), freeze) in KINDS.iter().zip(frozen) {
+                    let of = format!("{of}, {kind}");
+                    let freeze = freeze.unwrap_or_else(|| panic!("{of}: no result"));
                     let found_ms = freeze.found_ms();
                     assert!(found_ms.is_some_and(|ms| ms <= 300.0), "{of}: {found_ms:?}");
                     assert!(!freeze.is_named_otherwise(), "{of}: {:?}", freeze.outcome.ending);

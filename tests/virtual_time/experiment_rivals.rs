@@ -37,6 +37,17 @@ fn rows_of(methods: &str, budgets: &str) -> (tempfile::TempDir, Vec<String>) {
     (folder, models.iter().map(|row| row["model"].as_str().unwrap().to_owned()).collect())
 }
 
+/// The first policy that was made for a budget of a method's run.
+fn judged(run: &Path, budget: &str) -> Vec<u8> {
+    std::fs::read(run.join("judged").join(budget).join("000/policy.safetensors")).unwrap()
+}
+
+/// The policy that made a recording of a method's run.
+fn recorded(run: &Path, number: u32) -> Vec<u8> {
+    let name = format!("recordings/rollout-{number}-attempt-0.mcap");
+    qube_hil::recording::read(&run.join(name)).unwrap().policy
+}
+
 #[test]
 fn a_rival_learns_from_a_rollout_of_its_first_policy_and_has_one_at_each_budget() {
     let (folder, rows) = rows_of("simopt", "0,1");
@@ -44,12 +55,9 @@ fn a_rival_learns_from_a_rollout_of_its_first_policy_and_has_one_at_each_budget(
     let run = folder.path().join("one/budgets/lab/simopt/000");
     let belief = std::fs::read_to_string(run.join("belief-1.json")).unwrap();
     assert!(belief.contains("gaussian"), "{belief}");
-    assert!(run.join("recordings/rollout-0-attempt-0.mcap").exists());
-    // The two budgets have policies of their own.
-    let policy = |number: &str| {
-        std::fs::read(run.join("judged").join(number).join("000/policy.safetensors"))
-    };
-    assert_ne!(policy("000").unwrap(), policy("001").unwrap());
+    // The two budgets have policies of their own, and the first one made the rollout.
+    assert_ne!(judged(&run, "000"), judged(&run, "001"));
+    assert!(recorded(&run, 0) == judged(&run, "000"), "another policy made the rollout");
 }
 
 #[test]
@@ -57,13 +65,8 @@ fn strategy_optimisation_tries_inputs_of_one_policy_and_recommends_the_best() {
     let (folder, rows) = rows_of("so-cma", "0,2");
     assert_eq!(rows, ["so-cma 0", "so-cma 2"]);
     let run = folder.path().join("one/budgets/lab/so-cma/000");
-    let judged = |number: &str| {
-        std::fs::read(run.join("judged").join(number).join("000/policy.safetensors")).unwrap()
-    };
-    let recorded = |number: u32| {
-        let name = format!("recordings/rollout-{number}-attempt-0.mcap");
-        qube_hil::recording::read(&run.join(name)).unwrap().policy
-    };
+    let judged = |number| judged(&run, number);
+    let recorded = |number| recorded(&run, number);
     // The first candidate has the inputs of the prior's mean, which are also recommended without a
     // rollout. The recommendation after two rollouts is one of the two candidates.
     assert_eq!(recorded(0), judged("000"));

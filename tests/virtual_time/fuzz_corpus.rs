@@ -6,25 +6,27 @@ mod bodies;
 
 use std::path::{Path, PathBuf};
 
+use firmware_protocol::{PROTOCOL_VERSION, Request};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::session::SessionSettings;
+use qube_hil::session::{Entry, Purpose, SessionSettings};
 
 fn corpus(target: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target)
 }
 
 /// Runs a body on each file of its corpus, and on up to 16 truncated copies of the file and as many
-/// copies with one changed byte.
-fn replay(target: &str, body: fn(&[u8])) {
+/// copies with one changed byte. The body must accept at least one of the files.
+fn replay(target: &str, body: fn(&[u8]) -> bool) {
     let mut files: Vec<_> = std::fs::read_dir(corpus(target))
         .unwrap_or_else(|error| panic!("{target}: {error}"))
         .map(|file| file.unwrap().path())
         .collect();
     files.sort();
     assert!(files.len() >= 3, "{target}: the corpus has fewer than three files");
+    let mut accepted = 0;
     for file in files {
         let bytes = std::fs::read(&file).unwrap();
-        body(&bytes);
+        accepted += usize::from(body(&bytes));
         for length in (0..bytes.len()).step_by(bytes.len() / 16 + 1) {
             body(&bytes[..length]);
             let mut changed = bytes.clone();
@@ -32,31 +34,74 @@ fn replay(target: &str, body: fn(&[u8])) {
             body(&changed);
         }
     }
+    assert!(accepted > 0, "{target}: every file of the corpus is refused: run make_seeds");
 }
 
 #[test]
 fn wire() {
     replay("wire", bodies::wire);
+    let hello = Request::Hello { protocol_version: PROTOCOL_VERSION }.encode(1);
+    for mode in [0, 1] {
+        assert!(bodies::wire(&[&[mode], hello.as_bytes()].concat()), "mode {mode}");
+    }
+    // Length, type and sequence number of a hello, and its payload.
+    let [low, high] = PROTOCOL_VERSION.to_le_bytes();
+    assert!(bodies::wire(&[2, 2, 1, 1, 0, low, high]));
 }
 
 #[test]
 fn policy() {
     replay("policy", bodies::policy);
+    assert!(bodies::policy(&classical()));
 }
 
 #[test]
 fn recording() {
     replay("recording", bodies::recording);
+    let whole = std::fs::read(
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/left_the_speed_envelope.mcap"),
+    )
+    .unwrap();
+    assert!(bodies::recording(&whole));
+    let outcome = records(&whole)
+        .into_iter()
+        .map(|(opcode, start, end)| (opcode, &whole[start + 9..end]))
+        .find(|(opcode, body)| *opcode == 12 && body[4..].starts_with(b"outcome"))
+        .unwrap()
+        .1;
+    let mut seed = [&[1], outcome].concat();
+    assert!(bodies::recording(&seed));
+    // The body replaces a wrong checksum.
+    let checksum = seed.windows(5).position(|word| word == b"crc32").unwrap() + 9;
+    seed[checksum] ^= 1;
+    assert!(bodies::recording(&seed));
 }
 
 #[test]
 fn configuration() {
     replay("configuration", bodies::configuration);
+    assert!(bodies::configuration(SessionSettings::quick().to_toml().unwrap().as_bytes()));
 }
 
 #[test]
 fn ledger() {
     replay("ledger", bodies::ledger);
+    let entries = [
+        Entry::Proposed {
+            candidate: 0,
+            purpose: Purpose::Initial,
+            psi: vec![0.1, 1.0 / 3.0],
+            pending: Vec::new(),
+        },
+        Entry::Trained { candidate: 0 },
+    ];
+    let lines = entries.map(|entry| serde_json::to_string(&entry).unwrap());
+    assert!(bodies::ledger(format!("!{}", lines.join("\n")).as_bytes()));
+}
+
+/// The bytes of a policy file with the classical controller.
+fn classical() -> Vec<u8> {
+    Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes()
 }
 
 /// Rebuilds the seeds of the corpus from files that this program writes.
@@ -79,7 +124,7 @@ fn make_seeds() {
 
     let small = "strategy = \"random\"\n[extent]\ninitial_candidates = 1\niterations = 0\n\
         rollouts = 1\nverification_rollouts = 1\nsteps = 1\n[homing]\nmethod = \"hand\"\n\
-        [training]\nupdates = 1\npendulums = 16\nepochs = 1\nevaluation_starts = 1\n";
+        [training]\nupdates = 1\nnum_envs = 16\nepochs = 1\nevaluation_starts = 1\n";
     std::fs::write(directory.path().join("small.toml"), small).unwrap();
     program(&["session", "--clock", "virtual", "--config", "small.toml", "--out", "session"]);
     let file = |name: &str| std::fs::read(directory.path().join("session").join(name)).unwrap();
@@ -99,8 +144,7 @@ fn make_seeds() {
 
     let policy = file("candidates/000/policy.safetensors");
     put("policy", "network", &policy);
-    let classical = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
-    put("policy", "classical", &classical.to_bytes());
+    put("policy", "classical", &classical());
     put("policy", "torn", &policy[..400]);
 
     let recording = file("candidates/000/rollout-0-attempt-0.mcap");

@@ -4,10 +4,11 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use assert_cmd::Command;
 use qube_hil::qube::{PlantModel, Profile, Quantity};
 use qube_hil::replay::MotionLog;
 use serde_json::Value;
+
+use crate::program::{program, succeeds};
 
 const LARGER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/plants/furuta-130.toml");
 const LAB: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/profiles/lab.toml");
@@ -21,17 +22,6 @@ fn specimen() -> Profile {
     let lab = Profile::parse(&std::fs::read_to_string(LAB).unwrap()).unwrap();
     let model = larger().in_proportion(&lab.model());
     Profile { plant: larger().name, ..Profile::exact("specimen", &model) }
-}
-
-fn program(directory: &Path) -> Command {
-    let mut command = Command::cargo_bin("qube-hil").unwrap();
-    command.current_dir(directory).env("HOME", directory);
-    command
-}
-
-fn succeeds(directory: &Path, arguments: &[&str]) -> String {
-    let output = program(directory).args(arguments).assert().success();
-    String::from_utf8(output.get_output().stdout.clone()).unwrap()
 }
 
 fn refused(directory: &Path, arguments: &[&str], words: &[&str]) {

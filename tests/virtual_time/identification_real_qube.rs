@@ -2,7 +2,7 @@
 //!
 //! The recordings are not part of the repository. `$QUBE_HIL_RECORDINGS` names their folder; if the
 //! variable is not set, the folder is `../shared/data/qube-recordings`, relative to the repository.
-//! Without that folder these tests say that they are skipped, and pass.
+//! Without variable and folder these tests say that they are skipped, and pass.
 
 use std::path::{Path, PathBuf};
 
@@ -13,14 +13,28 @@ use qube_hil::qube::{CONTROL_PERIOD_S, Measurement, PlantModel, QubeModel, RAD_P
 use qube_hil::replay::{AngleError, MotionLog, simulate_from_first_state};
 use qube_hil::safety::MotorHeat;
 
+/// The folder of the recordings; `None` if the tests are to be skipped.
 fn recordings() -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/qube-recordings");
-    let folder = std::env::var_os("QUBE_HIL_RECORDINGS").map_or(beside, PathBuf::from);
+    if let Some(named) = std::env::var_os("QUBE_HIL_RECORDINGS") {
+        let folder = PathBuf::from(named);
+        assert!(folder.is_dir(), "QUBE_HIL_RECORDINGS names no folder: {}", folder.display());
+        return Some(folder);
+    }
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/qube-recordings");
     if folder.is_dir() {
         return Some(folder);
     }
     eprintln!("SKIPPED: no recordings of a real Qube in {}", folder.display());
     None
+}
+
+/// The paths of all recordings in a folder, of which there must be one at least.
+fn all_of(folder: &Path) -> Vec<PathBuf> {
+    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let is_recording = |path: &PathBuf| path.extension().is_some_and(|it| it == "csv");
+    let recordings: Vec<PathBuf> = paths.filter(is_recording).collect();
+    assert!(!recordings.is_empty(), "there is no recording in {}", folder.display());
+    recordings
 }
 
 fn rmse_of_chirps(folder: &Path) -> Vec<(String, AngleError)> {
@@ -52,11 +66,7 @@ fn nominal_physics_is_half_a_radian_off_on_real_chirps() {
 #[test]
 fn the_motor_of_a_real_qube_stays_cool() {
     let Some(folder) = recordings() else { return };
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.extension().is_none_or(|extension| extension != "csv") {
-            continue;
-        }
+    for path in all_of(&folder) {
         let log = MotionLog::read(&path).unwrap();
         let (mut heat, mut largest, mut next_s) = (MotorHeat::default(), 0.0_f64, 0.0);
         for sample in &log.samples {
@@ -75,16 +85,10 @@ fn the_motor_of_a_real_qube_stays_cool() {
 #[test]
 fn every_recording_can_be_read() {
     let Some(folder) = recordings() else { return };
-    let mut count = 0;
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.extension().is_some_and(|extension| extension == "csv") {
-            let log = MotionLog::read(&path).unwrap();
-            assert!(log.samples.len() > 2000, "{}", path.display());
-            count += 1;
-        }
+    for path in all_of(&folder) {
+        let log = MotionLog::read(&path).unwrap();
+        assert!(log.samples.len() > 2000, "{}", path.display());
     }
-    assert!(count > 0);
 }
 
 /// An independent fit of the same terms gave 0.061 rad (theta) and 0.025 rad (alpha).
@@ -135,15 +139,13 @@ fn a_model_fitted_to_chirps_and_swing_ups_predicts_swing_ups_that_it_was_not_fit
 }
 
 /// Samples of a real Qube's swing-ups and chirps, at least 10 ms apart, raise no alarm. The
-/// recordings have no current, so the check for a motor without current does not act.
+/// recordings have no current; that of the nominal motor at their voltage and velocity takes its
+/// place.
 #[test]
 fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
     let Some(folder) = recordings() else { return };
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.extension().is_none_or(|extension| extension != "csv") {
-            continue;
-        }
+    let motor = PlantModel::QUBE.parameters;
+    for path in all_of(&folder) {
         let log = MotionLog::read(&path).unwrap();
         let mut watch = SensorWatch::with_cross_check(&PlantModel::QUBE, Calibration::IDENTITY);
         let mut next_s = 0.0;
@@ -152,6 +154,9 @@ fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
                 continue;
             }
             next_s = sample.time_s + 0.01;
+            let back_emf_v = motor.motor_back_emf_v_s * sample.state.theta_dot;
+            let current_a = (sample.voltage_v - back_emf_v) / motor.motor_resistance_ohm;
+            let voltage_mv = (1000.0 * sample.voltage_v) as i16;
             let alarm = watch.check(
                 &Measurement {
                     device_time_us: (1e6 * sample.time_s).round() as u64,
@@ -159,10 +164,12 @@ fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
                     alpha_counts: (sample.state.alpha / RAD_PER_COUNT).round() as i32,
                     // The recordings have no tachometer; their filtered velocity takes its place.
                     tachometer_counts_s: (sample.state.theta_dot / RAD_PER_COUNT) as i32,
+                    current_a: current_a as f32,
+                    applied_mv: voltage_mv,
                     ..Measurement::default()
                 },
                 Some(ArmInput {
-                    voltage_mv: (1000.0 * sample.voltage_v) as i16,
+                    voltage_mv,
                     swing_rad_s: sample.state.alpha.cos() * sample.state.alpha_dot,
                 }),
             );

@@ -87,7 +87,7 @@ fn a_recorded_voltage_is_rounded_as_the_firmware_rounds_it() {
 }
 
 #[test]
-fn rollouts_of_a_policy_identify_the_emulated_lab() {
+fn a_rollout_of_a_policy_gives_a_model_that_predicts_another_one() {
     let directory = tempfile::tempdir().unwrap();
     let policy = concat!(env!("CARGO_MANIFEST_DIR"), "/policies/robust.safetensors");
     let run = ["run", "--policy", policy, "--profile", "lab", "--clock", "virtual"];

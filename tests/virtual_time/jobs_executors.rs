@@ -61,14 +61,19 @@ fn workers_started_by_a_command_give_the_same_bytes_as_this_computer_alone() {
 fn a_computer_whose_clock_differs_is_named_and_changes_nothing() {
     let directory = tempfile::tempdir().unwrap();
     let directory = directory.path();
+    ["alone", "beside"].iter().for_each(|it| std::fs::create_dir(directory.join(it)).unwrap());
+    let output = experiment(directory, "alone/same", &[]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let far = "{\"host\":\"far\",\"process\":1,\"started\":1,\"boot\":\"b\",\"at_s\":1}\n";
     std::fs::write(directory.join("far"), far).unwrap();
     let command = "cp far {folder}/workers/far-1-1; sleep 2; {work}";
-    let output =
-        experiment(directory, "out", &["--executor", command, "--workers", "1", "--stale", "1"]);
+    let options = ["--executor", command, "--workers", "1", "--stale", "1"];
+    let output = experiment(directory, "beside/same", &options);
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{stderr}");
     assert!(stderr.contains("the clock of far differs by"), "{stderr}");
+    let alone = bytes(&directory.join("alone/same"));
+    assert!(!alone.is_empty() && alone == bytes(&directory.join("beside/same")));
 }
 
 #[track_caller]
@@ -104,10 +109,13 @@ fn workers_that_are_always_ended_early_are_not_started_for_ever() {
     let directory = directory.path();
     let long = directory.join("long.toml");
     std::fs::write(&long, TINY.replace("updates = 2", "updates = 100000")).unwrap();
+    // Ends each worker as soon as its file is in the folder, however slow its start was.
+    let ended = "{work} & worker=$!; until ls {folder}/workers | grep -q -e \"-$worker-\"; \
+                 do sleep 0.05; done; kill $worker; wait $worker; true";
     let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
         .current_dir(directory)
         .args(["experiment", "--recipe", "long.toml", "--policies", "1", "--rollouts", "1"])
-        .args(["--executor", "timeout 0.3 {work}", "--workers", "1", "--stale", "1"])
+        .args(["--executor", ended, "--workers", "1", "--stale", "1"])
         .stdin(Stdio::null())
         .output()
         .unwrap();

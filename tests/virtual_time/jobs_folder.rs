@@ -1,15 +1,16 @@
 //! Tests trainings in a folder that worker processes share: every policy has the same bytes as if
 //! this computer had trained it alone, whatever happens to the workers.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use qube_hil::elementary::Level;
 use qube_hil::jobs::folder::{ClaimEnding, Heartbeat, Holder, JobFolder, Terms};
 use qube_hil::jobs::{
     Executor, FolderExecutor, JobError, JobEvent, JobFolderError, LocalExecutor, TrainingJob,
@@ -77,30 +78,37 @@ fn work(root: &Path, options: &[&str]) -> Command {
 }
 
 /// A worker process that is killed when the test ends.
-struct WorkerProcess(Child);
+struct WorkerProcess {
+    child: Child,
+    /// The messages that [`Self::says`] has not read yet.
+    messages: BufReader<ChildStderr>,
+}
 
 impl WorkerProcess {
     fn start(root: &Path, options: &[&str]) -> Self {
-        Self(work(root, options).spawn().unwrap())
+        let mut child = work(root, options).spawn().unwrap();
+        let messages = BufReader::new(child.stderr.take().unwrap());
+        Self { child, messages }
     }
 
-    /// Waits until the worker has printed a line that contains `word`.
+    /// Waits until the worker has printed a line that contains `word`, after the line of the last
+    /// call.
     fn says(&mut self, word: &str) {
-        let lines = BufReader::new(self.0.stderr.as_mut().unwrap()).lines();
-        assert!(lines.map_while(Result::ok).any(|line| line.contains(word)), "never {word}");
+        let mut lines = self.messages.by_ref().lines().map_while(Result::ok);
+        assert!(lines.any(|line| line.contains(word)), "never {word}");
     }
 
     fn signal(&self, signal: i32) {
         // SAFETY: `kill` touches no memory; the child has not been waited for, so no other process
         // has its id.
-        assert_eq!(unsafe { libc::kill(self.0.id() as i32, signal) }, 0);
+        assert_eq!(unsafe { libc::kill(self.child.id() as i32, signal) }, 0);
     }
 }
 
 impl Drop for WorkerProcess {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
@@ -115,8 +123,15 @@ fn two_workers_with_other_instruction_sets_train_the_policies_of_this_computer()
     let (root, jobs) = (directory.path(), jobs(6, 2));
     let executor = executor(root);
     // Both have the same slot, as if one worker had been started twice.
-    let _one = WorkerProcess::start(root, &["--slot", "1/2"]);
-    let _other = WorkerProcess::start(root, &["--slot", "1/2", "--instruction-set", "avx2"]);
+    let mut one = WorkerProcess::start(root, &["--slot", "1/2"]);
+    let mut other = WorkerProcess::start(root, &["--slot", "1/2", "--instruction-set", "avx2"]);
+    if Level::Avx2.is_available() {
+        one.says("waiting");
+        other.says("waiting");
+        let files = executor.folder().worker_files().unwrap();
+        let refusals = files.iter().filter(|name| name.ends_with(".refused")).count();
+        assert_eq!((files.len(), refusals), (2, 0), "{files:?}");
+    }
     are_those_of_this_computer(&jobs, trained(&executor, &jobs));
     // Nothing is left of the work.
     let names = |part: &str| fs::read_dir(root.join(part)).unwrap().count();
@@ -133,7 +148,7 @@ fn the_job_of_a_killed_worker_is_done_by_another() {
         let mut killed = WorkerProcess::start(root, &[]);
         killed.says("training");
         killed.signal(libc::SIGKILL);
-        killed.0.wait().unwrap();
+        killed.child.wait().unwrap();
         let _other = WorkerProcess::start(root, &[]);
         results.join().unwrap()
     });
@@ -143,7 +158,8 @@ fn the_job_of_a_killed_worker_is_done_by_another() {
 #[test]
 fn a_worker_that_is_taken_for_dead_and_wakes_up_changes_nothing() {
     let directory = tempfile::tempdir().unwrap();
-    let (root, jobs) = (directory.path(), jobs(1, 8));
+    // The training is so long that the worker is stopped before its end.
+    let (root, jobs) = (directory.path(), jobs(1, 50));
     let executor = executor(root);
     let results = std::thread::scope(|scope| {
         let results = scope.spawn(|| trained(&executor, &jobs));
@@ -163,7 +179,10 @@ fn a_worker_that_is_taken_for_dead_and_wakes_up_changes_nothing() {
 fn a_stale_claim_of_another_computer_is_taken_over_and_a_living_one_is_not() {
     let directory = tempfile::tempdir().unwrap();
     let (root, jobs) = (directory.path(), jobs(1, 1));
-    let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
+    // A busy computer may hold this thread up between two beats, but not for so long.
+    let terms = Terms { stale_ms: 5_000, ..hasty() };
+    let lives_for = terms.stale() + Duration::from_secs(1);
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, terms).unwrap();
     let name = folder.put(&jobs[0]).unwrap();
     let claim = |number| {
         Heartbeat::create(&MachineDisk, &folder.claim(&name, number), &elsewhere())
@@ -172,14 +191,16 @@ fn a_stale_claim_of_another_computer_is_taken_over_and_a_living_one_is_not() {
     };
     let mut living = claim(0);
     let mut worker = WorkerProcess::start(root, &["--linger", "0"]);
-    for _ in 0..30 {
+    worker.says("waiting");
+    let begun = Instant::now();
+    while begun.elapsed() < lives_for {
         std::thread::sleep(Duration::from_millis(50));
         living.beat().unwrap();
     }
     assert!(!folder.claim(&name, 1).exists() && !folder.has_result(&name));
     drop(living);
     worker.says("try 2");
-    assert!(worker.0.wait().unwrap().success());
+    assert!(worker.child.wait().unwrap().success());
     assert!(folder.has_result(&name));
 }
 
@@ -201,6 +222,7 @@ fn a_half_written_result_is_made_again() {
     fs::remove_file(other).unwrap();
     // A result that was never renamed does not count.
     fs::write(root.join("results").join(format!("{name}.a-1-2.unfinished")), &whole).unwrap();
+    assert_eq!(folder.results().unwrap(), BTreeSet::from([name]));
     let _worker = WorkerProcess::start(root, &[]);
     are_those_of_this_computer(&jobs, trained(&executor, &jobs));
 }
@@ -242,14 +264,14 @@ fn a_stopped_worker_gives_its_job_back() {
     let mut worker = WorkerProcess::start(root, &[]);
     worker.says("training");
     worker.signal(libc::SIGTERM);
-    assert_eq!(worker.0.wait().unwrap().code(), Some(143));
+    assert_eq!(worker.child.wait().unwrap().code(), Some(143));
     let claim = fs::read_to_string(folder.claim(&name, 0)).unwrap();
     assert!(claim.ends_with("\n\"stopped\"\n"), "{claim}");
     // The end of the coordinator stops a worker too.
     let mut worker = WorkerProcess::start(root, &[]);
     worker.says("try 2");
     folder.close().unwrap();
-    assert!(worker.0.wait().unwrap().success());
+    assert!(worker.child.wait().unwrap().success());
 }
 
 #[test]
@@ -265,12 +287,12 @@ fn the_jobs_of_a_killed_coordinator_are_found_again() {
     let executor = executor(root);
     let (number, results) = std::thread::scope(|scope| {
         let results = scope.spawn(|| trained(&executor, &jobs));
-        (worker.0.id(), results.join().unwrap())
+        (worker.child.id(), results.join().unwrap())
     });
     are_those_of_this_computer(&jobs, results);
     drop(executor);
     // The only worker has done both jobs, and ends without an error.
-    assert!(worker.0.wait().unwrap().success(), "worker {number}");
+    assert!(worker.child.wait().unwrap().success(), "worker {number}");
 }
 
 fn refused(output: &Output, words: &[&str]) {

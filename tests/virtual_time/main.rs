@@ -33,6 +33,7 @@ mod logged;
 mod policy_shipped;
 mod preflight_qube;
 mod preflight_rigs;
+mod program;
 mod recording_table;
 mod report_page;
 mod rig_link_faults;

@@ -16,11 +16,13 @@ fn returns(policy: &str, qube: &[&str]) -> Vec<f64> {
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let told: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let stands = |rollout: &Value| rollout.as_bool().unwrap();
-    assert!(told["success"].as_array().unwrap().iter().all(stands), "{told}");
+    let succeeded = |rollout: &Value| rollout.as_bool().unwrap();
+    assert!(told["success"].as_array().unwrap().iter().all(succeeded), "{told}");
     told["returns"].as_array().unwrap().iter().map(|it| it.as_f64().unwrap()).collect()
 }
 
+/// The least returns lie 16 to 45 below those in `policies/README.md`. A step of 10 ms earns at
+/// most 1, so they detect a policy that loses 0.16 to 0.45 s of its balance; smaller losses pass.
 #[test]
 fn each_policy_balances_on_the_qubes_that_it_is_for() {
     for (policy, qube, at_least) in [

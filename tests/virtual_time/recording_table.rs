@@ -22,7 +22,8 @@ fn every_tick_is_a_row_that_reads_back_exactly() {
     let export = ["export", "run/rollout-0.mcap", "--out", "tables"];
     let output = qube_hil(directory, &export);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let table = std::fs::read_to_string(directory.join("tables/rollout-0.csv")).unwrap();
+    let path = directory.join("tables/rollout-0.csv");
+    let table = std::fs::read_to_string(&path).unwrap();
     let mut recording = read(&directory.join("run/rollout-0.mcap")).unwrap();
     assert_eq!(table, csv_table(&recording));
 
@@ -49,15 +50,16 @@ fn every_tick_is_a_row_that_reads_back_exactly() {
     recording.ticks.truncate(1);
     recording.ticks[0].measurement = None;
     recording.ticks[0].state.theta = f64::NAN;
-    let table = csv_table(&recording);
-    let row: Vec<&str> = table.lines().nth(1).unwrap().split(',').collect();
+    let short_table = csv_table(&recording);
+    let row: Vec<&str> = short_table.lines().nth(1).unwrap().split(',').collect();
     assert_eq!(row.len(), COLUMNS.len(), "{row:?}");
     assert_eq!((row[column("theta_rad")], row[column("device_time_us")]), ("", ""));
     assert_ne!(row[column("deadline_ns")], "");
 
-    // The program refuses to replace an existing table.
+    // The program refuses to replace an existing table, and leaves it as it is.
     let output = qube_hil(directory, &export);
     assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), table);
 
     // The same table in Parquet has the same columns, numbers and gaps. python/tests reads such a
     // table with another reader.

@@ -188,7 +188,7 @@ fn an_experiment_becomes_a_page_and_a_rollout_a_moving_picture() {
 }
 
 #[test]
-fn what_is_no_session_and_what_exists_is_refused() {
+fn a_source_without_a_session_and_an_existing_page_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let directory = directory.path();
     fs::write(directory.join("mine.html"), "mine").unwrap();

@@ -36,6 +36,7 @@ struct TroubledWire {
     trouble: Trouble,
     from_ns: Nanoseconds,
     to_ns: Nanoseconds,
+    /// Pieces that are still on their way, each with the time of its arrival.
     held: VecDeque<(Nanoseconds, Vec<u8>)>,
     is_broken: bool,
 }
@@ -69,12 +70,12 @@ impl Transport for TroubledWire {
             let wake_ns = self.held.front().map_or(deadline_ns, |(time_ns, _)| *time_ns);
             let mut piece = [0; 64];
             let length = self.wire.read(&mut piece, wake_ns.min(deadline_ns))?;
-            if length > 0 && !self.in_trouble() && self.held.is_empty() {
-                buffer[..length].copy_from_slice(&piece[..length]);
-                return Ok(length);
-            }
             if length > 0 {
-                self.held.push_back((self.clock.now_ns() + delay_ns, piece[..length].to_vec()));
+                let late_ns = if self.in_trouble() { delay_ns } else { 0 };
+                // A piece does not overtake the one before it.
+                let last_ns = self.held.back().map_or(0, |(time_ns, _)| *time_ns);
+                let due_ns = last_ns.max(self.clock.now_ns() + late_ns);
+                self.held.push_back((due_ns, piece[..length].to_vec()));
             } else if self.clock.now_ns() >= deadline_ns {
                 return Ok(0);
             }

@@ -4,13 +4,14 @@
 
 use std::path::Path;
 
-use assert_cmd::Command;
 use qube_hil::policy::Policy;
 use qube_hil::qube::PlantModel;
 use qube_hil::recording::{Recording, read};
 use qube_hil::replay::rerun;
 use qube_hil::safety::SafetyBox;
 use qube_hil::telemetry::{Ending, Phase};
+
+use crate::program::program;
 
 /// The shipped example, with a smaller largest voltage, so that the test tells it from a Qube's.
 fn plant_file(directory: &Path) -> PlantModel {
@@ -19,12 +20,6 @@ fn plant_file(directory: &Path) -> PlantModel {
     let text = text.replace("largest_voltage_v = 5.0", "largest_voltage_v = 4.5");
     std::fs::write(directory.join("larger.toml"), &text).unwrap();
     PlantModel::parse(&text).unwrap()
-}
-
-fn program(directory: &Path) -> Command {
-    let mut command = Command::cargo_bin("qube-hil").unwrap();
-    command.current_dir(directory).env("HOME", directory);
-    command
 }
 
 fn trained(directory: &Path, policy: &str, arguments: &[&str]) {
@@ -146,6 +141,16 @@ fn hardware_obeys_a_plant_file_that_is_no_qubes_only_with_consent() {
             .code(2);
         let told = String::from_utf8(output.get_output().stderr.clone()).unwrap();
         assert!(told.contains("--accept-plant") && told.contains("furuta-130"), "{told}");
+    }
+    // With consent the command looks for its device, of which there is none.
+    for command in [&["run", "--excite", "chirp"][..], &["session"]] {
+        let output = program(directory)
+            .args(command)
+            .args(["--device", "/dev/none", "--plant", "larger.toml", "--accept-plant"])
+            .assert()
+            .code(2);
+        let told = String::from_utf8(output.get_output().stderr.clone()).unwrap();
+        assert!(told.contains("no such port: /dev/none"), "{command:?}: {told}");
     }
 }
 

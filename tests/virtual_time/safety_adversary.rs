@@ -32,7 +32,7 @@ fn no_adversary_reaches_the_hard_stop_or_more_than_five_volts() {
 
 /// The search is effective: in the box alone, without foresight, two generations suffice.
 #[test]
-fn without_the_guard_the_same_search_hits_at_once() {
+fn in_the_box_alone_the_same_search_hits_at_once() {
     let domain = Domain { safety_box: SafetyBox::THESIS, ..PROMISED };
     let worst = search(&domain, 1, 2);
     assert!(worst.episode.farthest_rad > HARD_STOP_RAD, "{:?}", worst.episode);
@@ -43,5 +43,5 @@ fn an_episode_repeats() {
     let worst = search(&PROMISED, 7, 1);
     let again = play(&worst.genes, &PROMISED, worst.seed);
     assert_eq!(again.farthest_rad.to_bits(), worst.episode.farthest_rad.to_bits());
-    assert_eq!((again.ending, again.ticks), (worst.episode.ending, worst.episode.ticks));
+    assert_eq!((again.ending, again.last_tick), (worst.episode.ending, worst.episode.last_tick));
 }

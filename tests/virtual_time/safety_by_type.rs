@@ -230,8 +230,11 @@ fn every_written_file_names_its_guard() {
     let expected = "{\"theta\":2.3,\"alpha\":12.566370614359172,\"theta_dot\":30.0,\
                     \"alpha_dot\":40.0,\"guard\":\"foresight\"}";
     assert_eq!(json, expected);
+    let json = serde_json::to_string(&SafetyBox::THESIS).unwrap();
+    assert!(json.contains("\"guard\":\"box\""), "{json}");
     let header = parse(&old("recording/two-blocks")).unwrap().header;
     let json = serde_json::to_string(&header).unwrap();
+    assert!(json.contains("\"guard\":\"box\""), "{json}");
     assert!(!json.contains("hard_stop_accepted"), "{json}");
 }
 

@@ -119,12 +119,27 @@ fn a_session_has_the_same_bytes_however_long_its_trainings_take() {
     assert_eq!(pending_of(&ledgers[2]), [[0, 1], [1, 2], [2, 3]]);
 }
 
+/// The candidates that are trained, in the order of their trainings. Candidate 5 runs the
+/// incumbent's policy, and 6, the recommendation, trains meanwhile.
+const TRAINED: [u64; 6] = [0, 1, 2, 3, 4, 6];
+
 /// Holds the training of each candidate after the initial ones back until the rollout of the
 /// candidate before it has ended.
 struct Holding {
     jobs: AtomicU64,
+    /// The candidate whose training began last.
+    begun: Arc<AtomicU64>,
     /// Number of candidates whose rollouts have ended.
     ended: Arc<AtomicU64>,
+}
+
+/// Waits until a counter has reached a value; fails with the reason `late` after two minutes.
+fn wait_for(counter: &AtomicU64, value: u64, late: &str) {
+    let begun = Instant::now();
+    while counter.load(Ordering::SeqCst) < value {
+        assert!(begun.elapsed() < Duration::from_secs(120), "{late}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
 }
 
 impl Executor for Holding {
@@ -133,15 +148,11 @@ impl Executor for Holding {
     }
 
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
-        // Candidate 5 runs the incumbent's policy, and 6, the recommendation, trains meanwhile.
-        let candidate = [0, 1, 2, 3, 4, 6][self.jobs.fetch_add(1, Ordering::SeqCst) as usize];
-        let begun = Instant::now();
-        while candidate >= 2 && self.ended.load(Ordering::SeqCst) < candidate {
-            assert!(
-                begun.elapsed() < Duration::from_secs(120),
-                "the Qube waits for the training of candidate {candidate}"
-            );
-            std::thread::sleep(Duration::from_millis(5));
+        let candidate = TRAINED[self.jobs.fetch_add(1, Ordering::SeqCst) as usize];
+        self.begun.store(candidate, Ordering::SeqCst);
+        if candidate >= 2 {
+            let late = format!("the Qube waits for the training of candidate {candidate}");
+            wait_for(&self.ended, candidate, &late);
         }
         LocalExecutor::on_cores(1).train(jobs, stop, tell);
     }
@@ -150,13 +161,19 @@ impl Executor for Holding {
 #[test]
 fn each_policy_trains_while_the_one_before_runs_on_the_qube() {
     let directory = tempfile::tempdir().unwrap();
-    let ended = Arc::new(AtomicU64::new(0));
-    let executor = Holding { jobs: AtomicU64::new(0), ended: Arc::clone(&ended) };
+    let (begun, ended) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
+    let executor =
+        Holding { jobs: AtomicU64::new(0), begun: Arc::clone(&begun), ended: Arc::clone(&ended) };
     let mut session = open(&directory.path().join("session"), &settings(1), Arc::new(executor));
     session
         .run(&mut |event| {
             if let SessionEvent::Rollout { candidate, .. } = event {
-                ended.store(u64::from(candidate) + 1, Ordering::SeqCst);
+                let next = u64::from(candidate) + 1;
+                if next >= 2 && TRAINED.contains(&next) {
+                    let late = format!("candidate {next} trains after the rollout before it");
+                    wait_for(&begun, next, &late);
+                }
+                ended.store(next, Ordering::SeqCst);
             }
         })
         .unwrap();

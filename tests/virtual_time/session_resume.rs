@@ -150,7 +150,7 @@ fn is_stopped_and_resumed(kind: Signal, expected: i32, updates: u32) -> bool {
 }
 
 /// Resumes a session in this folder; returns its exit code, and its messages before its result.
-fn resumed(directory: &Path, name: &str) -> (Option<i32>, String) {
+fn resume(directory: &Path, name: &str) -> (Option<i32>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
         .current_dir(directory)
         .args(["session", "--clock", "virtual", "--resume", name, "--json"])
@@ -171,12 +171,12 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     assert_ne!(other_seed, whole);
     for changed in ["", &other_seed] {
         std::fs::write(&path, changed).unwrap();
-        let (code, told) = resumed(directory.path(), "mine");
+        let (code, told) = resume(directory.path(), "mine");
         assert_eq!(code, Some(2), "{told}");
         assert!(told.contains("session.toml was changed"), "{told}");
     }
     std::fs::write(&path, &whole).unwrap();
-    let (code, told) = resumed(directory.path(), "mine");
+    let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(0), "{told}");
 
     // A ledger without a checksum of the settings is accepted.
@@ -185,7 +185,7 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     let (first, others) = lines.split_once('\n').unwrap();
     assert!(first.contains("begun"), "{first}");
     std::fs::write(&ledger, others).unwrap();
-    let (code, told) = resumed(directory.path(), "mine");
+    let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(0), "{told}");
     assert_eq!(std::fs::read_to_string(&ledger).unwrap(), others);
 }
@@ -194,7 +194,7 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
 fn a_best_policy_that_is_lost_is_data_lost() {
     let directory = tempfile::tempdir().unwrap();
     assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
-    let (_, told) = resumed(directory.path(), "mine");
+    let (_, told) = resume(directory.path(), "mine");
     let told: serde_json::Value = serde_json::from_str(told.lines().last().unwrap()).unwrap();
     let policy = directory.path().join(told["best"]["policy"].as_str().unwrap());
     let whole = std::fs::read(&policy).unwrap();
@@ -203,7 +203,7 @@ fn a_best_policy_that_is_lost_is_data_lost() {
         if !damaged {
             std::fs::remove_file(&policy).unwrap();
         }
-        let (code, told) = resumed(directory.path(), "mine");
+        let (code, told) = resume(directory.path(), "mine");
         assert_eq!(code, Some(3), "{told}");
         assert!(told.contains("best policy is lost"), "{told}");
         let told: serde_json::Value = serde_json::from_str(told.lines().last().unwrap()).unwrap();
@@ -218,7 +218,7 @@ fn a_finished_recording_that_was_cut_is_data_lost() {
     let recording = directory.path().join("mine/candidates/001/rollout-0-attempt-0.mcap");
     let whole = std::fs::read(&recording).unwrap();
     std::fs::write(&recording, &whole[..whole.len() / 2]).unwrap();
-    let (code, told) = resumed(directory.path(), "mine");
+    let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(3), "{told}");
     assert!(told.contains("rollout-0-attempt-0.mcap") && told.contains("missing"), "{told}");
 
@@ -228,18 +228,18 @@ fn a_finished_recording_that_was_cut_is_data_lost() {
     let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 4).collect();
     std::fs::write(&ledger, &earlier).unwrap();
     std::fs::remove_file(&recording).unwrap();
-    let (code, told) = resumed(directory.path(), "mine");
+    let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(3), "{told}");
     assert!(told.contains("its recording is missing. Put the file back"), "{told}");
     assert_eq!(std::fs::read_to_string(&ledger).unwrap(), earlier);
 
     std::fs::write(&ledger, entries).unwrap();
     std::fs::write(&recording, whole).unwrap();
-    assert_eq!(resumed(directory.path(), "mine").0, Some(0));
+    assert_eq!(resume(directory.path(), "mine").0, Some(0));
 }
 
 /// Runs a session with these arguments; returns its exit code and messages.
-fn ended(directory: &Path, arguments: &[&str]) -> (Option<i32>, String) {
+fn run_session(directory: &Path, arguments: &[&str]) -> (Option<i32>, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
         .current_dir(directory)
         .args(["session", "--clock", "virtual"])
@@ -256,7 +256,7 @@ fn a_session_goes_on_with_the_guard_and_the_homing_that_it_began_with() {
     std::fs::write(directory.path().join("small.toml"), small(UPDATES[0])).unwrap();
     let begin = |name: &str, more: &[&str]| {
         let begin = ["--config", "small.toml", "--out", name];
-        let (code, told) = ended(directory.path(), &[&begin[..], more].concat());
+        let (code, told) = run_session(directory.path(), &[&begin[..], more].concat());
         assert_eq!(code, Some(0), "{told}");
     };
     begin("plain", &[]);
@@ -274,7 +274,7 @@ fn a_session_goes_on_with_the_guard_and_the_homing_that_it_began_with() {
         ("shared", &["--home", "stops"], 2, "give --home hand"),
         ("shared", &[], 0, ""),
     ] {
-        let (code, told) = ended(directory.path(), &[&["--resume", name], given].concat());
+        let (code, told) = run_session(directory.path(), &[&["--resume", name], given].concat());
         assert_eq!(code, Some(expected), "{name} {given:?}: {told}");
         assert!(told.contains(words), "{name} {given:?}: {told}");
     }
@@ -285,7 +285,7 @@ fn a_resumed_session_guards_an_unidentified_qube_as_one() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::write(directory.path().join("small.toml"), small(UPDATES[0])).unwrap();
     let begin = ["--config", "small.toml", "--out", "mine", "--unidentified"];
-    assert_eq!(ended(directory.path(), &begin).0, Some(0));
+    assert_eq!(run_session(directory.path(), &begin).0, Some(0));
     let recording = directory.path().join("mine/candidates/006/rollout-0-attempt-0.mcap");
     let belief = || qube_hil::recording::read(&recording).unwrap().header.settings.foresight;
     let before = belief();
@@ -300,7 +300,7 @@ fn a_resumed_session_guards_an_unidentified_qube_as_one() {
             std::fs::remove_file(rollout).unwrap();
         }
     }
-    assert_eq!(ended(directory.path(), &["--resume", "mine"]).0, Some(0));
+    assert_eq!(run_session(directory.path(), &["--resume", "mine"]).0, Some(0));
     assert_eq!(belief(), before);
 }
 
@@ -318,7 +318,7 @@ fn a_session_of_a_real_qube_is_not_resumed_on_an_emulated_one() {
     ticks.iter().for_each(|tick| writer.write(tick).unwrap());
     writer.finish(&outcome.unwrap()).unwrap();
     let before = ledger(directory.path(), "mine");
-    let (code, told) = resumed(directory.path(), "mine");
+    let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(2), "{told}");
     assert!(told.contains(&format!("began on board {board}")), "{told}");
     assert!(told.contains("an emulated Qube cannot take its place"), "{told}");

@@ -28,7 +28,7 @@ const SMALL: &str = "seed = 5\n\
     [training]\nnum_envs = 16\nepochs = 1\n";
 
 /// The command `session` in virtual time with these arguments.
-fn pair(directory: &Path, arguments: &[&str]) -> Command {
+fn session_command(directory: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
     command.current_dir(directory).args(["session", "--clock", "virtual"]).args(arguments);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -36,7 +36,7 @@ fn pair(directory: &Path, arguments: &[&str]) -> Command {
 }
 
 fn ended(directory: &Path, arguments: &[&str]) -> Output {
-    let mut command = pair(directory, arguments);
+    let mut command = session_command(directory, arguments);
     command.stdout(Stdio::piped()).stderr(Stdio::piped()).output().unwrap()
 }
 
@@ -72,9 +72,9 @@ fn json(output: &Output) -> Value {
 /// returns whether there was time for a kill.
 fn is_killed_and_resumed(rig_policy: &str, first_file: &str, updates: u32) -> bool {
     let whole = with_settings(updates);
-    assert!(pair(whole.path(), &begin(rig_policy)).status().unwrap().success());
+    assert!(session_command(whole.path(), &begin(rig_policy)).status().unwrap().success());
     let killed = with_settings(updates);
-    let mut child: Child = pair(killed.path(), &begin(rig_policy)).spawn().unwrap();
+    let mut child: Child = session_command(killed.path(), &begin(rig_policy)).spawn().unwrap();
     while !killed.path().join("two").join(first_file).exists() {
         assert!(child.try_wait().unwrap().is_none(), "it ended without {first_file}");
         std::thread::sleep(Duration::from_millis(2));
@@ -91,7 +91,7 @@ fn is_killed_and_resumed(rig_policy: &str, first_file: &str, updates: u32) -> bo
             let _ = kill_process(Pid::from_child(&child), Signal::KILL);
             kills += 1;
             child.wait().unwrap();
-            child = pair(killed.path(), &["--resume", "two"]).spawn().unwrap();
+            child = session_command(killed.path(), &["--resume", "two"]).spawn().unwrap();
         }
     }
     let files_in = |directory: &tempfile::TempDir| files(&directory.path().join("two"));
@@ -198,7 +198,7 @@ fn sessions_of_two_qubes_that_are_killed_go_on_to_the_same_bytes() {
 }
 
 #[test]
-fn what_is_left_of_a_start_that_was_killed_is_in_nobodys_way() {
+fn a_killed_start_can_be_repeated_and_a_complete_one_is_not_overwritten() {
     let directory = with_settings(2);
     assert!(ended(directory.path(), &begin("own")).status.success());
     // A kill after the first of two sessions has begun, and before the second one and rigs.toml

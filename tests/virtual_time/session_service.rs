@@ -63,20 +63,28 @@ fn of_unit(section: &str, name: &str) -> Option<String> {
     value
 }
 
-fn seconds(section: &str, name: &str) -> u64 {
-    let value =
-        of_unit(section, name).unwrap_or_else(|| panic!("{name} is missing in [{section}]"));
-    value.parse().unwrap_or_else(|_| panic!("{name}={value} is no number of seconds"))
+/// The seconds of a setting; `None` if the unit file does not name it.
+fn given_seconds(section: &str, name: &str) -> Option<u64> {
+    let parse = |value: String| {
+        value.parse().unwrap_or_else(|_| panic!("{name}={value} is no number of seconds"))
+    };
+    of_unit(section, name).map(parse)
 }
+
+fn seconds(section: &str, name: &str) -> u64 {
+    given_seconds(section, name).unwrap_or_else(|| panic!("{name} is missing in [{section}]"))
+}
+
+/// The manager's timeout for a start if the unit names none, s.
+const DEFAULT_START_TIMEOUT_S: u64 = 90;
 
 #[test]
 fn a_loop_of_crashes_ends() {
     let (interval, burst) =
         (seconds("Unit", "StartLimitIntervalSec"), seconds("Unit", "StartLimitBurst"));
     // The longest life of a session that only checks, homes and hangs: the manager's timeout for
-    // its start (90 s, the default, because the unit names none), its watchdog, and its time to
-    // stop.
-    let start = 90;
+    // its start, its watchdog, and its time to stop.
+    let start = given_seconds("Service", "TimeoutStartSec").unwrap_or(DEFAULT_START_TIMEOUT_S);
     let hangs = start + seconds("Service", "WatchdogSec") + seconds("Service", "TimeoutStopSec");
     let between_starts = hangs + seconds("Service", "RestartSec");
     assert!(

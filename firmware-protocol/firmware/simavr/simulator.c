@@ -176,7 +176,7 @@ static void on_chip_select(struct avr_irq_t *irq, uint32_t value, void *unused)
     size_t length = 0;
     while (length < sizeof answer) {
         ssize_t part = read(STDIN_FILENO, (uint8_t *)&answer + length, sizeof answer - length);
-        if (part <= 0 && errno != EINTR) {
+        if (part == 0 || (part < 0 && errno != EINTR)) {
             exit(0);
         }
         length += part > 0 ? (size_t)part : 0;

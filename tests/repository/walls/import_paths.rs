@@ -25,15 +25,21 @@ pub fn imports(module: &[String], source: &str) -> Vec<Import> {
 
 /// The literals of a source file outside its tests and its documentation, each with its line.
 pub fn literals(module: &[String], source: &str) -> Vec<(usize, String)> {
-    let tests = ["tests", "samples"];
-    let is_of_tests = |part: &String| tests.contains(&part.as_str()) || part.ends_with("_tests");
-    if module.iter().any(is_of_tests) {
+    if is_of_tests(module) {
         return Vec::new();
     }
     let tokens = TokenStream::from_str(source).unwrap_or_else(|error| panic!("{error}: {source}"));
     let mut found = Vec::new();
     push_literals(tokens.into_iter().collect(), &mut found);
     found
+}
+
+/// Whether a module belongs to the tests. A file of tests is declared under `#[cfg(test)]` in
+/// another file, so it is recognised by its name.
+fn is_of_tests(module: &[String]) -> bool {
+    module
+        .iter()
+        .any(|part| ["tests", "samples"].contains(&part.as_str()) || part.ends_with("_tests"))
 }
 
 fn push_literals(tokens: Vec<TokenTree>, found: &mut Vec<(usize, String)>) {
@@ -74,8 +80,7 @@ impl Walk {
     fn tokens(&mut self, module: &[String], tokens: TokenStream) {
         let tokens: Vec<TokenTree> = tokens.into_iter().collect();
         let outside_tests = self.in_tests;
-        // A file of tests is `mod tests;` under the attribute and is recognised by its name.
-        self.in_tests |= module.iter().any(|part| part == "tests" || part == "samples");
+        self.in_tests |= is_of_tests(module);
         let mut position = 0;
         while position < tokens.len() {
             position += self.item(module, &tokens[position..]);

@@ -140,9 +140,12 @@ impl Defect {
     }
 }
 
-/// The number in an environment variable; `default` if the variable is not set or no number.
+/// The number in an environment variable; `default` if the variable is not set. Panics if the value
+/// is no whole number.
 pub fn number(name: &str, default: u64) -> u64 {
-    std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
+    let Some(value) = std::env::var_os(name) else { return default };
+    let number = value.to_str().and_then(|text| text.parse().ok());
+    number.unwrap_or_else(|| panic!("{name} is {value:?}, which is no whole number"))
 }
 
 /// The results of these seeds in their order, computed on all processors.

@@ -1,0 +1,175 @@
+use std::collections::BTreeSet;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::fitness::{Unfit, check_recording};
+use super::stretch::duration_of;
+use crate::qube::{PlantModel, PlantName};
+use crate::replay::{Incomplete, MotionLog, MotionLogError};
+
+/// Recordings of one plant that can be fitted or predicted, in `N` groups.
+#[derive(Clone, Debug)]
+pub struct Recordings<const N: usize> {
+    /// Motions of the recordings of each group.
+    pub groups: [Vec<MotionLog>; N],
+    /// Plant of all recordings; the built-in Qube if there is no recording.
+    pub plant: PlantModel,
+    /// Recordings that hold only a part of their rollout.
+    pub incomplete: Vec<IncompleteRecording>,
+}
+
+/// A recording that holds only a part of its rollout.
+#[derive(Clone, Debug, PartialEq)]
+pub struct IncompleteRecording {
+    /// Path of the file.
+    pub path: PathBuf,
+    /// Reason why the rest is missing.
+    pub why: Incomplete,
+    /// Duration of the motion that is used, s.
+    pub used_s: f64,
+}
+
+/// The reason why recordings cannot be used together for an identification.
+#[derive(Debug, Error)]
+pub enum RecordingsError {
+    /// A file gives no motion.
+    #[error(transparent)]
+    Motion(#[from] MotionLogError),
+    /// A recording names the same plant as the others, but describes it otherwise.
+    #[error(
+        "{path}: it was recorded with another description of the plant {plant}: identify one plant at a time"
+    )]
+    OtherDescription {
+        /// Path of the file.
+        path: PathBuf,
+        /// Name of the plant.
+        plant: PlantName,
+    },
+    /// A recording is of another plant than the others.
+    #[error("{path}: it is of the plant {plant}, not of {others}: identify one plant at a time")]
+    OtherPlant {
+        /// Path of the file.
+        path: PathBuf,
+        /// Plant of the recording.
+        plant: PlantName,
+        /// Plant of the others.
+        others: PlantName,
+    },
+    /// A recording cannot be fitted.
+    #[error("{path}: {why}")]
+    Unfit {
+        /// Path of the file.
+        path: PathBuf,
+        /// Reason why it is refused.
+        why: Unfit,
+    },
+    /// Two paths name the same file.
+    #[error(
+        "{path} is named twice: the same data would count as new evidence. Name each recording once"
+    )]
+    NamedTwice {
+        /// The later one of the two paths.
+        path: PathBuf,
+    },
+}
+
+impl fmt::Display for IncompleteRecording {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { path, why, used_s } = self;
+        write!(formatter, "{} ({why}; {used_s:.2} s of it are used)", path.display())
+    }
+}
+
+/// Reads groups of recordings and refuses those that cannot be fitted. All must be of the same
+/// plant: of `plant`, or else of the plant of the first recording. A CSV file names no plant and is
+/// taken to be of `plant`, else of the plant of the recordings before it, else of the built-in
+/// Qube.
+///
+/// # Errors
+/// A file cannot be read or fitted, is of another plant than the others, or is named twice.
+pub fn read_recordings<const N: usize>(
+    groups: [&[PathBuf]; N],
+    mut plant: Option<PlantModel>,
+) -> Result<Recordings<N>, RecordingsError> {
+    let mut incomplete = Vec::new();
+    let mut read: [Vec<MotionLog>; N] = std::array::from_fn(|_| Vec::new());
+    for (logs, files) in read.iter_mut().zip(groups) {
+        for path in files {
+            logs.push(read_one(path, &mut plant, &mut incomplete)?);
+        }
+    }
+    if let Some(path) = duplicate(groups.into_iter().flatten()) {
+        return Err(RecordingsError::NamedTwice { path: path.clone() });
+    }
+    Ok(Recordings { groups: read, plant: plant.unwrap_or_default(), incomplete })
+}
+
+fn read_one(
+    path: &Path,
+    plant: &mut Option<PlantModel>,
+    incomplete: &mut Vec<IncompleteRecording>,
+) -> Result<MotionLog, RecordingsError> {
+    let (log, why) = MotionLog::read_of(path, &plant.unwrap_or_default())?;
+    let used_s = duration_of(&log.samples);
+    incomplete.extend(why.map(|why| IncompleteRecording { path: path.into(), why, used_s }));
+    let (own, others) = (&log.plant, plant.get_or_insert(log.plant));
+    if own != others {
+        let path = path.into();
+        return Err(if own.name == others.name {
+            RecordingsError::OtherDescription { path, plant: own.name }
+        } else {
+            RecordingsError::OtherPlant { path, plant: own.name, others: others.name }
+        });
+    }
+    check_recording(&log).map_err(|why| RecordingsError::Unfit { path: path.into(), why })?;
+    Ok(log)
+}
+
+/// The series of a recording: its path without the number and ending of its name, such as
+/// `chirps/rollout-` of `chirps/rollout-2.mcap`. The recordings of a series are made after one
+/// homing.
+#[must_use]
+pub fn series_of(path: &Path) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    path.with_file_name(stem.trim_end_matches(|character: char| character.is_ascii_digit()))
+}
+
+/// The first of these paths that names the file of an earlier path, even in another spelling;
+/// `None` if each file is named once.
+#[must_use]
+pub fn duplicate<'a>(files: impl IntoIterator<Item = &'a PathBuf>) -> Option<&'a PathBuf> {
+    let mut seen = BTreeSet::new();
+    files.into_iter().find(|path| {
+        let whole = path.canonicalize().unwrap_or_else(|_| PathBuf::from(path));
+        !seen.insert(whole)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_named_twice_even_by_another_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.mcap");
+        std::fs::write(&file, "").unwrap();
+        let indirect =
+            folder.path().join("..").join(folder.path().file_name().unwrap()).join("a.mcap");
+        let missing = folder.path().join("b.mcap");
+        assert_eq!(duplicate([&file, &missing]), None);
+        assert_eq!(duplicate([&file, &missing, &indirect]), Some(&indirect));
+        assert_eq!(duplicate([&missing, &missing]), Some(&missing));
+    }
+
+    #[test]
+    fn recordings_whose_names_differ_in_their_last_number_are_a_series() {
+        let series = |path: &str| series_of(Path::new(path));
+        assert_eq!(series("chirps/rollout-0.mcap"), series("chirps/rollout-12.mcap"));
+        assert_eq!(series("chirp_plus1.5V_1.csv"), series("chirp_plus1.5V_3.csv"));
+        assert_ne!(series("chirp_plus1.5V_1.csv"), series("chirp_minus1.5V_1.csv"));
+        assert_ne!(series("monday/rollout-0.mcap"), series("friday/rollout-0.mcap"));
+    }
+}
