@@ -14,6 +14,8 @@ pub struct CommandStarter {
     template: String,
     work: String,
     starts: Vec<Start>,
+    /// Number of workers that had appeared at the last count.
+    appeared: u32,
 }
 
 /// A start of several workers.
@@ -21,6 +23,8 @@ pub struct CommandStarter {
 struct Start {
     child: Child,
     workers: u32,
+    /// Number of workers that had appeared when it began.
+    appeared_before: u32,
     /// Whether the command has failed.
     has_failed: bool,
 }
@@ -46,7 +50,7 @@ impl CommandStarter {
         if !template.contains("{work}") && !template.contains("{folder}") {
             return Err(TemplateError::StartsNoWorker);
         }
-        Ok(Self { template: template.to_owned(), work, starts: Vec::new() })
+        Ok(Self { template: template.to_owned(), work, starts: Vec::new(), appeared: 0 })
     }
 
     fn command(&self, folder: &JobFolder, workers: u32) -> String {
@@ -85,7 +89,8 @@ impl Starter for CommandStarter {
             .process_group(0)
             .spawn()
             .map_err(StartError::Command)?;
-        self.starts.push(Start { child, workers, has_failed: false });
+        let appeared_before = self.appeared;
+        self.starts.push(Start { child, workers, appeared_before, has_failed: false });
         Ok(())
     }
 
@@ -101,9 +106,19 @@ impl Starter for CommandStarter {
                 note = Some(format!("the command that starts workers ended with {status}"));
             }
         }
-        let expected = |start: &Start| if start.has_failed { 0 } else { start.workers };
-        let to_appear: u32 = self.starts.iter().map(expected).sum();
-        let expected = alive + to_appear.saturating_sub(appeared);
+        self.appeared = appeared;
+        // The workers that appeared after a start, before the next one, are taken for those of that
+        // start. Those of a failed start are not expected, so they do not count as appeared either.
+        let ends = self.starts.iter().skip(1).map(|start| start.appeared_before);
+        let (mut to_appear, mut of_failed) = (0, 0);
+        for (start, end) in self.starts.iter().zip(ends.chain([appeared])) {
+            if start.has_failed {
+                of_failed += start.workers.min(end.saturating_sub(start.appeared_before));
+            } else {
+                to_appear += start.workers;
+            }
+        }
+        let expected = alive + to_appear.saturating_sub(appeared.saturating_sub(of_failed));
         Ok(WorkerCount { expected: Some(expected), running: alive, note })
     }
 
@@ -158,5 +173,27 @@ mod tests {
         assert_eq!(starter("make -j8").unwrap_err(), TemplateError::StartsNoWorker);
         let heard = Command::new("/bin/sh").arg("-c").arg(format!("printf %s {path}")).output();
         assert_eq!(Path::new(&*String::from_utf8_lossy(&heard.unwrap().stdout)), root);
+    }
+
+    #[test]
+    fn the_workers_of_a_start_that_failed_do_not_stand_for_those_of_the_next() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("jobs");
+        let folder = JobFolder::create(Arc::new(MachineDisk), &root, Terms::default()).unwrap();
+        let mut starter = CommandStarter::new("false {work}", String::new()).unwrap();
+        let expected = |starter: &mut CommandStarter, appeared, alive| {
+            starter.count_workers(appeared, alive).unwrap().expected
+        };
+        assert_eq!(expected(&mut starter, 0, 0), Some(0));
+        starter.start(&folder, 2).unwrap();
+        starter.starts[0].child.wait().unwrap();
+        // One of the two appeared and died, and the command failed.
+        assert_eq!(expected(&mut starter, 1, 0), Some(0));
+        starter.template = "true {work}".to_owned();
+        starter.start(&folder, 2).unwrap();
+        assert_eq!(expected(&mut starter, 1, 0), Some(2));
+        assert_eq!(expected(&mut starter, 2, 1), Some(2));
+        assert_eq!(expected(&mut starter, 3, 2), Some(2));
+        assert_eq!(expected(&mut starter, 3, 1), Some(1));
     }
 }
