@@ -63,7 +63,7 @@ fn main() {
     let largest_mv = results.iter().map(|(_, worst)| worst.largest_mv).max().unwrap_or(0);
     for (seed, worst) in results.iter().take(5) {
         println!(
-            "search {seed}: {:.3} rad at {:.2} s, {:?} after {} ticks, delays of seed {}, genes {:.2?}",
+            "search {seed}: {:.3} rad at {:.2} s, {:?} in tick {}, delays of seed {}, genes {:.2?}",
             worst.episode.farthest_rad,
             worst.episode.farthest_at_s,
             worst.episode.ending,

@@ -3,8 +3,8 @@
 //!
 //! `cargo run --release --example strangers_adversary -- --searches 20 --first 1 --optimiser both
 //! --belief unknown --out FILE`. Each finished search is a line of FILE and is not repeated.
-//! `--show SEED` prints the farthest episode of that seed in FILE tick by tick. The program
-//! fails if the arm reached its stop in an episode for which foresight promises to prevent it.
+//! `--show SEED` prints the episodes of that seed in FILE tick by tick. Otherwise the program fails
+//! if the arm reached its stop in an episode for which foresight promises to prevent it.
 
 #[path = "../tests/stranger/mod.rs"]
 mod stranger;
@@ -84,8 +84,11 @@ fn main() -> anyhow::Result<()> {
         .flat_map(|seed| methods.iter().map(move |&method| (seed, method)))
         .map(|(seed, method)| AdversarySearch { seed, known, method, guard: Guard::Foresight })
         .collect();
+    anyhow::ensure!(!searches.is_empty(), "no search: none of these seeds has this mishap");
+    let effort = Effort { generations: arguments.generations, population: arguments.population };
     let done = read(&arguments.out)?;
-    let record_of = |search: &AdversarySearch| done.iter().find(|record| is_of(record, search));
+    let record_of =
+        |search: &AdversarySearch| done.iter().find(|record| is_of(record, search, &effort));
     if let Some(seed) = arguments.show {
         let searches = methods.iter().map(|&method| AdversarySearch {
             seed,
@@ -93,19 +96,26 @@ fn main() -> anyhow::Result<()> {
             method,
             guard: Guard::Foresight,
         });
+        let mut shown = 0;
         for search in searches {
             if let Some(record) = record_of(&search) {
                 print_record(&search, record);
+                shown += 1;
             }
         }
+        anyhow::ensure!(shown > 0, "{}: no search of seed {seed}", arguments.out.display());
         return Ok(());
     }
 
     let missing: Vec<&AdversarySearch> =
         searches.iter().filter(|search| record_of(search).is_none()).collect();
-    let file = Mutex::new(OpenOptions::new().create(true).append(true).open(&arguments.out)?);
+    let mut file = OpenOptions::new().create(true).append(true).open(&arguments.out)?;
+    if std::fs::read(&arguments.out)?.last().is_some_and(|last| *last != b'\n') {
+        // Ends the line in which an earlier run was killed.
+        writeln!(file)?;
+    }
+    let file = Mutex::new(file);
     let next = AtomicUsize::new(0);
-    let effort = Effort { generations: arguments.generations, population: arguments.population };
     let work = || -> anyhow::Result<()> {
         while let Some(search) = missing.get(next.fetch_add(1, Ordering::Relaxed)) {
             let record = search.run(effort);
@@ -127,7 +137,14 @@ fn main() -> anyhow::Result<()> {
     })?;
 
     let mut records = read(&arguments.out)?;
-    records.retain(|record| searches.iter().any(|search| is_of(record, search)));
+    records.retain(|record| searches.iter().any(|search| is_of(record, search, &effort)));
+    anyhow::ensure!(
+        records.len() == searches.len(),
+        "{} holds {} of the {} searches",
+        arguments.out.display(),
+        records.len(),
+        searches.len()
+    );
     print!("{}", summary(&records));
     let promised = records.iter().filter(|record| record.scenario.mishap.is_promised());
     let hits: u64 = promised.map(|record| record.hits).sum();
@@ -135,12 +152,18 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn is_of(record: &SearchRecord, search: &AdversarySearch) -> bool {
+/// Whether the record is that of this search with this effort.
+fn is_of(record: &SearchRecord, search: &AdversarySearch, effort: &Effort) -> bool {
     let scenario = &record.scenario;
-    scenario.seed == search.seed && scenario.known == search.known && record.method == search.method
+    let episodes = u64::from(effort.generations) * effort.population as u64;
+    scenario.seed == search.seed
+        && scenario.known == search.known
+        && record.method == search.method
+        && record.episodes == episodes
 }
 
-/// Reads the searches of a file: none if the file does not exist. A truncated line is skipped.
+/// Reads the searches of a file: none if the file does not exist. A line that cannot be parsed,
+/// such as a truncated one, is skipped.
 fn read(path: &PathBuf) -> anyhow::Result<Vec<SearchRecord>> {
     if !path.exists() {
         return Ok(Vec::new());

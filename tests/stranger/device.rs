@@ -13,13 +13,17 @@ use serde::{Deserialize, Serialize};
 use super::mishap::{Mishap, Moment, Wrong};
 use super::plant::Plant;
 
-/// Time without an accepted act after which the device switches its amplifier off, ns.
+/// Time since the last arm or accepted act after which the device switches its amplifier off, ns.
 const WATCHDOG_NS: u64 = 50_000_000;
 
 /// Largest age of the sample that an act may answer, us.
 const STALE_US: u64 = 20_000;
 
-/// Time after which a rollout that still settles is stopped, ns: only attacks are of interest.
+/// Shortest time between two answers of the device, ns: each takes this long on the wire.
+const ANSWER_NS: u64 = 100_000;
+
+/// Time since a rollout began after which it is stopped if it still settles, ns: only attacks are
+/// of interest.
 const PATIENCE_NS: u64 = 9_000_000_000;
 
 /// Progress of the motion, which [`Watched`] reports.
@@ -81,8 +85,8 @@ pub enum Part {
     Running,
     Braking,
     Coasting,
-    /// Coasting, where the cable alone pulled the arm to its stop: foresight does not promise to hold an arm with the
-    /// amplifier off.
+    /// Coasting, where the cable alone pulled the arm to its stop: foresight does not promise to
+    /// hold an arm with the amplifier off.
     Pulled,
 }
 
@@ -93,13 +97,15 @@ pub struct Qube {
     pub mishap: Mishap,
     pub progress: MotionProgress,
     pub stop: Arc<AtomicBool>,
+    /// Time at which the present rollout began, ns.
+    pub rollout_began_ns: u64,
     /// Error of the arm's zero, rad.
     pub zero_rad: f64,
     /// Random numbers and the largest delay of a sample, ns; `None` without jitter.
     pub jitter: Option<(ChaCha8Rng, u64)>,
     /// Whether a mishap happened before the arm reached its stop.
     pub went_wrong: bool,
-    /// Part of the episode in which the arm reached its stop.
+    /// Part of the episode in which the arm first reached its stop.
     pub hit_in: Option<Part>,
     /// A line for each tick, if requested.
     pub lines: Option<Vec<String>>,
@@ -109,6 +115,7 @@ pub struct Qube {
     tripped: bool,
     dead: bool,
     fed_ns: u64,
+    sampled_ns: Option<u64>,
     applied_mv: i16,
     wrong: Wrong,
 }
@@ -122,6 +129,7 @@ impl Qube {
             mishap,
             progress: MotionProgress::default(),
             stop: Arc::default(),
+            rollout_began_ns: 0,
             zero_rad,
             jitter: None,
             hit_in: None,
@@ -132,12 +140,14 @@ impl Qube {
             tripped: false,
             dead: false,
             fed_ns: 0,
+            sampled_ns: None,
             applied_mv: 0,
             wrong: Wrong::default(),
         }
     }
 
-    /// Lets the arm coast for this time, or until it is at rest; the device gets no requests.
+    /// Lets the arm coast for this time, or until it is at rest with the amplifier off. The device
+    /// gets no requests.
     pub fn coast(&mut self, duration_ns: u64) {
         let until_ns = self.plant.now_ns + duration_ns;
         while self.plant.now_ns < until_ns {
@@ -197,7 +207,8 @@ impl Qube {
         if let Some(lines) = &mut self.lines {
             let (state, wrong) = (&self.plant.state, &self.wrong);
             lines.push(format!(
-                "{:7.1} ms  step {:3} brake {:3}  theta {:+.3} {:+6.2}  alpha {:+.3} {:+6.2}  sent {:+.2} V{}{}",
+                "{:7.1} ms  step {:3} brake {:3}  theta {:+.3} {:+6.2}  alpha {:+.3} {:+6.2}  \
+                 sent {:+.2} V{}{}",
                 self.plant.now_ns as f64 * 1e-6,
                 self.progress.steps(),
                 self.progress.brakes(),
@@ -207,7 +218,11 @@ impl Qube {
                 state.alpha_dot,
                 f64::from(self.applied_mv) * 1e-3,
                 if wrong.lost { "  lost" } else { "" },
-                if wrong.stall_ns > 0 { format!("  stalls {} us", wrong.stall_ns / 1000) } else { String::new() },
+                if wrong.stall_ns > 0 {
+                    format!("  stalls {} us", wrong.stall_ns / 1000)
+                } else {
+                    String::new()
+                },
             ));
         }
     }
@@ -228,11 +243,16 @@ impl Device for Qube {
         if let Some((random, most_ns)) = &mut self.jitter {
             self.clock.advance(random.random_range(0..=*most_ns));
         }
+        if let Some(sampled_ns) = self.sampled_ns {
+            self.clock.sleep_until(sampled_ns + ANSWER_NS);
+        }
+        self.sampled_ns = Some(self.clock.now_ns());
         self.catch_up();
         self.wrong = self.mishap.tick(&self.moment());
         self.dead |= self.wrong.dead;
         self.went_wrong |= self.wrong != Wrong::default() && self.hit_in.is_none();
-        let settles_for_ever = self.progress.steps() == 0 && self.plant.now_ns > PATIENCE_NS;
+        let settles_for_ever =
+            self.progress.steps() == 0 && self.plant.now_ns > self.rollout_began_ns + PATIENCE_NS;
         if self.wrong.stop || settles_for_ever {
             self.stop.store(true, Ordering::Relaxed);
         }

@@ -28,12 +28,12 @@ const AFTER_NS: u64 = 3_000_000_000;
 pub struct Outcome {
     /// Largest true |theta|, rad.
     pub farthest_rad: f64,
-    /// Speed at which the arm reached its stop, rad/s; `None` if it did not.
+    /// Largest speed at which the arm reached its stop, rad/s; `None` if it did not.
     pub hit_rad_s: Option<f64>,
-    /// Part of the episode in which the arm reached its stop.
+    /// Part of the episode in which the arm first reached its stop.
     pub hit_in: Option<Part>,
-    /// Whether a sample was lost, an act was late or a stop was requested before the arm reached
-    /// its stop.
+    /// Whether a sample was lost, an act was late or a stop was requested. These count only until
+    /// the arm has reached its stop.
     #[serde(default)]
     pub went_wrong: bool,
     /// Ending of each rollout.
@@ -42,11 +42,11 @@ pub struct Outcome {
     pub score: f64,
 }
 
-/// An episode with a line for each tick.
+/// An episode with a line of text for each tick.
 #[derive(Clone, Debug)]
 pub struct Trace {
     pub outcome: Outcome,
-    /// The Qube, its initial state and its mishaps.
+    /// The Qube, the error of the arm's middle, the initial state and the mishaps, as text.
     pub told: String,
     pub lines: Vec<String>,
 }
@@ -138,6 +138,7 @@ fn run(scenario: &Scenario, settings: &TickSettings, genes: &[f64], shows: bool)
             qube.mishap = cast.mishap;
         }
         progress.start();
+        qube.rollout_began_ns = qube.plant.now_ns;
         let mut motion =
             Watched { motion: Tick::new(settings, policy), progress: progress.clone() };
         let Ok(report) = drive(&mut qube, &clock, &mut motion, None, &stop) else { break };
