@@ -298,8 +298,8 @@ impl Session {
         Ok(())
     }
 
-    /// Connects, checks and homes every real Qube before any training, so that a defect shows at
-    /// once and not after hours. Does nothing if the session is complete.
+    /// Connects, checks and homes every real Qube before the session waits for any training, so that
+    /// a defect shows at once and not after hours. Does nothing if the session is complete.
     fn connect_early(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
