@@ -44,7 +44,7 @@ pub(super) struct PreparedTraining {
 impl PreparedTrainings {
     /// Begins a training, unless the same one has begun before.
     pub(super) fn begin(&mut self, job: TrainingJob) {
-        if self.begun.iter().any(|prepared| prepared.job == job) {
+        if self.has(&job) {
             return;
         }
         let (sender, result) = bounded(1);

@@ -41,9 +41,15 @@ struct Competition {
     times: Vec<TrainingTime>,
 }
 
-/// A training of a round: the index of its candidate, its number among that candidate's trainings,
-/// and the Qubes that it is for.
-type Entered = (usize, u32, TrainedFor);
+/// A training of a round.
+#[derive(Clone, Copy)]
+struct Entrant {
+    /// Index of its candidate in the round.
+    index: usize,
+    /// Number of the training among those of its candidate.
+    training: u32,
+    trained_for: TrainedFor,
+}
 
 /// A candidate whose policy is to be trained, with the times of its trainings so far.
 type Due = (Candidate, Vec<TrainingTime>);
@@ -123,20 +129,20 @@ impl Trainer {
             let trainings = self.trainings(candidate);
             let missing = trainings.len() as u32;
             for (training, trained_for) in (round * missing..).zip(trainings) {
-                let job = self.job(candidate, training, trained_for)?;
-                let entered = (index, training, trained_for);
+                let job = self.job(candidate.number, training, &candidate.psi, trained_for)?;
+                let entrant = Entrant { index, training, trained_for };
                 if prepared.has(&job) {
-                    of_prepared.push((job, entered));
+                    of_prepared.push((job, entrant));
                 } else {
                     jobs.push(job);
-                    of_job.push(entered);
+                    of_job.push(entrant);
                 }
             }
             competitions.push(Competition { missing, best: None, times });
         }
         let mut began_unix_ns = vec![unix_ns(); jobs.len()];
         let mut failed = None;
-        let mut enter = |(index, _, trained_for): Entered,
+        let mut enter = |Entrant { index, trained_for, .. }: Entrant,
                          time: TrainingTime,
                          result: Result<Trained, JobError>,
                          on_event: &mut dyn FnMut(SessionEvent)| {
@@ -157,24 +163,24 @@ impl Trainer {
         self.executor.train(&jobs, stop, &mut |event| match event {
             JobEvent::Begun { job } => began_unix_ns[job] = unix_ns(),
             JobEvent::Update { job, update } => {
-                let (index, training, _) = of_job[job];
+                let Entrant { index, training, .. } = of_job[job];
                 let candidate = candidates[index].number;
                 on_event(SessionEvent::Training { candidate, training, update: &update });
             }
             JobEvent::Finished { job, result } => {
-                let entered = of_job[job];
+                let entrant = of_job[job];
                 let time = TrainingTime {
-                    training: entered.1,
+                    training: entrant.training,
                     began_unix_ns: began_unix_ns[job],
                     // A clock may be set back.
                     ended_unix_ns: unix_ns().max(began_unix_ns[job]),
                 };
-                enter(entered, time, result.map(|trained| *trained), on_event);
+                enter(entrant, time, result.map(|trained| *trained), on_event);
             }
         });
-        for (job, entered) in of_prepared {
-            let PreparedTraining { result, time } = prepared.take(&job, entered.1, stop);
-            enter(entered, time, result, on_event);
+        for (job, entrant) in of_prepared {
+            let PreparedTraining { result, time } = prepared.take(&job, entrant.training, stop);
+            enter(entrant, time, result, on_event);
         }
         if let Some(error) = failed {
             return Err(error);
@@ -229,7 +235,7 @@ impl Trainer {
         candidate: u32,
     ) -> Result<TrainingJob, SessionError> {
         let plan = self.settings.identification.unwrap_or_default();
-        self.job_of(candidate, plan.trainings, &[], TrainedFor::Unknown)
+        self.job(candidate, plan.trainings, &[], TrainedFor::Unknown)
     }
 
     /// The training of the baseline, if it is this candidate.
@@ -237,20 +243,11 @@ impl Trainer {
     /// # Errors
     /// The distribution is invalid.
     pub(super) fn baseline(&self, candidate: u32) -> Result<TrainingJob, SessionError> {
-        self.job_of(candidate, 0, &[], TrainedFor::Nominal)
-    }
-
-    fn job(
-        &self,
-        candidate: &Candidate,
-        training: u32,
-        trained_for: TrainedFor,
-    ) -> Result<TrainingJob, SessionError> {
-        self.job_of(candidate.number, training, &candidate.psi, trained_for)
+        self.job(candidate, 0, &[], TrainedFor::Nominal)
     }
 
     /// The training with this number among those of a candidate with this psi.
-    fn job_of(
+    fn job(
         &self,
         candidate: u32,
         training: u32,
@@ -375,7 +372,8 @@ mod tests {
         let early = before.competitor_for_unknown(plan.excitations).unwrap();
         for (asked, early) in [(first, early), (baseline, later.baseline(3).unwrap())] {
             let jobs = (0..).zip(later.trainings(&asked));
-            let mut jobs = jobs.map(|(training, of)| later.job(&asked, training, of).unwrap());
+            let mut jobs = jobs
+                .map(|(training, of)| later.job(asked.number, training, &asked.psi, of).unwrap());
             assert!(jobs.any(|job| job == early), "{:?}", asked.purpose);
         }
     }
