@@ -146,7 +146,11 @@ impl<C: Controller> Tick<C> {
         let before = self.control;
         let action = self.control.take(event);
         if self.control != before {
-            self.periods_in_phase = 0;
+            let goes_on_braking = self.settings.rules >= TickRules::FaultsFirst
+                && (before, self.control) == (ControlState::Braking, ControlState::Faulting);
+            if !goes_on_braking {
+                self.periods_in_phase = 0;
+            }
             self.reason = reason;
         }
         match action {
@@ -333,6 +337,16 @@ impl<C: Controller> Tick<C> {
     }
 }
 
+/// The alarm to act on: the first that does not trust the brake, otherwise the first of all. An
+/// overheated motor or a late computer gives an alarm in each tick, also while the brake works, and
+/// must not hide a fault of the arm. Before [`TickRules::FaultsFirst`] it is the first of all.
+fn most_urgent(alarms: [Option<Alarm>; 3], rules: TickRules) -> Option<Alarm> {
+    let mut given = alarms.into_iter().flatten();
+    let distrusts_brake =
+        |alarm: &Alarm| rules >= TickRules::FaultsFirst && matches!(alarm, Alarm::Zero(_));
+    given.clone().find(distrusts_brake).or_else(|| given.next())
+}
+
 /// The brake of a rollout, before its first period; `damps` is whether the arm's count is doubted.
 fn brake_of(settings: &TickSettings, damps: bool) -> Brake {
     let stops_only = damps || settings.safety_box.guard.is_box();
@@ -367,7 +381,8 @@ impl<C: Controller> Motion for Tick<C> {
         let since =
             if self.phase == Phase::Settling { TickRules::GainReducing } else { TickRules::Damped };
         let damps = self.settings.rules >= since;
-        let off = match self.watch.check(input).or(seen).or(unanswered) {
+        let alarms = [self.watch.check(input), seen, unanswered];
+        let off = match most_urgent(alarms, self.settings.rules) {
             Some(Alarm::Zero(fault)) if damps && fault.doubts_count() => {
                 if !self.damps {
                     self.damps = true;

@@ -4,10 +4,12 @@ use std::f64::consts::PI;
 use std::sync::atomic::AtomicBool;
 
 use super::plant_device::{PlantDevice, TestFault};
-use super::{ControlState, DriveReport, Motion, RING_CAPACITY, Tick, drive};
+use super::{ControlState, DriveReport, Motion, RING_CAPACITY, Tick, TickInput, drive};
 use crate::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use crate::policy::{ClassicalController, ClassicalGains, Controller, Policy};
-use crate::qube::{DomainParameters, PlantModel, QubeModel, State, Status, wrap_angle};
+use crate::qube::{
+    DomainParameters, Measurement, PlantModel, QubeModel, State, Status, wrap_angle,
+};
 use crate::safety::{Limit, SafetyBox};
 use crate::telemetry::{Ending, Fault, Phase, TickRecord, TickSettings};
 
@@ -265,6 +267,30 @@ fn faults_of_link_and_machine_switch_off_without_another_act() {
         assert_eq!(report.outcome.ending, Ending::Fault(fault));
         assert_eq!(records.len(), 71);
         assert_eq!(device.voltages_mv.len(), 70);
+    }
+}
+
+#[test]
+fn an_overheated_motor_hides_no_fault_of_the_arm() {
+    // The motor stays too hot while the brake works, and the count jumps by 2 rad.
+    for jump_at in [10, 11] {
+        let mut tick = Tick::new(&settings(), classical());
+        let ended = (0..20_u64).find_map(|number| {
+            let measurement = Measurement {
+                device_time_us: 10_000 * number,
+                theta_counts: if number >= jump_at { 650 } else { 0 },
+                status: Status { armed: true, ..Status::default() },
+                ..Measurement::default()
+            };
+            let input = TickInput {
+                deadline_ns: 10_000_000 * number,
+                measurement: Some(measurement),
+                motor_overheated: number >= 10,
+                ..TickInput::default()
+            };
+            tick.decide(&input).ending.map(|ending| (number, ending))
+        });
+        assert_eq!(ended, Some((jump_at, Ending::Fault(Fault::EncoderJump))));
     }
 }
 

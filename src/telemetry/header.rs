@@ -62,11 +62,15 @@ pub enum TickRules {
     /// samples.
     #[serde(rename = "tried")]
     BrakeSimulating,
+    /// As [`BrakeSimulating`](Self::BrakeSimulating); in addition, a fault of the arm comes before
+    /// an overheated motor or a late computer in the same tick, and an arm that comes into doubt
+    /// while it is braked gets no more time to stop.
+    FaultsFirst,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::BrakeSimulating;
+    pub const NEWEST: Self = Self::FaultsFirst;
 }
 
 /// The record that precedes a rollout.
@@ -148,8 +152,8 @@ pub struct RolloutOutcome {
     /// does not match the Qube, or something hit the Qube.
     #[serde(default, rename = "times_astray", skip_serializing_if = "is_zero")]
     pub observer_resets: u32,
-    /// Prediction because of which foresight ended the rollout; `None` for other endings, and in
-    /// recordings that lack it.
+    /// Prediction because of which foresight ended the policy, also where a fault then ended the
+    /// braking; `None` if foresight did not end it, and in recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foreseen: Option<Foreseen>,
     /// Largest load of the motor, 1 at its continuous rating; `None` in recordings that lack it.
