@@ -11,7 +11,7 @@ use super::exit::Failure;
 use super::printable::one_line;
 use super::stop::Stop;
 use crate::experiment::ExperimentError;
-use crate::jobs::starter::StartError;
+use crate::jobs::starter::{StartError, quoted};
 use crate::jobs::{JobError, JobFolderError};
 use crate::policy::PolicyError;
 use crate::recording::RecordingError;
@@ -31,6 +31,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         | RigError::Refused(_)
         | RigError::NotBegun { .. }
         | RigError::BoardChanged { .. }
+        | RigError::MiddleLost
         | RigError::Ended { .. } => Failure::fault(error),
         RigError::InDoubt(_) => {
             Failure::fault(format!("{error}. Then start again with --acknowledge"))
@@ -102,13 +103,14 @@ pub fn policy(error: &PolicyError) -> Failure {
 
 /// The failure for an error of a session's or an experiment's folder.
 pub fn folder(error: &FolderError) -> Failure {
+    let word = |path: &Path| quoted(&path.to_string_lossy());
     let advice = match error {
         FolderError::Exists { path } => format!(
             ". Choose another --out, or continue what is there with --resume {}",
-            path.display()
+            word(path)
         ),
         FolderError::NotASession { .. } => ". Give the folder of a session to --resume".into(),
-        FolderError::NotBegun { path } => format!(". Begin it with --out {}", path.display()),
+        FolderError::NotBegun { path } => format!(". Begin it with --out {}", word(path)),
         FolderError::InUse { .. } => String::new(),
         FolderError::Io { source, .. } if !is_bad_place(source) => return Failure::failed(error),
         FolderError::Io { .. } => String::new(),

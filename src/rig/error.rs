@@ -93,6 +93,12 @@ pub enum RigError {
         /// Serial number of the board that answers.
         found: String,
     },
+    /// The board has restarted, so the arm's middle, which a hand had shown, is lost.
+    #[error(
+        "the board has restarted and counts from elsewhere now, so the arm's middle, which a hand has shown, \
+         is lost. The motor is off. Put the arm into the middle and start again"
+    )]
+    MiddleLost,
     /// A motion left a sensor or the motor in doubt, and no operator has acknowledged this yet.
     #[error("{0}")]
     InDoubt(Box<Doubt>),
@@ -183,6 +189,7 @@ impl RigError {
             }
             Self::LinkLost { source, .. } => Some(link_fault(source).unwrap_or(Fault::LinkGone)),
             Self::Device(error) => link_fault(error),
+            Self::MiddleLost => Some(Fault::BoardRestarted),
             Self::InDoubt(doubt) => doubt.fault,
             Self::Travel { .. } => Some(Fault::TravelWrong),
             _ => None,
@@ -202,6 +209,7 @@ impl RigError {
             | Self::NotBegun { .. }
             | Self::LinkLost { .. }
             | Self::BoardChanged { .. }
+            | Self::MiddleLost
             | Self::WrongBoard { .. }
             | Self::InDoubt(_)
             | Self::Ended { .. }

@@ -7,7 +7,8 @@ use super::connection::connect;
 use super::{ClockChoice, Doubt, DoubtStore, RigError, RigSettings};
 use crate::clock::RealtimeRefusals;
 use crate::control::{
-    ControlError, ControlThread, HomingSettings, Patience, PressOutcome, StopPress, drive_warm,
+    ControlError, ControlThread, HomingMethod, HomingSettings, Patience, PressOutcome, StopPress,
+    drive_warm,
 };
 use crate::device::emulator::EmulatedQube;
 use crate::device::{DeviceError, Identity};
@@ -204,17 +205,19 @@ impl Rig {
     /// the arm has come back or has stayed there.
     ///
     /// # Errors
-    /// The device has not answered a hello, a fault is latched, or the device could not be armed.
+    /// The device has not answered a hello, a fault is latched, the board has restarted, so that its
+    /// zeros are void, or the device could not be armed.
     pub fn press(&mut self, push_v: f64, ticks: u32, rehearsal: bool) -> Result<Pressed, RigError> {
         let (plant, calibration) = (self.plant, self.measured.calibration);
+        let boot_id = self.identity.boot_id;
         let pressed = self.control.lend(move |device, clock, heat, stop| {
-            device.hello()?;
+            let identity = device.hello()?;
+            if identity.boot_id != boot_id {
+                return Err(DeviceError::Restarted { port: identity.port });
+            }
             let mut press = StopPress::new(&plant, calibration, push_v, ticks, rehearsal);
             let report = drive_warm(device, clock, &mut press, heat, None, stop)?;
-            Ok::<_, DeviceError>(Pressed {
-                ending: report.outcome.ending,
-                outcome: press.outcome(),
-            })
+            Ok(Pressed { ending: report.outcome.ending, outcome: press.outcome() })
         })??;
         Ok(pressed)
     }
@@ -246,6 +249,11 @@ impl Rig {
         self.homing.signs = examination.signs;
         self.homing.hand_counts = examination.start_theta_counts;
         self.link = examination.link;
+        if examination.passed() {
+            // The examination goes on after a restart of the board.
+            let identity = self.control.hello()?;
+            self.accept_restart(identity)?;
+        }
         Ok(examination)
     }
 
@@ -254,7 +262,8 @@ impl Rig {
     ///
     /// # Errors
     /// The fault leaves a doubt, or another attempt would end in the same way; the device does not
-    /// answer; another board answers; homing fails; or a stop was requested.
+    /// answer; another board answers; the board has restarted and a hand had shown the arm's
+    /// middle; homing fails; or a stop was requested.
     pub fn start_again(&mut self) -> Result<(), RigError> {
         if let Some(fault) = self.last_fault.get() {
             match fault.consequence() {
@@ -297,10 +306,23 @@ impl Rig {
                 found: identity.serial,
             });
         }
-        if identity.boot_id != self.identity.boot_id {
-            tracing::warn!("the board has restarted: its counters restart, and the arm is homed");
-        }
+        self.accept_restart(identity)
+    }
+
+    /// Takes over the identity of the same board, which may have restarted since. Its counters then
+    /// restart, so the count at which a hand has put the arm is void, and no stop that homing would
+    /// touch could show the error.
+    fn accept_restart(&mut self, identity: Identity) -> Result<(), RigError> {
+        let restarted = identity.boot_id != self.identity.boot_id;
         self.identity = identity;
+        if !restarted {
+            return Ok(());
+        }
+        self.homing.hand_counts = None;
+        if self.homing.method == HomingMethod::Hand {
+            return Err(RigError::MiddleLost);
+        }
+        tracing::warn!("the board has restarted: its counters restart, and the arm is homed");
         Ok(())
     }
 

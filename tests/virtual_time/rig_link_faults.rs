@@ -221,31 +221,49 @@ fn a_port_that_stays_away_longer_than_the_patience_ends_with_a_named_fault() {
     assert!((30.0..36.0).contains(&tried_s), "{tried_s} s");
 }
 
-#[test]
-fn a_board_that_restarts_between_two_rollouts_is_homed_again() {
-    let directory = tempfile::tempdir().unwrap();
+/// A rig whose board has restarted since its first rollout. Its second rollout has been refused.
+fn after_a_restart(method: HomingMethod, directory: &Path) -> Rig {
     let clock = VirtualClock::default();
     let restarts = EmulatorSettings {
         fault: Some(EmulatorFault::BoardRestart { after_s: 40.0 }),
         seed: 3,
         ..EmulatorSettings::default()
     };
-    let settings =
-        RigSettings { emulator: restarts, ..settings(&clock, Trouble::Late(0), 0.0, 0.0) };
-    let mut rig = Rig::open(&settings, &stop()).unwrap();
-    let path = directory.path().join("before.mcap");
-    rollout(&rig, &path).unwrap();
+    let settings = RigSettings {
+        emulator: restarts,
+        homing: HomingSettings { method, ..HomingSettings::default() },
+        ..settings(&clock, Trouble::Late(0), 0.0, 0.0)
+    };
+    let rig = Rig::open(&settings, &stop()).unwrap();
+    rollout(&rig, &directory.join("before.mcap")).unwrap();
     assert!(clock.now_ns() < 39_000 * MS, "the first rollout ended after the restart");
     clock.sleep_until(40_100 * MS);
-    let path = directory.path().join("after.mcap");
+    let path = directory.join("after.mcap");
     let error = rollout(&rig, &path).unwrap_err();
     let is_restart = matches!(error, RigError::NotBegun { fault: Fault::BoardRestarted, .. });
     assert!(is_restart, "the old zero would be used: {error}");
     assert!(!path.exists(), "a rollout that never began left a file");
+    rig
+}
+
+#[test]
+fn a_board_that_restarts_between_two_rollouts_is_homed_again() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut rig = after_a_restart(HomingMethod::Stops, directory.path());
     rig.start_again().unwrap();
+    let path = directory.path().join("after.mcap");
     rollout(&rig, &path).unwrap();
     let verdict = score(&MachineDisk, &path).unwrap();
     assert!(matches!(verdict, Verdict::Result { success: true, .. }), "{verdict:?}");
+}
+
+#[test]
+fn a_middle_that_a_hand_has_shown_ends_with_a_restart_of_the_board() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut rig = after_a_restart(HomingMethod::Hand, directory.path());
+    let error = rig.start_again().unwrap_err();
+    assert!(matches!(error, RigError::MiddleLost), "{error}");
+    assert!(error.to_string().contains("Put the arm into the middle"), "{error}");
 }
 
 #[test]
