@@ -51,7 +51,8 @@ impl Motor {
     /// is set.
     pub fn cool_down(&mut self, clock: &dyn Clock, stop: &AtomicBool) {
         self.cool(clock);
-        let end_ns = clock.now_ns() + (self.heat.cooling_s() * 1e9) as Nanoseconds;
+        let cooling_ns = (self.heat.cooling_s() * 1e9) as Nanoseconds;
+        let end_ns = clock.now_ns().saturating_add(cooling_ns);
         while clock.now_ns() < end_ns && !stop.load(Ordering::Relaxed) {
             clock.sleep_until(end_ns.min(clock.now_ns() + COOLING_STEP_NS));
             self.cool(clock);

@@ -79,11 +79,11 @@ impl MotorHeat {
         Self { rating, load: 0.0, winding: Winding::of(plant) }
     }
 
-    /// Whether the load has reached [`LARGEST_LOAD`], so that the arm is braked and the motor must
-    /// cool.
+    /// Whether the load has reached [`LARGEST_LOAD`] or is not a number, so that the arm is braked
+    /// and the motor must cool.
     #[must_use]
     pub fn is_overheated(&self) -> bool {
-        self.load >= LARGEST_LOAD
+        self.load >= LARGEST_LOAD || self.load.is_nan()
     }
 
     /// Time constant of the model, s: so short that the rated current reaches [`LARGEST_LOAD`]
@@ -196,6 +196,18 @@ mod tests {
             assert!(tripped <= time_constant_s, "{current_a} A: {tripped} s");
         }
         assert_eq!(trips_after_s(0.5, 4200, 0.0), None);
+    }
+
+    #[test]
+    fn no_rating_however_small_hides_the_heat() {
+        // A file may lower a rating as far as it likes, and the arithmetic then leaves its range.
+        for (continuous_a, time_constant_s) in [(0.54, 1e-320), (1e-200, 30.0), (1e-200, 1e-320)] {
+            let rating = MotorRating { continuous_a, time_constant_s };
+            let mut heat = MotorHeat { rating, ..MotorHeat::default() };
+            assert!(rating.is_within(&MotorRating::NOMINAL));
+            heat.pass(0, None, 5000, 0.0);
+            assert!(heat.is_overheated(), "{heat:?}");
+        }
     }
 
     #[test]
