@@ -13,9 +13,10 @@ const TRIES: usize = 25;
 /// control period.
 pub const SLOW_US: f64 = 500.0;
 
-/// Longest prediction of the guard that is accepted for hardware, us: four tenths of a control
-/// period, in which the sample and the command must also pass the link.
-pub const TOO_SLOW_US: f64 = 4000.0;
+/// Longest prediction of the guard that is accepted for hardware, us. A tick whose voltage the
+/// guard refuses predicts five times, for that voltage and for four of the brake; these five take
+/// eight tenths of a control period, in which the sample and the command must also pass the link.
+pub const TOO_SLOW_US: f64 = 1600.0;
 
 /// Measures how long this processor needs for the longest prediction that the guard may have to
 /// make in a tick, us: one in which every particle (a Qube that this one may be) is simulated to
@@ -60,8 +61,8 @@ mod tests {
     #[test]
     fn a_processor_that_predicts_too_slowly_is_refused() {
         assert_eq!(admit_processor(TOO_SLOW_US), Ok(()));
-        let refused = admit_processor(4100.0).unwrap_err();
-        assert!(refused.to_string().contains("4100 us on this processor"), "{refused}");
+        let refused = admit_processor(1700.0).unwrap_err();
+        assert!(refused.to_string().contains("1700 us on this processor"), "{refused}");
         assert!(admit_processor(f64::NAN).is_err());
     }
 
