@@ -36,10 +36,9 @@ bool board_stop_switch_is_closed(void);
 bool board_stop_switch_is_known(void);
 void board_remember_stop_switch(void);
 
-/* Takes a byte that has arrived; returns false if there is none. */
-bool board_receive(uint8_t *byte);
-/* Whether received bytes were lost since the last call. */
-bool board_lost_bytes(void);
+/* Takes a byte that has arrived; returns false if there is none. `after_loss` becomes true if bytes
+ * were lost between the last byte and this one, or if this byte arrived garbled. */
+bool board_receive(uint8_t *byte, bool *after_loss);
 /* How many bytes can be sent without waiting. */
 uint8_t board_send_room(void);
 void board_send(const uint8_t *bytes, uint8_t length);

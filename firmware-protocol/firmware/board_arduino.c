@@ -76,7 +76,10 @@ static volatile bool sampling_is_due;
 static volatile uint8_t receive_ring[RECEIVE_RING_BYTES];
 static volatile uint8_t receive_head;
 static volatile uint8_t receive_tail;
-static volatile bool lost_bytes;
+/* Whether bytes were lost directly before the byte at the same place of the ring, or that byte is
+ * garbled. The interrupt sets and the main loop clears a place, never both at one time: the
+ * interrupt's place holds no byte yet. */
+static volatile bool lost_before[RECEIVE_RING_BYTES];
 
 static volatile uint8_t send_ring[SEND_RING_BYTES];
 static volatile uint8_t send_head;
@@ -167,7 +170,7 @@ ISR(USART_RECEIVED_vect)
     uint8_t byte = UDR0;
     uint8_t head = (receive_head + 1u) & (RECEIVE_RING_BYTES - 1u);
     if ((status & (_BV(FE0) | _BV(DOR0))) || head == receive_tail) {
-        lost_bytes = true;
+        lost_before[receive_head] = true;
     }
     if (head != receive_tail) {
         receive_ring[receive_head] = byte;
@@ -187,25 +190,17 @@ ISR(USART_SEND_vect)
     has_event = true;
 }
 
-bool board_receive(uint8_t *byte)
+bool board_receive(uint8_t *byte, bool *after_loss)
 {
     uint8_t tail = receive_tail;
     if (tail == receive_head) {
         return false;
     }
     *byte = receive_ring[tail];
+    *after_loss = lost_before[tail];
+    lost_before[tail] = false;
     receive_tail = (tail + 1u) & (RECEIVE_RING_BYTES - 1u);
     return true;
-}
-
-bool board_lost_bytes(void)
-{
-    bool lost;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        lost = lost_bytes;
-        lost_bytes = false;
-    }
-    return lost;
 }
 
 uint8_t board_send_room(void)

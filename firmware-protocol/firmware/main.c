@@ -71,12 +71,14 @@ static bool serve_request(void)
 {
     struct link_frame frame;
     uint8_t byte;
+    bool after_loss;
     while (!device_waits(&device) && board_send_room() >= MAX_FRAME_BYTES) {
-        if (board_lost_bytes()) {
-            link_lose_byte(&receiver);
-        }
-        if (!board_receive(&byte)) {
+        if (!board_receive(&byte, &after_loss)) {
             return false;
+        }
+        /* Frames that wait in the ring from before the loss are whole. */
+        if (after_loss) {
+            link_lose_byte(&receiver);
         }
         enum link_event event = link_receive(&receiver, byte, &frame);
         if (event == LINK_DROPPED) {

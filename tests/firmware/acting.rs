@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
-use firmware_protocol::Request;
 use firmware_protocol::scaling::{motor_counts, motor_word};
+use firmware_protocol::{Decoder, Reply, Request};
+use qube_hil::clock::{Clock, MonotonicClock};
 use qube_hil::device::{Device, Transport};
 
 use crate::host::{Disturbed, scenario};
@@ -87,5 +88,35 @@ fn the_firmware_survives_a_flood_of_requests() {
         assert_eq!(commands.last().unwrap().motor_word, 0);
         host.link.hello().unwrap();
         host.arm_and_drive()
+    });
+}
+
+/// Tests that bytes which find the ring of received bytes full cost no request that waits in it:
+/// the ring holds 127 bytes, 18 requests of seven bytes. It is full after about nine answers.
+#[test]
+fn the_firmware_answers_every_request_that_it_received_before_it_lost_bytes() {
+    const REQUESTS: u16 = 60;
+    const RING_HOLDS: u16 = 18;
+    scenario(|host| {
+        let requests: Vec<u8> = (0..REQUESTS)
+            .flat_map(|sequence| Request::Sample.encode(sequence).as_bytes().to_vec())
+            .collect();
+        let port = host.link.transport();
+        port.write(&requests).map_err(|_| Disturbed)?;
+        let (mut decoder, mut answered, mut buffer) = (Decoder::new(), Vec::new(), [0; 256]);
+        loop {
+            let length = port.read(&mut buffer, MonotonicClock.now_ns() + 200_000_000).unwrap();
+            if length == 0 {
+                break;
+            }
+            for frame in buffer[..length].iter().filter_map(|&byte| decoder.push(byte)) {
+                let frame = frame.unwrap();
+                assert!(matches!(Reply::parse(&frame), Ok(Reply::Sample(_))));
+                answered.push(frame.sequence);
+            }
+        }
+        assert!(answered.len() < usize::from(REQUESTS), "no buffer can hold all of them");
+        assert!(answered.starts_with(&(0..RING_HOLDS).collect::<Vec<_>>()), "{answered:?}");
+        Ok(())
     });
 }
