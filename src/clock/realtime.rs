@@ -4,7 +4,8 @@ use std::num::NonZeroU64;
 use std::path::Path;
 
 use rustix::mm::{MlockAllFlags, mlockall};
-use rustix::thread::set_current_timer_slack;
+use rustix::process::{Resource, getrlimit};
+use rustix::thread::{CapabilitySet, capabilities, set_current_timer_slack};
 
 use super::{AwakeProcessors, CPU_DMA_LATENCY};
 
@@ -52,7 +53,7 @@ pub fn enter_realtime() -> RealtimeRefusals {
              membership in that group"
         )
     });
-    let memory = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).err().map(|error| {
+    let memory = lock_memory().err().map(|error| {
         format!(
             "memory could not be locked ({error}): a page fault may delay a tick. Allow it with a \
              line `@realtime - memlock unlimited` in /etc/security/limits.conf and membership in \
@@ -77,6 +78,26 @@ fn sleepy(file: &Path) -> Option<String> {
          group",
         file.display()
     ))
+}
+
+/// Locks the memory that the process has now and will have.
+fn lock_memory() -> Result<(), std::io::Error> {
+    let may_exceed = capabilities(None)
+        .is_ok_and(|capabilities| capabilities.effective.contains(CapabilitySet::IPC_LOCK));
+    check_lock_limit(getrlimit(Resource::Memlock).current, may_exceed)?;
+    Ok(mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)?)
+}
+
+/// Refuses to lock memory under a limit. All memory of the future would count towards it, and the
+/// first allocation beyond it, such as that of a training, would fail and end the program.
+fn check_lock_limit(limit_bytes: Option<u64>, may_exceed: bool) -> Result<(), std::io::Error> {
+    match limit_bytes {
+        Some(limit_bytes) if !may_exceed => {
+            let reason = format!("at most {} kB may be locked", limit_bytes / 1024);
+            Err(std::io::Error::other(reason))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn schedule_fifo() -> Result<(), std::io::Error> {
@@ -106,6 +127,15 @@ mod tests {
         );
         std::fs::write(&file, "").unwrap();
         assert_eq!(sleepy(&file), None);
+    }
+
+    #[test]
+    fn memory_is_locked_only_where_no_limit_counts() {
+        for (limit_bytes, may_exceed) in [(None, false), (None, true), (Some(8 << 20), true)] {
+            assert!(check_lock_limit(limit_bytes, may_exceed).is_ok());
+        }
+        let refusal = check_lock_limit(Some(512 << 20), false).unwrap_err().to_string();
+        assert_eq!(refusal, "at most 524288 kB may be locked");
     }
 
     #[test]
