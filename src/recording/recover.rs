@@ -30,8 +30,9 @@ pub enum Recovered {
 pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
     let bytes = read_bytes(disk, damaged)?;
-    let scan = checked_scan(&bytes).map_err(unreadable)?;
+    let mut scan = checked_scan(&bytes).map_err(unreadable)?;
     let (damage, lost_bytes) = (scan.first_damage(), scan.lost_bytes);
+    let last_ticks = scan.last_ticks.take();
     let recording = recording(scan).map_err(unreadable)?;
     let Some(damage) = damage else { return Ok(Recovered::WasWhole) };
     let (ticks, has_outcome) = (recording.ticks.len(), recording.outcome.is_some());
@@ -39,7 +40,7 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
         ("lost_bytes".to_owned(), lost_bytes.to_string()),
         ("reason".to_owned(), damage),
     ]);
-    match write(disk, saved, recording, lost) {
+    match write(disk, saved, recording, last_ticks, lost) {
         Ok(()) => Ok(Recovered::Saved { ticks, lost_bytes, has_outcome }),
         Err(error @ RecordingError::Create { .. }) => Err(error),
         Err(error) => {
@@ -54,18 +55,22 @@ fn write(
     disk: &dyn Disk,
     path: &Path,
     recording: Recording,
+    last_ticks: Option<Vec<u8>>,
     lost: BTreeMap<String, String>,
 ) -> Result<(), RecordingError> {
     let mut writer = RolloutWriter::create(disk, path, recording.header, &recording.policy)?;
     for tick in &recording.ticks {
         writer.write(tick)?;
     }
+    if let Some(lines) = last_ticks {
+        writer.attach_last_lines(lines)?;
+    }
     writer.finish_recovered(recording.outcome.as_ref(), lost).map(drop)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::samples::{find_all, outcome, recorded, ticks};
+    use super::super::samples::{POLICY, find_all, header, outcome, recorded, ticks};
     use super::super::tests::all_bits;
     use super::super::{Completeness, Unreadable, read};
     use super::*;
@@ -100,6 +105,26 @@ mod tests {
             recover(&MachineDisk, &saved, &damaged.with_extension("c")).unwrap(),
             Recovered::WasWhole
         );
+    }
+
+    #[test]
+    fn the_last_ticks_before_a_fault_are_saved_although_a_block_is_damaged() {
+        let directory = tempfile::tempdir().unwrap();
+        let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
+        let path = Path::new("memory");
+        let mut writer = RolloutWriter::begin(Vec::new(), path, header(), POLICY).unwrap();
+        for tick in &ticks(40) {
+            writer.write(tick).unwrap();
+        }
+        writer.attach_last_ticks(&ticks(40)[30..]).unwrap();
+        let mut bytes = writer.finish(&outcome()).unwrap();
+        let last_ticks = checked_scan(&bytes).unwrap().last_ticks.unwrap();
+        let inside_third = find_all(&bytes, b"lz4").into_iter().nth(3).unwrap() + 40;
+        bytes[inside_third] ^= 0x55;
+        std::fs::write(&damaged, &bytes).unwrap();
+        recover(&MachineDisk, &damaged, &saved).unwrap();
+        let scan = checked_scan(&std::fs::read(&saved).unwrap()).unwrap();
+        assert_eq!((scan.ticks.len(), scan.last_ticks), (30, Some(last_ticks)));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use super::tick_messages::{
 };
 use super::wire_format::{CRC_32, FRAME_BYTES, Fields, Frame, MAGIC, frame, opcode};
 use super::writer::topic;
-use super::{POLICY_ATTACHMENT, metadata};
+use super::{LAST_TICKS_ATTACHMENT, POLICY_ATTACHMENT, metadata};
 use crate::telemetry::TickRecord;
 
 /// Largest uncompressed size of a block, bytes; the limit keeps a hostile file from exhausting
@@ -30,6 +30,8 @@ pub(super) struct Scan {
     /// The metadata records `rollout`, `outcome` and `recovered`, by name.
     pub(super) metadata: HashMap<String, BTreeMap<String, String>>,
     pub(super) policy: Option<Vec<u8>>,
+    /// Content of the attachment with the ticks of the last second before a fault.
+    pub(super) last_ticks: Option<Vec<u8>>,
     pub(super) ticks: Vec<TickRecord>,
     /// First defect of a record. Later ones are not kept, because a hostile file may have millions.
     /// If the file ends between two records, only `closed` shows that its end is missing.
@@ -176,8 +178,10 @@ impl Scan {
         if fields.0.len() > MAX_ATTACHMENT_BYTES {
             return Err("an attachment is larger than any that this program writes".to_owned());
         }
-        if name == POLICY_ATTACHMENT {
-            self.policy = Some(fields.0.to_vec());
+        match name {
+            POLICY_ATTACHMENT => self.policy = Some(fields.0.to_vec()),
+            LAST_TICKS_ATTACHMENT => self.last_ticks = Some(fields.0.to_vec()),
+            _ => {}
         }
         Ok(())
     }

@@ -213,15 +213,17 @@ impl<W: Sink> RolloutWriter<W> {
         if ticks.is_empty() {
             return Ok(());
         }
-        self.try_attach(ticks).map_err(|error| RecordingError::write(&self.path, io_error(error)))
+        let lines =
+            json_lines(ticks).map_err(|source| RecordingError::write(&self.path, source))?;
+        self.attach_last_lines(lines)
     }
 
-    fn try_attach(&mut self, ticks: &[TickRecord]) -> Result<(), McapError> {
-        let mut lines = Vec::new();
-        for tick in ticks {
-            serde_json::to_writer(&mut lines, tick).map_err(io::Error::from)?;
-            lines.push(b'\n');
-        }
+    /// Attaches the last ticks before a fault as the lines that another recording has of them.
+    pub(super) fn attach_last_lines(&mut self, lines: Vec<u8>) -> Result<(), RecordingError> {
+        self.try_attach(lines).map_err(|error| RecordingError::write(&self.path, io_error(error)))
+    }
+
+    fn try_attach(&mut self, lines: Vec<u8>) -> Result<(), McapError> {
         self.close_block()?;
         let log_time = self.last.1;
         self.mcap.as_mut().ok_or_else(closed)?.attach(&Attachment {
@@ -341,6 +343,16 @@ fn clock_fields(header: &RolloutHeader) -> BTreeMap<String, String> {
     let epoch_unix_ns = start_unix_ns(header).to_string();
     let fields = [("clock", clock.to_owned()), ("epoch_unix_ns", epoch_unix_ns)];
     fields.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
+}
+
+/// The ticks as JSON objects, each on its own line.
+fn json_lines(ticks: &[TickRecord]) -> io::Result<Vec<u8>> {
+    let mut lines = Vec::new();
+    for tick in ticks {
+        serde_json::to_writer(&mut lines, tick)?;
+        lines.push(b'\n');
+    }
+    Ok(lines)
 }
 
 fn closed() -> io::Error {
