@@ -457,7 +457,7 @@ impl Board {
         match self.settings.fault {
             Some(fault @ EmulatorFault::EmergencyStop { .. }) => {
                 let pressed_us = fault.onset_us();
-                !(pressed_us..pressed_us + STOP_PRESSED_US).contains(&self.now_us)
+                !(pressed_us..pressed_us.saturating_add(STOP_PRESSED_US)).contains(&self.now_us)
             }
             _ => true,
         }

@@ -57,7 +57,7 @@ impl FaultProgress {
         };
         match self.stage {
             Stage::Before => Some(fault.onset_us()),
-            Stage::During => Some(fault.onset_us() + (lasts_s? * 1e6) as u64),
+            Stage::During => Some(fault.onset_us().saturating_add((lasts_s? * 1e6) as u64)),
             Stage::After => None,
         }
     }
@@ -184,6 +184,15 @@ mod tests {
             let back = TrueReadings { tachometer_raw: TACHOMETER_NEGATIVE | 1000, ..START };
             assert_eq!(fault_progress.readings(back).tachometer_raw, TACHOMETER_NEGATIVE | ticks);
         }
+    }
+
+    #[test]
+    fn a_fault_may_last_longer_than_the_clock_can_count() {
+        let fault = EmulatorFault::HeldPendulum { after_s: 3.0, lasts_s: 1e20 };
+        let mut fault_progress = FaultProgress::new(Some(fault));
+        fault_progress.advance_stage(START);
+        assert_eq!(fault_progress.next_us(), Some(u64::MAX));
+        assert!(fault_progress.holds_pendulum());
     }
 
     #[test]

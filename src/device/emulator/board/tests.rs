@@ -202,3 +202,12 @@ fn a_frozen_arm_encoder_shows_neither_count_nor_speed() {
     assert!(before.0 > first.0 && before.1 > 0, "{first:?} {before:?}");
     assert_eq!((frozen.1, later), (0, frozen));
 }
+
+#[test]
+fn an_emergency_stop_may_come_later_than_the_clock_can_count() {
+    let fault = Some(EmulatorFault::EmergencyStop { after_s: 1e20 });
+    let mut board = Board::new(EmulatorSettings { fault, ..EmulatorSettings::default() });
+    let hello = Request::Hello { protocol_version: PROTOCOL_VERSION };
+    assert!(matches!(send(&mut board, hello, 1), Some(Reply::Hello(_))));
+    assert_eq!(board.state(), DeviceState::Greeted);
+}
