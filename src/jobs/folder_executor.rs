@@ -1,4 +1,5 @@
 use std::collections::{HashMap, HashSet};
+use std::io::ErrorKind;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -188,6 +189,11 @@ impl Executor for FolderExecutor {
                 Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => continue,
                 Err(_) => break,
             };
+            // A job that could not be put into the folder has ended already.
+            let (Notice::Result(index) | Notice::Failed(index, _)) = &notice;
+            if !open.contains_key(index) {
+                continue;
+            }
             let (index, result) = match notice {
                 Notice::Failed(index, error) => (index, Err(error)),
                 Notice::Result(index) => match shared.collect(&open[&index], &jobs[index]) {
@@ -231,20 +237,26 @@ impl Shared {
         sender: &Sender<Notice>,
     ) -> Result<String, JobError> {
         let name = job.fingerprint();
-        if let Some(failure) = &self.lock().failure {
+        // The caller is registered first: then nobody removes the files of an equal job that has
+        // just ended, unless they are gone before the look at them.
+        let mut state = self.lock();
+        if let Some(failure) = &state.failure {
             return Err(failure.clone().into());
         }
+        state.waiting.entry(name.clone()).or_default().push((index, sender.clone()));
+        drop(state);
         // A damaged job of an earlier coordinator is replaced.
-        if !matches!(self.folder.read_job(&name), Ok(Some(_))) {
-            self.folder.put(job)?;
+        if !matches!(self.folder.read_job(&name), Ok(Some(_)))
+            && let Err(error) = self.folder.put(job)
+        {
+            self.withdraw(&name, index, sender);
+            return Err(error.into());
         }
-        let entry = (index, sender.clone());
-        self.lock().waiting.entry(name.clone()).or_default().push(entry);
         Ok(name)
     }
 
     /// Reads a result. A damaged result is removed, so that the training is repeated; the function
-    /// then returns `Ok(None)`.
+    /// then returns `Ok(None)`, also to another caller with the same job.
     fn collect(&self, name: &str, job: &TrainingJob) -> Result<Option<Box<Trained>>, JobError> {
         match self.folder.read_result(name, job) {
             Ok(JobResult { outcome, by, .. }) => {
@@ -253,7 +265,11 @@ impl Shared {
             Err(JobFolderError::Damaged { path, reason }) => {
                 tracing::warn!("{}: {reason}; the training is repeated", path.display());
                 self.folder.discard_result(name)?;
-                self.release_reading(name);
+                self.release_reading(&mut self.lock(), name);
+                Ok(None)
+            }
+            Err(JobFolderError::Disk { source, .. }) if source.kind() == ErrorKind::NotFound => {
+                self.release_reading(&mut self.lock(), name);
                 Ok(None)
             }
             Err(error) => Err(error.into()),
@@ -262,8 +278,7 @@ impl Shared {
 
     /// Removes one reader of this result from the count; returns whether no caller reads it or
     /// waits for it any more.
-    fn release_reading(&self, name: &str) -> bool {
-        let mut state = self.lock();
+    fn release_reading(&self, state: &mut State, name: &str) -> bool {
         let left = state.reading.get_mut(name).map(|count| {
             *count = count.saturating_sub(1);
             *count
@@ -274,9 +289,11 @@ impl Shared {
         left.unwrap_or(0) == 0 && !state.waiting.contains_key(name)
     }
 
-    /// Removes the files of a job that its last caller has read.
+    /// Removes the files of a job that its last caller has read. The lock is held meanwhile, so
+    /// that a caller that asks for an equal job finds the files or puts them again.
     fn release(&self, name: &str) {
-        if self.release_reading(name)
+        let mut state = self.lock();
+        if self.release_reading(&mut state, name)
             && let Err(error) = self.folder.remove_job(name)
         {
             tracing::warn!("{error}");
@@ -284,14 +301,14 @@ impl Shared {
     }
 
     /// Removes a caller that stops waiting for a job, and the job too if no other caller waits for
-    /// it and workers are not to outlive this process.
+    /// it and workers are not to outlive this process. The lock is held meanwhile, as in
+    /// [`Self::release`].
     fn withdraw(&self, name: &str, index: usize, sender: &Sender<Notice>) {
         let mut state = self.lock();
         if let Some(callers) = state.waiting.get_mut(name) {
             callers.retain(|(it, other)| *it != index || !other.same_channel(sender));
             if callers.is_empty() {
                 state.waiting.remove(name);
-                drop(state);
                 if !self.leave
                     && let Err(error) = self.folder.remove_job(name)
                 {

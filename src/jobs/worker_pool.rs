@@ -27,7 +27,8 @@ pub(super) struct WorkerPool {
     begun: Instant,
     /// Worker files seen so far, with whether the worker lived.
     seen: HashMap<String, bool>,
-    has_counted: bool,
+    /// Time of the last look at the workers' files.
+    counted: Option<Instant>,
     /// Number of workers whose files have appeared: heartbeats, and refusals. Of the files that
     /// were there at the first look, only those of living workers count.
     appeared: u32,
@@ -78,7 +79,7 @@ impl WorkerPool {
             watch: HeartbeatWatch::new(Holder::this_process(), folder.terms().stale()),
             begun: Instant::now(),
             seen: HashMap::new(),
-            has_counted: false,
+            counted: None,
             appeared: 0,
             starts_without_worker: 0,
             appeared_at_start: 0,
@@ -192,6 +193,8 @@ impl WorkerPool {
     /// Reads the workers' files and returns how many workers live.
     fn count_alive(&mut self, folder: &JobFolder) -> Result<u32, NoWorkers> {
         let now = self.begun.elapsed();
+        // While no job is open nobody looks, so the time since the last look may be long.
+        let since_counted = self.counted.replace(Instant::now()).map(|counted| counted.elapsed());
         let (mut alive, mut refusal) = (0, None);
         for name in folder.worker_files()? {
             if self.seen.get(&name) == Some(&false) {
@@ -201,7 +204,7 @@ impl WorkerPool {
                 self.seen.insert(name.clone(), false);
                 // A refusal that a worker left under an earlier coordinator says nothing about this
                 // one's workers.
-                if self.has_counted || self.started.is_some() {
+                if since_counted.is_some() || self.started.is_some() {
                     self.appeared += 1;
                     refusal = folder.refusal(&name);
                 }
@@ -210,11 +213,11 @@ impl WorkerPool {
             let Some(state) = folder.worker(&name)? else { continue };
             let is_new = !self.seen.contains_key(&name);
             let lives = state.ending.is_none() && !self.watch.is_dead(&name, &state, now);
-            if is_new && (lives || self.has_counted) {
+            if is_new && (lives || since_counted.is_some()) {
                 self.appeared += 1;
             }
-            if is_new && self.has_counted {
-                self.compare_clocks(&state);
+            if is_new && let Some(since_counted) = since_counted {
+                self.compare_clocks(&state, since_counted);
             }
             if let Some(ClaimEnding::Failed(reason)) = &state.ending {
                 let note = format!("{} has ended: {reason}", state.by());
@@ -223,7 +226,6 @@ impl WorkerPool {
             alive += u32::from(lives);
             self.seen.insert(name, lives);
         }
-        self.has_counted = true;
         if let Some(reason) = refusal {
             if alive == 0 {
                 return Err(StartError::WorkersRefuse { reason }.into());
@@ -233,10 +235,12 @@ impl WorkerPool {
         Ok(alive)
     }
 
-    fn compare_clocks(&mut self, state: &HeartbeatState) {
+    /// Warns the operator where the clock of a new worker's computer differs from this one's. The
+    /// worker registered within the time `since_counted`.
+    fn compare_clocks(&mut self, state: &HeartbeatState, since_counted: Duration) {
         let Some(holder) = &state.holder else { return };
         let here = Holder::this_process().at_s;
-        let difference_s = here.abs_diff(holder.at_s);
+        let difference_s = clock_difference_s(holder.at_s, here, since_counted);
         if difference_s > CLOCK_DIFFERENCE_S {
             let note = format!(
                 "the clock of {} differs by {difference_s} s from this computer's: no result depends on it, but schedulers \
@@ -261,6 +265,13 @@ impl WorkerPool {
     }
 }
 
+/// The difference that two clocks must have, s, if a worker wrote the time `there` at most
+/// `since_counted` before the time `here`.
+fn clock_difference_s(there: u64, here: u64, since_counted: Duration) -> u64 {
+    let earliest = here.saturating_sub(since_counted.as_secs());
+    earliest.saturating_sub(there).max(there.saturating_sub(here))
+}
+
 /// The last line of the newest log of a start or a worker.
 fn last_log_line(folder: &JobFolder) -> Option<String> {
     let logs = std::fs::read_dir(folder.root().join("logs")).ok()?.flatten();
@@ -269,4 +280,20 @@ fn last_log_line(folder: &JobFolder) -> Option<String> {
     let text = String::from_utf8_lossy(&text);
     let line = text.lines().rfind(|line| !line.trim().is_empty())?;
     Some(format!("The last line of {} is: {line}", newest.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_worker_that_registered_while_nobody_looked_has_no_wrong_clock() {
+        let difference_s =
+            |there, waited_s| clock_difference_s(there, 10_000, Duration::from_secs(waited_s));
+        // A worker that registered an hour ago, seen after an hour of rollouts without a training.
+        assert_eq!(difference_s(6_400, 3_600), 0);
+        assert_eq!(difference_s(6_400, 5), 3_595);
+        assert_eq!(difference_s(6_000, 3_600), 400);
+        assert_eq!(difference_s(10_300, 3_600), 300);
+    }
 }

@@ -2,17 +2,21 @@
 //! coordinator alone, and a command that cannot start them is refused with one sentence.
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::fs::TryLockError;
+use std::io;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
-use qube_hil::jobs::folder::{JobFolder, Terms};
+use qube_hil::jobs::folder::{Holder, JobFolder, Terms, Worker};
 use qube_hil::jobs::starter::{StartError, Starter, WorkerCount};
 use qube_hil::jobs::{Executor, FolderExecutor, JobEvent, TrainingJob};
 use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
-use qube_hil::storage::MachineDisk;
+use qube_hil::storage::{Disk, DiskFile, Hold, MachineDisk};
 
 use crate::folders::files_of;
 
@@ -169,4 +173,109 @@ fn a_stop_ends_workers_and_trainings_or_leaves_them() {
         assert_eq!(folder.is_closed(), !leave);
         assert_eq!(cancelled.load(std::sync::atomic::Ordering::Relaxed), !leave);
     }
+}
+
+/// A disk on which a job file is slow to remove: it waits until somebody else has read the file,
+/// who then hears of it late, or for 0.3 s.
+#[derive(Debug, Default)]
+struct SlowRemoval {
+    is_removing: AtomicBool,
+    was_read: AtomicBool,
+}
+
+const SLOW: Duration = Duration::from_millis(300);
+
+fn is_job(path: &Path) -> bool {
+    path.parent().is_some_and(|folder| folder.ends_with("jobs"))
+}
+
+/// Waits until the flag is set, or for a time; returns whether the flag is set.
+fn wait_for(flag: &AtomicBool, longest: Duration) -> bool {
+    let begun = Instant::now();
+    while !flag.load(Ordering::SeqCst) && begun.elapsed() < longest {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    flag.load(Ordering::SeqCst)
+}
+
+impl Disk for SlowRemoval {
+    fn create_folder(&self, path: &Path) -> io::Result<()> {
+        MachineDisk.create_folder(path)
+    }
+
+    fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>> {
+        MachineDisk.create(path, replace)
+    }
+
+    fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>> {
+        MachineDisk.append(path)
+    }
+
+    fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+        let bytes = MachineDisk.read(path, limit);
+        if is_job(path) && self.is_removing.load(Ordering::SeqCst) && bytes.is_ok() {
+            self.was_read.store(true, Ordering::SeqCst);
+            std::thread::sleep(SLOW);
+        }
+        bytes
+    }
+
+    fn exists(&self, path: &Path) -> bool {
+        MachineDisk.exists(path)
+    }
+
+    fn names(&self, folder: &Path) -> io::Result<Vec<OsString>> {
+        MachineDisk.names(folder)
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        MachineDisk.rename(from, to)
+    }
+
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        if is_job(path) && !self.is_removing.swap(true, Ordering::SeqCst) {
+            wait_for(&self.was_read, SLOW);
+        }
+        MachineDisk.remove(path)
+    }
+
+    fn sync_folder(&self, path: &Path) -> io::Result<()> {
+        MachineDisk.sync_folder(path)
+    }
+
+    fn hold(&self, folder: &Path) -> Result<Hold, TryLockError> {
+        MachineDisk.hold(folder)
+    }
+}
+
+/// Two recipes of an experiment that differ only in their rollouts have equal trainings.
+#[test]
+fn a_job_that_is_asked_for_while_an_equal_one_is_removed_is_done_too() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    let disk = Arc::new(SlowRemoval::default());
+    let folder = JobFolder::create(disk.clone(), root, Terms::default()).unwrap();
+    let executor = FolderExecutor::new(folder, None, 1, false, &AtomicBool::new(false)).unwrap();
+    let linger = Duration::from_secs(60);
+    let of_worker = JobFolder::open(Arc::new(MachineDisk), root).unwrap();
+    let worker = Worker::new(of_worker, Holder::this_process(), None, linger).unwrap();
+    let settings =
+        TrainSettings { updates: 1, epochs: 1, evaluation_starts: 16, ..TrainSettings::quick() };
+    let job = TrainingJob { distribution: DomainDistribution::nominal(), settings, seed: 1 };
+    let (is_late, is_over) = (AtomicBool::new(false), AtomicBool::new(false));
+    let train = || executor.train_one(&job, &is_late, &mut |_| ());
+    let (first, second) = std::thread::scope(|scope| {
+        scope.spawn(|| worker.run(&is_over, &mut |_| ()).unwrap());
+        scope.spawn(|| {
+            if !wait_for(&is_over, Duration::from_secs(60)) {
+                is_late.store(true, Ordering::SeqCst);
+            }
+        });
+        let first = scope.spawn(train);
+        wait_for(&disk.is_removing, Duration::from_secs(60));
+        let second = train();
+        is_over.store(true, Ordering::SeqCst);
+        (first.join().unwrap(), second)
+    });
+    assert_eq!(first.unwrap(), second.unwrap());
 }

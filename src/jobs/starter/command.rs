@@ -118,7 +118,10 @@ impl Starter for CommandStarter {
                 to_appear += start.workers;
             }
         }
-        let expected = alive + to_appear.saturating_sub(appeared.saturating_sub(of_failed));
+        // Those that had appeared before the first start belong to none of the starts.
+        let before = self.starts.first().map_or(appeared, |start| start.appeared_before);
+        let expected =
+            alive + to_appear.saturating_sub(appeared.saturating_sub(before + of_failed));
         Ok(WorkerCount { expected: Some(expected), running: alive, note })
     }
 
@@ -195,5 +198,23 @@ mod tests {
         assert_eq!(expected(&mut starter, 2, 1), Some(2));
         assert_eq!(expected(&mut starter, 3, 2), Some(2));
         assert_eq!(expected(&mut starter, 3, 1), Some(1));
+    }
+
+    #[test]
+    fn workers_that_lived_before_the_first_start_do_not_stand_for_those_of_that_start() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("jobs");
+        let folder = JobFolder::create(Arc::new(MachineDisk), &root, Terms::default()).unwrap();
+        let mut starter = CommandStarter::new("true {work}", String::new()).unwrap();
+        let expected = |starter: &mut CommandStarter, appeared, alive| {
+            starter.count_workers(appeared, alive).unwrap().expected
+        };
+        // Three workers were left by an earlier coordinator.
+        assert_eq!(expected(&mut starter, 3, 3), Some(3));
+        starter.start(&folder, 2).unwrap();
+        assert_eq!(expected(&mut starter, 3, 3), Some(5));
+        assert_eq!(expected(&mut starter, 4, 4), Some(5));
+        assert_eq!(expected(&mut starter, 5, 5), Some(5));
+        assert_eq!(expected(&mut starter, 5, 4), Some(4));
     }
 }
