@@ -23,6 +23,9 @@ pub struct ExperimentProgress {
     began: Instant,
     count: u64,
     done: AtomicU64,
+    /// Number of the finished pieces of work that were on disk before this process began; the time
+    /// that they took says nothing.
+    found: AtomicU64,
     /// Number of updates of a training: by the name of its recipe, and for any other name those of
     /// the first recipe.
     updates: (BTreeMap<String, u32>, u32),
@@ -57,6 +60,7 @@ impl ExperimentProgress {
             began: Instant::now(),
             count,
             done: AtomicU64::new(0),
+            found: AtomicU64::new(0),
             updates: (by_name, settings.recipes.first().map_or(0, updates)),
             best: Mutex::new(None),
         }
@@ -77,7 +81,7 @@ impl ExperimentProgress {
                     ));
                 }
             }
-            ExperimentEvent::Ran { recipe, policy, plant, results } => {
+            ExperimentEvent::Ran { recipe, policy, plant, results, is_new } => {
                 let count = |kind| results.iter().filter(|it| it.behaviour == kind).count();
                 let kinds: Vec<String> = Behaviour::ALL
                     .into_iter()
@@ -94,25 +98,28 @@ impl ExperimentProgress {
                     format!("mean return {mean:.0}")
                 };
                 self.line(format!("{recipe} {policy} on {plant}: {outcome}; {kinds}"));
-                self.count_finished();
+                self.count_finished(*is_new);
                 self.progress.wait_while_paused(&self.stop);
             }
             ExperimentEvent::Scored { repetition, recommendation } => {
                 self.scored(repetition, recommendation);
             }
-            ExperimentEvent::Over { .. } | ExperimentEvent::NotScored => self.count_finished(),
+            ExperimentEvent::Over { is_new, .. } | ExperimentEvent::NotScored { is_new } => {
+                self.count_finished(*is_new);
+            }
         }
     }
 
-    /// Counts one more finished piece of work.
-    fn count_finished(&self) {
+    /// Counts one more finished piece of work; one that is not new was on disk.
+    fn count_finished(&self, is_new: bool) {
+        self.found.fetch_add(u64::from(!is_new), Ordering::Relaxed);
         self.done.fetch_add(1, Ordering::Relaxed);
         self.progress.update(|state| self.expect_end(state));
     }
 
-    /// Shows when the experiment will probably end, by the time that the finished work took. A
-    /// training in progress counts by its share of updates, but not within a search, which has many
-    /// trainings.
+    /// Shows when the experiment will probably end, by the time that the work of this process took.
+    /// A training in progress counts by its share of updates, but not within a search, which has
+    /// many trainings.
     fn expect_end(&self, state: &mut ScreenState) {
         let done = self.done.load(Ordering::Relaxed);
         state.done = Some((done, self.count));
@@ -120,8 +127,10 @@ impl ExperimentProgress {
             group if group.ends_with(SEARCH) => 0.0,
             _ => (training.returns.len() as f64 / f64::from(training.updates.max(1))).min(1.0),
         });
-        let done = done as f64 + parts.sum::<f64>();
-        state.expect_end(time_left(self.began.elapsed(), done, self.count as f64 - done));
+        let found = self.found.load(Ordering::Relaxed).min(done);
+        let (made, to_do) = ((done - found) as f64, (self.count - done.min(self.count)) as f64);
+        let parts: f64 = parts.sum();
+        state.expect_end(time_left(self.began.elapsed(), made + parts, to_do - parts));
     }
 
     /// Shows an update of a training. `of` holds the recipe or search, `policy` or `candidate` with
@@ -200,5 +209,55 @@ impl ExperimentProgress {
 
     fn line(&self, text: String) {
         self.progress.line(&text);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::RolloutResult;
+    use crate::scoring::Quietness;
+    use crate::session::SessionSettings;
+    use crate::simulation::Model;
+
+    #[test]
+    fn work_that_was_on_disk_tells_nothing_about_the_time_left() {
+        let recipe = Recipe::of(Model::Nominal, &SessionSettings::thesis());
+        let plant = crate::experiment::Plant {
+            name: "lab".into(),
+            emulated: Default::default(),
+            vary: 0.0,
+        };
+        let settings = ExperimentSettings {
+            name: "table".into(),
+            seed: 7,
+            policies: 20,
+            rollouts: 1,
+            simulated_starts: 1,
+            plants: vec![plant],
+            recipes: vec![recipe],
+            strategies: None,
+        };
+        let ran = |progress: &ExperimentProgress, policy, is_new| {
+            let results = [RolloutResult {
+                return_: Some(500.0),
+                behaviour: Behaviour::Balanced,
+                quietness: Quietness::NONE,
+            }];
+            let (recipe, plant) = ("nominal", "lab");
+            let results = &results;
+            progress.update(&ExperimentEvent::Ran { recipe, policy, plant, results, is_new });
+        };
+        let mut progress = ExperimentProgress::new(&settings, &Progress::lines(), &Stop::default());
+        progress.began -= std::time::Duration::from_secs(100);
+        let mut state = ScreenState::new("test".into(), Instant::now());
+        (0..15).for_each(|policy| ran(&progress, policy, false));
+        progress.expect_end(&mut state);
+        assert_eq!((state.done, state.ends), (Some((15, 20)), None));
+        ran(&progress, 15, true);
+        progress.expect_end(&mut state);
+        // One policy took 100 s, and four are left.
+        let left = state.ends.unwrap().saturating_duration_since(Instant::now()).as_secs_f64();
+        assert!((395.0..410.0).contains(&left), "{left}");
     }
 }

@@ -38,6 +38,14 @@ pub(super) struct Series<'a> {
     pub executor: Arc<dyn Executor>,
 }
 
+/// The rollouts of a policy on a plant.
+pub(super) struct Ran {
+    /// Results of the rollouts, in order.
+    pub results: Vec<RolloutResult>,
+    /// Whether one of the rollouts was recorded now; otherwise all were on disk.
+    pub is_new: bool,
+}
+
 impl Series<'_> {
     /// Trains a policy and returns its best return in training, or `None` if the policy is on disk.
     /// `watch` gets the number of the training and each of its updates.
@@ -151,7 +159,7 @@ impl Series<'_> {
         policy: u32,
         plant: &Plant,
         rollouts: u32,
-    ) -> Result<Vec<RolloutResult>, ExperimentError> {
+    ) -> Result<Ran, ExperimentError> {
         let emulated = plant.for_policy(self.seed, policy);
         let rig = RigSettings { homing: self.recipe.settings.homing, ..self.rig.clone() };
         self.run(policy, plant, rollouts, |rollout, attempt, record| {
@@ -171,7 +179,7 @@ impl Series<'_> {
         policy: u32,
         plant: &Plant,
         rollouts: u32,
-    ) -> Result<Vec<RolloutResult>, ExperimentError> {
+    ) -> Result<Ran, ExperimentError> {
         let settings = RigSettings { homing: self.recipe.settings.homing, ..self.rig.clone() };
         let mut not_begun = 0;
         self.run(policy, plant, rollouts, |_, _, record| {
@@ -207,10 +215,11 @@ impl Series<'_> {
         plant: &Plant,
         rollouts: u32,
         mut with_rig: impl FnMut(u32, u32, &mut Record<'_>) -> Result<(), ExperimentError>,
-    ) -> Result<Vec<RolloutResult>, ExperimentError> {
+    ) -> Result<Ran, ExperimentError> {
         let file = Policy::load(&self.folders.policy(policy).policy())?.to_bytes();
         let folder = self.folders.rollouts(policy, &plant.name);
-        (0..rollouts)
+        let mut is_new = false;
+        let results: Result<_, ExperimentError> = (0..rollouts)
             .map(|rollout| {
                 let repeated = Repeated {
                     folder: &folder,
@@ -219,9 +228,13 @@ impl Series<'_> {
                     repetitions: self.recipe.settings.extent.repetitions,
                     stop: self.stop,
                 };
-                repeated.perform(|attempt, record| with_rig(rollout, attempt, record))
+                repeated.perform(|attempt, record| {
+                    is_new = true;
+                    with_rig(rollout, attempt, record)
+                })
             })
-            .collect()
+            .collect();
+        Ok(Ran { results: results?, is_new })
     }
 
     fn plan(&self, policy: u32, rollout: u32) -> RolloutPlan {

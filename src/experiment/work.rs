@@ -57,6 +57,9 @@ pub enum ExperimentEvent<'a> {
         plant: &'a str,
         /// Results of the rollouts.
         results: &'a [RolloutResult],
+        /// Whether the policy was trained or a rollout recorded since this process began; otherwise
+        /// all was on disk.
+        is_new: bool,
     },
     /// A recommendation has been scored, or the method gave a reason for having none.
     Scored {
@@ -67,11 +70,17 @@ pub enum ExperimentEvent<'a> {
     },
     /// A budget has no score of its own: it allows no recommendation, or only the recommendation
     /// that the budget before it had.
-    NotScored,
+    NotScored {
+        /// Whether the score beside it is new, as in [`Self::Ran`].
+        is_new: bool,
+    },
     /// A repetition of a method has ended.
     Over {
         /// Repetition with all its recommendations.
         repetition: &'a Repetition,
+        /// Whether a recommendation was scored since this process began; otherwise all scores were
+        /// on disk.
+        is_new: bool,
     },
 }
 
@@ -269,9 +278,9 @@ impl Experiment {
             }
             WorkItem::Repetition { method, repetition } => {
                 if let Some(strategies) = &self.settings.strategies {
-                    let repetition =
+                    let (repetition, is_new) =
                         self.follow(strategies, (method, repetition), Access::Work(on_event))?;
-                    on_event(ExperimentEvent::Over { repetition: &repetition });
+                    on_event(ExperimentEvent::Over { repetition: &repetition, is_new });
                 }
                 Ok(Vec::new())
             }
@@ -396,9 +405,10 @@ impl Experiment {
         on_event(ExperimentEvent::Trained { recipe: &recipe.name, policy, best_return });
         let plants = if self.is_virtual() { &self.settings.plants[..] } else { &[] };
         for plant in plants {
-            let results = series.run_in_virtual_time(policy, plant, self.settings.rollouts)?;
-            let (recipe, plant, results) = (&recipe.name, &plant.name, &results);
-            on_event(ExperimentEvent::Ran { recipe, policy, plant, results });
+            let ran = series.run_in_virtual_time(policy, plant, self.settings.rollouts)?;
+            let is_new = ran.is_new || best_return.is_some();
+            let (recipe, plant, results) = (&recipe.name, &plant.name, &ran.results);
+            on_event(ExperimentEvent::Ran { recipe, policy, plant, results, is_new });
         }
         Ok(())
     }
@@ -412,9 +422,15 @@ impl Experiment {
             let series = self.series(recipe, psi.value());
             for policy in 0..self.settings.policies {
                 let rollouts = self.settings.rollouts;
-                let results = series.run_on_device(&mut rig, policy, plant, rollouts)?;
-                let (recipe, plant, results) = (&recipe.name, &plant.name, &results);
-                on_event(ExperimentEvent::Ran { recipe, policy, plant, results });
+                let ran = series.run_on_device(&mut rig, policy, plant, rollouts)?;
+                let (recipe, plant, results) = (&recipe.name, &plant.name, &ran.results);
+                on_event(ExperimentEvent::Ran {
+                    recipe,
+                    policy,
+                    plant,
+                    results,
+                    is_new: ran.is_new,
+                });
             }
         }
         Ok(())

@@ -62,14 +62,18 @@ impl Experiment {
         let mut recommendations = recommendations_of(&run, method, strategies)?;
         let mut results: Vec<(usize, PolicyResult)> = Vec::new();
         let mut scored: Option<u32> = None;
-        let not_scored = || {
+        // Whether the last score was new; `None` before the first one.
+        let mut last_is_new: Option<bool> = None;
+        // Number of budgets that allow no recommendation and are not reported yet.
+        let mut too_small = 0;
+        let not_scored = |is_new| {
             if let Access::Work(on_event) = access {
-                on_event(ExperimentEvent::NotScored);
+                on_event(ExperimentEvent::NotScored { is_new });
             }
         };
         for (index, &budget) in strategies.budgets.iter().enumerate() {
             let Some(steps) = steps_within(recommendations.as_ref(), budget) else {
-                not_scored();
+                too_small += 1;
                 continue;
             };
             // A budget that allows no further candidate or recording has the recommendation of the
@@ -78,7 +82,7 @@ impl Experiment {
                 && let Some((_, last)) = results.last()
             {
                 results.push((index, last.clone()));
-                not_scored();
+                not_scored(last_is_new.unwrap_or_default());
                 continue;
             }
             let recommendation = match recommendations.after(steps)? {
@@ -86,19 +90,22 @@ impl Experiment {
                 Recommended::Refused(_) => run.without_identification(),
                 Recommended::NotOnDisk => break,
             };
-            let Some(result) =
+            let Some((result, is_new)) =
                 run.scored_on_its_plant(&recommendation, steps, number, strategies)?
             else {
                 break;
             };
+            (0..std::mem::take(&mut too_small)).for_each(|_| not_scored(is_new));
+            last_is_new = Some(is_new);
             if let Access::Work(on_event) = access {
                 let (recipe, results) = (&row_name(method, budget), &result.rollouts);
                 let (policy, plant) = (number, &plant.name);
-                on_event(ExperimentEvent::Ran { recipe, policy, plant, results });
+                on_event(ExperimentEvent::Ran { recipe, policy, plant, results, is_new });
             }
             scored = Some(steps);
             results.push((index, result));
         }
+        (0..too_small).for_each(|_| not_scored(false));
         Ok(results)
     }
 
@@ -152,23 +159,25 @@ impl Experiment {
 
 impl MethodRun<'_> {
     /// Trains the recommended policy and runs it on the plant of this repetition; a read-only run
-    /// reads the results. `None`: the run is read-only, and a result is missing on disk.
+    /// reads the results. Also returns whether the policy was trained or a rollout recorded. `None`:
+    /// the run is read-only, and a result is missing on disk.
     fn scored_on_its_plant(
         &self,
         recommendation: &Recommendation,
         steps: u32,
         number: u32,
         strategies: &StrategySettings,
-    ) -> Result<Option<PolicyResult>, ExperimentError> {
+    ) -> Result<Option<(PolicyResult, bool)>, ExperimentError> {
         let series = self.series(recommendation, steps, strategies.trainings);
         let recordings = series.folders.rollouts(0, &self.plant.name);
         let settings = self.experiment.settings();
-        let rollouts: Vec<RolloutResult> = if self.access.works() {
-            series.train(0, &mut |_, _| ())?;
-            series.run_in_virtual_time(0, &self.plant, settings.rollouts)?
+        let (rollouts, is_new): (Vec<RolloutResult>, bool) = if self.access.works() {
+            let trained = series.train(0, &mut |_, _| ())?;
+            let ran = series.run_in_virtual_time(0, &self.plant, settings.rollouts)?;
+            (ran.results, ran.is_new || trained.is_some())
         } else {
             match all_of(&recordings, settings.rollouts, self.recipe.settings.extent.repetitions)? {
-                Some(results) => results,
+                Some(results) => (results, false),
                 None => return Ok(None),
             }
         };
@@ -181,7 +190,7 @@ impl MethodRun<'_> {
             let starts = settings.simulated_starts as usize;
             simulated_return(&path, &distribution, &simulation, starts)?
         };
-        Ok(Some(PolicyResult { number, simulated_return, rollouts, recordings }))
+        Ok(Some((PolicyResult { number, simulated_return, rollouts, recordings }, is_new)))
     }
 }
 

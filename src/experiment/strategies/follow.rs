@@ -13,8 +13,9 @@ use crate::experiment::{Experiment, ExperimentError, ExperimentEvent, Plant};
 use crate::session::{SeedFor, derived_seed};
 
 impl Experiment {
-    /// Runs one repetition of a method until a recommendation succeeds or none is left. A read-only
-    /// run ends at the first result that is not on disk.
+    /// Runs one repetition of a method until a recommendation succeeds or none is left. Also returns
+    /// whether a recommendation was scored, whose score was not on disk. A read-only run ends at the
+    /// first result that is not on disk.
     ///
     /// # Errors
     /// The work ends early, or a file cannot be read.
@@ -23,7 +24,7 @@ impl Experiment {
         strategies: &StrategySettings,
         (method, number): (Method, u32),
         access: Access,
-    ) -> Result<Repetition, ExperimentError> {
+    ) -> Result<(Repetition, bool), ExperimentError> {
         let folder = self.folder().repetition(method.name(), number);
         let run = self.method_run((method, number), &self.settings().plants[0], folder, access);
         let mut recommendations = recommendations_of(&run, method, strategies)?;
@@ -34,8 +35,8 @@ impl Experiment {
             is_over: false,
             budget: recommendations.count() * recommendations.rollouts_each(),
         };
-        run.follow(recommendations.as_mut(), &mut repetition)?;
-        Ok(repetition)
+        let is_new = run.follow(recommendations.as_mut(), &mut repetition)?;
+        Ok((repetition, is_new))
     }
 
     /// One repetition of a method on a plant.
@@ -86,22 +87,24 @@ impl MethodRun<'_> {
         &self,
         recommendations: &mut dyn Recommendations,
         repetition: &mut Repetition,
-    ) -> Result<(), ExperimentError> {
+    ) -> Result<bool, ExperimentError> {
         let mut scored: Vec<Box<Recommendation>> = Vec::new();
+        let mut has_new_score = false;
         for steps in 1..=recommendations.count() {
             let real_rollouts = steps * recommendations.rollouts_each();
             let result = match recommendations.after(steps)? {
-                Recommended::NotOnDisk => return Ok(()),
+                Recommended::NotOnDisk => return Ok(has_new_score),
                 Recommended::Refused(reason) => {
                     RecommendationResult { real_rollouts, score: Err(reason), succeeds: false }
                 }
                 Recommended::Found(recommendation) if scored.contains(&recommendation) => continue,
                 Recommended::Found(recommendation) => {
-                    let Some(ScoredDecision { score, succeeds }) =
+                    let Some(ScoredDecision { score, succeeds, is_new }) =
                         self.score(&recommendation, steps)?
                     else {
-                        return Ok(());
+                        return Ok(has_new_score);
                     };
+                    has_new_score |= is_new;
                     scored.push(recommendation);
                     RecommendationResult { real_rollouts, score: Ok(score), succeeds }
                 }
@@ -115,7 +118,7 @@ impl MethodRun<'_> {
             }
         }
         repetition.is_over = true;
-        Ok(())
+        Ok(has_new_score)
     }
 
     fn score(

@@ -107,7 +107,7 @@ impl StrategyResults {
         // Results are needed after a stop request too.
         let never = AtomicBool::new(false);
         Queue::new(strategies.repetitions(), &never).run(experiment.threads(), |job| {
-            let repetition = experiment.follow(strategies, job, Access::ReadOnly)?;
+            let (repetition, _) = experiment.follow(strategies, job, Access::ReadOnly)?;
             read.lock().unwrap_or_else(PoisonError::into_inner).push(repetition);
             Ok(Vec::new())
         })?;

@@ -42,6 +42,8 @@ pub(super) struct ScoredDecision {
     pub score: Score,
     /// Whether the recommendation succeeds.
     pub succeeds: bool,
+    /// Whether a policy was trained or a rollout recorded for the score; otherwise all was on disk.
+    pub is_new: bool,
 }
 
 /// Scores a recommendation by up to `policies` policies with `rollouts` rollouts each, and stops
@@ -57,11 +59,13 @@ pub(super) fn score(
     rollouts: u32,
     access: Access,
 ) -> Result<Option<ScoredDecision>, ExperimentError> {
-    let mut score = Score::default();
+    let (mut score, mut is_new) = (Score::default(), false);
     for policy in 0..policies {
         let results = if access.works() {
-            series.train(policy, &mut |_, _| ())?;
-            series.run_in_virtual_time(policy, plant, rollouts)?
+            let trained = series.train(policy, &mut |_, _| ())?;
+            let ran = series.run_in_virtual_time(policy, plant, rollouts)?;
+            is_new |= ran.is_new || trained.is_some();
+            ran.results
         } else {
             let folder = series.folders.rollouts(policy, &plant.name);
             match all_of(&folder, rollouts, series.recipe.settings.extent.repetitions)? {
@@ -71,7 +75,7 @@ pub(super) fn score(
         };
         score.add(&results);
         if let Some(succeeds) = score.decided(policies * rollouts) {
-            return Ok(Some(ScoredDecision { score, succeeds }));
+            return Ok(Some(ScoredDecision { score, succeeds, is_new }));
         }
     }
     Ok(None)
