@@ -17,6 +17,7 @@ import argparse
 import os
 import pathlib
 import random
+import shutil
 import subprocess
 import tomllib
 
@@ -53,6 +54,8 @@ def study(folder, name, seed, policies, threads):
     truth, found, qube, recipe = (folder / file for file in ("plant.toml", "found.toml", "qube.toml", "recipe.toml"))
     truth.write_text(plant(name, seed))
     if not found.exists():
+        # An earlier run may have left a recording that identifies no Qube, or a part of one.
+        shutil.rmtree(folder / "chirp", ignore_errors=True)
         run("run", "--excite", "chirp", "--unidentified", "--profile", truth, "--clock", "virtual", "--seed", seed,
             "--out", folder / "chirp")
         told = subprocess.run([PROGRAM, "identify", str(folder / "chirp/rollout-0.mcap"), "--out", str(found)],
@@ -66,9 +69,10 @@ def study(folder, name, seed, policies, threads):
                       + table("settings.profile.model.gap", profile["gap"]))
     out = folder / "experiment"
     where = ["--resume", out] if out.exists() else [
-        "--out", out, "--recipe", recipe, "--preset", "robust", "--guard", "foresight", "--profile", truth, "--device",
-        "emulated", "--qube", qube, "--policies", policies, "--rollouts", 5, "--seed", seed]
-    run("experiment", *where, "--threads", threads)
+        "--out", out, "--recipe", recipe, "--preset", "robust", "--guard", "foresight", "--profile", truth,
+        "--policies", policies, "--rollouts", 5, "--seed", seed]
+    # An experiment does not store the profile by which the guard knows the Qube, so it is also given to one that continues.
+    run("experiment", *where, "--device", "emulated", "--qube", qube, "--threads", threads)
     told = subprocess.run([PROGRAM, "experiment", "--resume", str(out), "--table", "--csv", str(folder / "policies.csv")],
                           check=True, capture_output=True, text=True)
     return told.stdout
