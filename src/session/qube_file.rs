@@ -227,8 +227,9 @@ fn motor_rating<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MotorRatin
         return Ok(rating);
     }
     Err(D::Error::custom(format!(
-        "not a rating of a Qube's motor: give continuous_a above 0, at most {continuous_a}, and \
-         time_constant_s above 0, at most {time_constant_s}"
+        "continuous_a = {}, time_constant_s = {} is no rating of a Qube's motor: give continuous_a \
+         above 0, at most {continuous_a}, and time_constant_s above 0, at most {time_constant_s}",
+        rating.continuous_a, rating.time_constant_s
     )))
 }
 
@@ -303,6 +304,8 @@ mod tests {
             "time_constant_s = -1.0",
         ] {
             let error = read_back(&format!("[motor]\n{wrong}\n")).unwrap_err().to_string();
+            let given = wrong.trim_end_matches(".0");
+            assert!(error.to_lowercase().contains(given), "{wrong}: {error}");
             assert!(error.contains("at most 0.54"), "{wrong}: {error}");
         }
         assert!(read_back("[motor]\nresistance = 8.4\n").is_err());

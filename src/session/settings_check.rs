@@ -59,8 +59,10 @@ impl SessionSettings {
             identification.check()?;
         }
         self.emulated.check().map_err(|error| format!("emulated.{error}"))?;
-        for rig in &self.rigs {
-            rig.emulated.check().map_err(|error| format!("rigs.emulated.{error}"))?;
+        for (number, rig) in (1..).zip(&self.rigs) {
+            rig.emulated
+                .check()
+                .map_err(|error| format!("the emulated of [[rigs]] number {number}: {error}"))?;
         }
         self.training.check().map_err(|error| match error {
             TrainError::Setting { name, value, bound } => {

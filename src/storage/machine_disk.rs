@@ -19,7 +19,10 @@ impl Disk for MachineDisk {
             self.create_folder(parent)?;
         }
         match fs::create_dir(path) {
-            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),
+            // Somebody else may have made the folder meanwhile; anything else of its name is in the way.
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists || !path.is_dir() => {
+                Err(error)
+            }
             _ => sync_name(self, path),
         }
     }

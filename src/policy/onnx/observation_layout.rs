@@ -1,6 +1,6 @@
 //! Translates the observation of another program into this program's observation.
 
-use crate::qube::{MAX_HISTORY, OBSERVATION_SIZE};
+use crate::qube::{ALPHA_DOT_FACTOR, MAX_HISTORY, OBSERVATION_SIZE, THETA_DOT_FACTOR};
 
 /// Names of the quantities that an observation may contain, in the order of this program's
 /// observation, each with the factor that this program multiplies it by.
@@ -9,8 +9,8 @@ const NAMES: [(&str, f64); OBSERVATION_SIZE + MAX_HISTORY] = [
     ("cos_theta", 1.0),
     ("sin_alpha", 1.0),
     ("cos_alpha", 1.0),
-    ("theta_dot", 0.1),
-    ("alpha_dot", 0.05),
+    ("theta_dot", THETA_DOT_FACTOR),
+    ("alpha_dot", ALPHA_DOT_FACTOR),
     ("command_1", 1.0),
     ("command_2", 1.0),
     ("command_3", 1.0),
