@@ -107,7 +107,10 @@ impl RestMonitor {
         };
         let mut watch = RestWatch::new(self.encoders);
         let rest = watch_rest(&mut watch, device, clock, stop).map_err(link)?;
-        let rest = rest.ok_or(Moved::Unseen)?;
+        let Some(rest) = rest else {
+            let stopped = stop.load(Ordering::Relaxed);
+            return Err(if stopped { ControlError::Stopped } else { Moved::Unseen.into() });
+        };
         let zero_counts = settings.calibration.alpha_zero_counts;
         Ok(rest.compare(self.left_at, zero_counts, self.encoders)?)
     }

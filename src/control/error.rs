@@ -31,6 +31,9 @@ pub enum ControlError {
     /// The zeros of the last homing no longer hold; nothing has been armed.
     #[error("{0}: the arm is homed again first")]
     Moved(#[from] Moved),
+    /// A stop was requested before the device was armed.
+    #[error("a stop was requested")]
+    Stopped,
     /// The control thread has ended.
     #[error(transparent)]
     ThreadGone(#[from] ThreadGone),

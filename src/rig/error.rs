@@ -165,6 +165,7 @@ impl From<ControlError> for RigError {
                 Self::NotBegun { fault: Fault::CountsMoved, source: moved }
             }
             refused @ ControlError::Refused { .. } => Self::Refused(refused),
+            ControlError::Stopped => Self::Stopped { during: "the start of a rollout" },
             ControlError::ThreadGone(gone) => Self::ThreadGone(gone),
         }
     }

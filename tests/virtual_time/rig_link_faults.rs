@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::control::{HomingMethod, HomingSettings};
@@ -264,6 +264,19 @@ fn a_middle_that_a_hand_has_shown_ends_with_a_restart_of_the_board() {
     let error = rig.start_again().unwrap_err();
     assert!(matches!(error, RigError::MiddleLost), "{error}");
     assert!(error.to_string().contains("Put the arm into the middle"), "{error}");
+}
+
+#[test]
+fn a_stop_before_a_rollout_is_a_stop_and_no_count_that_has_moved() {
+    let directory = tempfile::tempdir().unwrap();
+    let (clock, stop) = (VirtualClock::default(), stop());
+    let rig = Rig::open(&settings(&clock, Trouble::Late(0), 0.0, 0.0), &stop).unwrap();
+    rollout(&rig, &directory.path().join("before.mcap")).unwrap();
+    stop.store(true, Ordering::Relaxed);
+    let path = directory.path().join("after.mcap");
+    let error = rollout(&rig, &path).unwrap_err();
+    assert!(matches!(error, RigError::Stopped { .. }), "{error}");
+    assert!(!path.exists(), "a rollout that never began left a file");
 }
 
 #[test]
