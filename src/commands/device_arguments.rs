@@ -18,7 +18,7 @@ use crate::jobs::starter::quoted;
 use crate::qube::{MotorRating, PlantModel, Profile};
 use crate::rig::{ClockChoice, DeviceChoice, DoubtStore, LINK_PATIENCE_S, Recovery, RigSettings};
 use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
-use crate::session::{QUBE_FILE, QubeFile};
+use crate::session::{QUBE_FILE, QubeFile, file_checksum};
 
 /// Name of the embedded emulator in `--device`.
 pub(super) const EMULATED: &str = "emulated";
@@ -115,6 +115,13 @@ impl HomeArgument {
         match method {
             HomingMethod::Stops => Self::Stops,
             HomingMethod::Hand => Self::Hand,
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Stops => "stops",
+            Self::Hand => "hand",
         }
     }
 
@@ -262,6 +269,23 @@ impl ChosenDevice {
         options
     }
 
+    /// The option that keeps the homing of this command line when the work is resumed, with a space
+    /// before it; empty where the resumed work homes in the same way without it.
+    pub fn home_option(&self) -> String {
+        // Without a file, resumed work keeps the method that it recorded.
+        match (self.home, &self.file) {
+            (Some(method), Some(_)) => format!(" --home {}", HomeArgument::of(method).name()),
+            _ => String::new(),
+        }
+    }
+
+    /// Checksum of the profile in the Qube's file, by which the guard knows the Qube; `none` without
+    /// one.
+    pub fn guard_profile(&self) -> String {
+        let text = self.profile.as_ref().and_then(|profile| serde_json::to_vec(profile).ok());
+        text.map_or_else(|| "none".to_owned(), |text| file_checksum(&text))
+    }
+
     /// Whether the guard is to treat an emulated Qube as not identified.
     pub fn is_unidentified(&self) -> bool {
         self.unidentified
@@ -282,11 +306,9 @@ impl ChosenDevice {
             )));
         }
         if self.homing(homing).method != homing.method {
-            let home = HomeArgument::of(homing.method);
-            let home = home.to_possible_value().expect("no method is skipped");
             return Err(Failure::usage(format!(
                 "{work} keeps the homing that it began with: give --home {}",
-                home.get_name()
+                HomeArgument::of(homing.method).name()
             )));
         }
         Ok(())
@@ -434,4 +456,29 @@ fn doubts_folder() -> Option<PathBuf> {
     folder("STATE_DIRECTORY")
         .or_else(|| Some(folder("XDG_STATE_HOME")?.join("qube-hil")))
         .or_else(|| Some(folder("HOME")?.join(".local/state/qube-hil")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hint_to_resume_keeps_a_homing_that_the_qubes_file_would_replace() {
+        for home in HomeArgument::value_variants() {
+            assert_eq!(home.to_possible_value().unwrap().get_name(), home.name());
+        }
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("qube.toml");
+        QubeFile::default().save(&path, "a test").unwrap();
+        let chosen = |file: Option<&Path>, home| {
+            let treatment = TreatmentArguments { home, unidentified: false };
+            let device = Some(EMULATED.to_owned());
+            let one = QubeArguments::of_one(device, file.map(Path::to_owned), treatment);
+            one.choose_specimen(&PlantModel::QUBE).unwrap()
+        };
+        let by_hand = chosen(Some(&path), Some(HomeArgument::Hand));
+        assert_eq!(by_hand.home_option(), " --home hand");
+        assert_eq!(chosen(Some(&path), None).home_option(), "");
+        assert_eq!(chosen(None, Some(HomeArgument::Hand)).home_option(), "");
+    }
 }

@@ -222,6 +222,15 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ));
     }
     let consent = arguments.consent.beside(arguments.guard)?;
+    let begins = arguments.resume.is_none();
+    // A new experiment that is refused before its work leaves nothing that a corrected command
+    // would find in its way.
+    let refused = |folder: ExperimentFolder, failure: Failure| {
+        if begins {
+            withdraw(folder);
+        }
+        failure
+    };
     let (folder, mut settings, csv) = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => begun(&arguments, consent, &device)?,
@@ -234,7 +243,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     let stop = Stop::on_signals()?;
     let root = quoted(&folder.root().to_string_lossy());
-    let resume = format!("qube-hil experiment --resume {root}{}", device.options());
+    let (options, home) = (device.options(), device.home_option());
+    let resume = format!("qube-hil experiment --resume {root}{options}{home}");
     print_message(&format!("experiment in {}", folder.root().display()));
 
     let first = &settings.recipes[0].settings;
@@ -255,7 +265,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     let live = match arguments.table {
         true => Live::default(),
-        false => arguments.live.serve("experiment", &stop)?,
+        false => match arguments.live.serve("experiment", &stop) {
+            Ok(live) => live,
+            Err(failure) => return Err(refused(folder, failure)),
+        },
     };
     let all = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = arguments.threads.map_or(all, usize::from);
@@ -285,7 +298,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let progress = ExperimentProgress::new(&settings, &screen.progress(), &stop);
     let executor = match arguments.table {
         true => None,
-        false => arguments.executor.executor(folder.root(), &stop)?,
+        false => match arguments.executor.executor(folder.root(), &stop) {
+            Ok(executor) => executor,
+            Err(failure) => return Err(refused(folder, failure)),
+        },
     };
     let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag))
         .trained_by(executor);
@@ -430,6 +446,7 @@ fn begun(
         policies: arguments.policies.unwrap_or(policies),
         rollouts: arguments.rollouts.unwrap_or(rollouts),
         simulated_starts: SIMULATED_STARTS,
+        guard_profile: Some(device.guard_profile()),
         plants,
         recipes,
         strategies,
@@ -445,6 +462,12 @@ fn begun(
     let toml = settings.to_toml().map_err(Failure::failed)?;
     let folder = ExperimentFolder::create(place.path(), &toml).map_err(folder_failure)?;
     Ok((folder, settings, csv))
+}
+
+/// Removes the settings of an experiment that has done no work, so that its folder is empty again.
+/// Settings that cannot be removed stay.
+fn withdraw(folder: ExperimentFolder) {
+    let _ = std::fs::remove_file(folder.settings_path());
 }
 
 fn folder_failure(error: ExperimentError) -> Failure {
@@ -540,6 +563,12 @@ fn resumed(
     check_device(settings.strategies.as_ref(), device)?;
     if !arguments.table {
         check_resumed_device(&settings, device)?;
+        if settings.guard_profile.as_ref().is_some_and(|began| *began != device.guard_profile()) {
+            return Err(Failure::usage(
+                "this experiment began with another profile of the Qube, which decides what the guard ends: give \
+                 --qube with the file and profile as they were, or begin a new experiment",
+            ));
+        }
     }
     let unidentified = settings.plants.iter().any(|it| it.emulated.unidentified);
     if let Some(Recipe { settings: SessionSettings { homing, .. }, .. }) = settings.recipes.first()

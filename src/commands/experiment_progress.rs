@@ -234,6 +234,7 @@ mod tests {
             policies: 20,
             rollouts: 1,
             simulated_starts: 1,
+            guard_profile: None,
             plants: vec![plant],
             recipes: vec![recipe],
             strategies: None,

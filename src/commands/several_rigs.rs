@@ -138,5 +138,8 @@ pub fn resume_command(root: &Path, devices: &[ChosenDevice]) -> String {
             *option = format!(" --device {EMULATED}");
         }
     }
+    // `--home` is one for all Qubes.
+    let homes = devices.iter().map(ChosenDevice::home_option);
+    options.extend(homes.filter(|home| !home.is_empty()).take(1));
     format!("qube-hil session --resume {}{}", quoted(&root.to_string_lossy()), options.concat())
 }

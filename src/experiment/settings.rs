@@ -26,6 +26,10 @@ pub struct ExperimentSettings {
     /// Number of fresh starts from which a policy's return in simulation is evaluated, 1 to
     /// 100,000.
     pub simulated_starts: u32,
+    /// Checksum of the profile by which the guard knew the Qube when the experiment began, or
+    /// `none` if the Qube's file named none; `None` in files that lack it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub guard_profile: Option<String>,
     /// Plants on which policies run; a recipe's search for psi runs on the first, without its
     /// `vary`. A real Qube is the only plant of its experiment.
     pub plants: Vec<Plant>,
@@ -214,6 +218,7 @@ mod tests {
             policies: 20,
             rollouts: 5,
             simulated_starts: 1000,
+            guard_profile: None,
             plants: vec![Plant {
                 name: "lab".into(),
                 emulated: EmulatedQubeSettings::default(),

@@ -118,6 +118,15 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let refused = ["--out", "two", "--models", "nominal", "--csv", "foreign.csv"];
     assert_eq!(experiment(whole.path(), &refused).output().unwrap().status.code(), Some(2));
     assert!(!whole.path().join("two").exists(), "an experiment was begun");
+    // What a refused executor leaves is not in the way of the corrected command.
+    let refused = ["--out", "two", "--models", "nominal", "--executor", "no-such-executor"];
+    for _ in 0..2 {
+        let output = experiment(whole.path(), &refused).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{told}");
+        assert!(told.contains("no-such-executor") && !told.contains("exists already"), "{told}");
+        assert!(!whole.path().join("two/experiment.toml").exists(), "{told}");
+    }
     let arguments = [&arguments[..], &["--force"]].concat();
     succeeded(&experiment(whole.path(), &arguments).output().unwrap());
     assert!(expected.ends_with(&std::fs::read_to_string(&foreign).unwrap()));
@@ -417,4 +426,23 @@ fn an_experiment_goes_on_with_the_settings_that_it_began_with_and_no_others() {
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {told}");
         assert!(told.contains(words), "{arguments:?}: {told}");
     }
+}
+
+#[test]
+fn an_experiment_goes_on_with_the_profile_by_which_the_guard_knew_its_qube() {
+    let directory = tempfile::tempdir().unwrap();
+    prepare(directory.path());
+    let lab = Path::new(env!("CARGO_MANIFEST_DIR")).join("profiles/lab.toml");
+    std::fs::copy(lab, directory.path().join("lab.toml")).unwrap();
+    std::fs::write(directory.path().join("qube.toml"), "profile = \"lab.toml\"\n").unwrap();
+    let qube = ["--device", "emulated", "--qube", "qube.toml"];
+    let begin = ["--recipe", "nominal.toml", "--profile", "lab", "--policies", "1", "--out", "one"];
+    succeeded(&experiment(directory.path(), &[&begin[..], &qube].concat()).output().unwrap());
+    let resume = ["--resume", "one"];
+    let output = experiment(directory.path(), &resume).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    assert!(told.contains("another profile of the Qube"), "{told}");
+    succeeded(&experiment(directory.path(), &[&resume[..], &qube].concat()).output().unwrap());
+    succeeded(&experiment(directory.path(), &["--resume", "one", "--table"]).output().unwrap());
 }

@@ -204,6 +204,7 @@ fn a_retired_guard_is_refused_with_its_replacement() {
         policies: 1,
         rollouts: 1,
         simulated_starts: 1000,
+        guard_profile: None,
         plants: vec![lab],
         recipes: vec![recipe],
         strategies: None,

@@ -99,6 +99,54 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
 }
 
 #[test]
+fn a_session_that_has_given_a_rollout_up_is_resumed_with_as_many_attempts() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path().join("session");
+    let error = run(begin(&root), Some("silent@16.5".parse().unwrap())).unwrap_err();
+    assert!(matches!(error, SessionError::NotStartedAgain { .. }), "{error}");
+    let path = SessionFolder::open(&root).unwrap().paths().ledger();
+    // Three more faults, after which the session gives the rollout up.
+    let mut ledger = Ledger::open(&MachineDisk, &path).unwrap();
+    let Some(&Entry::RolloutVoid { candidate, .. }) = ledger.entries().last() else { panic!() };
+    let void = |attempt| Entry::RolloutVoid { candidate, rollout: 0, attempt, rig: None };
+    (1..4).for_each(|attempt| ledger.append(void(attempt)).unwrap());
+    drop(ledger);
+
+    run(SessionFolder::open(&root).unwrap(), None).unwrap();
+    let entries = Ledger::open(&MachineDisk, &path).unwrap().entries().to_vec();
+    let finished = Entry::RolloutFinished { candidate, rollout: 0, attempt: 4, rig: None };
+    assert!(entries.contains(&finished), "{entries:?}");
+}
+
+#[test]
+fn a_new_session_whose_ledger_cannot_be_written_leaves_no_files_and_a_resumed_one_all() {
+    for is_resumed in [false, true] {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("session");
+        let mut folder = begin(&root);
+        let paths = folder.paths().clone();
+        if is_resumed {
+            drop(folder);
+            folder = SessionFolder::open(&root).unwrap();
+        }
+        // A ledger is not written through a link.
+        std::os::unix::fs::symlink("elsewhere", paths.ledger()).unwrap();
+        let error = run(folder, None).unwrap_err();
+        assert!(matches!(error, SessionError::Ledger(_)), "{error}");
+        assert_eq!(paths.configuration().exists(), is_resumed);
+        assert_eq!(paths.candidates().exists(), is_resumed);
+    }
+    // A ledger that somebody else has put there stays with its session.
+    let directory = tempfile::tempdir().unwrap();
+    let folder = begin(&directory.path().join("session"));
+    let paths = folder.paths().clone();
+    std::fs::write(paths.ledger(), "no entry\n").unwrap();
+    let error = run(folder, None).unwrap_err();
+    assert!(matches!(error, SessionError::Ledger(_)), "{error}");
+    assert!(paths.configuration().exists() && paths.ledger().exists());
+}
+
+#[test]
 fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
     for (fault, name) in [("amplifier@16.5", Fault::Amplifier), ("stall@16.5", Fault::StallError)] {
         let directory = tempfile::tempdir().unwrap();
