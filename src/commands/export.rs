@@ -115,7 +115,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 fn write_models(arguments: &Arguments, models: &[PathBuf], output: &Output) -> Result<(), Failure> {
     for (file, model) in arguments.files.iter().zip(models) {
-        let place = OutputFile::prepare(model, arguments.force)?;
+        let place = place(model, arguments.force)?;
         place.write(&onnx_model(file)?)?;
     }
     let shown = shown(models);
@@ -126,7 +126,7 @@ fn write_models(arguments: &Arguments, models: &[PathBuf], output: &Output) -> R
 fn write_tables(arguments: &Arguments, tables: &[PathBuf], output: &Output) -> Result<(), Failure> {
     let (mut ticks, mut lost) = (0, None);
     for (file, table) in arguments.files.iter().zip(tables) {
-        let place = OutputFile::prepare(table, arguments.force)?;
+        let place = place(table, arguments.force)?;
         let recording = read(file).map_err(|error| recording_failure(&error))?;
         place.write(&arguments.format.table(&recording)?)?;
         ticks += recording.ticks.len();
@@ -145,6 +145,18 @@ fn write_tables(arguments: &Arguments, tables: &[PathBuf], output: &Output) -> R
     lost.map_or(Ok(()), Err)
 }
 
+/// The file of a table or model. An existing one is refused unless `force` is set.
+fn place(path: &Path, force: bool) -> Result<OutputFile, Failure> {
+    // The name follows from the recording's or policy's, so that no other name can be asked for.
+    if !force && path.symlink_metadata().is_ok_and(|it| it.is_file() || it.is_symlink()) {
+        return Err(Failure::usage(format!(
+            "{} exists already: name another folder by --out, or replace it with --force",
+            path.display()
+        )));
+    }
+    OutputFile::prepare(path, force)
+}
+
 fn shown(paths: &[PathBuf]) -> Vec<String> {
     paths.iter().map(|path| path.display().to_string()).collect()
 }
@@ -161,6 +173,18 @@ fn written_of(file: &Path, folder: Option<&Path>, extension: &str) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_table_that_exists_is_refused_by_a_message_that_names_no_option_as_its_place() {
+        let directory = tempfile::tempdir().unwrap();
+        let table = directory.path().join("rollout-0.csv");
+        std::fs::write(&table, "of another").unwrap();
+        let failure = place(&table, false).unwrap_err();
+        let cause = failure.cause();
+        assert!(failure.is_usage() && cause.starts_with(table.to_str().unwrap()), "{cause}");
+        assert!(cause.contains("another folder") && cause.contains("--force"), "{cause}");
+        assert!(place(&table, true).is_ok());
+    }
 
     #[test]
     fn the_name_of_a_table_is_no_folder() {

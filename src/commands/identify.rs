@@ -129,11 +129,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
     out.write(toml.as_bytes())?;
     if let Some(folder) = &plots {
-        let files = arguments.files.iter().chain(&arguments.holdout);
+        let files: Vec<&Path> =
+            arguments.files.iter().chain(&arguments.holdout).map(PathBuf::as_path).collect();
         let logs = fitted.iter().chain(&held_out);
         let models = own_models.iter().chain(&held_out_models);
-        for ((path, log), model) in files.zip(logs).zip(models) {
-            plot(folder.path(), path, log, model)?;
+        for ((index, log), model) in logs.enumerate().zip(models) {
+            plot(folder.path(), files[index], &picture_name(&files, index), log, model)?;
         }
     }
 
@@ -179,11 +180,24 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn plot(folder: &Path, path: &Path, log: &MotionLog, model: &QubeModel) -> Result<(), Failure> {
+/// The name of the picture of the file with this index, without its ending. Where several files
+/// share a name, the file's index stands in front of it.
+fn picture_name(files: &[&Path], index: usize) -> String {
+    let name = file_name(files[index]);
+    let is_unique = files.iter().filter(|file| file_name(file) == name).count() == 1;
+    if is_unique { name } else { format!("{index}-{name}") }
+}
+
+fn plot(
+    folder: &Path,
+    path: &Path,
+    name: &str,
+    log: &MotionLog,
+    model: &QubeModel,
+) -> Result<(), Failure> {
     let open_loop = simulate_from(log, model, start_state(log, model))
         .map_err(|error| Failure::failed(format!("{}: {error}", path.display())))?;
-    let name = file_name(path);
-    let svg = motion_svg(&name, log, &open_loop).map_err(Failure::failed)?;
+    let svg = motion_svg(name, log, &open_loop).map_err(Failure::failed)?;
     let picture = folder.join(format!("{name}.svg"));
     write_whole(&MachineDisk, &picture, svg.as_bytes()).map_err(Failure::failed)
 }
@@ -387,4 +401,17 @@ fn result(
         "inflation": identified.inflation,
         "profile": arguments.out.to_string_lossy(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_of_one_name_have_pictures_of_their_own() {
+        let files =
+            ["one/rollout-0.mcap", "two/rollout-0.mcap", "two/rollout-1.mcap"].map(Path::new);
+        let names = [0, 1, 2].map(|index| picture_name(&files, index));
+        assert_eq!(names, ["0-rollout-0.mcap", "1-rollout-0.mcap", "rollout-1.mcap"]);
+    }
 }

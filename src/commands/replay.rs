@@ -315,7 +315,7 @@ fn foreseen_text(foreseen: &Foreseen) -> String {
         },
     );
     format!(
-        "foresight ended the rollout: with a brake one tick later, the arm of particle {particle} of {whose} {reach}"
+        "foresight ended the policy: with a brake one tick later, the arm of particle {particle} of {whose} {reach}"
     )
 }
 

@@ -221,9 +221,20 @@ fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, Strin
     } else {
         ("", "Repeat this session; in real time its results differ a little:")
     };
-    let repeat = format!("qube-hil session --config {settings}{clock} --out {root}-again");
+    let again = path_word(&again_beside(folder));
+    let repeat = format!("qube-hil session --config {settings}{clock} --out {again}");
     commands.push((same.into(), repeat));
     commands
+}
+
+/// A folder beside a session's for its repetition: the session's with `-again` after its name,
+/// however its path is spelled (`logs/monday/` or `.`).
+fn again_beside(folder: &Path) -> PathBuf {
+    let plain: PathBuf = folder.components().collect();
+    let named = if plain.file_name().is_some() { None } else { plain.canonicalize().ok() };
+    let mut again = named.unwrap_or(plain).into_os_string();
+    again.push("-again");
+    again.into()
 }
 
 /// A path as one word for a shell, in quotes if it needs them.
@@ -240,5 +251,21 @@ fn failure(error: ReportError) -> Failure {
         ReportError::Configuration(_) => Failure::usage(message),
         ReportError::Ledger(_) => Failure::data_lost(message),
         ReportError::Data(_) => Failure::failed(message),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_repetition_goes_beside_its_session_however_the_path_is_spelled() {
+        for spelling in ["logs/monday", "logs/monday/", "logs//monday/."] {
+            assert_eq!(again_beside(Path::new(spelling)), Path::new("logs/monday-again"));
+        }
+        let here = std::env::current_dir().unwrap().canonicalize().unwrap();
+        let again = again_beside(Path::new("."));
+        assert_eq!(again.parent(), here.parent());
+        assert!(again.to_string_lossy().ends_with("-again"), "{again:?}");
     }
 }

@@ -80,16 +80,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if stop.requested() {
         ended = Err(stop.failure("stopped before the hours were over"));
     }
+    let ended = ended.and_then(|()| soaked.verdict());
     match &ended {
         Err(failure) if failure.is_usage() && soaked.rollouts == 0 => {}
         _ => {
-            let mut result = soaked.json();
+            let mut result = soaked.json(&ended);
             result["wall_s"] = json!(started.elapsed().as_secs_f64());
-            result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
             output.print(&soaked.text(), &result);
         }
     }
-    ended.and_then(|()| soaked.verdict())
+    ended
 }
 
 /// Folder of the recordings; dropping it deletes it unless the recordings are kept.
@@ -276,8 +276,10 @@ impl Soaked {
         )
     }
 
-    fn json(&self) -> Value {
+    /// The statistics for scripts, with the reason why the command fails, if it does.
+    fn json(&self, ended: &Result<(), Failure>) -> Value {
         json!({
+            "ended_by": ended.as_ref().err().map(Failure::ended_by),
             "ticks": self.ticks,
             "hours": self.hours(),
             "rollouts": self.rollouts,
@@ -297,4 +299,21 @@ fn resident_bytes() -> i64 {
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
     let kilobytes = line.and_then(|text| text.split_whitespace().next()?.parse::<i64>().ok());
     kilobytes.unwrap_or(0) * 1024
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scripts_get_the_reason_why_a_soak_that_ran_to_its_end_fails() {
+        let lost = Soaked { lost: 2, ..Soaked::default() };
+        let void = Soaked { void: 1, last_fault: Some("late".into()), ..Soaked::default() };
+        for (soaked, exit_code) in [(lost, 3), (void, 4)] {
+            let ended_by = &soaked.json(&soaked.verdict())["ended_by"];
+            assert_eq!(ended_by["exit_code"], exit_code, "{ended_by}");
+        }
+        let well = Soaked::default();
+        assert!(well.json(&well.verdict())["ended_by"].is_null());
+    }
 }

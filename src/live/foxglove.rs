@@ -169,9 +169,15 @@ impl Client {
                 lasting.rollout = changes.rollout;
             }
             self.flush()?;
+            // A client that writes all the time must not keep the feed and the end of the view
+            // waiting.
+            let until = Instant::now() + INTERVAL;
             while let Some(message) = self.receive()? {
                 if let Message::Text(text) = message {
                     self.handle(&text);
+                }
+                if Instant::now() >= until {
+                    break;
                 }
             }
             for channel in std::mem::take(&mut self.wants) {

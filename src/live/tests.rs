@@ -2,7 +2,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -181,6 +181,33 @@ fn foxglove_gets_the_messages_of_a_recording() {
     view.update_status(|status| status.doing = "something else".to_owned());
     let (subscription, _, message) = listener.data();
     assert_eq!((subscription, &message[..1]), (4, &b"{"[..]));
+}
+
+#[test]
+fn a_viewer_that_writes_all_the_time_gets_the_feed_too() {
+    let (view, _) = view();
+    let viewer = begun(&view);
+    let mut listener = listening(view.address(), &["/timing"]);
+    // 67 messages a second: fewer than a viewer may send, and never 33 ms without one.
+    let mut busy = listener.socket.get_ref().try_clone().unwrap();
+    let ended = Arc::new(AtomicBool::new(false));
+    let seen = Arc::clone(&ended);
+    let writer = std::thread::spawn(move || {
+        // A masked ping without data.
+        while !seen.load(Ordering::Relaxed) && busy.write_all(&[0x89, 0x80, 0, 0, 0, 0]).is_ok() {
+            std::thread::sleep(Duration::from_millis(15));
+        }
+    });
+    let until = Instant::now() + Duration::from_secs(3);
+    let mut got = false;
+    listener.socket.get_mut().set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+    while !got && Instant::now() < until {
+        viewer.ticked(&tick(0));
+        got = matches!(listener.socket.read(), Ok(Message::Binary(_)));
+    }
+    ended.store(true, Ordering::Relaxed);
+    writer.join().unwrap();
+    assert!(got, "no tick came within 3 s");
 }
 
 #[test]

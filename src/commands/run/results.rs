@@ -8,6 +8,7 @@ use crate::commands::{
     command_hints, failures, heat_line, observer_resets_line, quietness_line, timing_lines,
 };
 use crate::identification::{Unfit, check_recording};
+use crate::jobs::starter::quoted;
 use crate::qube::QubeModel;
 use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
@@ -183,7 +184,8 @@ impl Results {
         text.push_str(&timing_lines(&self.latencies));
         let _ = write!(text, "recordings in {directory}");
         if self.excited {
-            let _ = write!(text, "\nqube-hil identify {directory}/*.mcap identifies this Qube");
+            let word = quoted(&directory.to_string());
+            let _ = write!(text, "\nqube-hil identify {word}/*.mcap identifies this Qube");
         }
         text
     }
