@@ -204,7 +204,8 @@ fn rollout_of(name: &OsStr) -> Option<u64> {
     name.to_str()?.strip_prefix("rollout-")?.strip_suffix(".mcap")?.parse().ok()
 }
 
-fn folder_of(path: &Path) -> &Path {
+/// The folder that contains a file of this path; `.` for a name alone.
+pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),

@@ -219,7 +219,11 @@ fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, Strin
     let (clock, same) = if source.is_of_computed_time() {
         (" --clock virtual", "Repeat this session; the same program gives the same results:")
     } else {
-        ("", "Repeat this session; in real time its results differ a little:")
+        (
+            "",
+            "Repeat this session; in real time its results differ a little; for a real Qube add the --device and --qube \
+             of its beginning:",
+        )
     };
     let again = path_word(&again_beside(folder));
     let repeat = format!("qube-hil session --config {settings}{clock} --out {again}");

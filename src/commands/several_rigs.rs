@@ -12,6 +12,7 @@ use super::session::Arguments;
 use super::session_settings::asked as asked_settings;
 use super::{rig_sessions, shared_session};
 use crate::jobs::starter::quoted;
+use crate::rig::ClockChoice;
 use crate::session::{
     EmulatedQubeSettings, FolderError, RigSessions, SeedFor, SessionFolder, SessionPaths,
     SessionSettings, derived_seed,
@@ -141,5 +142,8 @@ pub fn resume_command(root: &Path, devices: &[ChosenDevice]) -> String {
     // `--home` is one for all Qubes.
     let homes = devices.iter().map(ChosenDevice::home_option);
     options.extend(homes.filter(|home| !home.is_empty()).take(1));
+    if devices.iter().any(|device| device.clock == ClockChoice::Virtual) {
+        options.push(" --clock virtual".to_owned());
+    }
     format!("qube-hil session --resume {}{}", quoted(&root.to_string_lossy()), options.concat())
 }

@@ -5,7 +5,7 @@ use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use serde_json::json;
 
-use super::destination::{OutputFile, check_folder};
+use super::destination::{OutputFile, check_folder, folder_of};
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::failures;
@@ -205,10 +205,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     };
     let start = arguments.from.as_deref().map(start).transpose()?;
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
-    if let Some(folder) = arguments.checkpoint.as_deref().and_then(Path::parent)
-        && !folder.as_os_str().is_empty()
-    {
-        check_folder(folder)?;
+    if let Some(path) = &arguments.checkpoint {
+        check_folder(folder_of(path))?;
     }
     if let Some(path) = &arguments.checkpoint
         && path.exists()

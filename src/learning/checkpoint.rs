@@ -14,8 +14,8 @@ use super::{TrainError, TrainSettings};
 use crate::storage::{MachineDisk, read_bounded, write_whole};
 
 /// Largest checkpoint that is read, bytes. A training with the thesis's settings writes about 150
-/// kB.
-const MAX_FILE_BYTES: u64 = 64 << 20;
+/// kB, one of a million updates 104 MB, nearly all of it the learning curve.
+const MAX_FILE_BYTES: u64 = 128 << 20;
 
 /// Version of the checkpoint's content; every change of the content increments it.
 const VERSION: &str = "3";
@@ -195,4 +195,24 @@ fn from_tensors(tensors: &SafeTensors<'_>, training: &mut TrainingState<'_>) -> 
     training.policy.moments.steps = policy_steps;
     training.value.moments.steps = value_steps;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulation::DomainDistribution;
+
+    #[test]
+    fn the_checkpoint_of_the_longest_training_is_not_too_large_to_be_read() {
+        let longest = TrainSettings { updates: 1_000_000, ..TrainSettings::quick() };
+        assert!(longest.check().is_ok());
+        let distribution = DomainDistribution::nominal();
+        let mut training = TrainingState::new(&distribution, &longest, None, 1);
+        let empty = to_bytes(&training).unwrap().len() as u64;
+        training.curve.push(TrainUpdate::default());
+        let of_update = size_of_val(&training.curve[0].to_array()) as u64;
+        assert!(empty + u64::from(longest.updates) * of_update <= MAX_FILE_BYTES);
+        let beyond = TrainSettings { updates: longest.updates + 1, ..longest.clone() };
+        assert!(beyond.check().is_err());
+    }
 }

@@ -123,9 +123,9 @@ pub fn curve_csv(curve: &[TrainUpdate]) -> String {
         .fold(String::new(), |text, line| text + &line + "\n")
 }
 
-/// Largest size of a file with a learning curve, bytes; the file of a long training has some 200
-/// kB.
-pub const CURVE_BYTES: u64 = 4 << 20;
+/// Largest size of a file with a learning curve, bytes. The file of a long training has some 200
+/// kB, one of a million updates, the most that a training may have, some 110 MB.
+pub const CURVE_BYTES: u64 = 256 << 20;
 
 /// A point of a learning curve that was read from a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -183,6 +183,26 @@ mod tests {
         assert_eq!(lines.len(), 2);
         assert_eq!(lines[0].split(',').count(), lines[1].split(',').count());
         assert!(lines[1].starts_with("3,541.500,"));
+    }
+
+    #[test]
+    fn the_curve_of_the_longest_training_is_not_too_large_to_be_read() {
+        let last = TrainUpdate {
+            update: 999_999,
+            mean_return: 599.999,
+            worst_return: 599.999,
+            training_return: 599.999,
+            trajectories: 4096 * 600,
+            approximate_kl: 9_999.123_456,
+            largest_kl: 9_999.123_456,
+            clip_fraction: 0.123_45,
+            explained_variance: -9_999.123_45,
+            log_std: -10.123_45,
+            learning_rate: 1e-4,
+            steps: 1_000_000 * 4096 * 600,
+            gradient_steps: 1_000_000 * 4096 * 600 / 64 * 1000,
+        };
+        assert!(1_000_000 * (last.csv_line().len() as u64 + 1) <= CURVE_BYTES);
     }
 
     #[test]

@@ -140,7 +140,8 @@ impl Network {
 
     /// Replaces the bounds of the observation: a pair of least and largest value for each entry,
     /// infinite on a side without a bound. An entry beyond a bound counts as the bound. An empty
-    /// list clips nothing.
+    /// list clips nothing. The largest finite numbers of both signs count as no bound, as in a
+    /// policy file, and pairs that bound no entry as an empty list, as in an ONNX graph.
     ///
     /// # Errors
     /// The number of pairs is neither 0 nor the number of entries, or a lower bound is not at most
@@ -150,6 +151,17 @@ impl Network {
         let fits = given == entries || given == 0;
         if !fits || !bounds.iter().all(|[lower, upper]| lower <= upper) {
             return Err(NetworkError::Bounds { given, entries });
+        }
+        let open = [f32::NEG_INFINITY, f32::INFINITY];
+        let opened = |[lower, upper]: [f32; 2]| {
+            [
+                if lower > f32::MIN { lower } else { open[0] },
+                if upper < f32::MAX { upper } else { open[1] },
+            ]
+        };
+        let mut bounds: Vec<[f32; 2]> = bounds.into_iter().map(opened).collect();
+        if bounds.iter().all(|pair| *pair == open) {
+            bounds.clear();
         }
         Ok(Self { bounds, ..self })
     }
@@ -485,6 +497,13 @@ mod tests {
         let (lower, upper) = (f32::NEG_INFINITY, f32::INFINITY);
         let mut open = plain.clone().with_bounds(vec![[lower, upper]; 7]).unwrap();
         assert_eq!(open.voltage_of_observation_v(&counted), expected);
+        for pair in [[lower, upper], [f32::MIN, f32::MAX]] {
+            let mut bounds = vec![pair; 7];
+            assert!(plain.clone().with_bounds(bounds.clone()).unwrap().bounds().is_empty());
+            bounds[2] = [-5.0, f32::MAX];
+            let some = plain.clone().with_bounds(bounds).unwrap();
+            assert_eq!(some.bounds()[1..3], [[lower, upper], [-5.0, upper]]);
+        }
         for wrong in [vec![[0.0, 1.0]; 6], vec![[1.0, 0.0]; 7], vec![[f32::NAN, 1.0]; 7]] {
             let refused = plain.clone().with_bounds(wrong);
             assert!(matches!(refused, Err(NetworkError::Bounds { entries: 7, .. })));

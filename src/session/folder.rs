@@ -50,6 +50,8 @@ pub enum FolderError {
 pub struct SessionFolder {
     paths: SessionPaths,
     disk: Arc<dyn Disk>,
+    /// Whether this value has created the session's configuration.
+    is_new: bool,
     _hold: Hold,
 }
 
@@ -78,7 +80,7 @@ impl SessionFolder {
         }
         let paths = SessionPaths::new(root);
         disk.create_folder(&paths.candidates()).map_err(io(root))?;
-        let folder = Self::hold(disk, paths)?;
+        let folder = Self { is_new: true, ..Self::hold(disk, paths)? };
         let settings = folder.paths.configuration();
         // Another process may have begun a session in the folder before this one held it.
         if folder.disk().exists(&settings) {
@@ -116,7 +118,7 @@ impl SessionFolder {
     fn hold(disk: Arc<dyn Disk>, paths: SessionPaths) -> Result<Self, FolderError> {
         let path = paths.root().to_owned();
         match disk.hold(&path) {
-            Ok(hold) => Ok(Self { paths, disk, _hold: hold }),
+            Ok(hold) => Ok(Self { paths, disk, is_new: false, _hold: hold }),
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path }),
             Err(TryLockError::Error(source)) => Err(FolderError::Io { path, source }),
         }
@@ -148,14 +150,43 @@ impl SessionFolder {
         self.disk.create_folder(paths.folder()).map_err(io(paths.folder()))
     }
 
-    /// Removes the files of a session that has proposed nothing yet. Files that cannot be removed
-    /// stay.
+    /// Removes the files of a session that has proposed nothing yet. If one cannot be removed, the
+    /// rest stays.
     pub fn withdraw(self) {
-        for file in [self.paths.configuration(), self.paths.ledger()] {
-            let _ = self.disk.remove(&file);
+        // The configuration is last: without it, a ledger could neither be resumed nor begun anew.
+        for file in [self.paths.ledger(), self.paths.configuration()] {
+            if self.disk.exists(&file) && self.disk.remove(&file).is_err() {
+                return;
+            }
         }
         let _ = std::fs::remove_dir(self.paths.candidates());
     }
+
+    /// Removes the files of a session that could not be opened, if this value has created the
+    /// session. The files of a session that is resumed stay.
+    pub(super) fn withdraw_if_new(self) {
+        if self.is_new {
+            self.withdraw();
+        }
+    }
+
+    /// Removes from a folder the leftovers of a session that was killed at its start. Does nothing
+    /// if the folder holds anything else or another process holds it.
+    pub(super) fn remove_leftovers(root: &Path) {
+        let disk = MachineDisk;
+        let Ok(_hold) = disk.hold(root) else { return };
+        if !has_not_begun(&disk, root).unwrap_or(false) {
+            return;
+        }
+        let paths = SessionPaths::new(root);
+        let _ = disk.remove(&unfinished(&paths));
+        let _ = std::fs::remove_dir(paths.candidates());
+    }
+}
+
+/// Path of the partial configuration that a session leaves if it is killed while it writes it.
+fn unfinished(paths: &SessionPaths) -> PathBuf {
+    paths.configuration().with_extension("unfinished")
 }
 
 /// Whether a folder is empty or holds only the leftovers of a session that was killed before its
@@ -219,6 +250,17 @@ mod tests {
         drop(folder);
         let folder = SessionFolder::open(&root).unwrap();
         assert_eq!(std::fs::read_to_string(folder.paths().configuration()).unwrap(), "seed = 1\n");
+    }
+
+    #[test]
+    fn a_withdrawn_folder_that_cannot_be_emptied_can_still_be_resumed() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("session");
+        let folder = SessionFolder::create(&root, "seed = 1\n").unwrap();
+        // A folder in the ledger's place cannot be removed as a file.
+        std::fs::create_dir(folder.paths().ledger()).unwrap();
+        folder.withdraw();
+        SessionFolder::open(&root).unwrap();
     }
 
     #[test]

@@ -112,7 +112,8 @@ pub enum Step {
         attempt: u32,
     },
     /// Give this rollout up on its rig: faults have ended it more often than `repetitions` allows.
-    /// The session stops or, if other rigs share it, goes on without the rig.
+    /// The session stops or, if other rigs share it, goes on without the rig. A process that resumes
+    /// the stopped session repeats the rollout as often again.
     GiveUp {
         /// Number of the candidate.
         candidate: u32,

@@ -173,10 +173,11 @@ impl QubeFile {
         Self { homing, limits: self.limits, motor: self.motor, ..Self::default() }
     }
 
-    /// The result of the power test, if it was done with this file's board.
+    /// The result of the power test, if it was done with this file's board. In a file that names no
+    /// board it counts for none: the board may have been replaced since.
     #[must_use]
     pub fn power(&self) -> Option<&PowerTest> {
-        let is_own = |test: &&PowerTest| self.board.as_ref().is_none_or(|it| *it == test.board);
+        let is_own = |test: &&PowerTest| self.board.as_ref() == Some(&test.board);
         self.power.as_ref().filter(is_own)
     }
 

@@ -48,8 +48,9 @@ impl RigSessions {
         Self::path(root).exists()
     }
 
-    /// Whether a folder is empty or holds nothing but folders of rigs without a ledger, which
-    /// remain if the program is killed before it has written `rigs.toml`.
+    /// Whether a folder is empty or holds nothing but folders of rigs without a ledger and a
+    /// partial `rigs.toml`, which remain if the program is killed before it has written
+    /// `rigs.toml`.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -57,6 +58,9 @@ impl RigSessions {
         let failed = |source| FolderError::Io { path: root.to_owned(), source };
         for entry in std::fs::read_dir(root).map_err(failed)? {
             let path = entry.map_err(failed)?.path();
+            if path == Self::unfinished(root) && !path.is_symlink() {
+                continue;
+            }
             let is_of_rig = (1..=Self::MOST).any(|rig| path == Self::folder(root, rig));
             // The sessions open their ledgers only after `rigs.toml` is written.
             if !is_of_rig || SessionPaths::new(&path).ledger().exists() {
@@ -66,15 +70,24 @@ impl RigSessions {
         Ok(true)
     }
 
-    /// Removes `rigs.toml` and, beside it, the settings and the ledger of every session and the
-    /// folders that are then empty; ignores errors.
+    /// Path of the partial `rigs.toml` that remains if the program is killed while it writes it.
+    fn unfinished(root: &Path) -> PathBuf {
+        Self::path(root).with_extension("unfinished")
+    }
+
+    /// Removes `rigs.toml` and, beside it, the settings and the ledger of every session, what
+    /// sessions that were killed at their start have left, and the folders that are then empty;
+    /// ignores errors.
     /// The caller makes sure that no session has proposed a candidate yet.
     pub fn withdraw(root: &Path) {
-        let _ = std::fs::remove_file(Self::path(root));
+        for file in [Self::path(root), Self::unfinished(root)] {
+            let _ = std::fs::remove_file(file);
+        }
         for rig in 1..=Self::MOST {
             let folder = Self::folder(root, rig);
-            if let Ok(session) = SessionFolder::open(&folder) {
-                session.withdraw();
+            match SessionFolder::open(&folder) {
+                Ok(session) => session.withdraw(),
+                Err(_) => SessionFolder::remove_leftovers(&folder),
             }
             let _ = std::fs::remove_dir(&folder);
         }
@@ -154,4 +167,29 @@ pub fn run_side_by_side<'a, T: FnMut(SessionEvent) + Send>(
             .map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
             .collect()
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_kill_leaves_at_any_moment_of_the_start_is_no_session_and_is_removed() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path();
+        drop(SessionFolder::create(&RigSessions::folder(root, 1), "seed = 1\n").unwrap());
+        let second = RigSessions::folder(root, 2);
+        std::fs::create_dir_all(second.join("candidates")).unwrap();
+        std::fs::write(second.join("session.unfinished"), "se").unwrap();
+        std::fs::write(root.join("rigs.unfinished"), "dev").unwrap();
+        assert!(RigSessions::have_not_begun(root).unwrap());
+        RigSessions::withdraw(root);
+        assert_eq!(std::fs::read_dir(root).unwrap().count(), 0);
+
+        std::fs::create_dir_all(second.join("candidates/000")).unwrap();
+        RigSessions::withdraw(root);
+        assert!(second.join("candidates/000").exists());
+        std::fs::write(root.join("notes"), "").unwrap();
+        assert!(!RigSessions::have_not_begun(root).unwrap());
+    }
 }

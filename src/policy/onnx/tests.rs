@@ -122,6 +122,27 @@ fn a_policy_that_is_exported_comes_back_as_it_was() {
 }
 
 #[test]
+fn a_policy_whose_bounds_clip_nothing_comes_back() {
+    let policy = policies().next().unwrap();
+    let entries = policy.network.sizes()[0];
+    // Programs write the largest finite numbers for the sides of a Clip that are open.
+    for first in [[f32::MIN, f32::MAX], [-5.0, f32::MAX]] {
+        let mut bounds = vec![[f32::MIN, f32::MAX]; entries];
+        bounds[0] = first;
+        let network = policy.network.clone().with_bounds(bounds).unwrap();
+        let policy = NetworkPolicy { network, ..policy.clone() };
+        assert_eq!(from_onnx(&to_onnx(&policy), None), Ok(policy.clone()));
+        let file = crate::policy::Policy::Network(policy.clone()).to_bytes();
+        match crate::policy::Policy::from_bytes(&file).unwrap() {
+            crate::policy::Policy::Network(read) => {
+                assert_eq!(from_onnx(&to_onnx(&read), None), Ok(policy));
+            }
+            other => panic!("{other:?} came back"),
+        }
+    }
+}
+
+#[test]
 fn an_exported_model_whose_graph_was_changed_is_refused() {
     let policy = policies().next().unwrap();
     let model = to_onnx(&policy);

@@ -150,6 +150,12 @@ const DISTORTIONS: &[(&str, Distortion)] = &[
     ("act-out-of-range", |_, reply| !refuses(reply, RefusalReason::VoltageOutOfRange)),
     ("replayed-act", |_, reply| !refuses(reply, RefusalReason::StaleSequence)),
     ("watchdog", |_, reply| distort_sample(reply, |sample| sample.device_time_us *= 2)),
+    ("watchdog-after-arm", |_, reply| {
+        // A clock that stands still, and with it the watchdog.
+        distort_sample(reply, |sample| {
+            (sample.device_time_us, sample.status) = (7, StatusBits(StatusBits::ARMED));
+        })
+    }),
     ("watchdog-latch", |_, reply| !refuses(reply, RefusalReason::WatchdogTripped)),
     ("garbage", |_, reply| {
         if let Reply::Hello(hello) = reply {

@@ -4,6 +4,7 @@ use firmware_protocol::{
 };
 
 use super::{Deviation, TestHost, ensure};
+use crate::clock::Nanoseconds;
 
 const WATCHDOG_US: u32 = WATCHDOG_MS as u32 * 1000;
 const LATEST_US: u32 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u32 * 1000;
@@ -11,15 +12,33 @@ const LATEST_US: u32 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u32 * 1000;
 /// Pause between the samples that show when the watchdog trips, ns: 1 ms.
 const PAUSE_NS: u64 = 1_000_000;
 
+/// Time by the computer's clock after which a device whose own clock shows less than a tenth of it
+/// has a clock that stands still or runs backwards, ns: 5 s.
+const LONGEST_NS: Nanoseconds = 5_000_000_000;
+
+/// Fails if [`LONGEST_NS`] had passed since `begin_ns` when a sample was requested at `asked_ns`.
+/// A check calls it with a sample by whose own clock the check should go on, so that a device
+/// whose clock stands still does not keep the check from ending, with the motor on.
+fn ensure_clock_runs(begin_ns: Nanoseconds, asked_ns: Nanoseconds) -> Result<(), Deviation> {
+    ensure!(
+        asked_ns - begin_ns < LONGEST_NS,
+        "its clock stands still or runs backwards: it shows less than 0.5 s after {} s",
+        LONGEST_NS / 1_000_000_000
+    );
+    Ok(())
+}
+
 /// Repeats an action until the watchdog has tripped. Fails if it trips earlier than 50 ms after
 /// `fed_us`, or has not tripped one poll of the watchdog (5 ms) later. `fed_us` is the time of the
-/// last arm or act. All times are by the device's clock.
+/// last arm or act. All times are by the device's clock, which must run.
 pub(super) fn trips_while(
     test_host: &mut TestHost<'_>,
     fed_us: u32,
     mut meanwhile: impl FnMut(&mut TestHost<'_>) -> Result<(), Deviation>,
 ) -> Result<(), Deviation> {
+    let begin_ns = test_host.now_ns();
     loop {
+        let asked_ns = test_host.now_ns();
         let sample = test_host.sample()?;
         let elapsed_us = sample.device_time_us.wrapping_sub(fed_us);
         if sample.status.has(StatusBits::WATCHDOG_TRIPPED) {
@@ -36,6 +55,7 @@ pub(super) fn trips_while(
             elapsed_us <= LATEST_US || elapsed_us > u32::MAX / 2,
             "the watchdog has not tripped after {elapsed_us} us"
         );
+        ensure_clock_runs(begin_ns, asked_ns)?;
         meanwhile(test_host)?;
         test_host.wait_ns(PAUSE_NS);
     }
@@ -82,14 +102,17 @@ pub(super) fn not_fed_by_refused(test_host: &mut TestHost<'_>) -> Result<(), Dev
 pub(super) fn fed(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     let (armed_us, _) = test_host.arm()?;
     test_host.sample_armed()?;
+    let begin_ns = test_host.now_ns();
     loop {
         test_host.act(0)?;
+        let asked_ns = test_host.now_ns();
         let sample = test_host.sample_armed()?;
         if sample.device_time_us.wrapping_sub(armed_us) > 4 * WATCHDOG_US
             && sample.device_time_us.wrapping_sub(armed_us) < u32::MAX / 2
         {
             return Ok(());
         }
+        ensure_clock_runs(begin_ns, asked_ns)?;
         test_host.wait_ns(10 * PAUSE_NS);
     }
 }

@@ -19,8 +19,8 @@ use training_ahead::TrainingAhead;
 
 use super::seeds::SeedFor;
 use super::{
-    Candidate, Entry, FolderError, Ledger, ScoredCandidate, SessionError, SessionEvent,
-    SessionFolder, SessionSettings, SessionState, Step, file_checksum, next_step,
+    Candidate, Entry, FolderError, Ledger, LedgerError, ScoredCandidate, SessionError,
+    SessionEvent, SessionFolder, SessionSettings, SessionState, Step, file_checksum, next_step,
 };
 use crate::device::EMULATOR_KIND;
 use crate::jobs::{Executor, LocalExecutor};
@@ -52,11 +52,24 @@ pub struct Session {
     /// Whether trainings may begin before they are asked for: on this computer, if it has a core
     /// beside that of the control thread, while a Qube moves in real time.
     prepares: bool,
+    /// Rollout that an earlier process gave up; `None` if there is none.
+    given_up_before: Option<GivenUpBefore>,
+}
+
+/// A rollout that was given up before this process opened the session.
+#[derive(Clone, Copy)]
+struct GivenUpBefore {
+    candidate: u32,
+    rollout: u32,
+    /// Number of its attempts that a fault had ended by then.
+    void: u32,
 }
 
 impl Session {
     /// Opens a session and continues where its ledger ends. An empty ledger starts a new session
     /// and is bound to the folder's `session.toml`.
+    ///
+    /// If the ledger of a new session cannot be written, the files of the session are removed.
     ///
     /// # Errors
     /// The ledger is damaged or cannot be opened, or it belongs to another `session.toml`; a
@@ -68,8 +81,16 @@ impl Session {
         rig_settings: RigSettings,
         stop: Arc<AtomicBool>,
     ) -> Result<Self, SessionError> {
-        let mut ledger = Ledger::open(folder.disk(), &folder.paths().ledger())?;
-        bind(&mut ledger, &folder)?;
+        let ledger = match bound_ledger(&folder) {
+            Ok(ledger) => ledger,
+            Err(error) => {
+                // A ledger that is damaged, or of other settings, is not this session's: it stays.
+                if matches!(error, SessionError::Ledger(LedgerError::Io { .. })) {
+                    folder.withdraw_if_new();
+                }
+                return Err(error);
+            }
+        };
         // Trainings that run beside rollouts leave a core to the control thread, except in virtual
         // time, where no tick is late.
         let in_real_time = rig_settings.clock == ClockChoice::Wall;
@@ -90,11 +111,16 @@ impl Session {
             ahead: None,
             prepared: PreparedTrainings::default(),
             prepares: in_real_time && has_another_core,
+            given_up_before: None,
         };
         session.guard_as_unknown();
         session.search_around_identified()?;
         for candidate in session.ledger.state().candidates().iter().filter(|it| has_psi(it)) {
             session.settings.psi.psi(&candidate.psi)?;
+        }
+        if let Step::GiveUp { candidate, rollout } = session.next_step() {
+            let void = session.ledger.state().candidates()[candidate as usize].void;
+            session.given_up_before = Some(GivenUpBefore { candidate, rollout, void });
         }
         Ok(session)
     }
@@ -246,11 +272,15 @@ impl Session {
                 Step::Rollout { candidate, rollout, attempt } => {
                     self.roll_out(candidate, rollout, attempt, on_event)?;
                 }
-                Step::GiveUp { candidate, rollout } => {
-                    let given_up = self.given_up(candidate, rollout);
-                    let index = self.index_of(rollout);
-                    self.take_out(index, given_up, on_event)?;
-                }
+                Step::GiveUp { candidate, rollout } => match self.attempt_again(candidate, rollout)
+                {
+                    Some(attempt) => self.roll_out(candidate, rollout, attempt, on_event)?,
+                    None => {
+                        let given_up = self.given_up(candidate, rollout);
+                        let index = self.index_of(rollout);
+                        self.take_out(index, given_up, on_event)?;
+                    }
+                },
                 Step::Done => break,
             }
         }
@@ -399,6 +429,17 @@ impl Session {
         Ok(verdict)
     }
 
+    /// The next attempt of a rollout that is to be given up, if an earlier process gave it up and
+    /// no other rig can make it: whoever resumes the session has looked at the Qube, so the rollout
+    /// may be repeated as often as before. `None` if it is given up now.
+    fn attempt_again(&self, candidate: u32, rollout: u32) -> Option<u32> {
+        let before =
+            self.given_up_before.filter(|it| (it.candidate, it.rollout) == (candidate, rollout))?;
+        let attempt = self.ledger.state().candidates()[candidate as usize].void;
+        let may_repeat = attempt - before.void <= self.settings.extent.repetitions;
+        (may_repeat && self.rigs_left() < 2).then_some(attempt)
+    }
+
     fn given_up(&mut self, candidate: u32, rollout: u32) -> SessionError {
         let tries = self.settings.extent.repetitions + 1;
         // The attempts of rigs that were taken out count too, so there may be more than `tries`.
@@ -416,6 +457,13 @@ impl Session {
 /// Whether the candidate has a psi: excitations and the baseline have none.
 fn has_psi(candidate: &Candidate) -> bool {
     candidate.purpose.is_searched() || candidate.purpose.verifies()
+}
+
+/// Opens the ledger of a session and binds it to the session's settings.
+fn bound_ledger(folder: &SessionFolder) -> Result<Ledger, SessionError> {
+    let mut ledger = Ledger::open(folder.disk(), &folder.paths().ledger())?;
+    bind(&mut ledger, folder)?;
+    Ok(ledger)
 }
 
 /// Binds a ledger to its settings: an empty ledger records their checksum; a ledger whose recorded

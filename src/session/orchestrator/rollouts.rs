@@ -62,6 +62,11 @@ impl Session {
         self.ledger.state().is_taken_out(index as u32 + 1)
     }
 
+    /// Number of rigs that were not taken out.
+    pub(super) fn rigs_left(&self) -> usize {
+        (0..self.rigs.len()).filter(|&it| !self.is_out(it)).count()
+    }
+
     /// Index of the rig that makes this rollout. At least one rig always remains.
     pub(super) fn index_of(&self, rollout: u32) -> usize {
         let taken_out: Vec<u32> =
@@ -78,8 +83,7 @@ impl Session {
         fault: SessionError,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let left = (0..self.rigs.len()).filter(|&it| !self.is_out(it)).count();
-        if left < 2 || !fault.is_of_rig() || self.stop.load(Ordering::Relaxed) {
+        if self.rigs_left() < 2 || !fault.is_of_rig() || self.stop.load(Ordering::Relaxed) {
             return Err(fault);
         }
         let (rig, reason) = (index as u32 + 1, fault.to_string());
