@@ -84,12 +84,16 @@ fn with_slopes<const N: usize>(
     plant: &PlantModel,
     model: &QubeModel,
 ) -> (NonidealDynamics<Dual<N>>, Dual<N>) {
-    let here = numbers(model);
+    // Raised before the step, so that the delay's derivative is 1 at a delay of 0, too.
+    let mut model = *model;
+    let delay_s = &mut model.nonidealities.command_delay_s;
+    *delay_s = delay_s.max(SMALLEST_DELAY_S);
+    let here = numbers(&model);
     let mut with_slopes = here.map(Dual::<N>::constant);
     for (index, unknown) in unknowns.iter().enumerate() {
         let step = PRODUCT_STEP * unknown.prior(plant).std;
-        let mut moved = *model;
-        unknown.set(&mut moved, unknown.of(model) + step);
+        let mut moved = model;
+        unknown.set(&mut moved, unknown.of(&model) + step);
         for (number, (there, here)) in with_slopes.iter_mut().zip(numbers(&moved).iter().zip(here))
         {
             number.slopes[index] = (there - here) / step;
@@ -150,6 +154,43 @@ fn numbers(model: &QubeModel) -> [f64; 14] {
         dynamics.negative_dead_zone,
         dynamics.cable_stiffness,
         dynamics.cable_rest,
-        model.nonidealities.command_delay_s.max(SMALLEST_DELAY_S),
+        model.nonidealities.command_delay_s,
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::{Nonidealities, Nonideality};
+    use crate::replay::MotionSample;
+
+    /// A resting Qube that gets 3 V and -3 V in turns of 0.1 s.
+    fn pushes() -> Vec<MotionSample> {
+        (0..40)
+            .map(|index| MotionSample {
+                time_s: 0.01 * f64::from(index),
+                state: State::default(),
+                voltage_v: if index % 20 < 10 { 3.0 } else { -3.0 },
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_slope_by_the_delay_is_that_of_finite_differences_from_a_delay_of_0_on() {
+        let recording = pushes();
+        let stretch = Stretch::from(&recording, 0, 0.4);
+        let unknowns = [Unknown::from(Nonideality::CommandDelay)];
+        let at = |command_delay_s| {
+            let nonidealities = Nonidealities { command_delay_s, ..Nonidealities::default() };
+            let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
+            linearised(&stretch, &unknowns, &PlantModel::QUBE, &model, State::default(), [1.0; 2])
+        };
+        for delay_s in [0.0, 0.004] {
+            let step_s = 1e-5;
+            let (residuals, slopes) = at(delay_s);
+            let by_difference = (at(delay_s + step_s).0 - &residuals) / step_s;
+            let off = (slopes.column(0) - &by_difference).norm() / by_difference.norm();
+            assert!(off < 0.02, "{delay_s} s: {off}");
+        }
+    }
 }

@@ -47,7 +47,8 @@ struct Line {
 
 impl<'a> LogKnowledgeGradient<'a> {
     /// A knowledge gradient on a process, with further alternatives in the box's own units. The
-    /// next observation is assumed to have the median noise variance of the past ones. Costs O(n^2)
+    /// next observation is assumed to have the median noise variance of the past ones, in which
+    /// fantasies do not count. Costs O(n^2)
     /// for each further alternative, and O(n^2 d) for the observed points.
     #[must_use]
     pub fn new(process: &'a GaussianProcess, further: &[Vec<f64>]) -> Self {
@@ -62,7 +63,13 @@ impl<'a> LogKnowledgeGradient<'a> {
             .iter()
             .map(|point| (point.clone(), process.solve(&process.cross(point).values)))
             .collect();
-        let mut sorted: Vec<f64> = noise.iter().copied().collect();
+        // A fantasy has no noise of its own to speak of; the next observation is a real one.
+        let mut sorted: Vec<f64> = noise
+            .iter()
+            .zip(&data.own_noise)
+            .filter(|(_, own)| **own >= 0.0)
+            .map(|(noise, _)| *noise)
+            .collect();
         sorted.sort_by(f64::total_cmp);
         Self { process, means, further, next_noise: sorted[sorted.len() / 2], noise }
     }
@@ -237,6 +244,18 @@ mod tests {
             let ours = acquisition.value(&point).exp();
             assert!((ours / gain - 1.0).abs() < 2e-4, "{ours} {gain}");
         }
+    }
+
+    #[test]
+    fn points_that_are_only_believed_do_not_make_the_next_observation_exact() {
+        let observed = process(0.3);
+        let mut believed = observed.clone();
+        for k in 0..10 {
+            let point = [0.05 + 0.09 * f64::from(k), 29.0 - 1.5 * f64::from(k)];
+            believed = believed.conditioned_on_fantasy(&point, observed.mean(&point)).unwrap();
+        }
+        let next_noise = |process| LogKnowledgeGradient::new(process, &[]).next_noise;
+        assert_eq!(next_noise(&believed), next_noise(&observed));
     }
 
     #[test]
