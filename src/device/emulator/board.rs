@@ -11,6 +11,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{EmulatorFault, EmulatorSettings, Plant};
 
+mod failing;
+
 const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
 
 /// Lowest message type of replies. A board that receives a reply hears another device, or an echo.
@@ -21,17 +23,6 @@ const NONCE_STREAM: u64 = 1;
 
 /// Random stream of the boot id and of the counters' shifts at a restart.
 const START_STREAM: u64 = 3;
-
-/// Time from a dip of the supply to the program's first frame, us: the chip's start-up time of 65
-/// ms with Arduino's fuses, and the program's own start.
-const BROWN_OUT_DARK_US: u64 = 70_000;
-
-/// Time from a pulse at the reset pin to the program's first frame, us: the Uno's boot loader
-/// listens for about a second.
-const RESTART_DARK_US: u64 = 1_000_000;
-
-/// Time for which the emergency stop is pressed, us.
-const STOP_PRESSED_US: u64 = 2_000_000;
 
 /// Largest shift of the counts at a restart, counts: the protocol does not promise that counts
 /// continue, so no host may rely on it.
@@ -180,38 +171,6 @@ impl Board {
         let reply = self.answer(&frame)?.encode(frame.sequence);
         self.replies = self.replies.wrapping_add(1);
         Some(reply)
-    }
-
-    /// Whether the port is gone because the cable is pulled or the board has no supply.
-    #[must_use]
-    pub fn is_unplugged(&self) -> bool {
-        let now_s = self.now_us as f64 * 1e-6;
-        self.has_begun(|fault| match fault {
-            EmulatorFault::Unplugged { .. } | EmulatorFault::PowerLoss { .. } => true,
-            EmulatorFault::Replugged { after_s, away_s } => now_s < after_s + away_s,
-            _ => false,
-        })
-    }
-
-    /// Time at which the cable is plugged in again, by the board's clock, us; `None` if the cable
-    /// is not pulled or stays out.
-    #[must_use]
-    pub fn plugged_in_us(&self) -> Option<u64> {
-        match self.settings.fault {
-            Some(EmulatorFault::Replugged { after_s, away_s }) if self.is_unplugged() => {
-                Some(((after_s + away_s) * 1e6).ceil() as u64)
-            }
-            _ => None,
-        }
-    }
-
-    /// Whether the fault flips a bit of the last reply; the owner then flips it on the wire.
-    #[must_use]
-    pub fn garbles_reply(&self) -> bool {
-        match self.settings.fault {
-            Some(EmulatorFault::Garble { every }) => self.replies.is_multiple_of(every),
-            _ => false,
-        }
     }
 
     /// The Qube at the current time, with the true state that the wire does not show.
@@ -453,29 +412,6 @@ impl Board {
         self.dropped_frames = 0;
     }
 
-    fn stop_is_closed(&self) -> bool {
-        match self.settings.fault {
-            Some(fault @ EmulatorFault::EmergencyStop { .. }) => {
-                let pressed_us = fault.onset_us();
-                !(pressed_us..pressed_us.saturating_add(STOP_PRESSED_US)).contains(&self.now_us)
-            }
-            _ => true,
-        }
-    }
-
-    /// The sign of the connection that the fault `flipped` reverses: -1 if the fault or the wiring
-    /// reverses it, but not both, otherwise 1.
-    fn sense(&self, flipped: EmulatorFault) -> i32 {
-        let wiring = self.settings.wiring;
-        let is_wired_so = match flipped {
-            EmulatorFault::FlippedTheta => wiring.theta_inverted,
-            EmulatorFault::FlippedAlpha => wiring.alpha_inverted,
-            EmulatorFault::FlippedMotor => wiring.motor_inverted,
-            _ => false,
-        };
-        if (self.settings.fault == Some(flipped)) != is_wired_so { -1 } else { 1 }
-    }
-
     fn new_nonce(&mut self) -> u32 {
         loop {
             let nonce = self.nonces.random::<u32>();
@@ -483,66 +419,6 @@ impl Board {
                 return nonce;
             }
         }
-    }
-
-    fn begin_fault(&mut self) {
-        self.fault_began = true;
-        self.plant.advance_to(self.now_us);
-        let fails_the_qube = match self.settings.fault {
-            Some(EmulatorFault::FrozenAlpha { .. }) => {
-                self.frozen_alpha_counts = Some(self.plant.alpha_counts());
-                false
-            }
-            Some(EmulatorFault::FrozenTheta { .. }) => {
-                self.frozen_theta_counts = Some(self.plant.theta_counts());
-                false
-            }
-            Some(EmulatorFault::DeadMotor { .. }) => {
-                self.plant.disconnect_motor();
-                false
-            }
-            Some(EmulatorFault::BlockedArm { .. }) => {
-                self.plant.block_arm();
-                false
-            }
-            Some(EmulatorFault::StallError { .. }) => {
-                self.stall_error = true;
-                true
-            }
-            Some(EmulatorFault::AmplifierFault { .. } | EmulatorFault::QubeAbsent { .. }) => true,
-            Some(EmulatorFault::EmergencyStop { .. }) => {
-                self.emergency_stop = true;
-                true
-            }
-            Some(EmulatorFault::PowerLoss { .. }) => {
-                self.stop_program(u64::MAX);
-                false
-            }
-            Some(EmulatorFault::BrownOut { .. }) => {
-                self.stop_program(self.now_us + BROWN_OUT_DARK_US);
-                false
-            }
-            Some(EmulatorFault::BoardRestart { .. }) => {
-                self.stop_program(self.now_us + RESTART_DARK_US);
-                false
-            }
-            _ => false,
-        };
-        if fails_the_qube && self.state == DeviceState::Armed {
-            self.leave_armed(DeviceState::Faulted);
-        }
-    }
-
-    fn has_begun(&self, which: impl Fn(&EmulatorFault) -> bool) -> bool {
-        self.fault_began && self.settings.fault.as_ref().is_some_and(which)
-    }
-
-    fn qube_absent(&self) -> bool {
-        self.has_begun(|fault| matches!(fault, EmulatorFault::QubeAbsent { .. }))
-    }
-
-    fn amplifier_fault(&self) -> bool {
-        self.has_begun(|fault| matches!(fault, EmulatorFault::AmplifierFault { .. }))
     }
 
     fn status(&self) -> StatusBits {

@@ -1,3 +1,4 @@
+use super::failing::{BROWN_OUT_DARK_US, RESTART_DARK_US};
 use super::*;
 use crate::qube::{HARD_STOP_RAD, State};
 
