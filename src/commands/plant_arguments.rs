@@ -7,6 +7,7 @@ use super::exit::Failure;
 use super::number_arguments::between;
 use crate::experiment::Plant;
 use crate::qube::PlantModel;
+use crate::session::PolicyPaths;
 
 /// The arguments of the emulated Qubes on which policies run.
 #[derive(Clone, Debug, clap::Args)]
@@ -49,6 +50,7 @@ impl PlantArguments {
             if self.vary > 0.0 {
                 name += &format!("+vary{}%", 100.0 * self.vary);
             }
+            check_name(&name).map_err(Failure::usage)?;
             return Ok(vec![Plant { name, emulated, vary: self.vary }]);
         };
         let wrong = |reason: String| Failure::usage(format!("{}: {reason}", path.display()));
@@ -65,12 +67,55 @@ fn specimen(entry: PlantEntry, path: &Path, plant: &PlantModel) -> Result<Plant,
     let wrong = |reason: String| {
         Failure::usage(format!("{}: plant {}: {reason}", path.display(), entry.name))
     };
+    check_name(&entry.name).map_err(wrong)?;
     let emulated = EmulatedArguments::of_entry(&entry).map_err(wrong)?.of_plant(plant)?;
     let vary = part(&entry.vary.to_string())
         .map_err(|why| wrong(format!("vary = {}: {why}", entry.vary)))?;
     Ok(Plant { name: entry.name, emulated, vary })
 }
 
+/// Refuses the name of a file that stands beside the plant's folder of recordings in the folder of
+/// a policy. The experiment refuses all other names that are not valid for a folder.
+fn check_name(name: &str) -> Result<(), String> {
+    let paths = PolicyPaths::numbered(Path::new(""), 0);
+    let files = [paths.policy(), paths.curve(), paths.training_times()];
+    match files.iter().any(|file| file.file_name().is_some_and(|it| it == name)) {
+        true => Err(format!("{name} is the name of a file of each policy: give another name")),
+        false => Ok(()),
+    }
+}
+
 fn part(text: &str) -> Result<f64, String> {
     between(text, 0.0, 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::PolicyFolders;
+
+    #[test]
+    fn a_plant_that_has_the_name_of_a_file_beside_its_folder_is_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let named = |name: &str| {
+            let path = directory.path().join("plants.toml");
+            std::fs::write(&path, format!("[[plants]]\nname = {name:?}\n")).unwrap();
+            let arguments = PlantArguments {
+                emulated: EmulatedArguments::default(),
+                vary: 0.0,
+                plants: Some(path),
+            };
+            arguments.plants(&PlantModel::QUBE)
+        };
+        assert_eq!(named("lab").unwrap()[0].name, "lab");
+        let folders = PolicyFolders::of_recommendation(directory.path(), 0);
+        let paths = folders.policy(0);
+        for file in [paths.policy(), paths.curve(), paths.training_times()] {
+            let name = file.file_name().unwrap().to_str().unwrap();
+            assert_eq!(folders.rollouts(0, name), file);
+            let refused = named(name).unwrap_err();
+            let cause = refused.cause();
+            assert!(cause.contains(name) && cause.contains("give another name"), "{cause}");
+        }
+    }
 }

@@ -14,6 +14,7 @@ use super::named_values::{named, presets};
 use super::number_arguments::between;
 use super::output::Output;
 use super::plant_file::PlantArgument;
+use super::printable::print_message;
 use super::profile;
 use super::screen::ScreenArgument;
 use super::stop::Stop;
@@ -102,7 +103,7 @@ pub struct Arguments {
     voltage_change_weight: Option<f64>,
 
     /// Checkpoint file: the training writes it every ten updates, resumes from it if it exists, and removes it
-    /// at the end; the policy is the same as without an interruption
+    /// once the policy is written; the policy is the same as without an interruption
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
 
@@ -206,14 +207,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let start = arguments.from.as_deref().map(start).transpose()?;
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
     if let Some(path) = &arguments.checkpoint {
-        check_folder(folder_of(path))?;
-    }
-    if let Some(path) = &arguments.checkpoint
-        && path.exists()
-        && !path.is_file()
-    {
-        let shown = path.display();
-        return Err(Failure::usage(format!("--checkpoint {shown}: it is not a file: name a file")));
+        check_checkpoint(path, &arguments.out)?;
     }
     let checkpointing =
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });
@@ -235,7 +229,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
                 .map_err(JobError::from)
         }
         None => {
-            let executor = LocalExecutor::on_cores(1).checkpointed(checkpointing);
+            let executor = LocalExecutor::on_cores(1).checkpointed(checkpointing.clone());
             executor.train_one(&job, &stop.flag, &mut on_update)
         }
     };
@@ -271,12 +265,32 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         "policy": path,
     });
     out.write(&trained.into_policy(origin).to_bytes())?;
+    if let Some(Err(error)) = checkpointing.map(|checkpointing| checkpointing.remove()) {
+        print_message(&format!("warning: {error}"));
+    }
     let text = format!(
         "best return {best_return:.1}, last {final_return:.1}, after {} updates in {wall_s:.1} s: \
          {path}",
         returns.len(),
     );
     output.print(&text, &result);
+    Ok(())
+}
+
+/// Checks that a checkpoint can be written to this path, and that it is another one than that of
+/// the policy, which the removal of the checkpoint would remove.
+fn check_checkpoint(path: &Path, out: &Path) -> Result<(), Failure> {
+    let shown = path.display();
+    check_folder(folder_of(path))?;
+    if path.exists() && !path.is_file() {
+        return Err(Failure::usage(format!("--checkpoint {shown}: it is not a file: name a file")));
+    }
+    let folder = |path: &Path| folder_of(path).canonicalize().ok();
+    if path.file_name() == out.file_name() && folder(path) == folder(out) {
+        return Err(Failure::usage(format!(
+            "--checkpoint {shown}: it is the file of --out as well: name another file"
+        )));
+    }
     Ok(())
 }
 
@@ -405,5 +419,23 @@ fn distribution(
             .with(Nonideality::CommandDelay, Distribution::between(from_s, to_s))
             .map_err(Failure::usage),
         None => Ok(distribution),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_checkpoint_in_the_place_of_the_policy_is_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        std::fs::create_dir(at("inner")).unwrap();
+        assert!(check_checkpoint(&at("half"), &at("policy")).is_ok());
+        assert!(check_checkpoint(&at("inner/policy"), &at("policy")).is_ok());
+        for same in ["policy", "inner/../policy"] {
+            let refused = check_checkpoint(&at(same), &at("policy")).unwrap_err();
+            assert!(refused.cause().contains("the file of --out"), "{}", refused.cause());
+        }
     }
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use super::ExperimentError;
 use super::seal::sealed;
 use crate::session::{FolderError, PolicyPaths};
-use crate::storage::{Disk, Hold, MachineDisk, write_whole};
+use crate::storage::{Disk, Hold, MachineDisk, is_unfinished_of, remove_unfinished, write_whole};
 
 /// The folder of an experiment; one process at a time holds it. The files in the folder are the
 /// only record of finished work.
@@ -32,14 +32,20 @@ pub struct ExperimentFolder {
 }
 
 impl ExperimentFolder {
-    /// Creates a new folder, or takes an empty one, and writes the experiment's settings into it.
+    /// Creates a new folder, or takes an empty one, and writes the experiment's settings into it. The
+    /// partial settings of an experiment that was killed at its start are replaced.
     ///
     /// # Errors
-    /// The folder is not empty or cannot be created, or another process holds it.
+    /// The folder has other content or cannot be created, or another process holds it.
     pub fn create(root: &Path, settings: &str) -> Result<Self, ExperimentError> {
         let exists = || FolderError::Exists { path: root.to_owned() };
-        if MachineDisk.exists(root) && !MachineDisk.names(root).is_ok_and(|names| names.is_empty())
-        {
+        let settings_path = settings_in(root);
+        let has_not_begun = || {
+            let names = MachineDisk.names(root);
+            let is_partial = |path: PathBuf| is_unfinished_of(&MachineDisk, &path, &settings_path);
+            names.is_ok_and(|names| names.iter().all(|name| is_partial(root.join(name))))
+        };
+        if MachineDisk.exists(root) && !has_not_begun() {
             return Err(exists().into());
         }
         make(root)?;
@@ -48,6 +54,7 @@ impl ExperimentFolder {
         if MachineDisk.exists(&folder.settings_path()) {
             return Err(exists().into());
         }
+        remove_unfinished(&MachineDisk, &settings_path);
         write_whole(&MachineDisk, &folder.settings_path(), sealed(settings).as_bytes())?;
         Ok(folder)
     }
@@ -160,4 +167,28 @@ pub(super) fn check_name(kind: &str, name: &str) -> Result<(), String> {
     Err(format!(
         "{kind}: {name:?} is not a valid name: use 1 to 60 characters of a-z A-Z 0-9 - _ . + %, and no dot at the beginning"
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_is_taken_if_it_is_empty_or_its_experiment_was_killed_at_its_start() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("one");
+        let create = || ExperimentFolder::create(&root, "seed = 1\n").map(drop);
+        std::fs::create_dir(&root).unwrap();
+        let partial = root.join("experiment.toml.4711-0.unfinished");
+        std::fs::write(&partial, "se").unwrap();
+        assert!(create().is_ok());
+        let written = std::fs::read_to_string(settings_in(&root)).unwrap();
+        assert!(written.starts_with("seed = 1\n"), "{written}");
+        assert!(!partial.exists());
+        assert!(create().is_err());
+        std::fs::remove_file(settings_in(&root)).unwrap();
+        assert!(create().is_ok());
+        std::fs::rename(settings_in(&root), root.join("notes")).unwrap();
+        assert!(create().is_err());
+    }
 }

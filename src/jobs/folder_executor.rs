@@ -10,6 +10,7 @@ use crossbeam_channel::{RecvTimeoutError, Sender, unbounded};
 use super::folder::{
     ClaimEnding, Heartbeat, HeartbeatWatch, Holder, JobFolder, JobResult, NextTry, Tries,
 };
+use super::patience::{PATIENCE, Patience};
 use super::starter::{StartError, Starter};
 use super::worker_pool::{NoWorkers, WorkerPool};
 use super::{Executor, JobError, JobEvent, JobFolderError, TrainingJob};
@@ -28,9 +29,40 @@ const POLL_INTERVAL: Duration = Duration::from_millis(250);
 /// Time between two calls of the function that shows that a waiting caller does not hang.
 const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
 
-/// Time for which operations on the folder may fail before all jobs fail, because file servers are
-/// restarted now and then.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// The patience of a caller that waits for results.
+struct PatientCaller<'a> {
+    patience: Patience,
+    stop: &'a AtomicBool,
+    waits: fn(),
+}
+
+impl PatientCaller<'_> {
+    /// Performs an operation on the folder, and repeats it while a file operation fails and the
+    /// patience lasts. If the caller's stop flag is set meanwhile, the error is
+    /// [`TrainError::Stopped`].
+    fn repeat<T>(
+        &mut self,
+        operation: impl Fn() -> Result<T, JobFolderError>,
+    ) -> Result<T, JobError> {
+        loop {
+            match operation() {
+                Ok(done) => {
+                    self.patience.renew();
+                    return Ok(done);
+                }
+                Err(error @ JobFolderError::Disk { .. }) if self.patience.lasts() => {
+                    if self.stop.load(Ordering::Relaxed) {
+                        return Err(TrainError::Stopped.into());
+                    }
+                    tracing::warn!("{error}");
+                    (self.waits)();
+                    std::thread::sleep(LONGEST_WAIT);
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+}
 
 /// Carries out trainings by workers that share a folder with this process, on any number of
 /// computers.
@@ -71,6 +103,16 @@ struct State {
 enum Failure {
     Folder(Arc<JobFolderError>),
     Start(Arc<StartError>),
+}
+
+impl Failure {
+    /// Whether a file operation has failed, which may succeed later.
+    fn may_pass(&self) -> bool {
+        match self {
+            Self::Folder(error) => matches!(**error, JobFolderError::Disk { .. }),
+            Self::Start(error) => matches!(**error, StartError::Log { .. }),
+        }
+    }
 }
 
 impl From<Failure> for JobError {
@@ -137,8 +179,8 @@ impl FolderExecutor {
         Ok(Self { shared, watch: Some(watch), workers, waits: || () })
     }
 
-    /// Sets a function that is called every 10 s while a caller waits for results, because a
-    /// scheduler's queue may be long.
+    /// Sets a function that is called every 10 s or more often while a caller waits for results,
+    /// because a scheduler's queue may be long.
     #[must_use]
     pub fn while_waiting(mut self, waits: fn()) -> Self {
         self.waits = waits;
@@ -171,8 +213,10 @@ impl Executor for FolderExecutor {
         let shared = &self.shared;
         let (sender, receiver) = unbounded();
         let mut open: HashMap<usize, String> = HashMap::with_capacity(jobs.len());
+        let mut patient =
+            PatientCaller { patience: Patience::new(PATIENCE), stop, waits: self.waits };
         for (index, job) in jobs.iter().enumerate() {
-            match shared.ask(index, job, &sender) {
+            match shared.ask(index, job, &sender, &mut patient) {
                 Ok(name) => drop(open.insert(index, name)),
                 Err(error) => on_event(JobEvent::Finished { job: index, result: Err(error) }),
             }
@@ -196,15 +240,18 @@ impl Executor for FolderExecutor {
             }
             let (index, result) = match notice {
                 Notice::Failed(index, error) => (index, Err(error)),
-                Notice::Result(index) => match shared.collect(&open[&index], &jobs[index]) {
-                    Ok(Some(trained)) => (index, Ok(trained)),
-                    // The result was damaged: the job is done again.
-                    Ok(None) => match shared.ask(index, &jobs[index], &sender) {
-                        Ok(_) => continue,
+                Notice::Result(index) => {
+                    match shared.collect(&open[&index], &jobs[index], &mut patient) {
+                        Ok(Some(trained)) => (index, Ok(trained)),
+                        // The result was damaged: the job is done again.
+                        Ok(None) => match shared.ask(index, &jobs[index], &sender, &mut patient) {
+                            Ok(_) => continue,
+                            Err(error) => (index, Err(error)),
+                        },
+                        Err(error) if error.is_stop() => break,
                         Err(error) => (index, Err(error)),
-                    },
-                    Err(error) => (index, Err(error)),
-                },
+                    }
+                }
             };
             let name = open.remove(&index);
             if let Ok(trained) = &result {
@@ -212,9 +259,13 @@ impl Executor for FolderExecutor {
                     on_event(JobEvent::Update { job: index, update: *update });
                 }
             }
+            // Without an ending of its own the job may still be under way.
+            let has_ended = matches!(
+                result,
+                Ok(_) | Err(JobError::Elsewhere { .. } | JobError::GivenUp { .. })
+            );
             on_event(JobEvent::Finished { job: index, result });
-            // The policy is in the caller's hands, so nobody needs the files any more.
-            name.into_iter().for_each(|name| shared.release(&name));
+            name.into_iter().for_each(|name| shared.release(&name, has_ended));
         }
         for (job, name) in open {
             shared.withdraw(&name, job, &sender);
@@ -235,6 +286,7 @@ impl Shared {
         index: usize,
         job: &TrainingJob,
         sender: &Sender<Notice>,
+        patient: &mut PatientCaller<'_>,
     ) -> Result<String, JobError> {
         let name = job.fingerprint();
         // The caller is registered first: then nobody removes the files of an equal job that has
@@ -247,32 +299,41 @@ impl Shared {
         drop(state);
         // A damaged job of an earlier coordinator is replaced.
         if !matches!(self.folder.read_job(&name), Ok(Some(_)))
-            && let Err(error) = self.folder.put(job)
+            && let Err(error) = patient.repeat(|| self.folder.put(job))
         {
             self.withdraw(&name, index, sender);
-            return Err(error.into());
+            return Err(error);
         }
         Ok(name)
     }
 
     /// Reads a result. A damaged result is removed, so that the training is repeated; the function
     /// then returns `Ok(None)`, also to another caller with the same job.
-    fn collect(&self, name: &str, job: &TrainingJob) -> Result<Option<Box<Trained>>, JobError> {
-        match self.folder.read_result(name, job) {
-            Ok(JobResult { outcome, by, .. }) => {
-                outcome.map(Some).map_err(|reason| JobError::Elsewhere { by, reason })
-            }
+    fn collect(
+        &self,
+        name: &str,
+        job: &TrainingJob,
+        patient: &mut PatientCaller<'_>,
+    ) -> Result<Option<Box<Trained>>, JobError> {
+        let read = patient.repeat(|| match self.folder.read_result(name, job) {
+            Ok(result) => Ok(Some(result)),
             Err(JobFolderError::Damaged { path, reason }) => {
                 tracing::warn!("{}: {reason}; the training is repeated", path.display());
-                self.folder.discard_result(name)?;
-                self.release_reading(&mut self.lock(), name);
-                Ok(None)
+                self.folder.discard_result(name).map(|()| None)
             }
             Err(JobFolderError::Disk { source, .. }) if source.kind() == ErrorKind::NotFound => {
+                Ok(None)
+            }
+            Err(error) => Err(error),
+        });
+        match read? {
+            Some(JobResult { outcome, by, .. }) => {
+                outcome.map(Some).map_err(|reason| JobError::Elsewhere { by, reason })
+            }
+            None => {
                 self.release_reading(&mut self.lock(), name);
                 Ok(None)
             }
-            Err(error) => Err(error.into()),
         }
     }
 
@@ -289,11 +350,13 @@ impl Shared {
         left.unwrap_or(0) == 0 && !state.waiting.contains_key(name)
     }
 
-    /// Removes the files of a job that its last caller has read. The lock is held meanwhile, so
-    /// that a caller that asks for an equal job finds the files or puts them again.
-    fn release(&self, name: &str) {
+    /// Removes the files of a job whose last caller has its ending. The files of a job that has not
+    /// ended stay if workers are to outlive this process. The lock is held meanwhile, so that a
+    /// caller that asks for an equal job finds the files or puts them again.
+    fn release(&self, name: &str, has_ended: bool) {
         let mut state = self.lock();
         if self.release_reading(&mut state, name)
+            && (has_ended || !self.leave)
             && let Err(error) = self.folder.remove_job(name)
         {
             tracing::warn!("{error}");
@@ -328,7 +391,7 @@ impl Shared {
         let mut tended: Option<Instant> = None;
         let longest = LONGEST_WAIT.min(terms.beat());
         let mut wait = SHORTEST_WAIT;
-        let mut refused_since: Option<Instant> = None;
+        let (mut looking, mut tending) = (Patience::new(PATIENCE), Patience::new(PATIENCE));
         while !self.ended.load(Ordering::Relaxed) {
             if beaten.elapsed() >= terms.beat() {
                 beaten = Instant::now();
@@ -343,12 +406,10 @@ impl Shared {
             });
             match looked {
                 Ok(found) => {
-                    refused_since = None;
+                    looking.renew();
                     wait = if found { SHORTEST_WAIT } else { (wait * 2).min(longest) };
                 }
-                Err(error)
-                    if refused_since.get_or_insert_with(Instant::now).elapsed() < PATIENCE =>
-                {
+                Err(error) if looking.lasts() => {
                     tracing::warn!("{error}");
                     wait = longest;
                 }
@@ -358,10 +419,13 @@ impl Shared {
                 && tended.is_none_or(|tended| tended.elapsed() >= terms.beat())
             {
                 let open = self.lock().waiting.len();
-                if let Err(error) =
-                    pool.start_missing(&self.folder, open, self.results.load(Ordering::Relaxed))
-                {
-                    self.fail(&error.into());
+                let results = self.results.load(Ordering::Relaxed);
+                match pool.start_missing(&self.folder, open, results).map_err(Failure::from) {
+                    Ok(()) => tending.renew(),
+                    Err(failure) if failure.may_pass() && tending.lasts() => {
+                        tracing::warn!("{}", JobError::from(failure));
+                    }
+                    Err(failure) => self.fail(&failure),
                 }
                 tended = (open > 0).then(Instant::now);
             }

@@ -28,7 +28,10 @@ mod error;
 mod executor;
 pub mod folder;
 mod folder_executor;
+#[cfg(test)]
+mod folder_executor_tests;
 mod local;
+mod patience;
 mod selection;
 pub mod starter;
 mod training_cores;

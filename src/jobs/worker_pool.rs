@@ -105,6 +105,8 @@ impl WorkerPool {
         results: u64,
     ) -> Result<(), NoWorkers> {
         if open_jobs == 0 {
+            // Nobody asks the scheduler while there is no work, so it is not silent either.
+            self.silent_since = None;
             return Ok(());
         }
         if results > self.results {
@@ -135,23 +137,24 @@ impl WorkerPool {
         if expected >= wanted {
             return Ok(());
         }
+        let mut starts_without_worker = 0;
         if self.started.is_some() && self.appeared == self.appeared_at_start {
             if expected > 0 {
                 return Ok(());
             }
-            self.starts_without_worker += 1;
-        } else {
-            self.starts_without_worker = 0;
+            starts_without_worker = self.starts_without_worker + 1;
         }
-        if self.starts_without_worker >= MAX_STARTS_WITHOUT_WORKER {
+        if starts_without_worker >= MAX_STARTS_WITHOUT_WORKER {
+            self.starts_without_worker = starts_without_worker;
             return Err(self.no_worker(folder).into());
         }
         if self.starts_without_result >= MAX_STARTS_WITHOUT_RESULT {
             return Err(StartError::NoResult { starts: self.starts_without_result }.into());
         }
-        self.appeared_at_start = self.appeared;
         match self.starter.start(folder, wanted - expected) {
             Ok(()) => {
+                (self.starts_without_worker, self.appeared_at_start) =
+                    (starts_without_worker, self.appeared);
                 self.started = Some(Instant::now());
                 self.starts_without_result += 1;
             }
@@ -192,9 +195,9 @@ impl WorkerPool {
 
     /// Reads the workers' files and returns how many workers live.
     fn count_alive(&mut self, folder: &JobFolder) -> Result<u32, NoWorkers> {
-        let now = self.begun.elapsed();
+        let (now, looked) = (self.begun.elapsed(), Instant::now());
         // While no job is open nobody looks, so the time since the last look may be long.
-        let since_counted = self.counted.replace(Instant::now()).map(|counted| counted.elapsed());
+        let since_counted = self.counted.map(|counted| counted.elapsed());
         let (mut alive, mut refusal) = (0, None);
         for name in folder.worker_files()? {
             if self.seen.get(&name) == Some(&false) {
@@ -226,6 +229,7 @@ impl WorkerPool {
             alive += u32::from(lives);
             self.seen.insert(name, lives);
         }
+        self.counted = Some(looked);
         if let Some(reason) = refusal {
             if alive == 0 {
                 return Err(StartError::WorkersRefuse { reason }.into());
@@ -284,7 +288,62 @@ fn last_log_line(folder: &JobFolder) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::jobs::folder::Terms;
+    use crate::jobs::starter::WorkerCount;
+    use crate::storage::MachineDisk;
+
+    /// A scheduler that takes no workers, and says how many it has or does not answer.
+    #[derive(Debug)]
+    struct Busy(Option<u32>);
+
+    impl Starter for Busy {
+        fn start(&mut self, _folder: &JobFolder, _workers: u32) -> Result<(), StartError> {
+            Err(StartError::Silent { reason: "Socket timed out".to_owned() })
+        }
+
+        fn count_workers(&mut self, _: u32, _: u32) -> Result<WorkerCount, StartError> {
+            Ok(WorkerCount { expected: self.0, ..WorkerCount::default() })
+        }
+
+        fn cancel(&mut self) {}
+    }
+
+    fn pool(root: &std::path::Path, expected: Option<u32>) -> (WorkerPool, JobFolder) {
+        let folder = JobFolder::create(Arc::new(MachineDisk), root, Terms::default()).unwrap();
+        (WorkerPool::new(Box::new(Busy(expected)), 1, &folder), folder)
+    }
+
+    #[test]
+    fn a_scheduler_that_nobody_asks_is_not_silent() {
+        let directory = tempfile::tempdir().unwrap();
+        let (mut pool, folder) = pool(directory.path(), None);
+        assert!(pool.start_missing(&folder, 1, 0).is_ok());
+        pool.silent_since = pool.silent_since.map(|since| since - PATIENCE);
+        // Rollouts without a training take ten minutes and more.
+        assert!(pool.start_missing(&folder, 0, 0).is_ok());
+        assert!(pool.start_missing(&folder, 1, 0).is_ok());
+        pool.silent_since = pool.silent_since.map(|since| since - PATIENCE);
+        assert!(matches!(
+            pool.start_missing(&folder, 1, 0),
+            Err(NoWorkers::Start(StartError::SilentTooLong { .. }))
+        ));
+    }
+
+    #[test]
+    fn an_attempt_to_start_workers_that_the_scheduler_does_not_answer_is_no_start() {
+        let directory = tempfile::tempdir().unwrap();
+        let (mut pool, folder) = pool(directory.path(), Some(0));
+        // The workers of an earlier start have appeared and ended.
+        pool.started = Some(Instant::now());
+        pool.appeared = 1;
+        for _ in 0..10 {
+            assert!(pool.start_missing(&folder, 1, 0).is_ok());
+        }
+        assert_eq!(pool.starts_without_worker, 0);
+    }
 
     #[test]
     fn a_worker_that_registered_while_nobody_looked_has_no_wrong_clock() {

@@ -23,8 +23,8 @@ const VERSION: &str = "3";
 /// File and interval of the checkpoints from which an interrupted training resumes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Checkpointing {
-    /// Path of the checkpoint. Training resumes from an existing file and removes it when it
-    /// finishes.
+    /// Path of the checkpoint. Training resumes from an existing file. A finished training leaves
+    /// the file; the caller removes it ([`Self::remove`]) once the policy is on the disk.
     pub path: PathBuf,
     /// Number of updates between checkpoints; 0 counts as 1.
     pub every: u32,
@@ -37,7 +37,10 @@ impl Checkpointing {
     }
 
     /// Removes the file of a finished training, if there is one.
-    pub(super) fn remove(&self) -> Result<(), TrainError> {
+    ///
+    /// # Errors
+    /// The operating system refuses.
+    pub fn remove(&self) -> Result<(), TrainError> {
         match fs::remove_file(&self.path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(self.file_error(error)),
             _ => Ok(()),

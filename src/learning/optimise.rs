@@ -1,13 +1,14 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 
 use super::TrainSettings;
 use super::collect::Batch;
 use super::kernels::{
     AdamStep, Gradient, Head, Minibatch, Moments, PolicyHead, ValueHead, Workspace,
 };
-use super::network::{LOG_STD, Network};
+use super::network::{LOG_STD, Network, WIDTH};
 use super::random::Stream;
 use crate::elementary::{Level, dispatch_at, prefetch};
 
@@ -26,18 +27,19 @@ pub(super) fn optimise(
     stop: &AtomicBool,
 ) -> PolicyProgress {
     let size = policy.network.observation_size;
-    let order = shuffled(batch.transitions.len(), settings.epochs, seed, update);
+    let order = Order::new(batch.transitions.len(), settings.epochs, seed, update);
     let mut policy = PolicyImprovement::new(policy, settings, update);
     let mut value = ValueFit::new(value, settings, update);
     if settings.threads > 1 {
+        let of_value = order.clone();
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                for_each_minibatch(batch, &order, size, stop, |minibatch| value.step(minibatch));
+                for_each_minibatch(batch, of_value, size, stop, |minibatch| value.step(minibatch));
             });
-            for_each_minibatch(batch, &order, size, stop, |minibatch| policy.step(minibatch));
+            for_each_minibatch(batch, order, size, stop, |minibatch| policy.step(minibatch));
         });
     } else {
-        for_each_minibatch(batch, &order, size, stop, |minibatch| {
+        for_each_minibatch(batch, order, size, stop, |minibatch| {
             value.step(minibatch);
             policy.step(minibatch);
         });
@@ -59,41 +61,81 @@ pub(super) struct PolicyProgress {
 }
 
 /// The order of transitions in the minibatches of one update: one permutation of their indices for
-/// each epoch.
-fn shuffled(transitions: usize, epochs: u32, seed: u64, update: u32) -> Vec<u32> {
-    let mut generator = Stream::Shuffle { update }.generator(seed);
-    let mut permutation: Vec<u32> = (0..transitions as u32).collect();
-    let mut order = Vec::with_capacity(transitions * epochs as usize);
-    for _ in 0..epochs {
-        for last in (1..transitions).rev() {
-            permutation.swap(last, generator.random_range(0..=last as u32) as usize);
-        }
-        order.extend_from_slice(&permutation);
-    }
-    order
+/// each epoch, drawn when the epoch begins, because those of all epochs may need gigabytes.
+///
+/// The iterator yields the indices of each minibatch. A minibatch may begin in one epoch and end in
+/// the next; the last indices are left out if they do not fill a minibatch.
+#[derive(Clone)]
+struct Order {
+    generator: ChaCha8Rng,
+    permutation: Vec<u32>,
+    /// Number of indices of the permutation that have been yielded.
+    yielded: usize,
+    /// Number of epochs that have not begun.
+    epochs_left: u32,
 }
 
-/// Calls `learn` with each minibatch of an update until `stop` is set. The last entries of `order`
-/// are left out if they do not fill a minibatch.
+impl Order {
+    fn new(transitions: usize, epochs: u32, seed: u64, update: u32) -> Self {
+        Self {
+            generator: Stream::Shuffle { update }.generator(seed),
+            permutation: (0..transitions as u32).collect(),
+            yielded: transitions,
+            epochs_left: epochs,
+        }
+    }
+
+    /// Draws the permutation of the next epoch; `None` after the last one.
+    fn begin_epoch(&mut self) -> Option<()> {
+        self.epochs_left = self.epochs_left.checked_sub(1)?;
+        for last in (1..self.permutation.len()).rev() {
+            self.permutation.swap(last, self.generator.random_range(0..=last as u32) as usize);
+        }
+        self.yielded = 0;
+        Some(())
+    }
+}
+
+impl Iterator for Order {
+    type Item = [u32; WIDTH];
+
+    fn next(&mut self) -> Option<[u32; WIDTH]> {
+        let mut indices = [0; WIDTH];
+        let mut filled = 0;
+        while filled < WIDTH {
+            if self.yielded == self.permutation.len() {
+                self.begin_epoch()?;
+            }
+            let rest = &self.permutation[self.yielded..];
+            let count = rest.len().min(WIDTH - filled);
+            indices[filled..filled + count].copy_from_slice(&rest[..count]);
+            filled += count;
+            self.yielded += count;
+        }
+        Some(indices)
+    }
+}
+
+/// Calls `learn` with each minibatch of an update until `stop` is set.
 fn for_each_minibatch(
     batch: &Batch,
-    order: &[u32],
+    order: Order,
     observation_size: usize,
     stop: &AtomicBool,
     mut learn: impl FnMut(&Minibatch),
 ) {
-    let minibatches = order.as_chunks().0;
+    let mut minibatches = order.peekable();
     let mut minibatch = Minibatch::empty(observation_size);
-    for (number, indices) in minibatches.iter().enumerate() {
+    while let Some(indices) = minibatches.next() {
         if stop.load(Ordering::Relaxed) {
             break;
         }
         // Fetches the next minibatch ahead: its transitions are scattered over the batch, which is
         // larger than the second-level cache.
-        for &index in minibatches.get(number + 1).into_iter().flatten() {
+        for &index in minibatches.peek().into_iter().flatten() {
             prefetch(&batch.transitions[index as usize]);
         }
-        minibatch.gather(&batch.transitions, &batch.extra_inputs, indices);
+        minibatch.gather(&batch.transitions, &batch.extra_inputs, &indices);
         learn(&minibatch);
     }
 }
@@ -240,5 +282,40 @@ impl StepSettings {
             adam_epsilon_beside_root: settings.adam_epsilon_beside_root,
             largest_gradient_norm: settings.largest_gradient_norm,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The minibatches of permutations that are all drawn before the first minibatch.
+    fn drawn_at_once(transitions: usize, epochs: u32, seed: u64, update: u32) -> Vec<[u32; WIDTH]> {
+        let mut generator = Stream::Shuffle { update }.generator(seed);
+        let mut permutation: Vec<u32> = (0..transitions as u32).collect();
+        let mut order = Vec::new();
+        for _ in 0..epochs {
+            for last in (1..transitions).rev() {
+                permutation.swap(last, generator.random_range(0..=last as u32) as usize);
+            }
+            order.extend_from_slice(&permutation);
+        }
+        order.as_chunks().0.to_vec()
+    }
+
+    #[test]
+    fn an_epoch_that_is_drawn_when_it_begins_has_the_order_of_one_drawn_at_once() {
+        // Some numbers of transitions fill whole minibatches, others do not or not even one.
+        for (transitions, epochs) in [(640, 3), (601, 5), (65, 2), (7, 40), (1, 130), (0, 4)] {
+            let order: Vec<_> = Order::new(transitions, epochs, 5, 2).collect();
+            assert!(order == drawn_at_once(transitions, epochs, 5, 2), "{transitions} {epochs}");
+        }
+    }
+
+    #[test]
+    fn the_memory_of_an_order_does_not_grow_with_the_number_of_epochs() {
+        let mut order = Order::new(1_000_000, u32::MAX, 5, 2);
+        assert_eq!(order.by_ref().take(20_000).count(), 20_000);
+        assert_eq!(order.permutation.capacity(), 1_000_000);
     }
 }

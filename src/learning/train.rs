@@ -25,11 +25,12 @@ const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
 ///
 /// The same arguments give the same policy, bit for bit, on processors with AVX2 or more, on any
 /// number of threads, and also when the training is interrupted and resumes from its checkpoint.
-/// `on_update` is called after each update. `stop` is read before each gradient step.
+/// `on_update` is called after each update. `stop` is read before each gradient step. The last
+/// checkpoint stays, so that the caller can save the policy before it removes the checkpoint.
 ///
 /// # Errors
-/// A setting is out of range; `stop` was set; a checkpoint cannot be read, written or removed, is
-/// damaged or belongs to another training; or the weights are not finite.
+/// A setting is out of range; `stop` was set; a checkpoint cannot be read or written, is damaged or
+/// belongs to another training; or the weights are not finite.
 pub fn train(
     distribution: &DomainDistribution,
     settings: &TrainSettings,
@@ -74,7 +75,7 @@ pub fn train_from(
     finished(training, None, stop, on_update)
 }
 
-/// Performs the remaining updates, converts the result and removes the checkpoint.
+/// Performs the remaining updates and converts the result.
 fn finished(
     mut training: TrainingState<'_>,
     checkpointing: Option<&Checkpointing>,
@@ -82,11 +83,7 @@ fn finished(
     on_update: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
     perform(&mut training, checkpointing, stop, on_update)?;
-    let trained = training.into_trained()?;
-    if let Some(checkpointing) = checkpointing {
-        checkpointing.remove()?;
-    }
-    Ok(trained)
+    training.into_trained()
 }
 
 /// Performs the remaining updates of a training. After each update it calls `on_update` and writes a

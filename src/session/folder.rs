@@ -6,7 +6,9 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use super::SessionPaths;
-use crate::storage::{Disk, Hold, MachineDisk, WriteError, write_whole};
+use crate::storage::{
+    Disk, Hold, MachineDisk, WriteError, is_unfinished_of, remove_unfinished, write_whole,
+};
 
 /// An error of a session's folder.
 #[derive(Debug, Error)]
@@ -86,6 +88,7 @@ impl SessionFolder {
         if folder.disk().exists(&settings) {
             return Err(FolderError::Exists { path: root.to_owned() });
         }
+        remove_unfinished(folder.disk(), &settings);
         write_whole(folder.disk(), &settings, configuration.as_bytes())?;
         Ok(folder)
     }
@@ -179,14 +182,9 @@ impl SessionFolder {
             return;
         }
         let paths = SessionPaths::new(root);
-        let _ = disk.remove(&unfinished(&paths));
+        remove_unfinished(&disk, &paths.configuration());
         let _ = std::fs::remove_dir(paths.candidates());
     }
-}
-
-/// Path of the partial configuration that a session leaves if it is killed while it writes it.
-fn unfinished(paths: &SessionPaths) -> PathBuf {
-    paths.configuration().with_extension("unfinished")
 }
 
 /// Whether a folder is empty or holds only the leftovers of a session that was killed before its
@@ -196,17 +194,13 @@ fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
         Err(error) if error.kind() == ErrorKind::NotADirectory => return Ok(false),
         names => names.map_err(io(root))?,
     };
+    let paths = SessionPaths::new(root);
     for name in names {
         let path = root.join(&name);
-        let is_left_over = !disk.is_link(&path)
-            && match name.to_str() {
-                Some("candidates") => {
-                    disk.names(&path).is_ok_and(|candidates| candidates.is_empty())
-                }
-                Some("session.unfinished") => true,
-                _ => false,
-            };
-        if !is_left_over {
+        let is_partial = is_unfinished_of(disk, &path, &paths.configuration());
+        let is_empty = || disk.names(&path).is_ok_and(|candidates| candidates.is_empty());
+        let is_left_over = path == paths.candidates() && !disk.is_link(&path) && is_empty();
+        if !is_partial && !is_left_over {
             return Ok(false);
         }
     }
@@ -272,7 +266,7 @@ mod tests {
         let leave: [fn(&Path); 3] = [
             |_| (),
             |root| std::fs::create_dir(root.join("candidates")).unwrap(),
-            |root| std::fs::write(root.join("session.unfinished"), "se").unwrap(),
+            |root| std::fs::write(root.join("session.toml.4711-0.unfinished"), "se").unwrap(),
         ];
         for moments in 1..=leave.len() {
             std::fs::create_dir(&root).unwrap();
@@ -284,7 +278,7 @@ mod tests {
                 std::fs::read_to_string(folder.paths().configuration()).unwrap(),
                 "seed = 1\n"
             );
-            assert!(!root.join("session.unfinished").exists());
+            assert!(!root.join("session.toml.4711-0.unfinished").exists());
             std::fs::remove_dir_all(&root).unwrap();
         }
     }

@@ -10,7 +10,7 @@ use super::{
     ConfigurationError, FolderError, Session, SessionError, SessionEvent, SessionFolder,
     SessionPaths,
 };
-use crate::storage::{MachineDisk, write_whole};
+use crate::storage::{MachineDisk, is_unfinished_of, remove_unfinished, write_whole};
 
 /// The contents of `rigs.toml`, which names the device of each session in a folder:
 ///
@@ -58,7 +58,7 @@ impl RigSessions {
         let failed = |source| FolderError::Io { path: root.to_owned(), source };
         for entry in std::fs::read_dir(root).map_err(failed)? {
             let path = entry.map_err(failed)?.path();
-            if path == Self::unfinished(root) && !path.is_symlink() {
+            if is_unfinished_of(&MachineDisk, &path, &Self::path(root)) {
                 continue;
             }
             let is_of_rig = (1..=Self::MOST).any(|rig| path == Self::folder(root, rig));
@@ -70,19 +70,13 @@ impl RigSessions {
         Ok(true)
     }
 
-    /// Path of the partial `rigs.toml` that remains if the program is killed while it writes it.
-    fn unfinished(root: &Path) -> PathBuf {
-        Self::path(root).with_extension("unfinished")
-    }
-
     /// Removes `rigs.toml` and, beside it, the settings and the ledger of every session, what
     /// sessions that were killed at their start have left, and the folders that are then empty;
     /// ignores errors.
     /// The caller makes sure that no session has proposed a candidate yet.
     pub fn withdraw(root: &Path) {
-        for file in [Self::path(root), Self::unfinished(root)] {
-            let _ = std::fs::remove_file(file);
-        }
+        let _ = std::fs::remove_file(Self::path(root));
+        remove_unfinished(&MachineDisk, &Self::path(root));
         for rig in 1..=Self::MOST {
             let folder = Self::folder(root, rig);
             match SessionFolder::open(&folder) {
@@ -180,8 +174,8 @@ mod tests {
         drop(SessionFolder::create(&RigSessions::folder(root, 1), "seed = 1\n").unwrap());
         let second = RigSessions::folder(root, 2);
         std::fs::create_dir_all(second.join("candidates")).unwrap();
-        std::fs::write(second.join("session.unfinished"), "se").unwrap();
-        std::fs::write(root.join("rigs.unfinished"), "dev").unwrap();
+        std::fs::write(second.join("session.toml.4711-0.unfinished"), "se").unwrap();
+        std::fs::write(root.join("rigs.toml.4711-0.unfinished"), "dev").unwrap();
         assert!(RigSessions::have_not_begun(root).unwrap());
         RigSessions::withdraw(root);
         assert_eq!(std::fs::read_dir(root).unwrap().count(), 0);

@@ -114,7 +114,11 @@ impl DomainDistribution {
                 Distribution::Constant { value }.check(quantity)?;
             }
             if !specimens.is_empty() {
-                let mean = values().sum::<f64>() / count;
+                // The rounded mean of equal values may differ from them, and be out of range where
+                // they are at its end.
+                let smallest = values().fold(f64::INFINITY, f64::min);
+                let largest = values().fold(f64::NEG_INFINITY, f64::max);
+                let mean = (values().sum::<f64>() / count).clamp(smallest, largest);
                 let square = values().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
                 moments = moments.moments(quantity, mean, sqrt(square), Family::Normal);
             }
@@ -343,6 +347,7 @@ impl TryFrom<Written> for DomainDistribution {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::simulation::MAX_COMMAND_DELAY_S;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
@@ -365,6 +370,22 @@ pub(super) mod tests {
         assert_eq!(serde_json::from_str::<DomainDistribution>(&written).unwrap(), distribution);
         heavy.set(Nonideality::CommandDelay.into(), 1.0);
         assert!(DomainDistribution::of_specimens(vec![heavy]).is_err());
+    }
+
+    #[test]
+    fn the_mean_of_specimens_at_the_end_of_a_range_is_not_rounded_beyond_it() {
+        let mut late = QubeModel::NOMINAL;
+        late.set(Nonideality::CommandDelay.into(), MAX_COMMAND_DELAY_S);
+        for count in 1..40 {
+            let distribution = DomainDistribution::of_specimens(vec![late; count]).unwrap();
+            for quantity in Quantity::all() {
+                let own = distribution.get(quantity);
+                assert_eq!((own.mean(), own.standard_deviation()), (late.get(quantity), 0.0));
+            }
+            let written = serde_json::to_string(&distribution).unwrap();
+            let read: Result<DomainDistribution, _> = serde_json::from_str(&written);
+            assert_eq!(read.unwrap(), distribution, "{count}");
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ mod machine_disk;
 pub use bounded::{SETTINGS_BYTES, open_regular, read_bounded, read_text};
 pub use machine_disk::MachineDisk;
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::fmt;
 use std::fs::{File, TryLockError};
 use std::io::{self, Write};
@@ -153,26 +153,132 @@ pub struct WriteError {
     pub source: io::Error,
 }
 
+/// End of the names of files that are still being written.
+const UNFINISHED: &str = ".unfinished";
+
+/// Most names that are tried for a file that is still being written.
+const MOST_NAMES: u32 = 1000;
+
 /// Writes a file atomically: after a loss of power the file has all its new bytes, or is as it was
 /// before the call.
 ///
-/// The bytes are first written to a file in the same folder (`a.unfinished` for `a.toml`), which is
-/// then renamed. If an interrupted call has left such a file, it is replaced.
+/// The bytes are first written to a new file in the same folder, which is then renamed. The name of
+/// this file, such as `a.toml.4711-0.unfinished` for `a.toml`, belongs to this process alone, so
+/// that two programs may write into one folder, even the same file. A process that is killed leaves
+/// such a file; [`is_unfinished`] recognises it.
 ///
 /// # Errors
 /// The operating system refuses, or the disk is full or failing. The file is then as it was before
-/// the call. If only the last operation fails, the sync of the folder, the file is new, but its
-/// name may not survive a loss of power.
+/// the call, and nothing else remains. If only the last operation fails, the sync of the folder,
+/// the file is new, but its name may not survive a loss of power.
 pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
     write_and_rename(disk, path, bytes)
         .map_err(|source| WriteError { path: path.to_owned(), source })
 }
 
+/// Whether a name is that of a file which [`write_whole`] has not renamed, because it still writes
+/// the file or its process was killed.
+#[must_use]
+pub fn is_unfinished(name: &OsStr) -> bool {
+    name.as_encoded_bytes().ends_with(UNFINISHED.as_bytes())
+}
+
+/// Whether `path` is such a file for the finished file `of`, and no link.
+#[must_use]
+pub fn is_unfinished_of(disk: &dyn Disk, path: &Path, of: &Path) -> bool {
+    let belongs = |name: &OsStr, of: &OsStr| {
+        let rest = name.as_encoded_bytes().strip_prefix(of.as_encoded_bytes())?;
+        let number = rest.strip_prefix(b".")?.strip_suffix(UNFINISHED.as_bytes())?;
+        Some(number.iter().all(|byte| byte.is_ascii_digit() || *byte == b'-'))
+    };
+    let names = path.file_name().zip(of.file_name());
+    let belongs = names.and_then(|(name, of)| belongs(name, of)) == Some(true);
+    belongs && path.parent() == of.parent() && !disk.is_link(path)
+}
+
+/// Removes the files that killed processes have left in writing the file `of`; ignores errors. The
+/// caller makes sure that no other process writes it.
+pub fn remove_unfinished(disk: &dyn Disk, of: &Path) {
+    let folder = of.parent().unwrap_or(Path::new("."));
+    for name in disk.names(folder).unwrap_or_default() {
+        let path = folder.join(name);
+        if is_unfinished_of(disk, &path, of) {
+            let _ = disk.remove(&path);
+        }
+    }
+}
+
 fn write_and_rename(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let unfinished = path.with_extension("unfinished");
-    let mut file = disk.create(&unfinished, true)?;
-    file.write_all(bytes)?;
-    file.sync()?;
-    disk.rename(&unfinished, path)?;
+    let (unfinished, mut file) = create_unfinished(disk, path)?;
+    let written = file.write_all(bytes).and_then(|()| file.sync());
+    drop(file);
+    if let Err(error) = written.and_then(|()| disk.rename(&unfinished, path)) {
+        let _ = disk.remove(&unfinished);
+        return Err(error);
+    }
     sync_name(disk, path)
+}
+
+/// Creates the file that becomes `path`. A name that exists is left alone, because the file may
+/// be that of another computer's process, or a user's own.
+fn create_unfinished(disk: &dyn Disk, path: &Path) -> io::Result<(PathBuf, Box<dyn DiskFile>)> {
+    let process = std::process::id();
+    for number in 0..MOST_NAMES {
+        let mut name = path.file_name().unwrap_or_default().to_owned();
+        name.push(format!(".{process}-{number}{UNFINISHED}"));
+        let unfinished = path.with_file_name(name);
+        match disk.create(&unfinished, false) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            created => return Ok((unfinished, created?)),
+        }
+    }
+    Err(io::ErrorKind::AlreadyExists.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_whose_names_differ_in_their_ends_are_written_at_once() {
+        let directory = tempfile::tempdir().unwrap();
+        std::thread::scope(|scope| {
+            for name in ["c.html", "c.csv", "c.svg", "c"] {
+                let path = directory.path().join(name);
+                scope.spawn(move || {
+                    for _ in 0..50 {
+                        write_whole(&MachineDisk, &path, name.as_bytes()).unwrap();
+                        assert_eq!(std::fs::read(&path).unwrap(), name.as_bytes());
+                    }
+                });
+            }
+        });
+        assert_eq!(MachineDisk.names(directory.path()).unwrap().len(), 4);
+    }
+
+    #[test]
+    fn no_other_file_is_touched_and_a_failure_leaves_nothing() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        let taken = format!("a.toml.{}-0.unfinished", std::process::id());
+        for name in ["a.unfinished", "a.toml.unfinished", &taken] {
+            std::fs::write(at(name), "precious").unwrap();
+        }
+        write_whole(&MachineDisk, &at("a.toml"), b"new").unwrap();
+        std::fs::create_dir(at("folder")).unwrap();
+        assert!(write_whole(&MachineDisk, &at("folder"), b"new").is_err());
+        for name in ["a.unfinished", "a.toml.unfinished", &taken] {
+            assert_eq!(std::fs::read(at(name)).unwrap(), b"precious");
+        }
+        assert_eq!(std::fs::read(at("a.toml")).unwrap(), b"new");
+        assert_eq!(MachineDisk.names(directory.path()).unwrap().len(), 5);
+        let is_of = |name: &str, of: &str| is_unfinished_of(&MachineDisk, &at(name), &at(of));
+        assert!(is_of(&taken, "a.toml"));
+        for other in ["a", "b.toml", "a.toml.1"] {
+            assert!(!is_of(&taken, other), "{other}");
+        }
+        assert!(!is_of("a.toml", "a.toml"));
+        remove_unfinished(&MachineDisk, &at("a.toml"));
+        assert!(!at(&taken).exists() && at("a.toml.unfinished").exists());
+    }
 }

@@ -123,7 +123,7 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
     let cases: [(&str, &[&str], i32, &[&str]); 6] = [
         (
             "session",
-            &["session.unfinished", "session.toml", "ledger.jsonl"],
+            &["session.toml.4711-0.unfinished", "session.toml", "ledger.jsonl"],
             2,
             &["session", "--clock", "virtual", "--config", "small.toml", "--out", "session"],
         ),
@@ -134,8 +134,7 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
             &["run", "--policy", "classical", "--clock", "virtual", "--out", "run"],
         ),
         ("toy", &["figure-3.2.svg"], 0, &["toy", "--out", "toy"]),
-        // Checkpoint and policy are first written to the file `p.unfinished`.
-        ("train", &["p.unfinished p.safetensors"], 0, &train),
+        ("train", &["p.safetensors"], 0, &train),
         ("train", &["p.checkpoint"], 2, &train),
         (
             "plots",

@@ -221,7 +221,7 @@ fn a_half_written_result_is_made_again() {
     fs::write(&one, &whole[..whole.len() / 2]).unwrap();
     fs::remove_file(other).unwrap();
     // A result that was never renamed does not count.
-    fs::write(root.join("results").join(format!("{name}.a-1-2.unfinished")), &whole).unwrap();
+    fs::write(root.join("results").join(format!("{name}.4711-0.unfinished")), &whole).unwrap();
     assert_eq!(folder.results().unwrap(), BTreeSet::from([name]));
     let _worker = WorkerProcess::start(root, &[]);
     are_those_of_this_computer(&jobs, trained(&executor, &jobs));

@@ -12,7 +12,7 @@ use super::{Heartbeat, HeartbeatState, HeartbeatWatch, Holder};
 use crate::elementary::Level;
 use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::Trained;
-use crate::storage::Disk;
+use crate::storage::{Disk, is_unfinished, write_whole};
 
 /// Largest job file that is read, bytes. A job has some kB.
 const MAX_JOB_BYTES: u64 = 16 << 20;
@@ -344,7 +344,7 @@ impl JobFolder {
     /// Writes down why a worker refuses to work in this folder. A failure to write is ignored.
     pub fn write_refusal(disk: &dyn Disk, root: &Path, worker: &Holder, reason: &str) {
         let path = root.join("workers").join(worker.file_name() + ".refused");
-        let _ = write_whole_beside(disk, &path, &sealed("refusal", reason.as_bytes()));
+        let _ = write_whole(disk, &path, &sealed("refusal", reason.as_bytes()));
     }
 
     /// The names of the workers' files: heartbeats and refusals.
@@ -461,41 +461,19 @@ impl JobFolder {
     fn names(&self, part: &str) -> Result<Vec<String>, JobFolderError> {
         let path = self.root.join(part);
         let names = self.disk.names(&path).map_err(|source| refused(&path, source))?;
-        let names = names.into_iter().filter_map(|name| name.into_string().ok());
-        Ok(names.filter(|name| !name.ends_with(UNFINISHED)).collect())
+        let names = names.into_iter().filter(|name| !is_unfinished(name));
+        Ok(names.filter_map(|name| name.into_string().ok()).collect())
     }
 
     fn write(&self, path: &Path, kind: &str, payload: &[u8]) -> Result<(), JobFolderError> {
-        write_whole_beside(self.disk(), path, &sealed(kind, payload))
-            .map_err(|source| refused(path, source))
+        write_whole(self.disk(), path, &sealed(kind, payload))
+            .map_err(|error| refused(path, error.source))
     }
 
     fn remove(&self, path: &Path) -> Result<(), JobFolderError> {
         match self.disk.remove(path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(refused(path, error)),
             _ => Ok(()),
-        }
-    }
-}
-
-/// End of the names of files that are still being written.
-const UNFINISHED: &str = ".unfinished";
-
-/// Writes a file whole or not at all. The temporary file has a name of its own in each process,
-/// because two processes may write the same result.
-fn write_whole_beside(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}{UNFINISHED}", Holder::this_process().file_name()));
-    let unfinished = path.with_file_name(name);
-    let written = disk.create(&unfinished, true).and_then(|mut file| {
-        file.write_all(bytes)?;
-        file.sync()
-    });
-    match written.and_then(|()| disk.rename(&unfinished, path)) {
-        Ok(()) => Ok(()),
-        Err(error) => {
-            let _ = disk.remove(&unfinished);
-            Err(error)
         }
     }
 }

@@ -1,4 +1,4 @@
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::{ClaimEnding, Heartbeat, HeartbeatWatch, Holder, JobFolder, NextTry, Tries};
 use crate::elementary::Level;
+use crate::jobs::patience::{PATIENCE, Patience};
 use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::{TrainError, Trained, train};
 
@@ -17,8 +18,9 @@ const LONGEST_WAIT: Duration = Duration::from_secs(5);
 /// between two readings of the other workers' claims.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Number of times that a worker tries to write a result before it gives up.
-const WRITES: u32 = 3;
+/// Number of times that a worker tries to write a result before it gives up, spread evenly over the
+/// time for which it is patient.
+const WRITES: u32 = 60;
 
 /// The number of a worker among those that share a folder. It makes each worker begin at another
 /// place in the list of jobs, so that they seldom try to claim the same one.
@@ -102,6 +104,38 @@ struct Alive {
     claim: Option<Heartbeat>,
 }
 
+/// The claims and results that a worker has seen in the folder.
+struct Seen {
+    /// Number of tries begun of each job, as [`JobFolder::claims`] gives it.
+    claims: HashMap<String, u32>,
+    results: BTreeSet<String>,
+    /// Time of the look.
+    at: Instant,
+}
+
+/// The outcome of the attempt to claim a job.
+enum Claim {
+    /// The worker has claimed the try with this number.
+    Taken(u32, Heartbeat),
+    /// Another worker carries the job out.
+    UnderWay,
+    /// The job has a result or was given up.
+    Over,
+}
+
+/// What one look at the folder has led to.
+#[derive(Default)]
+struct Pass {
+    /// Whether the worker has claimed a job.
+    has_claimed: bool,
+    /// Whether the worker has finished a job, with or without success.
+    has_finished: bool,
+    /// Whether other workers carry jobs out.
+    others_work: bool,
+    /// File operation that failed and ended the look.
+    failure: Option<JobFolderError>,
+}
+
 /// Ends the heartbeat thread when the work ends, also when it panics.
 struct HeartbeatEnd<'a>(&'a Mutex<Option<Alive>>);
 
@@ -134,7 +168,8 @@ impl Worker {
     /// `linger` has passed without work for this worker or any other.
     ///
     /// # Errors
-    /// A file operation fails. The results of finished jobs are in the folder.
+    /// File operations fail for a minute, or for the stale time if that is shorter. The results of
+    /// finished jobs are in the folder.
     pub fn run(
         &self,
         stop: &AtomicBool,
@@ -195,65 +230,26 @@ impl Worker {
         let begun = Instant::now();
         let (mut last_work, mut wait) = (Instant::now(), POLL_INTERVAL);
         let mut waits = false;
+        let mut patience = Patience::new(self.patience());
         loop {
             if halt.load(Ordering::Relaxed) || self.folder.is_closed() {
                 return Ok(report);
             }
-            let mut claims = self.folder.claims()?;
-            let mut results = self.folder.results()?;
-            let jobs = self.folder.open_jobs()?;
-            watch.forget_all_but(|name| {
-                name.rsplit_once('.').is_some_and(|(job, _)| jobs.contains(job))
-            });
-            let mut looked = Instant::now();
-            let (mut did, mut others) = (false, false);
-            for job in self.in_order(&jobs) {
-                if halt.load(Ordering::Relaxed) {
-                    return Ok(report);
-                }
-                if results.contains(job) {
-                    continue;
-                }
-                let number = match claims.get(job).copied().unwrap_or(0) {
-                    0 => 0,
-                    begun_tries => {
-                        let (folder, now) = (&self.folder, begun.elapsed());
-                        let tries = Tries::read(folder, job, begun_tries, &mut watch, now)?;
-                        match tries.next_try(folder.terms().tries) {
-                            NextTry::Claim(number) if !folder.has_result(job) => number,
-                            NextTry::UnderWay => {
-                                others = true;
-                                continue;
-                            }
-                            NextTry::Claim(_) | NextTry::GivenUp => continue,
-                        }
-                    }
-                };
-                let path = self.folder.claim(job, number);
-                match Heartbeat::create(self.folder.disk(), &path, &self.holder) {
-                    Ok(Some(claim)) => {
-                        did |=
-                            self.do_job(job, number, claim, alive, halt, &mut report, on_event)?;
-                        (last_work, wait, waits) = (Instant::now(), POLL_INTERVAL, false);
-                    }
-                    // Another worker has claimed this job since the last reading of the folder. A
-                    // new reading of claims and results skips the other jobs that are taken.
-                    Ok(None) => {
-                        others = true;
-                        if looked.elapsed() >= POLL_INTERVAL {
-                            claims = self.folder.claims()?;
-                            results = self.folder.results()?;
-                            looked = Instant::now();
-                        }
-                    }
-                    Err(source) => return Err(JobFolderError::Disk { path, source }),
-                }
+            let pass = self.pass(&mut watch, begun, alive, halt, &mut report, on_event)?;
+            if pass.has_claimed {
+                (last_work, wait, waits) = (Instant::now(), POLL_INTERVAL, false);
             }
-            if did {
+            let has_failed = pass.failure.is_some();
+            match pass.failure {
+                Some(error) if !patience.lasts() => return Err(error),
+                Some(error) => tracing::warn!("{error}"),
+                None => patience.renew(),
+            }
+            if pass.has_finished {
                 continue;
             }
             // Another worker may die and leave its job, so this one waits while others work.
-            if !others && last_work.elapsed() >= self.linger {
+            if !pass.others_work && !has_failed && last_work.elapsed() >= self.linger {
                 return Ok(report);
             }
             if !waits {
@@ -265,6 +261,93 @@ impl Worker {
                 std::thread::sleep(POLL_INTERVAL.min(wait));
             }
             wait = (wait * 2).min(LONGEST_WAIT).min(stale / 2);
+        }
+    }
+
+    /// Looks at the folder once, and carries out each job that this worker can claim.
+    ///
+    /// # Errors
+    /// A result cannot be stored. Other failures of file operations end the look only.
+    fn pass(
+        &self,
+        watch: &mut HeartbeatWatch,
+        begun: Instant,
+        alive: &Mutex<Option<Alive>>,
+        halt: &AtomicBool,
+        report: &mut WorkReport,
+        on_event: &mut dyn FnMut(WorkerEvent),
+    ) -> Result<Pass, JobFolderError> {
+        let mut pass = Pass::default();
+        let (jobs, mut seen) = match self.look() {
+            Ok(looked) => looked,
+            Err(error) => return Ok(Pass { failure: Some(error), ..pass }),
+        };
+        watch.forget_all_but(|name| {
+            name.rsplit_once('.').is_some_and(|(job, _)| jobs.contains(job))
+        });
+        for job in self.in_order(&jobs) {
+            if halt.load(Ordering::Relaxed) {
+                break;
+            }
+            match self.claim(job, &mut seen, watch, begun.elapsed()) {
+                Ok(Claim::Taken(number, claim)) => {
+                    pass.has_claimed = true;
+                    pass.has_finished |=
+                        self.do_job(job, number, claim, alive, halt, report, on_event)?;
+                }
+                Ok(Claim::UnderWay) => pass.others_work = true,
+                Ok(Claim::Over) => {}
+                Err(error) => {
+                    pass.failure = Some(error);
+                    break;
+                }
+            }
+        }
+        Ok(pass)
+    }
+
+    /// The names of the open jobs, and their claims and results.
+    fn look(&self) -> Result<(BTreeSet<String>, Seen), JobFolderError> {
+        let (claims, results) = (self.folder.claims()?, self.folder.results()?);
+        Ok((self.folder.open_jobs()?, Seen { claims, results, at: Instant::now() }))
+    }
+
+    /// Claims a job if it has no result, no other worker carries it out and it is not given up.
+    /// `now` is the time since the watch began.
+    fn claim(
+        &self,
+        job: &str,
+        seen: &mut Seen,
+        watch: &mut HeartbeatWatch,
+        now: Duration,
+    ) -> Result<Claim, JobFolderError> {
+        if seen.results.contains(job) {
+            return Ok(Claim::Over);
+        }
+        let number = match seen.claims.get(job).copied().unwrap_or(0) {
+            0 => 0,
+            begun_tries => {
+                let tries = Tries::read(&self.folder, job, begun_tries, watch, now)?;
+                match tries.next_try(self.folder.terms().tries) {
+                    NextTry::Claim(number) if !self.folder.has_result(job) => number,
+                    NextTry::UnderWay => return Ok(Claim::UnderWay),
+                    NextTry::Claim(_) | NextTry::GivenUp => return Ok(Claim::Over),
+                }
+            }
+        };
+        let path = self.folder.claim(job, number);
+        match Heartbeat::create(self.folder.disk(), &path, &self.holder) {
+            Ok(Some(claim)) => Ok(Claim::Taken(number, claim)),
+            // Another worker has claimed this job since the last reading of the folder. A new
+            // reading of claims and results skips the other jobs that are taken.
+            Ok(None) => {
+                if seen.at.elapsed() >= POLL_INTERVAL {
+                    let (claims, results) = (self.folder.claims()?, self.folder.results()?);
+                    *seen = Seen { claims, results, at: Instant::now() };
+                }
+                Ok(Claim::UnderWay)
+            }
+            Err(source) => Err(JobFolderError::Disk { path, source }),
         }
     }
 
@@ -335,14 +418,21 @@ impl Worker {
         Ok(true)
     }
 
+    /// Time for which file operations may fail before the worker ends.
+    fn patience(&self) -> Duration {
+        PATIENCE.min(self.folder.terms().stale())
+    }
+
     /// Stores a result in up to [`WRITES`] attempts, unless the coordinator has removed the job.
     fn store(&self, job: &str, outcome: Result<&Trained, String>) -> Result<(), JobFolderError> {
         for attempt in 1.. {
-            if !self.folder.is_open(job) {
+            // While the file server is away the job file may only seem to be gone, so its absence
+            // is read and not tested for.
+            if matches!(self.folder.read_job(job), Ok(None)) {
                 return Ok(());
             }
             match self.folder.write_result(job, &self.holder, outcome.clone()) {
-                Err(_) if attempt < WRITES => std::thread::sleep(self.folder.terms().stale() / 60),
+                Err(_) if attempt < WRITES => std::thread::sleep(self.patience() / WRITES),
                 written => return written,
             }
         }
