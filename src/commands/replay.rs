@@ -1,3 +1,4 @@
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -153,9 +154,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     let mut reports = Vec::new();
     let mut problems = Vec::new();
-    for path in &arguments.files {
+    for (path, name) in arguments.files.iter().zip(picture_names(&arguments.files)) {
         let mut report = Report { path: path.clone(), ..Report::default() };
-        if let Err(problem) = replay_file(arguments, profile.as_ref(), &mut report) {
+        if let Err(problem) = replay_file(arguments, profile.as_ref(), &name, &mut report) {
             report.problem = Some(problem.message.clone());
             problems.push(problem);
         }
@@ -185,10 +186,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 fn replay_file(
     arguments: &Arguments,
     profile: Option<&Profile>,
+    name: &str,
     report: &mut Report,
 ) -> Result<(), Problem> {
     let path = report.path.clone();
-    let is_csv = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv"));
+    let is_csv = is_csv(&path);
     if is_csv && !arguments.simulate && arguments.animate.is_none() {
         return Err(Problem::usage(format!(
             "{}: a table has no policy to run again; add --simulate to compare it with the simulator, or --animate to draw its motion",
@@ -216,27 +218,48 @@ fn replay_file(
             None => return problem.map_or(Ok(()), Err),
         }
     };
+    let shown = draw_and_simulate(arguments, profile, name, &log, report);
+    match (problem, shown) {
+        (Some(first), Err(second)) => {
+            Err(Problem { message: format!("{}\n{}", first.message, second.message), ..first })
+        }
+        (Some(problem), Ok(())) => Err(problem),
+        (None, shown) => shown,
+    }
+}
+
+/// Draws the motion for `--animate` and simulates it for `--simulate`.
+fn draw_and_simulate(
+    arguments: &Arguments,
+    profile: Option<&Profile>,
+    name: &str,
+    log: &MotionLog,
+    report: &mut Report,
+) -> Result<(), Problem> {
     if let Some(picture) = &arguments.animate {
-        let name = picture_name(&arguments.files, &path);
-        let svg = animation_svg(&name, &log);
+        let svg = animation_svg(name, log);
         write_whole(&MachineDisk, picture, svg.as_bytes()).map_err(Problem::failed)?;
     }
-    if arguments.simulate {
-        let model = match profile {
-            Some(profile) => {
-                // A CSV file does not name its plant.
-                if let (Some(name), false) = (&arguments.profile, is_csv) {
-                    profile::check_plant(name, profile, &log.plant).map_err(|why| {
-                        Problem::usage(format!("{}: --profile {why}", path.display()))
-                    })?;
-                }
-                profile.model()
-            }
-            None => log.plant.nominal(),
-        };
-        simulate_file(arguments, &model, &log, report)?;
+    if !arguments.simulate {
+        return Ok(());
     }
-    problem.map_or(Ok(()), Err)
+    let model = match profile {
+        Some(profile) => {
+            // A CSV file does not name its plant.
+            if let (Some(name), false) = (&arguments.profile, is_csv(&report.path)) {
+                let path = report.path.display();
+                profile::check_plant(name, profile, &log.plant)
+                    .map_err(|why| Problem::usage(format!("{path}: --profile {why}")))?;
+            }
+            profile.model()
+        }
+        None => log.plant.nominal(),
+    };
+    simulate(arguments, &model, name, log, report)
+}
+
+fn is_csv(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv"))
 }
 
 /// Feeds the measurements of a recording to the tick again, and enters the comparison into
@@ -319,9 +342,10 @@ fn foreseen_text(foreseen: &Foreseen) -> String {
     )
 }
 
-fn simulate_file(
+fn simulate(
     arguments: &Arguments,
     model: &QubeModel,
+    name: &str,
     log: &MotionLog,
     report: &mut Report,
 ) -> Result<(), Problem> {
@@ -331,23 +355,22 @@ fn simulate_file(
     let AngleError { theta_rad, alpha_rad } = open_loop.rmse;
     report.rmse = Some(Rmse { theta_rad, alpha_rad });
     if let Some(folder) = &arguments.plot {
-        let name = picture_name(&arguments.files, &report.path);
         let picture = folder.join(format!("{name}.svg"));
-        let svg = motion_svg(&name, log, &open_loop).map_err(Problem::failed)?;
+        let svg = motion_svg(name, log, &open_loop).map_err(Problem::failed)?;
         write_whole(&MachineDisk, &picture, svg.as_bytes()).map_err(Problem::failed)?;
     }
     Ok(())
 }
 
-/// The name of a file's picture, without its ending. Where several files share a name, the file's
-/// place in the list, from 0, stands in front of it.
-fn picture_name(files: &[PathBuf], path: &Path) -> String {
-    let name = path.file_stem().unwrap_or_default();
-    let is_unique = files.iter().filter(|file| file.file_stem() == Some(name)).count() == 1;
-    match files.iter().position(|file| file == path) {
-        Some(number) if !is_unique => format!("{number}-{}", name.to_string_lossy()),
-        _ => name.to_string_lossy().into_owned(),
+/// The names of the files' pictures, without their endings; no two are the same. Where two files
+/// share a name, the place of each file in the list, from 0, stands in front of its name.
+fn picture_names(files: &[PathBuf]) -> Vec<String> {
+    let name = |file: &PathBuf| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let names: Vec<String> = files.iter().map(name).collect();
+    if names.iter().collect::<BTreeSet<_>>().len() == names.len() {
+        return names;
     }
+    names.iter().enumerate().map(|(number, name)| format!("{number}-{name}")).collect()
 }
 
 fn rmse_text(rmse: Rmse) -> String {
@@ -394,5 +417,21 @@ fn is_bad_input(error: &RecordingError) -> bool {
         | RecordingError::Write { .. }
         | RecordingError::NotFinite { .. }
         | RecordingError::Stopped { .. } => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_two_pictures_have_the_same_name() {
+        let names = |files: &[&str]| {
+            picture_names(&files.iter().map(PathBuf::from).collect::<Vec<PathBuf>>())
+        };
+        assert_eq!(names(&["x/a.mcap", "y/b.mcap"]), ["a", "b"]);
+        assert_eq!(names(&["x/a.mcap", "y/a.mcap"]), ["0-a", "1-a"]);
+        assert_eq!(names(&["a.mcap", "a.csv", "0-a.mcap"]), ["0-a", "1-a", "2-0-a"]);
+        assert_eq!(names(&["a.mcap", "a.mcap"]), ["0-a", "1-a"]);
     }
 }

@@ -189,6 +189,11 @@ impl Feed {
                     let since_ns =
                         tick.deadline_ns.saturating_sub(*origin_ns.get_or_insert(tick.deadline_ns));
                     self.add(self.tick_shown(header, shown, &tick, since_ns));
+                    // A stop may also be requested elsewhere than on the page, for instance by
+                    // Ctrl-C.
+                    if tick.stop_requested {
+                        self.update_status(|status| status.stop_requested = true);
+                    }
                 }
                 Event::Ended(outcome) => {
                     let Some((_, rollout)) = &rollout else { continue };

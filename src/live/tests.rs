@@ -17,6 +17,7 @@ use super::request::MAX_HEAD_BYTES;
 use super::{LiveError, LiveSettings, LiveView};
 use crate::recording::samples::{header, outcome, tick};
 use crate::recording::{Channel, VIRTUAL_EPOCH_UNIX_NS, Viewer};
+use crate::telemetry::TickRecord;
 
 /// A view on a free port, and a flag that is set once somebody asks for a stop.
 fn view() -> (LiveView, Arc<AtomicBool>) {
@@ -323,6 +324,19 @@ fn a_stop_needs_the_pages_own_request() {
     let mut stream = connect(address);
     stream.write_all(format!("GET /events HTTP/1.1\r\nHost: {own}\r\n\r\n").as_bytes()).unwrap();
     until(&mut stream, "\"stop_requested\":true");
+}
+
+#[test]
+fn a_stop_that_was_requested_elsewhere_is_shown() {
+    let (view, stopped) = view();
+    let viewer = begun(&view);
+    let mut stream = connect(view.address());
+    let request = format!("GET /events HTTP/1.1\r\nHost: {}\r\n\r\n", view.address());
+    stream.write_all(request.as_bytes()).unwrap();
+    until(&mut stream, "\"stop_requested\":false");
+    viewer.ticked(&TickRecord { stop_requested: true, ..tick(2) });
+    until(&mut stream, "\"stop_requested\":true");
+    assert!(!stopped.load(Ordering::Relaxed));
 }
 
 #[test]

@@ -57,9 +57,16 @@ impl DelayLine {
         self.largest_v
     }
 
-    /// Restarts a lane with no commands in its past and a new delay, s, of at most [`MAX_HISTORY`]
-    /// periods.
+    /// Restarts a lane with no commands in its past and a new delay, s.
+    ///
+    /// # Panics
+    /// Panics if the delay is negative, longer than [`MAX_HISTORY`] periods, or NaN.
     pub(super) fn restart(&mut self, lane: usize, delay_s: f64) {
+        let longest_s = MAX_HISTORY as f64 * CONTROL_PERIOD_S;
+        assert!(
+            (0.0..=longest_s).contains(&delay_s),
+            "a command delay of {delay_s} s cannot be simulated: give 0 to {longest_s} s"
+        );
         for sent_v in &mut self.sent_v {
             sent_v[lane] = 0.0;
         }
@@ -188,6 +195,17 @@ mod tests {
                 line.end_period(&[command_v; BLOCK]);
                 assert!((time_s - 0.01 * f64::from(period + 1)).abs() < 1e-6, "{delay_us} us");
             }
+        }
+    }
+
+    #[test]
+    fn a_delay_that_the_line_does_not_span_is_refused() {
+        for delay_s in [-0.01, 0.040_001, 0.045, 0.05, 0.1, f64::NAN] {
+            let restarted = std::panic::catch_unwind(|| {
+                let mut line = DelayLine::EMPTY;
+                line.restart(0, delay_s);
+            });
+            assert!(restarted.is_err(), "{delay_s} s");
         }
     }
 

@@ -54,12 +54,11 @@ impl QubeLanes {
         self.commands.largest_v()
     }
 
-    /// Puts another Qube into a lane, without any past commands. The delay of the Qube must be at
-    /// most [`MAX_HISTORY`] control periods. A delay that is less than one period longer counts as
-    /// this many periods, and any longer one as no delay.
+    /// Puts another Qube into a lane, without any past commands.
     ///
     /// # Panics
-    /// Panics if the lane does not exist.
+    /// Panics if the lane does not exist, or if the delay of the Qube is negative or longer than
+    /// [`MAX_HISTORY`] control periods.
     pub fn restart(&mut self, lane: usize, model: &QubeModel, state: &State<f32>) {
         self.state.set_lane(lane, state);
         let nonidealities: NonidealDynamics<f32> = NonidealDynamics::new(model);

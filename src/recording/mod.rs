@@ -56,6 +56,10 @@ pub const POLICY_ATTACHMENT: &str = "policy.safetensors";
 pub const LAST_TICKS_ATTACHMENT: &str = "last-ticks.jsonl";
 
 #[cfg(test)]
+mod disk_tests;
+#[cfg(test)]
+mod other_reader_tests;
+#[cfg(test)]
 pub(crate) mod samples;
 #[cfg(test)]
 mod tests;

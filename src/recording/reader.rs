@@ -121,7 +121,7 @@ pub(super) fn recording(scan: Scan) -> Result<Recording, Unreadable> {
         .get(metadata::HEADER)
         .ok_or_else(|| missing("it has no metadata `rollout`"))?;
     let format = header.get("format").cloned().unwrap_or_default();
-    if format != FORMAT_VERSION.to_string() {
+    if format != FORMAT_VERSION.to_string() && metadata::is_sound(header) {
         return Err(Unreadable::OtherFormat { found: format, expected: FORMAT_VERSION });
     }
     let unusable = |record: &str, reason| Unreadable::Unusable {

@@ -108,6 +108,26 @@ mod tests {
     }
 
     #[test]
+    fn a_damaged_declaration_of_the_channels_costs_a_finished_recording_no_tick() {
+        let directory = tempfile::tempdir().unwrap();
+        let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
+        let mut bytes = recorded(&ticks(40));
+        let inside_first = find_all(&bytes, b"lz4")[0] + 40;
+        bytes[inside_first] ^= 0x55;
+        std::fs::write(&damaged, &bytes).unwrap();
+        let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
+        assert!(
+            matches!(recovered, Recovered::Saved { ticks: 40, lost_bytes: 1.., has_outcome: true }),
+            "{recovered:?}"
+        );
+        assert_eq!(all_bits(&read(&saved).unwrap().ticks), all_bits(&ticks(40)));
+        // An index that is damaged too declares nothing.
+        let place = bytes.len() - 100;
+        bytes[place] ^= 0x55;
+        assert_eq!(checked_scan(&bytes).unwrap().ticks, []);
+    }
+
+    #[test]
     fn the_last_ticks_before_a_fault_are_saved_although_a_block_is_damaged() {
         let directory = tempfile::tempdir().unwrap();
         let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));

@@ -53,10 +53,11 @@ pub(super) struct Damage {
 /// Reads every intact record of a file up to its footer. `bytes` must start with MCAP's magic
 /// bytes, [`MAGIC`].
 ///
-/// A damaged block is left out, and reading continues after it. Only the first block declares the
-/// channels: if it is damaged, the ticks of no block can be read.
+/// A damaged block is left out, and reading continues after it. The first block declares the
+/// channels, and the index of a finished file repeats them: without both, the ticks of no block can
+/// be read.
 pub(super) fn scan(bytes: &[u8]) -> Scan {
-    let mut scan = Scan::default();
+    let mut scan = Scan { channels: indexed_channels(bytes), ..Scan::default() };
     let mut offset = MAGIC.len();
     let mut summary_start = None;
     while offset < bytes.len() {
@@ -65,7 +66,9 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
             return scan;
         };
         match record.opcode {
-            opcode::DATA_END => {
+            // A file has one such record. If each of many had its checksum tested, the time would grow
+            // with the square of the file.
+            opcode::DATA_END if summary_start.is_none() => {
                 let stored = Fields(record.body).u32();
                 if record.body.len() != 4 || stored != Some(CRC_32.checksum(&bytes[..offset])) {
                     scan.note(offset, "the checksum over everything before does not match");
@@ -113,15 +116,7 @@ impl Scan {
     }
 
     fn footer(&mut self, bytes: &[u8], record: &Frame<'_>, summary_start: Option<usize>) {
-        // The checksum covers the summary, and the footer up to the checksum's own place.
-        let covered = FRAME_BYTES + 16;
-        let stored = record.body.get(16..).and_then(|rest| Fields(rest).u32());
-        let sound = record.body.len() == 20
-            && summary_start.is_some_and(|start| {
-                let covered = &bytes[start..record.offset + covered];
-                stored == Some(CRC_32.checksum(covered))
-            });
-        if !sound {
+        if !is_index_sound(bytes, record, summary_start) {
             self.note(record.offset, "the checksum over the index does not match");
         }
         if bytes[record.end()..] == *MAGIC {
@@ -189,7 +184,7 @@ impl Scan {
     /// Adds all ticks of a block, or none if the block has a defect.
     fn block(&mut self, body: &[u8]) -> Result<(), String> {
         let content = decompress(body)?;
-        let mut channels = Vec::new();
+        let mut channels = HashMap::new();
         let mut ticks = Vec::new();
         let mut messages = TickMessages::default();
         let mut open = None;
@@ -200,11 +195,7 @@ impl Scan {
             let mut fields = Fields(record.body);
             match record.opcode {
                 opcode::CHANNEL => {
-                    let id = fields.u16().zip(fields.u16()).map(|(id, _schema)| id);
-                    let (Some(id), Some(topic)) = (id, fields.text()) else {
-                        return Err("a channel is malformed".to_owned());
-                    };
-                    channels.push((id, Topic::named(topic)));
+                    channels.extend([channel(record.body).ok_or("a channel is malformed")?]);
                 }
                 opcode::SCHEMA => {}
                 opcode::MESSAGE => {
@@ -213,11 +204,8 @@ impl Scan {
                     else {
                         return Err("a message is malformed".to_owned());
                     };
-                    let declared = channels.iter().find(|(known, _)| *known == id);
-                    let topic = declared
-                        .map(|(_, topic)| *topic)
-                        .or_else(|| self.channels.get(&id).copied())
-                        .ok_or("a message of an unknown channel")?;
+                    let declared = channels.get(&id).or_else(|| self.channels.get(&id));
+                    let topic = *declared.ok_or("a message of an unknown channel")?;
                     let message = Message { topic, json: fields.0 };
                     if let Some(timing) = message.take_into(&mut messages)? {
                         let whole = std::mem::take(&mut messages);
@@ -238,6 +226,41 @@ impl Scan {
         self.channels.extend(channels);
         Ok(())
     }
+}
+
+/// Whether the checksum in a footer fits the index between `start` and the footer.
+fn is_index_sound(bytes: &[u8], footer: &Frame<'_>, start: Option<usize>) -> bool {
+    // The checksum covers the index, and the footer up to the checksum's own place.
+    let covered = FRAME_BYTES + 16;
+    let stored = footer.body.get(16..).and_then(|rest| Fields(rest).u32());
+    footer.body.len() == 20
+        && start.is_some_and(|start| {
+            stored == Some(CRC_32.checksum(&bytes[start..footer.offset + covered]))
+        })
+}
+
+/// The channels that a file's index declares; none if the file has no intact index.
+fn indexed_channels(bytes: &[u8]) -> HashMap<u16, Topic> {
+    let mut channels = HashMap::new();
+    let (mut offset, mut start) = (MAGIC.len(), None);
+    while let Some(record) = frame(bytes, offset) {
+        offset = record.end();
+        match record.opcode {
+            opcode::DATA_END if start.is_none() => start = Some(offset),
+            opcode::FOOTER if is_index_sound(bytes, &record, start) => return channels,
+            opcode::FOOTER | 0 => break,
+            opcode::CHANNEL if start.is_some() => channels.extend(channel(record.body)),
+            _ => {}
+        }
+    }
+    HashMap::new()
+}
+
+/// The number and the kind of messages of the channel that this record declares.
+fn channel(body: &[u8]) -> Option<(u16, Topic)> {
+    let mut fields = Fields(body);
+    let (id, _schema, topic) = (fields.u16()?, fields.u16()?, fields.text()?);
+    Some((id, Topic::named(topic)))
 }
 
 /// The kind of messages in a channel. The channel's name is not kept, because a hostile file of

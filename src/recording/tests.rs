@@ -1,15 +1,11 @@
 use std::io::{self, Write};
 use std::path::Path;
-use std::sync::{Arc, Mutex};
 
 use proptest::prelude::*;
-use prost_reflect::{DescriptorPool, DynamicMessage, Value};
 
-use super::samples::{POLICY, find_all, header, outcome, recorded, tick, ticks};
-use super::writer::Sink;
+use super::samples::{POLICY, find_all, header, outcome, recorded, ticks};
 use super::*;
 use crate::qube::{Measurement, State, Status};
-use crate::storage::MachineDisk;
 use crate::telemetry::{Phase, TickRecord};
 
 /// Converts a tick to a form that compares every number by its bits, because NaN does not equal
@@ -201,6 +197,30 @@ fn other_files_are_named() {
     assert!(matches!(parse(&bytes), Err(Unreadable::OtherFormat { .. })));
 }
 
+#[test]
+fn a_damaged_format_number_is_damage_and_no_newer_format() {
+    let mut bytes = recorded(&ticks(12));
+    // The length of the value stands between key and value.
+    let number = find_all(&bytes, b"format")[0] + b"format".len() + size_of::<u32>();
+    assert_eq!(bytes[number..number + 1], *FORMAT_VERSION.to_string().as_bytes());
+    bytes[number] += 1;
+    let why = parse(&bytes).unwrap_err();
+    assert!(matches!(why, Unreadable::Unusable { .. }), "{why}");
+    assert!(why.to_string().contains("the metadata `rollout`: its checksum does not fit"), "{why}");
+}
+
+/// Does not end within hours if each of the records costs a checksum over the whole file.
+#[test]
+fn a_file_with_a_million_ends_of_its_data_is_read() {
+    let mut bytes = recorded(&ticks(12));
+    // An opcode, the length of the body, and a checksum.
+    let end = [&[15][..], &4_u64.to_le_bytes(), &[0; 4]].concat();
+    let first = find_all(&bytes, &end[..9])[0];
+    bytes.splice(first + end.len()..first + end.len(), end.repeat(1_000_000));
+    let why = parse(&bytes).unwrap_err();
+    assert!(matches!(why, Unreadable::Damaged { .. }), "{why}");
+}
+
 /// Tests blocks that claim more bytes than any block has, or that unpack to more bytes than they
 /// claim.
 #[test]
@@ -233,350 +253,10 @@ fn a_block_that_unpacks_to_gigabytes_is_refused() {
     }
 }
 
-/// Tests that other readers find all checksums, the index, the schemas and the attachment.
-#[test]
-fn it_is_an_mcap_file_for_others() {
-    let ticks = ticks(25);
-    let bytes = recorded(&ticks);
-    let mut reader = mcap::sans_io::LinearReader::new_with_options(
-        mcap::sans_io::LinearReaderOptions::default()
-            .with_validate_chunk_crcs(true)
-            .with_validate_data_section_crc(true)
-            .with_validate_summary_section_crc(true)
-            .with_check_finishes_after_end_magic(true),
-    );
-    let mut rest = bytes.as_slice();
-    while let Some(event) = reader.next_event() {
-        if let mcap::sans_io::LinearReadEvent::ReadRequest(wanted) = event.unwrap() {
-            let count = wanted.min(rest.len());
-            reader.insert(count).copy_from_slice(&rest[..count]);
-            reader.notify_read(count);
-            rest = &rest[count..];
-        }
-    }
-
-    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    let stats = summary.stats.unwrap();
-    assert_eq!((stats.channel_count, stats.attachment_count, stats.metadata_count), (7, 1, 3));
-    let held_over = ticks.iter().filter(|tick| tick.measurement.is_none()).count();
-    let ending_and_scene = 2;
-    assert_eq!(stats.message_count as usize, 6 * ticks.len() - held_over + ending_and_scene);
-
-    let (mut endings, mut frames, mut bodies) = (0, 0, 0);
-    for message in mcap::MessageStream::new(&bytes).unwrap() {
-        let message = message.unwrap();
-        let schema = message.channel.schema.as_ref().unwrap();
-        if schema.encoding == "protobuf" {
-            assert_eq!(message.channel.message_encoding, "protobuf");
-            let pool = DescriptorPool::decode(&*schema.data).unwrap();
-            let descriptor = pool.get_message_by_name(&schema.name).unwrap();
-            let decoded = DynamicMessage::decode(descriptor, &*message.data).unwrap();
-            assert_eq!(decoded.unknown_fields().count(), 0, "{decoded}");
-            match message.channel.topic.as_str() {
-                "/tf" => frames += list(&decoded, "transforms").len(),
-                "/scene" => bodies += list(&decoded, "entities").len(),
-                other => panic!("{other}"),
-            }
-            continue;
-        }
-        let value: serde_json::Value = serde_json::from_slice(&message.data).unwrap();
-        assert_eq!(schema.encoding, "jsonschema");
-        let schema: serde_json::Value = serde_json::from_slice(&schema.data).unwrap();
-        assert_fits(&value, &schema);
-        if value.get("ending") == Some(&"left_box: theta".into()) {
-            assert_eq!(value["ending_number"], 2);
-            endings += 1;
-        }
-    }
-    assert_eq!((frames, bodies), (2 * ticks.len(), 3));
-    assert_eq!(endings, 1);
-}
-
-fn list(message: &DynamicMessage, field: &str) -> Vec<Value> {
-    message.get_field_by_name(field).unwrap().as_list().unwrap().to_vec()
-}
-
-/// The number in a field of nested messages.
-fn number_at(value: &Value, path: &[&str]) -> f64 {
-    match path.split_first() {
-        None => value.as_f64().unwrap(),
-        Some((field, rest)) => {
-            let message = value.as_message().unwrap();
-            number_at(&message.get_field_by_name(field).unwrap(), rest)
-        }
-    }
-}
-
-#[test]
-fn viewers_read_the_frames_and_bodies_that_were_meant() {
-    let mut tick = tick(0);
-    (tick.state.theta, tick.state.alpha) = (0.5, -1.0);
-    let bytes = recorded(&[tick]);
-    for message in mcap::MessageStream::new(&bytes).unwrap() {
-        let message = message.unwrap();
-        let schema = message.channel.schema.as_ref().unwrap();
-        if schema.encoding != "protobuf" {
-            continue;
-        }
-        let pool = DescriptorPool::decode(&*schema.data).unwrap();
-        let descriptor = pool.get_message_by_name(&schema.name).unwrap();
-        let decoded = DynamicMessage::decode(descriptor, &*message.data).unwrap();
-        if message.channel.topic == "/tf" {
-            let frames = list(&decoded, "transforms");
-            assert_eq!(number_at(&frames[0], &["rotation", "z"]), 0.25_f64.sin());
-            assert_eq!(number_at(&frames[0], &["rotation", "w"]), 0.25_f64.cos());
-            assert_eq!(number_at(&frames[1], &["rotation", "x"]), (-0.5_f64).sin());
-            assert_eq!(number_at(&frames[1], &["translation", "x"]), 0.085);
-        } else {
-            let bodies = list(&decoded, "entities");
-            let cubes = bodies[2].as_message().unwrap().get_field_by_name("cubes").unwrap();
-            let pendulum = &cubes.as_list().unwrap()[0];
-            assert_eq!(number_at(pendulum, &["size", "z"]), 0.129);
-            assert_eq!(number_at(pendulum, &["pose", "position", "z"]), -0.5 * 0.129);
-            assert_eq!(number_at(pendulum, &["pose", "orientation", "w"]), 1.0);
-            assert_eq!(number_at(pendulum, &["color", "r"]), 0.8);
-        }
-    }
-}
-
-#[test]
-fn times_of_a_virtual_clock_count_from_a_named_date() {
-    let log_times = |started_unix_ns| {
-        let header = crate::telemetry::RolloutHeader { started_unix_ns, ..header() };
-        let path = Path::new("memory");
-        let mut writer = RolloutWriter::begin(Vec::new(), path, header, POLICY).unwrap();
-        writer.write(&tick(0)).unwrap();
-        writer.write(&tick(1)).unwrap();
-        let bytes = writer.finish(&outcome()).unwrap();
-        let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-        let index = summary.metadata_indexes.iter().find(|it| it.name == "clock").unwrap();
-        let clock = mcap::read::metadata(&bytes, index).unwrap().metadata;
-        let stats = summary.stats.unwrap();
-        (clock, stats.message_start_time, stats.message_end_time)
-    };
-    let (clock, start_ns, end_ns) = log_times(None);
-    assert_eq!(clock["clock"], "virtual");
-    assert_eq!(clock["epoch_unix_ns"], VIRTUAL_EPOCH_UNIX_NS.to_string());
-    assert_eq!((start_ns, end_ns), (VIRTUAL_EPOCH_UNIX_NS, VIRTUAL_EPOCH_UNIX_NS + 10_000_000));
-    let (clock, start_ns, _) = log_times(Some(1_700_000_000_000_000_000));
-    assert_eq!((clock["clock"].as_str(), start_ns), ("wall", 1_700_000_000_000_000_000));
-    assert_eq!(clock["epoch_unix_ns"], "1700000000000000000");
-}
-
-/// Checks a value against a schema that uses only what viewers understand: one plain type a field.
-fn assert_fits(value: &serde_json::Value, schema: &serde_json::Value) {
-    let kind = schema["type"].as_str().unwrap_or_else(|| panic!("no plain type in {schema}"));
-    match kind {
-        "object" => {
-            for required in schema["required"].as_array().into_iter().flatten() {
-                assert!(value.get(required.as_str().unwrap()).is_some(), "{required} in {value}");
-            }
-            for (name, field) in value.as_object().unwrap() {
-                assert_fits(field, &schema["properties"][name]);
-            }
-        }
-        "array" => {
-            for item in value.as_array().unwrap() {
-                assert_fits(item, &schema["items"]);
-            }
-        }
-        "number" => assert!(value.is_number()),
-        "integer" => assert!(value.is_i64() || value.is_u64()),
-        "boolean" => assert!(value.is_boolean()),
-        "string" => assert!(value.is_string()),
-        other => panic!("type {other}"),
-    }
-}
-
-/// A disk with limited room. Its content stays visible after the writer is dropped.
-#[derive(Clone)]
-struct SmallDisk {
-    taken: Arc<Mutex<Vec<u8>>>,
-    room: usize,
-    sync_fails: bool,
-}
-
-impl SmallDisk {
-    fn new(room: usize) -> Self {
-        Self { taken: Arc::default(), room, sync_fails: false }
-    }
-
-    fn content(&self) -> Vec<u8> {
-        self.taken.lock().unwrap().clone()
-    }
-}
-
-impl Write for SmallDisk {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let mut taken = self.taken.lock().unwrap();
-        let count = bytes.len().min(self.room - taken.len());
-        if count == 0 && !bytes.is_empty() {
-            return Err(io::ErrorKind::StorageFull.into());
-        }
-        taken.extend(&bytes[..count]);
-        Ok(count)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl Sink for SmallDisk {
-    fn sync(&mut self) -> io::Result<()> {
-        if self.sync_fails { Err(io::Error::other("input/output error")) } else { Ok(()) }
-    }
-}
-
-fn record_on(disk: SmallDisk, ticks: &[TickRecord]) -> Result<(), RecordingError> {
-    let mut writer = RolloutWriter::begin(disk, Path::new("small.mcap"), header(), POLICY)?;
-    for tick in ticks {
-        writer.write(tick)?;
-    }
-    writer.finish(&outcome()).map(drop)
-}
-
-#[test]
-fn a_disk_that_is_full_at_any_byte_is_named_and_keeps_what_it_has() {
-    let ticks = ticks(25);
-    let whole = recorded(&ticks).len();
-    let expected = all_bits(&ticks);
-    for room in (0..whole).step_by(53).chain([whole - 1]) {
-        let disk = SmallDisk::new(room);
-        let error = record_on(disk.clone(), &ticks).unwrap_err();
-        assert!(matches!(error, RecordingError::DiskFull { .. }), "{room}: {error}");
-        if let Ok(recording) = parse(&disk.content()) {
-            assert!(matches!(recording.completeness, Completeness::CutOff { .. }));
-            assert_eq!(all_bits(&recording.ticks), expected[..recording.ticks.len()]);
-        }
-    }
-    record_on(SmallDisk::new(whole), &ticks).unwrap();
-}
-
-#[test]
-fn a_failing_sync_is_an_error() {
-    let disk = SmallDisk { sync_fails: true, ..SmallDisk::new(1 << 20) };
-    let error = record_on(disk, &ticks(3)).unwrap_err();
-    assert!(matches!(error, RecordingError::Write { .. }), "{error}");
-}
-
-#[test]
-fn a_writer_that_is_dropped_leaves_all_ticks_and_no_end() {
-    let disk = SmallDisk::new(1 << 20);
-    let mut writer =
-        RolloutWriter::begin(disk.clone(), Path::new("memory"), header(), POLICY).unwrap();
-    for number in 0..13 {
-        writer.write(&tick(number)).unwrap();
-    }
-    drop(writer);
-    let recording = parse(&disk.content()).unwrap();
-    assert_eq!(all_bits(&recording.ticks), all_bits(&ticks(13)));
-    assert!(matches!(recording.completeness, Completeness::CutOff { lost_bytes: 0, .. }));
-    assert_eq!(recording.outcome, None);
-}
-
 #[test]
 fn a_header_that_would_not_come_back_is_refused() {
     let mut header = header();
     header.psi.insert("mu_M_p".to_owned(), f64::NAN);
     let result = RolloutWriter::begin(Vec::new(), Path::new("memory"), header, POLICY);
     assert!(matches!(result.err(), Some(RecordingError::NotFinite { .. })));
-}
-
-#[test]
-fn the_recorder_writes_what_comes_through_the_ring() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("rollout.mcap");
-    let (mut producer, consumer) = rtrb::RingBuffer::new(64);
-    let recorder =
-        Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, Vec::new()).unwrap();
-    for number in 0..33 {
-        producer.push(tick(number)).unwrap();
-    }
-    assert_eq!(recorder.finish(outcome(), Vec::new()).unwrap(), path);
-    assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(33)), "same bytes as in memory");
-    let (_, consumer) = rtrb::RingBuffer::new(64);
-    let again = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, Vec::new());
-    assert!(matches!(again.err(), Some(RecordingError::Create { .. })), "never overwritten");
-}
-
-/// A viewer that notes each call.
-#[derive(Debug, Default)]
-struct Noting(Mutex<Vec<String>>);
-
-impl Viewer for Noting {
-    fn begins(&self, header: &crate::telemetry::RolloutHeader, time_ns: u64) {
-        self.0.lock().unwrap().push(format!("{} at {time_ns}", header.policy));
-    }
-
-    fn ticked(&self, tick: &TickRecord) {
-        self.0.lock().unwrap().push(tick.tick.to_string());
-    }
-
-    fn ended(&self, outcome: Option<&crate::telemetry::RolloutOutcome>) {
-        self.0.lock().unwrap().push(format!("{:?}", outcome.map(|outcome| outcome.steps)));
-    }
-}
-
-#[test]
-fn a_viewer_sees_the_rollout_in_order_and_changes_no_byte() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("rollout.mcap");
-    let (mut producer, consumer) = rtrb::RingBuffer::new(64);
-    let seen = Arc::new(Noting::default());
-    let viewers: Vec<Arc<dyn Viewer>> = vec![seen.clone()];
-    let recorder =
-        Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, viewers).unwrap();
-    for number in 0..3 {
-        producer.push(tick(number)).unwrap();
-    }
-    recorder.finish(outcome(), Vec::new()).unwrap();
-    let begins = format!("nominal at {VIRTUAL_EPOCH_UNIX_NS}");
-    assert_eq!(*seen.0.lock().unwrap(), [&begins, "0", "1", "2", "Some(20)"]);
-    assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(3)), "same bytes as unseen");
-}
-
-#[test]
-fn a_recorder_that_is_dropped_leaves_a_readable_recording() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("rollout.mcap");
-    let (mut producer, consumer) = rtrb::RingBuffer::new(64);
-    let recorder =
-        Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, Vec::new()).unwrap();
-    producer.push(tick(0)).unwrap();
-    drop(recorder);
-    let recording = read(&path).unwrap();
-    assert_eq!(all_bits(&recording.ticks), all_bits(&ticks(1)));
-    assert_eq!(recording.outcome, None);
-}
-
-#[test]
-fn the_last_ticks_of_a_fault_are_attached() {
-    let mut writer =
-        RolloutWriter::begin(Vec::new(), Path::new("memory"), header(), POLICY).unwrap();
-    for number in 0..7 {
-        writer.write(&tick(number)).unwrap();
-    }
-    writer.attach_last_ticks(&ticks(7)[2..]).unwrap();
-    let bytes = writer.finish(&outcome()).unwrap();
-
-    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    let index = summary
-        .attachment_indexes
-        .iter()
-        .find(|index| index.name == LAST_TICKS_ATTACHMENT)
-        .unwrap();
-    let attachment = mcap::read::attachment(&bytes, index).unwrap();
-    let lines: Vec<serde_json::Value> = attachment
-        .data
-        .split(|byte| *byte == b'\n')
-        .filter(|line| !line.is_empty())
-        .map(|line| serde_json::from_slice(line).unwrap())
-        .collect();
-    let numbers: Vec<_> = lines.iter().map(|line| line["tick"].as_u64().unwrap()).collect();
-    assert_eq!(numbers, [2, 3, 4, 5, 6]);
-
-    let recording = parse(&bytes).unwrap();
-    assert_eq!(recording.completeness, Completeness::Whole);
-    assert_eq!(all_bits(&recording.ticks), all_bits(&ticks(7)));
 }

@@ -1,14 +1,12 @@
 use thiserror::Error;
 
 use super::MotionSample;
+use super::motion_sample::MAX_GAP_S;
 use crate::qube::State;
 
 /// Required columns, in the order of the numbers of a [`MotionSample`].
 const COLUMNS: [&str; 6] =
     ["time_s", "theta_rad", "alpha_rad", "theta_dot_rad_s", "alpha_dot_rad_s", "voltage_v"];
-
-/// Longest time between two rows, s. Over a longer gap nobody knows the voltage.
-const MAX_GAP_S: f64 = 1.0;
 
 /// The reason why a text is not a table of a motion. Lines are counted from 1, blank ones too.
 #[derive(Clone, Debug, Error, PartialEq)]

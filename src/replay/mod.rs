@@ -14,12 +14,14 @@ mod motion_log;
 mod motion_sample;
 mod open_loop;
 mod rerun;
+#[cfg(test)]
+mod rerun_tests;
 
 pub use csv::CsvError;
 pub use motion_log::{Incomplete, MotionLog, MotionLogError};
 pub use motion_sample::MotionSample;
 pub use open_loop::{
-    AngleError, Diverged, OpenLoop, simulate_from, simulate_from_first_state, simulate_stretch,
-    simulate_stretch_in,
+    AngleError, OpenLoop, OpenLoopError, simulate_from, simulate_from_first_state,
+    simulate_stretch, simulate_stretch_in,
 };
 pub use rerun::{Difference, GuardApproach, Rerun, controller_of, rerun};

@@ -50,8 +50,12 @@ impl Incomplete {
     #[must_use]
     pub fn of(recording: &Recording) -> Option<Self> {
         let Some(outcome) = &recording.outcome else { return Some(Self::Cut) };
+        let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);
+        let lacks_ticks = outcome.records_lost > 0
+            || recording.has_gaps()
+            || running.count() < outcome.steps as usize;
         match outcome.ending {
-            _ if outcome.records_lost > 0 || recording.has_gaps() => Some(Self::Gaps),
+            _ if lacks_ticks => Some(Self::Gaps),
             Ending::Completed => None,
             Ending::LeftBox(limit) => Some(Self::LeftBox(limit)),
             Ending::Stopped => Some(Self::Stopped),
@@ -129,8 +133,9 @@ impl MotionLog {
     /// fewer than two samples. The angles are those of the encoders, because the policy may have
     /// seen predicted ones; the velocities are those that the policy saw.
     ///
-    /// The voltages are those that the Qube's motor driver applied, in steps of about 24 mV
-    /// ([`applied_voltage_mv`]). Commanded voltages would not do: the rounding of a command lasts
+    /// The voltages are those that the motor driver applied, in steps of about 24 mV
+    /// ([`applied_voltage_mv`]); the wire asks for these steps from the board of every plant
+    /// (PROTOCOL.md, section 7). Commanded voltages would not do: the rounding of a command lasts
     /// until the next command, and over seconds its effect on the arm exceeds an encoder count.
     ///
     /// A tick without a sample is left out: the motor kept the previous voltage, which the previous
@@ -186,7 +191,7 @@ mod tests {
         let recording = |ending: Ending, records_lost: u64| Recording {
             header: samples::header(),
             policy: samples::POLICY.to_vec(),
-            ticks: (0..4).map(samples::tick).collect(),
+            ticks: (0..25).map(samples::tick).collect(),
             outcome: Some(RolloutOutcome { ending, records_lost, ..samples::outcome() }),
             completeness: Completeness::Whole,
         };
@@ -202,6 +207,10 @@ mod tests {
         let mut gap = recording(Ending::Completed, 0);
         gap.ticks.remove(1);
         assert_eq!(Incomplete::of(&gap), Some(Incomplete::Gaps));
+        // The last block of this file was damaged, so its last ticks could not be recovered.
+        let mut end_lost = recording(Ending::Completed, 0);
+        end_lost.ticks.truncate(20);
+        assert_eq!(Incomplete::of(&end_lost), Some(Incomplete::Gaps));
         for (ending, words) in [
             (Ending::LeftBox(Limit::Theta), "left the box"),
             (Ending::Stopped, "was stopped"),

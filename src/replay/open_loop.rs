@@ -2,6 +2,7 @@ use std::ops::Range;
 
 use thiserror::Error;
 
+use super::motion_sample::MAX_GAP_S;
 use super::{MotionLog, MotionSample};
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, SUBSTEPS, State, runge_kutta_4};
@@ -25,22 +26,39 @@ pub struct AngleError {
     pub alpha_rad: f64,
 }
 
-/// The error of a simulated motion that diverges: a state is no longer finite.
+/// The reason why a log cannot be simulated in open loop. Times count from the log's first sample.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
-#[error(
-    "the simulated motion diverges after {time_s} s: use voltages in V and velocities in rad/s"
-)]
-pub struct Diverged {
-    /// Time of the first sample with a state that is not finite, s from the first sample.
-    pub time_s: f64,
+pub enum OpenLoopError {
+    /// Two samples are more than 1 s apart.
+    #[error(
+        "there is no sample for {gap_s:.1} s after {time_s:.2} s: nobody knows the voltage in so long a gap, so this motion \
+         cannot be simulated"
+    )]
+    Gap {
+        /// Time of the last sample before the gap, s.
+        time_s: f64,
+        /// Length of the gap, s.
+        gap_s: f64,
+    },
+    /// A simulated state is no longer finite.
+    #[error(
+        "the simulated motion diverges after {time_s} s: use voltages in V and velocities in rad/s"
+    )]
+    Diverged {
+        /// Time of the first sample with a state that is not finite, s.
+        time_s: f64,
+    },
 }
 
 /// Simulates a log's voltages from the log's first state in open loop: no later measurement
 /// corrects the simulation, so every error of the model accumulates.
 ///
 /// # Errors
-/// The motion diverges.
-pub fn simulate_from_first_state(log: &MotionLog, model: &QubeModel) -> Result<OpenLoop, Diverged> {
+/// The log has a long gap, or the motion diverges.
+pub fn simulate_from_first_state(
+    log: &MotionLog,
+    model: &QubeModel,
+) -> Result<OpenLoop, OpenLoopError> {
     let start = log.samples.first().map_or_else(State::default, |first| first.state);
     simulate_from(log, model, start)
 }
@@ -48,20 +66,25 @@ pub fn simulate_from_first_state(log: &MotionLog, model: &QubeModel) -> Result<O
 /// Simulates a log's voltages in open loop from a given start state.
 ///
 /// # Errors
-/// The motion diverges.
+/// The log has a long gap, or the motion diverges.
 pub fn simulate_from(
     log: &MotionLog,
     model: &QubeModel,
     start: State,
-) -> Result<OpenLoop, Diverged> {
+) -> Result<OpenLoop, OpenLoopError> {
+    let start_s = log.samples.first().map_or(0.0, |sample| sample.time_s);
+    let mut steps =
+        log.samples.windows(2).map(|pair| (pair[0].time_s, pair[1].time_s - pair[0].time_s));
+    if let Some((time_s, gap_s)) = steps.find(|(_, step_s)| *step_s > MAX_GAP_S) {
+        return Err(OpenLoopError::Gap { time_s: time_s - start_s, gap_s });
+    }
     let mut simulated = Vec::with_capacity(log.samples.len());
     simulate_stretch(&log.samples, 0..log.samples.len(), model, start, |state| {
         simulated.push(state);
     });
-    let start_s = log.samples.first().map_or(0.0, |sample| sample.time_s);
     let pairs = || log.samples.iter().zip(&simulated);
     if let Some((sample, _)) = pairs().find(|(_, state)| !state.is_finite()) {
-        return Err(Diverged { time_s: sample.time_s - start_s });
+        return Err(OpenLoopError::Diverged { time_s: sample.time_s - start_s });
     }
     let error = |angle: fn(&State) -> f64| {
         let squares: f64 =
@@ -253,7 +276,25 @@ mod tests {
         let sample = |time_s| MotionSample { time_s, state, voltage_v: 1e300 };
         let samples = vec![sample(0.0), sample(0.5)];
         let log = MotionLog { samples, plant: PlantModel::QUBE };
-        assert!(simulate_from_first_state(&log, &QubeModel::NOMINAL).is_err());
+        let told = simulate_from_first_state(&log, &QubeModel::NOMINAL).unwrap_err();
+        assert_eq!(told, OpenLoopError::Diverged { time_s: 0.5 });
+    }
+
+    #[test]
+    fn a_motion_with_a_long_gap_is_not_simulated_through_it() {
+        for (gap_s, is_simulated) in [(0.9, true), (1.2, false), (3.0 * 86_400.0, false)] {
+            let mut log = made_by(&DomainParameters::NOMINAL);
+            for sample in &mut log.samples[200..] {
+                sample.time_s += gap_s;
+            }
+            let simulated = simulate_from_first_state(&log, &QubeModel::NOMINAL);
+            assert_eq!(simulated.is_ok(), is_simulated, "{gap_s} s");
+            if let Err(why) = simulated {
+                let before_s = log.samples[199].time_s - log.samples[0].time_s;
+                let words = format!("after {before_s:.2} s: nobody knows the voltage");
+                assert!(why.to_string().contains(&words), "{why}");
+            }
+        }
     }
 
     #[test]

@@ -214,6 +214,23 @@ fn settings_of_a_qube_that_are_missing_or_wrong_are_refused() {
 }
 
 #[test]
+fn a_power_test_whose_result_could_not_be_kept_is_refused_before_the_arm_moves() {
+    let directory = tempfile::tempdir().unwrap();
+    let qube = EmulatedQube::spawn(EmulatorSettings::default()).unwrap();
+    // Nobody can write a file into a removed folder, not even root.
+    let script = "mkdir gone && cd gone && rmdir ../gone && exec \"$@\"";
+    let program = env!("CARGO_BIN_EXE_qube-hil");
+    let output = Command::new("sh")
+        .current_dir(directory.path())
+        .args(["-c", script, "sh", program, "check", "--power-test", "--device", port(&qube)])
+        .output()
+        .unwrap();
+    let told = stderr(&output);
+    assert!(!output.status.success() && output.stdout.is_empty(), "{told}");
+    assert!(told.contains("No such file") && !told.contains("checking the Qube"), "{told}");
+}
+
+#[test]
 fn the_doctor_looks_at_the_computer_and_at_a_port() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();

@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use qube_hil::policy::Policy;
+use qube_hil::recording::RolloutWriter;
 use qube_hil::replay::rerun;
 use qube_hil::safety::{Guard, Limit};
+use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Ending, Phase};
 use serde_json::Value;
 
@@ -172,6 +174,24 @@ fn a_changed_byte_is_bad_input_and_a_cut_off_file_is_lost_data() {
     let output = qube_hil(&["recover", path.to_str().unwrap()]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(files_of(folder.path()) == before, "a whole file is left alone");
+}
+
+#[test]
+fn a_recording_with_a_long_gap_is_not_simulated_and_its_missing_ticks_are_told_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = qube_hil::recording::read(&recorded(folder.path())).unwrap();
+    let path = folder.path().join("gap.mcap");
+    let mut writer =
+        RolloutWriter::create(&MachineDisk, &path, whole.header, &whole.policy).unwrap();
+    for tick in whole.ticks.iter().filter(|tick| !(400..550).contains(&tick.tick)) {
+        writer.write(tick).unwrap();
+    }
+    writer.finish(&whole.outcome.unwrap()).unwrap();
+    let output = qube_hil(&["replay", "--simulate", path.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    for words in ["ticks are missing", "no sample for 1.5 s", "cannot be simulated"] {
+        assert!(stderr(&output).contains(words), "{words:?} is missing in: {}", stderr(&output));
+    }
 }
 
 #[test]

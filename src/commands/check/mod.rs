@@ -81,6 +81,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         }
         None => None,
     };
+    let tested_path = arguments.write.clone().or(device.path.clone());
+    let tested_path = tested_path.unwrap_or_else(|| QUBE_FILE.into());
+    if arguments.power_test {
+        OutputFile::of_option("--power-test", &tested_path, true)?;
+    }
     let stop = Stop::on_signals()?;
     let settings = device.rig_settings(
         EmulatorSettings { model: device.plant.nominal(), ..EmulatorSettings::default() },
@@ -151,17 +156,15 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         let note = if arguments.write.is_some() { ", so nothing was written" } else { "" };
         Err(Failure::failed(format!("failed: {}{note}", failed_names(results))))
     } else {
-        let path = written.map(Path::to_owned).or(device.path.clone());
-        let path = path.unwrap_or_else(|| QUBE_FILE.into());
-        let is_offered = written.is_some() && wants_power_test(&path);
+        let is_offered = written.is_some() && wants_power_test(&tested_path);
         if arguments.power_test || is_offered {
             let file = QubeFile {
                 port: Some(stable_port_name(&rig.identity().port)),
                 board: Some(rig.identity().serial.clone()),
                 signs: examination.signs.into(),
-                ..base_file(&path, &device)?.of_board(&rig.identity().serial)
+                ..base_file(&tested_path, &device)?.of_board(&rig.identity().serial)
             };
-            let tested = power_test::run(rig, &settings, &path, file, &stop);
+            let tested = power_test::run(rig, &settings, &tested_path, file, &stop);
             value["power_test"] = match &tested {
                 Ok(tested) => tested.value.clone(),
                 Err(failure) => json!({ "ended_by": failure.ended_by() }),

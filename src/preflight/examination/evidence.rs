@@ -6,8 +6,8 @@ use crate::control::{AT_REST_COUNTS, ArmResponse, ProbeTrace, WEAK_A_V};
 /// Largest range of the count of a dead encoder, which may flicker, counts.
 const DEAD_COUNTS: f64 = 2.0;
 
-/// Deviation of the pendulum from its free swing that proves a motion of the arm, counts. The
-/// rounding of counts alone gives 0.3.
+/// Deviation of the pendulum from its free swing that proves a motion of the arm, counts of a Qube,
+/// or of a coarser encoder. The rounding of counts alone gives 0.3.
 const DRIVEN_COUNTS: f64 = 2.0;
 
 /// Least lag of a working pendulum encoder (the factor k of [`swing_fit`](super::swing_fit)). A
@@ -97,7 +97,8 @@ impl Evidence {
         };
         let arm_counts = width_counts(|sample| sample.theta_rad);
         let swing = fit(samples, AT_REST_COUNTS, trace.encoders());
-        let is_driven = swing.driven_counts >= DRIVEN_COUNTS;
+        let finer = trace.encoders().alpha.counts_per_qube_count().max(1.0);
+        let is_driven = swing.driven_counts >= DRIVEN_COUNTS * finer;
         let push_v = trace.push_v().abs();
         if push_v >= self.strongest_v {
             (self.strongest_v, self.current_a) = (push_v, trace.current_a());

@@ -130,14 +130,14 @@ fn look_at_everything(
     found.start_theta_counts = round_trips.theta_counts;
     found.results.push(link::latency_timer(&identity.port, &round_trips));
     found.results.push(link::latency(&identity.port, &round_trips));
-    let (watchdog, expired_ms) = watchdog::check(device, clock, &identity.port)?;
+    let (watchdog, expired_ms) = watchdog::check(device, clock, stop, &identity.port)?;
     let may_move = !watchdog.failed();
     found.results.push(watchdog);
     if !may_move {
         motion::skip(found, "needs a working watchdog");
         return Ok(());
     }
-    let rest = rest::wait(device, clock, stop, &identity.port, settings.plant.encoders.alpha)?;
+    let rest = rest::wait(device, clock, stop, &identity.port, settings.plant.encoders)?;
     let may_move = !rest.failed();
     found.results.push(rest);
     if !may_move {
@@ -145,7 +145,8 @@ fn look_at_everything(
         return Ok(());
     }
     if !device.has_device_clock() {
-        let motor = silent_push::check(device, clock, stop, &identity.port)?;
+        let motor =
+            silent_push::check(device, clock, stop, &identity.port, settings.plant.encoders.theta)?;
         let may_move = !motor.failed();
         found.results.push(motor);
         if !may_move {
@@ -215,6 +216,97 @@ pub fn homing_left_out() -> CheckResult {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::clock::{Nanoseconds, VirtualClock};
+    use crate::device::emulator::EmulatorSettings;
+    use crate::device::{LinkFault, SerialLink};
+    use crate::qube::{Encoder, Encoders, Measurement, State};
+
+    /// An emulated board whose first act requests a stop, and whose samples are lost from then on
+    /// until the next hello.
+    struct StoppedByItsFirstAct<'a> {
+        board: Box<dyn Device>,
+        clock: VirtualClock,
+        stop: &'a AtomicBool,
+        stopped_ns: Option<Nanoseconds>,
+        greeted_ns: Nanoseconds,
+    }
+
+    impl Device for StoppedByItsFirstAct<'_> {
+        fn hello(&mut self) -> Result<Identity, DeviceError> {
+            self.greeted_ns = self.clock.now_ns();
+            self.board.hello()
+        }
+
+        fn arm(&mut self) -> Result<(), DeviceError> {
+            self.board.arm()
+        }
+
+        fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+            if self.stopped_ns.is_some_and(|stopped_ns| self.greeted_ns < stopped_ns) {
+                self.clock.sleep_until(deadline_ns);
+                return Err(LinkFault::Timeout);
+            }
+            self.board.sample(deadline_ns)
+        }
+
+        fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+            self.stop.store(true, Ordering::Relaxed);
+            self.stopped_ns.get_or_insert(self.clock.now_ns());
+            self.board.act(voltage_mv, sampled_at_us)
+        }
+
+        fn disarm(&mut self) -> Result<(), DeviceError> {
+            self.board.disarm()
+        }
+    }
+
+    #[test]
+    fn a_stop_while_the_watchdog_is_tested_ends_the_examination_with_the_motor_off() {
+        let clock = VirtualClock::default();
+        let board = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
+        let stop = AtomicBool::new(false);
+        let mut device = StoppedByItsFirstAct {
+            board: Box::new(board),
+            clock: clock.clone(),
+            stop: &stop,
+            stopped_ns: None,
+            greeted_ns: 0,
+        };
+        let settings = ExaminationSettings {
+            signs: Calibration::IDENTITY,
+            learn_signs: false,
+            identity: device.hello().unwrap(),
+            plant: PlantModel::QUBE,
+        };
+        let heat = &mut MotorHeat::default();
+        let found = examine(&mut device, &clock, heat, &stop, &settings).unwrap();
+        assert_eq!(found, None);
+        let late_ns = device.greeted_ns - device.stopped_ns.unwrap();
+        assert!(late_ns < 40_000_000, "{late_ns} ns");
+        assert!(!device.sample(clock.now_ns() + 20_000_000).unwrap().status.armed);
+    }
+
+    #[test]
+    fn a_qube_with_finer_encoders_and_a_pendulum_that_hardly_swings_passes() {
+        for counts in [4096, 1 << 16, 1 << 20] {
+            let encoder = Encoder::try_from(counts).unwrap();
+            let encoders = Encoders { theta: encoder, alpha: encoder };
+            let plant = PlantModel { encoders, ..PlantModel::QUBE };
+            let start = Some(State { alpha: 0.005, ..State::default() });
+            let emulated = EmulatorSettings { start, ..EmulatorSettings::default() };
+            let clock = VirtualClock::default();
+            let mut board = SerialLink::in_process(emulated.of_plant(&plant), clock.clone());
+            let settings = ExaminationSettings {
+                signs: Calibration { encoders, ..Calibration::IDENTITY },
+                learn_signs: false,
+                identity: board.hello().unwrap(),
+                plant,
+            };
+            let (heat, stop) = (&mut MotorHeat::default(), AtomicBool::new(false));
+            let found = examine(&mut board, &clock, heat, &stop, &settings).unwrap().unwrap();
+            assert!(found.passed(), "{counts} counts: {:#?}", found.results);
+        }
+    }
 
     #[test]
     fn no_fault_of_homing_is_answered_with_homing_by_hand() {

@@ -114,7 +114,7 @@ fn probe(
     signs: Calibration,
     settings: &ExaminationSettings,
 ) -> Result<Probed, Interruption> {
-    let port = &settings.identity.port;
+    let (port, encoder) = (&settings.identity.port, settings.plant.encoders.theta);
     let mut evidence = Evidence::default();
     for step in 1..=STEPS {
         for direction in [1.0, -1.0] {
@@ -131,7 +131,7 @@ fn probe(
                         if fault.may_be_repeated() && disturbed < MAX_REPETITIONS =>
                     {
                         disturbed += 1;
-                        rest::wait_for_the_arm(device, clock, stop, port)?;
+                        rest::wait_for_the_arm(device, clock, stop, port, encoder)?;
                         continue;
                     }
                     Ending::Fault(fault) => return Ok(Probed::Ended(fault)),
@@ -143,7 +143,7 @@ fn probe(
                     return Ok(Probed::Evidence(evidence));
                 }
                 if progress != PushEffect::NothingMoved {
-                    rest::wait_for_the_arm(device, clock, stop, port)?;
+                    rest::wait_for_the_arm(device, clock, stop, port, encoder)?;
                 }
                 // A defect must show twice before it counts, so the same push follows again.
                 pushes += 1;

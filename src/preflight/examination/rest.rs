@@ -4,7 +4,7 @@ use super::link::gone;
 use super::{Interruption, ensure_going};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, LinkFault};
-use crate::qube::{CONTROL_PERIOD_NS, Encoder};
+use crate::qube::{CONTROL_PERIOD_NS, Encoder, Encoders};
 use crate::telemetry::CheckResult;
 
 const NAME: &str = "rest";
@@ -13,23 +13,28 @@ const NAME: &str = "rest";
 /// pendulum (0.59 s on an arm at rest).
 const WINDOW_SAMPLES: u32 = 60;
 
-/// Largest motion of the arm, and of the pendulum, in a window at rest, counts: small compared with
-/// the effect of a push.
+/// Largest motion of the arm, and of the pendulum, in a window at rest, counts of a Qube: small
+/// compared with the effect of a push.
 const ARM_COUNTS: u32 = 8;
 const PENDULUM_COUNTS: u32 = 6;
 
 /// Largest swing of a pendulum that is accepted after [`PATIENCE_NS`] although it does not come to
-/// rest, counts. On an arm that friction holds, a pendulum with hardly any friction swings for very
-/// long; the effect of a push can still be told from so small a swing.
+/// rest, counts of a Qube. On an arm that friction holds, a pendulum with hardly any friction swings
+/// for very long; the effect of a push can still be told from so small a swing.
 const SWINGING_COUNTS: u32 = 30;
 /// Time after which a small swing of the pendulum is accepted, ns: 5 s.
 const PATIENCE_NS: Nanoseconds = 5_000_000_000;
 
-/// Largest motion of an arm at rest, in a window between two pushes, counts.
+/// Largest motion of an arm at rest, in a window between two pushes, counts of a Qube.
 const STILL_ARM_COUNTS: u32 = 3;
 
 /// Longest wait, ns: 20 s. A pendulum that was touched needs up to 10 s with the motor off.
 const LONGEST_NS: Nanoseconds = 20_000_000_000;
+
+/// Converts counts of a Qube to counts of `encoder` for the same angle, rounded up.
+fn of_qube(counts: u32, encoder: Encoder) -> u32 {
+    (f64::from(counts) * encoder.counts_per_qube_count()).ceil() as u32
+}
 
 /// The range of an encoder's count within a window.
 #[derive(Clone, Copy)]
@@ -61,7 +66,9 @@ pub(super) fn wait_for_the_arm(
     clock: &dyn Clock,
     stop: &AtomicBool,
     port: &str,
+    encoder: Encoder,
 ) -> Result<(), Interruption> {
+    let still_counts = of_qube(STILL_ARM_COUNTS, encoder);
     let end_ns = clock.now_ns() + LONGEST_NS;
     let mut deadline_ns = clock.now_ns();
     let mut span: Option<Span> = None;
@@ -80,7 +87,7 @@ pub(super) fn wait_for_the_arm(
             Err(_) => {}
         }
         if let Some(arm) = span.filter(|_| samples >= WINDOW_SAMPLES) {
-            if arm.width() <= STILL_ARM_COUNTS {
+            if arm.width() <= still_counts {
                 return Ok(());
             }
             (span, samples) = (None, 0);
@@ -96,8 +103,11 @@ pub(super) fn wait(
     clock: &dyn Clock,
     stop: &AtomicBool,
     port: &str,
-    encoder: Encoder,
+    encoders: Encoders,
 ) -> Result<CheckResult, Interruption> {
+    let arm_counts = of_qube(ARM_COUNTS, encoders.theta);
+    let [pendulum_counts, swinging_counts] =
+        [PENDULUM_COUNTS, SWINGING_COUNTS].map(|counts| of_qube(counts, encoders.alpha));
     let start_ns = clock.now_ns();
     let mut deadline_ns = start_ns;
     let mut spans: Option<(Span, Span)> = None;
@@ -120,16 +130,16 @@ pub(super) fn wait(
         let waited_ns = clock.now_ns() - start_ns;
         if let Some((arm, pendulum)) = spans.filter(|_| samples >= WINDOW_SAMPLES) {
             let waited_s = waited_ns as f64 * 1e-9;
-            if arm.width() <= ARM_COUNTS && pendulum.width() <= PENDULUM_COUNTS {
+            if arm.width() <= arm_counts && pendulum.width() <= pendulum_counts {
                 return Ok(CheckResult::pass(NAME, format!("hangs still after {waited_s:.1} s")));
             }
-            let is_little = pendulum.width() <= SWINGING_COUNTS;
-            if arm.width() <= ARM_COUNTS && is_little && waited_ns >= PATIENCE_NS {
+            let is_little = pendulum.width() <= swinging_counts;
+            if arm.width() <= arm_counts && is_little && waited_ns >= PATIENCE_NS {
                 let value =
                     format!("the arm rests, the pendulum swings a little after {waited_s:.1} s");
                 return Ok(CheckResult::pass(NAME, value));
             }
-            width_rad = Some(f64::from(pendulum.width()) * encoder.rad_per_count());
+            width_rad = Some(f64::from(pendulum.width()) * encoders.alpha.rad_per_count());
             (spans, samples) = (None, 0);
         }
         if waited_ns > LONGEST_NS {
@@ -141,6 +151,34 @@ pub(super) fn wait(
             };
             let remedy = "hold the pendulum until it hangs still, then check again";
             return Ok(CheckResult::fail(NAME, value, remedy));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::VirtualClock;
+    use crate::device::SerialLink;
+    use crate::device::emulator::EmulatorSettings;
+    use crate::qube::State;
+
+    #[test]
+    fn rest_is_the_same_swing_for_every_encoder() {
+        for counts in [256, 2048, 1 << 18] {
+            let encoder = Encoder::try_from(counts).unwrap();
+            let encoders = Encoders { theta: encoder, alpha: encoder };
+            for (alpha, hangs_still) in [(0.005, true), (0.06, false)] {
+                let clock = VirtualClock::default();
+                let start = Some(State { alpha, ..State::default() });
+                let settings = EmulatorSettings { start, encoders, ..EmulatorSettings::default() };
+                let mut board = SerialLink::in_process(settings, clock.clone());
+                board.hello().unwrap();
+                let stop = AtomicBool::new(false);
+                let result = wait(&mut board, &clock, &stop, "here", encoders).unwrap();
+                let at_once = result.value == "hangs still after 0.6 s";
+                assert_eq!(at_once, hangs_still, "{counts} counts, {alpha} rad: {result:?}");
+            }
         }
     }
 }

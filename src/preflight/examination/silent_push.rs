@@ -12,7 +12,7 @@ use std::sync::atomic::AtomicBool;
 use super::{Interruption, ensure_going, rest};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, DeviceError, LinkFault};
-use crate::qube::CONTROL_PERIOD_NS;
+use crate::qube::{CONTROL_PERIOD_NS, Encoder};
 use crate::safety::clamp_to_mv;
 use crate::telemetry::CheckResult;
 
@@ -62,12 +62,13 @@ pub(super) fn check(
     clock: &dyn Clock,
     stop: &AtomicBool,
     port: &str,
+    encoder: Encoder,
 ) -> Result<CheckResult, Interruption> {
     for step in 1..=STEPS {
         let push_v = STEP_V * f64::from(step);
         let mut pushed = [0; 2];
         for (counts, direction) in pushed.iter_mut().zip([1.0, -1.0]) {
-            *counts = repeated(device, clock, stop, port, |device| {
+            *counts = repeated(device, clock, stop, port, encoder, |device| {
                 supervised(device, clock, direction * push_v)
             })?;
         }
@@ -76,7 +77,7 @@ pub(super) fn check(
         }
         let mut silent = [0; 2];
         for (counts, direction) in silent.iter_mut().zip([1.0, -1.0]) {
-            *counts = repeated(device, clock, stop, port, |device| {
+            *counts = repeated(device, clock, stop, port, encoder, |device| {
                 unsupervised(device, clock, direction * push_v)
             })?;
         }
@@ -112,6 +113,7 @@ fn repeated(
     clock: &dyn Clock,
     stop: &AtomicBool,
     port: &str,
+    encoder: Encoder,
     push: impl Fn(&mut dyn Device) -> Result<Option<i32>, LinkFault>,
 ) -> Result<u32, Interruption> {
     for _ in 0..MAX_ATTEMPTS {
@@ -124,7 +126,7 @@ fn repeated(
         device.hello()?;
         let Ok(from) = from else { return Err(super::link::gone(port)) };
         let to = sampled(device, clock);
-        rest::wait_for_the_arm(device, clock, stop, port)?;
+        rest::wait_for_the_arm(device, clock, stop, port, encoder)?;
         if let (Some(from), Some(to)) = (from, to) {
             return Ok(to.wrapping_sub(from).unsigned_abs());
         }
@@ -202,7 +204,7 @@ mod tests {
         let clock = VirtualClock::default();
         let mut board = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
         let stop = AtomicBool::new(false);
-        let result = check(&mut board, &clock, &stop, "here").unwrap();
+        let result = check(&mut board, &clock, &stop, "here", Encoder::QUBE).unwrap();
         assert!(!result.failed(), "{result:?}");
         assert!(result.value.starts_with("the motor goes off"), "{result:?}");
     }

@@ -1,6 +1,9 @@
+use std::sync::atomic::AtomicBool;
+
 use firmware_protocol::{RefusalReason, WATCHDOG_MS, WATCHDOG_POLL_MS};
 
-use super::Interruption;
+use super::link::gone;
+use super::{Interruption, ensure_going};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, DeviceError, LinkFault};
 use crate::qube::Measurement;
@@ -48,9 +51,11 @@ const SAMPLE_AGE_US: u64 = 5_000;
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
+    stop: &AtomicBool,
     port: &str,
 ) -> Result<(CheckResult, Option<f64>), Interruption> {
     for _ in 0..ATTEMPTS {
+        ensure_going(stop)?;
         device.hello()?;
         match device.arm() {
             Ok(()) => {}
@@ -65,13 +70,8 @@ pub(super) fn check(
             }
             Err(error) => return Err(error.into()),
         }
-        let tried = try_once(device, clock);
-        match tried {
-            Ok(None) => {}
-            Ok(Some(result)) => return Ok(result),
-            Err(fault) => {
-                return Err(DeviceError::Link { port: port.to_owned(), fault }.into());
-            }
+        if let Some(result) = try_once(device, clock, stop, port)? {
+            return Ok(result);
         }
     }
     let result = CheckResult::fail(
@@ -87,19 +87,21 @@ pub(super) fn check(
 fn try_once(
     device: &mut dyn Device,
     clock: &dyn Clock,
-) -> Result<Option<(CheckResult, Option<f64>)>, LinkFault> {
+    stop: &AtomicBool,
+    port: &str,
+) -> Result<Option<(CheckResult, Option<f64>)>, Interruption> {
     let is_board = device.has_device_clock();
     let (latest_us, remedy) =
         if is_board { (LATEST_US, REMEDY) } else { (LIBRARY_LATEST_US, LIBRARY_REMEDY) };
     let failed = |value: String| Ok(Some((CheckResult::fail(NAME, value, remedy), None)));
-    let Some(before) = sampled(device, clock)? else { return Ok(None) };
+    let Some(before) = sampled(device, clock, port)? else { return Ok(None) };
     let voltage_mv = clamp_to_mv(VOLTAGE_V, VOLTAGE_V).unwrap_or(0);
     match device.act(voltage_mv, before.device_time_us) {
         Ok(()) => {}
-        Err(LinkFault::Gone) => return Err(LinkFault::Gone),
+        Err(LinkFault::Gone) => return Err(gone(port)),
         Err(_) => return Ok(None),
     }
-    let Some(on) = sampled(device, clock)? else { return Ok(None) };
+    let Some(on) = sampled(device, clock, port)? else { return Ok(None) };
     let Some(sample_to_act_us) = on.sample_to_act_us.filter(|_| on.status.armed) else {
         return Ok(None);
     };
@@ -111,8 +113,9 @@ fn try_once(
     let acted_us = before.device_time_us + u64::from(sample_to_act_us);
     let end_ns = clock.now_ns() + LONGEST_NS;
     while clock.now_ns() < end_ns {
+        ensure_going(stop)?;
         clock.sleep_until(clock.now_ns() + PAUSE_NS);
-        let Some(later) = sampled(device, clock)? else { continue };
+        let Some(later) = sampled(device, clock, port)? else { continue };
         let elapsed_us = later.device_time_us.saturating_sub(acted_us);
         let is_off = !later.status.armed && later.applied_mv == 0;
         let ms = elapsed_us as f64 * 1e-3;
@@ -137,10 +140,14 @@ fn try_once(
 }
 
 /// Requests a sample; `Ok(None)` if it was lost.
-fn sampled(device: &mut dyn Device, clock: &dyn Clock) -> Result<Option<Measurement>, LinkFault> {
+fn sampled(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    port: &str,
+) -> Result<Option<Measurement>, Interruption> {
     match device.sample(clock.now_ns() + PATIENCE_NS) {
         Ok(sample) => Ok(Some(sample)),
-        Err(LinkFault::Gone) => Err(LinkFault::Gone),
+        Err(LinkFault::Gone) => Err(gone(port)),
         Err(_) => Ok(None),
     }
 }
