@@ -26,7 +26,8 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     if !error.use_stderr() {
         return Err(print_help(&error));
     }
-    let better = value_with_a_dash(&error, &arguments).or_else(|| not_a_whole_number(&error));
+    let better =
+        value_with_a_dash(&error, &arguments).or_else(|| not_a_whole_number(&error, &arguments));
     let error = match better {
         Some(message) => command.error(ErrorKind::InvalidValue, message),
         None => error,
@@ -96,13 +97,27 @@ fn value_with_a_dash(error: &clap::Error, arguments: &[OsString]) -> Option<Stri
 
 /// The explanation for a value that is not digits where a whole number is expected; `None` for
 /// other errors.
-fn not_a_whole_number(error: &clap::Error) -> Option<String> {
+fn not_a_whole_number(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
     let cause: &ParseIntError = error.source()?.downcast_ref()?;
     let option = error.get(ContextKind::InvalidArg)?;
-    let value = error.get(ContextKind::InvalidValue)?;
-    (*cause.kind() == IntErrorKind::InvalidDigit).then(|| {
-        format!("invalid value '{value}' for '{option}': give a whole number that is not below 0")
-    })
+    let ContextValue::String(value) = error.get(ContextKind::InvalidValue)? else { return None };
+    if *cause.kind() != IntErrorKind::InvalidDigit {
+        return None;
+    }
+    // A parser does not tell its range, so the command line is tried with 0 in place of the value.
+    let with_0 = arguments.iter().map(|argument| {
+        let text = argument.to_string_lossy();
+        match text.strip_suffix(value.as_str()) {
+            Some(option) if option.is_empty() || option.ends_with('=') => format!("{option}0"),
+            _ => text.into_owned(),
+        }
+    });
+    let is_refused = command().try_get_matches_from(with_0).is_err_and(|error| {
+        error.kind() == ErrorKind::ValueValidation
+            && error.get(ContextKind::InvalidArg) == Some(option)
+    });
+    let bound = if is_refused { "above 0" } else { "that is not below 0" };
+    Some(format!("invalid value '{value}' for '{option}': give a whole number {bound}"))
 }
 
 #[cfg(test)]

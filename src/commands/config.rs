@@ -46,7 +46,8 @@ enum Action {
 
 const HEAD: &str = "\
 # The settings of a session, each with its meaning, unit and accepted values. Keep only the lines that you change:
-# what a file does not name comes from the preset. But without the table [identification] the default method is
+# what a file does not name comes from the preset. But a list such as [[psi]] replaces the preset's list, [profile] has
+# to be whole, because it describes one identified Qube, and without the table [identification] the default method is
 # bayrn, a search that does not identify the Qube. Lines with # and no space are absent by default, with an example.
 # A plant other than the Qube is described in a file of its own (--plant).";
 

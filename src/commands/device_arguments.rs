@@ -5,6 +5,7 @@ use clap::ValueEnum;
 
 use super::command_hints::{before_driving, too_wide};
 use super::exit::Failure;
+use super::failures;
 use super::number_arguments::between;
 use super::plant_file::PlantArgument;
 use super::printable::print_message;
@@ -16,7 +17,9 @@ use crate::device::{Device, HilLink, Tty};
 use crate::estimation::EstimatorSettings;
 use crate::jobs::starter::quoted;
 use crate::qube::{MotorRating, PlantModel, Profile};
-use crate::rig::{ClockChoice, DeviceChoice, DoubtStore, LINK_PATIENCE_S, Recovery, RigSettings};
+use crate::rig::{
+    ClockChoice, DeviceChoice, DoubtStore, LINK_PATIENCE_S, Recovery, RigError, RigSettings,
+};
 use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
 use crate::session::{QUBE_FILE, QubeFile, file_checksum};
 
@@ -179,7 +182,13 @@ impl QubeArguments {
             ClockArgument::Wall => ClockChoice::Wall,
             ClockArgument::Virtual => ClockChoice::Virtual,
         };
-        Ok(ChosenDevice { clock, ..self.choose(&timed.plant)? })
+        let chosen = ChosenDevice { clock, ..self.selected(&timed.plant)? };
+        // The rig refuses this too, but only after a command has said what it is going to do.
+        if let (ClockChoice::Virtual, Some(port)) = (clock, chosen.choice.name()) {
+            return Err(failures::virtual_port(&RigError::VirtualPort { port }));
+        }
+        chosen.announce();
+        Ok(chosen)
     }
 
     /// Reads the file with the Qube's properties, if there is one, and selects the Qube, or the
@@ -188,6 +197,12 @@ impl QubeArguments {
     /// The file `qube.toml` in the working directory counts only if `--device` names a real Qube:
     /// without `--device` and `--qube` nothing but the emulated Qube moves, even if that file exists.
     pub fn choose(&self, driven: &DrivenPlantArguments) -> Result<ChosenDevice, Failure> {
+        let chosen = self.selected(driven)?;
+        chosen.announce();
+        Ok(chosen)
+    }
+
+    fn selected(&self, driven: &DrivenPlantArguments) -> Result<ChosenDevice, Failure> {
         let given = driven.plant.given()?;
         let chosen = ChosenDevice {
             plant_is_given: given.is_some(),
@@ -206,9 +221,6 @@ impl QubeArguments {
             (None, Some(_)) => Some(Path::new(QUBE_FILE)).filter(|path| path.exists()),
         };
         let file = path.map(QubeFile::load).transpose().map_err(Failure::usage)?;
-        if let Some(path) = path {
-            print_message(&format!("this Qube's settings are those in {}", path.display()));
-        }
         let port_of_file = file.as_ref().and_then(|file| file.port.clone());
         let choice = match (self.device.as_deref(), path) {
             (Some(EMULATED), _) | (None, None) => DeviceChoice::Emulated,
@@ -248,6 +260,28 @@ impl QubeArguments {
 }
 
 impl ChosenDevice {
+    /// Says which file describes the Qube, and whether that file replaces homing at the stops.
+    fn announce(&self) {
+        let Some(path) = &self.path else { return };
+        print_message(&format!("this Qube's settings are those in {}", path.display()));
+        if let Some(notice) = self.homing_notice() {
+            print_message(&format!("note: {notice}"));
+        }
+    }
+
+    /// The notice that a real Qube does not look for its stops, because its file says so; `None` for
+    /// every other Qube, and where the arguments name the method.
+    fn homing_notice(&self) -> Option<String> {
+        let method = self.file.as_ref().map(|file| file.homing.method)?;
+        let is_silent = self.home.is_none() && self.choice.is_hardware();
+        (is_silent && method == HomingMethod::Hand).then_some(
+            "the Qube's file says homing.method = \"hand\" (\"here\" in early files): the arm does not look \
+             for its stops, and its place at the start counts as the middle. Put it there before, or give \
+             --home stops"
+                .to_owned(),
+        )
+    }
+
     /// Homing settings: those of the Qube's file with the estimator of `default`, or else `default`;
     /// a method that the arguments name replaces theirs.
     pub fn homing(&self, default: HomingSettings) -> HomingSettings {
@@ -323,6 +357,14 @@ impl ChosenDevice {
         limits
             .admit_plant(plant)
             .map_err(|error| Failure::usage(format!("--plant: {}", too_wide(&error))))
+    }
+
+    /// Checks that a serial port exists, before a command says what it is going to do with it.
+    pub fn check_port_exists(&self) -> Result<(), Failure> {
+        match &self.choice {
+            DeviceChoice::Port(port) if !Path::new(port).exists() => self.check_port(),
+            _ => Ok(()),
+        }
     }
 
     /// Checks that a port can be opened, or that a card answers, before a command trains. Nothing moves. Any other
@@ -480,5 +522,25 @@ mod tests {
         assert_eq!(by_hand.home_option(), " --home hand");
         assert_eq!(chosen(Some(&path), None).home_option(), "");
         assert_eq!(chosen(None, Some(HomeArgument::Hand)).home_option(), "");
+    }
+
+    #[test]
+    fn a_file_that_replaces_homing_at_the_stops_of_a_real_qube_is_told() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("qube.toml");
+        let notice = |method: &str, device: &str, home| {
+            std::fs::write(&path, format!("[homing]\nmethod = {method:?}\n")).unwrap();
+            let treatment = TreatmentArguments { home, unidentified: false };
+            let one = QubeArguments::of_one(Some(device.into()), Some(path.clone()), treatment);
+            one.choose_specimen(&PlantModel::QUBE).unwrap().homing_notice()
+        };
+        // The method had the name `here` in files of earlier versions.
+        for method in ["hand", "here"] {
+            let told = notice(method, "/dev/ttyACM0", None).unwrap();
+            assert!(told.contains("counts as the middle"), "{told}");
+            assert_eq!(notice(method, EMULATED, None), None);
+            assert_eq!(notice(method, "/dev/ttyACM0", Some(HomeArgument::Hand)), None);
+        }
+        assert_eq!(notice("stops", "/dev/ttyACM0", None), None);
     }
 }

@@ -22,7 +22,8 @@ use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Usb
     qube-hil emulate --profile lab --gap 1.5 # 1.5 times as far from the nominal Qube as a real one\n  \
     qube-hil emulate --fault silent@10       # stops answering after 10 s")]
 pub struct Arguments {
-    /// Path of a symbolic link to the pty, for a name that is known in advance
+    /// Path of a symbolic link to the pty, for a name that is known in advance; a file or link that exists is refused,
+    /// unless a killed `emulate` left it
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
 

@@ -164,6 +164,10 @@ impl EmulatedArguments {
         mut settings: EmulatedQubeSettings,
         plant: &PlantModel,
     ) -> Result<EmulatedQubeSettings, Failure> {
+        let scaled: Vec<&str> = self.scale.iter().map(|(it, _)| it.symbol()).collect();
+        named_once("--scale", &scaled)?;
+        let effects: Vec<&str> = self.effect.iter().map(|(name, _)| name.as_str()).collect();
+        named_once("--effect", &effects)?;
         let model = &mut settings.model;
         if let Some(name) = &self.profile {
             *model = profile::named(name, plant)?;
@@ -202,6 +206,17 @@ impl EmulatedArguments {
             }
         }
         Ok(settings)
+    }
+}
+
+/// Refuses an option that is repeated for one and the same name.
+fn named_once(option: &str, names: &[&str]) -> Result<(), Failure> {
+    let mut numbered = names.iter().enumerate();
+    match numbered.find(|(index, name)| names[..*index].contains(name)) {
+        Some((_, name)) => {
+            Err(Failure::usage(format!("{option} names {name} twice: name it once")))
+        }
+        None => Ok(()),
     }
 }
 

@@ -1,4 +1,8 @@
-use std::path::{Path, PathBuf};
+mod opening;
+#[cfg(test)]
+mod tests;
+
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -6,9 +10,9 @@ use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use serde_json::json;
 
+use self::opening::{Opened, begun, narrowed, resumed, withdraw};
 use super::command_hints::unidentified;
-use super::destination::{OutputFile, OutputFolder, check_folder};
-use super::device_arguments::{CheckArguments, ChosenDevice, DrivenPlantArguments, QubeArguments};
+use super::device_arguments::{CheckArguments, DrivenPlantArguments, QubeArguments};
 use super::estimator_arguments::EstimatorArguments;
 use super::executor_arguments::ExecutorArguments;
 use super::exit::Failure;
@@ -26,21 +30,12 @@ use super::printable::print_message;
 use super::report;
 use super::screen::{Screen, ScreenArgument};
 use super::stop::Stop;
-use super::strategy_arguments::{StrategyArguments, check_device};
-use crate::estimation::EstimatorSettings;
-use crate::experiment::{
-    Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe,
-};
+use super::strategy_arguments::StrategyArguments;
+use crate::experiment::{Experiment, ExperimentFolder};
 use crate::jobs::starter::quoted;
-use crate::learning::{Preset, TrainSettings};
+use crate::learning::Preset;
 use crate::rig::RigSettings;
-use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
-use crate::search::BayRnSettings;
-use crate::session::{EmulatedQubeSettings, Extent, SessionError, SessionSettings};
-use crate::simulation::{Family, Model, SensorModel};
-
-/// Name in an experiment's settings of the plant that is a real Qube.
-const REAL_QUBE: &str = "device";
+use crate::simulation::Model;
 
 /// Compare recipes: train several policies with each, run them all on the Qube, print the table
 ///
@@ -205,12 +200,6 @@ fn model_parser() -> impl TypedValueParser<Value = Model> {
     named(offered.map(|model| (model.name(), model.description(), model)))
 }
 
-/// Corner of the thesis's velocity filter, rad/s.
-const PUBLISHED_CORNER_RAD_S: f64 = 50.0;
-
-/// Number of fresh starts from which a policy's return in simulation is evaluated.
-const SIMULATED_STARTS: u32 = 1000;
-
 /// Runs or resumes an experiment and prints its table.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
@@ -231,7 +220,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         }
         failure
     };
-    let (folder, mut settings, csv) = match &arguments.resume {
+    let Opened { folder, mut settings, csv } = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => begun(&arguments, consent, &device)?,
     };
@@ -326,7 +315,6 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut result = report.json();
     result["directory"] = json!(directory);
     result["wall_s"] = json!(started.elapsed().as_secs_f64());
-    result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
     let mut text = format!("{}\neverything is in {directory}", report.text());
     let page = report::write_into_experiment(&report, &experiment);
     match &page {
@@ -334,246 +322,27 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Err(reason) => print_message(&format!("warning: no report was written: {reason}")),
     }
     result["report"] = json!(page.ok().map(|path| path.to_string_lossy().into_owned()));
-    if ended.is_err() {
-        output.print(&text, &result);
-        return ended;
-    }
-    if let Some(file) = csv {
-        file.write(report.csv().as_bytes())?;
-    }
-    if let Some(folder) = &arguments.figures {
-        report.figures(&experiment).map_err(failed)?.write(folder)?;
-    }
+    let ended = ended.and_then(|()| {
+        let figures = || report.figures(&experiment).map_err(failed);
+        let figures = arguments.figures.as_deref().map(|folder| figures()?.write(folder));
+        all_written([
+            ("--csv", csv.map(|file| file.write(report.csv().as_bytes()))),
+            ("--figures", figures),
+        ])
+    });
+    result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
     output.print(&text, &result);
-    Ok(())
+    ended
 }
 
-/// An experiment that begins or is resumed: its folder, its settings, and the file of `--csv`, if it is
+/// The failure to write the files of these options, if any; `None` stands for an option that is not
 /// given.
-type Opened = (ExperimentFolder, ExperimentSettings, Option<OutputFile>);
-
-/// Checks before any work that figures and CSV table can be written; returns the file of `--csv`, if it is given.
-/// Figures and table may go into the folder of the experiment, so that folder must exist when this is called.
-fn check_places(arguments: &Arguments) -> Result<Option<OutputFile>, Failure> {
-    if let Some(folder) = &arguments.figures {
-        let existing = folder.ancestors().find(|it| it.exists());
-        check_folder(existing.unwrap_or(Path::new(".")))?;
-    }
-    let file = |path: &PathBuf| {
-        // A CSV file of an experiment is replaced, so that the same command brings it up to date.
-        let replace = arguments.force || ExperimentReport::is_csv(path);
-        OutputFile::of_option("--csv", path, replace)
-    };
-    arguments.csv.as_ref().map(file).transpose()
-}
-
-/// Narrows the recipes' boxes to the Qube's own limits, and returns limits of the rig that hold for
-/// all recipes.
-fn narrowed(
-    settings: &mut ExperimentSettings,
-    consent: Option<GuardConsent>,
-    device: &ChosenDevice,
-) -> Result<HardwareLimits, Failure> {
-    for recipe in &mut settings.recipes {
-        recipe.settings.safety_box = device.safety_box(recipe.settings.safety_box);
-        device.limits(&format!("recipe {}", recipe.name), &recipe.settings.safety_box, consent)?;
-    }
-    let guard = consent.map_or(Guard::Foresight, |_| Guard::Box);
-    let widest = device.safety_box(SafetyBox { guard, ..SafetyBox::default() });
-    device.limits("the Qube's file", &widest, consent)
-}
-
-/// Refuses an emulated Qube in the place of the real one with which an experiment began, and the
-/// reverse.
-fn check_resumed_device(
-    settings: &ExperimentSettings,
-    device: &ChosenDevice,
+fn all_written<const N: usize>(
+    files: [(&str, Option<Result<(), Failure>>); N],
 ) -> Result<(), Failure> {
-    // `--unidentified` is stored with the plant, whichever it is.
-    let is_real = |plant: &Plant| {
-        let unidentified = plant.emulated.unidentified;
-        let nothing_emulated = EmulatedQubeSettings { unidentified, ..Default::default() };
-        plant.name == REAL_QUBE && plant.emulated == nothing_emulated
+    let failed = |(option, written): (&str, Option<Result<(), Failure>>)| {
+        Some((option.to_owned(), written?.err()?))
     };
-    let began_on_hardware = settings.plants.iter().all(is_real);
-    match (began_on_hardware, device.choice.is_hardware()) {
-        (true, false) => Err(Failure::usage(
-            "this experiment began on a real Qube: give --device or --qube as when it began",
-        )),
-        (false, true) => Err(Failure::usage(
-            "this experiment began on emulated Qubes: leave --device and --qube out",
-        )),
-        _ => Ok(()),
-    }
-}
-
-fn begun(
-    arguments: &Arguments,
-    consent: Option<GuardConsent>,
-    device: &ChosenDevice,
-) -> Result<Opened, Failure> {
-    let is_emulated = !device.choice.is_hardware();
-    let base = base(arguments, device)?;
-    let mut recipes = Vec::new();
-    let strategies = arguments.strategies.settings();
-    check_device(strategies.as_ref(), device)?;
-    let models: Vec<Model> = match (arguments.models.as_slice(), &strategies) {
-        ([], None) if arguments.recipe.is_empty() => Model::THESIS.into(),
-        ([], Some(_)) if arguments.recipe.is_empty() => vec![Model::OptNominal],
-        (named, _) => named.into(),
-    };
-    recipes.extend(models.into_iter().map(|model| Recipe::of(model, &base)));
-    for path in &arguments.recipe {
-        recipes.push(Recipe::load(path, &base).map_err(Failure::usage)?);
-    }
-    let mut plants = match is_emulated {
-        true => arguments.plants.plants(&device.plant)?,
-        false => vec![Plant { name: REAL_QUBE.into(), emulated: Default::default(), vary: 0.0 }],
-    };
-    for plant in &mut plants {
-        plant.emulated.unidentified = device.is_unidentified();
-    }
-    // The return of a single policy tells more about the luck of its training than about its
-    // recipe, so more policies rather than more rollouts score a recommendation.
-    let (policies, rollouts) = match &strategies {
-        Some(strategies) if strategies.has_budgets() => (1, 5),
-        Some(_) => (10, 2),
-        None => (20, 5),
-    };
-    let mut settings = ExperimentSettings {
-        name: "experiment".into(),
-        seed: arguments.seed,
-        policies: arguments.policies.unwrap_or(policies),
-        rollouts: arguments.rollouts.unwrap_or(rollouts),
-        simulated_starts: SIMULATED_STARTS,
-        guard_profile: Some(device.guard_profile()),
-        plants,
-        recipes,
-        strategies,
-    };
-    settings.check().map_err(Failure::usage)?;
-    narrowed(&mut settings, consent, device)?;
-    let place = OutputFolder::make(arguments.out.as_deref(), "experiment")?;
-    device.check_port()?;
-    let csv = check_places(arguments)?;
-    if let Some(name) = place.path().file_name() {
-        settings.name = name.to_string_lossy().into_owned();
-    }
-    let toml = settings.to_toml().map_err(Failure::failed)?;
-    let folder = ExperimentFolder::create(place.path(), &toml).map_err(folder_failure)?;
-    Ok((folder, settings, csv))
-}
-
-/// Removes the settings of an experiment that has done no work, so that its folder is empty again.
-/// Settings that cannot be removed stay.
-fn withdraw(folder: ExperimentFolder) {
-    let _ = std::fs::remove_file(folder.settings_path());
-}
-
-fn folder_failure(error: ExperimentError) -> Failure {
-    match error {
-        ExperimentError::Session(SessionError::Folder(error)) => failures::folder(&error),
-        error @ ExperimentError::NotAnExperiment { .. } => {
-            Failure::usage(format!("{error}. Give the folder of one to --resume"))
-        }
-        other => Failure::usage(other),
-    }
-}
-
-/// The settings that the flags give; each recipe sets its model and what its file overrides.
-fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
-    let is_emulated = !device.choice.is_hardware();
-    let knows_the_machine = arguments.preset == Preset::Robust;
-    let mut training = arguments.preset.settings_or(TrainSettings::default());
-    let estimator = match arguments.estimator.settings(&device.plant)? {
-        Some(estimator) => estimator,
-        None if knows_the_machine => EstimatorSettings::default(),
-        None => EstimatorSettings::filter(PUBLISHED_CORNER_RAD_S),
-    };
-    let encoders = match arguments.sensors {
-        Some(sensors) => sensors == Sensors::Encoders,
-        None => knows_the_machine,
-    };
-    training.simulation.sensors =
-        if encoders { SensorModel::Encoders { estimator } } else { SensorModel::TrueState };
-    let guard = match arguments.guard {
-        Some(guard) => guard.into(),
-        None if knows_the_machine || !is_emulated => Guard::Foresight,
-        None => Guard::Box,
-    };
-    let settings = SessionSettings {
-        family: match arguments.family {
-            FamilyArgument::Normal => Family::Normal,
-            FamilyArgument::Uniform => Family::Uniform,
-        },
-        extent: Extent::THESIS,
-        bayrn: if knows_the_machine { BayRnSettings::default() } else { BayRnSettings::thesis() },
-        estimator,
-        preset: Some(arguments.preset),
-        training,
-        ..SessionSettings::thesis()
-    };
-    let settings = settings.with_guard(guard).of_plant(&device.plant);
-    Ok(SessionSettings {
-        homing: device.homing(settings.homing),
-        safety_box: device.safety_box(settings.safety_box),
-        ..settings
-    })
-}
-
-fn resumed(
-    directory: &Path,
-    arguments: &Arguments,
-    device: &ChosenDevice,
-) -> Result<Opened, Failure> {
-    if arguments.plants.describe_qube() {
-        return Err(Failure::usage(
-            "an experiment keeps the emulated Qubes that it began with: leave --profile, --gap, --delay-ms, \
-             --jitter-ms, --cable-drift, --play-deg, --effect and --scale out",
-        ));
-    }
-    if arguments.estimator.settings(&device.plant)?.is_some() {
-        return Err(Failure::usage(
-            "an experiment keeps the estimator that it began with: leave --estimator, --filter, \
-             --estimator-profile and --estimator-delay-ms out",
-        ));
-    }
-    let folder = ExperimentFolder::open(directory).map_err(folder_failure)?;
-    let load =
-        if arguments.table { ExperimentSettings::load } else { ExperimentSettings::load_to_resume };
-    let settings = load(&folder.settings_path()).map_err(|error| match error {
-        ExperimentError::NotResumable { .. } => {
-            Failure::usage(format!("{error}; --table shows the finished work"))
-        }
-        error => Failure::usage(error),
-    })?;
-    let of_another =
-        |guard| settings.recipes.iter().all(|it| it.settings.safety_box.guard != guard);
-    if arguments.guard.is_some_and(|guard| of_another(Guard::from(guard))) {
-        return Err(Failure::usage(
-            "an experiment keeps the guards that it began with: leave --guard out",
-        ));
-    }
-    if device.plant_is_given && device.plant != *settings.plant() {
-        return Err(Failure::usage(format!(
-            "an experiment keeps the plant that it began with, {}: leave --plant out",
-            settings.plant().name
-        )));
-    }
-    check_device(settings.strategies.as_ref(), device)?;
-    if !arguments.table {
-        check_resumed_device(&settings, device)?;
-        if settings.guard_profile.as_ref().is_some_and(|began| *began != device.guard_profile()) {
-            return Err(Failure::usage(
-                "this experiment began with another profile of the Qube, which decides what the guard ends: give \
-                 --qube with the file and profile as they were, or begin a new experiment",
-            ));
-        }
-    }
-    let unidentified = settings.plants.iter().any(|it| it.emulated.unidentified);
-    if let Some(Recipe { settings: SessionSettings { homing, .. }, .. }) = settings.recipes.first()
-    {
-        device.check_resumed("an experiment", unidentified, *homing)?;
-    }
-    Ok((folder, settings, check_places(arguments)?))
+    let failures: Vec<(String, Failure)> = files.into_iter().filter_map(failed).collect();
+    Failure::of_parts(&failures).map_or(Ok(()), Err)
 }

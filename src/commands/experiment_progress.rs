@@ -6,7 +6,7 @@ use std::time::Instant;
 use super::screen::{Progress, ScreenState, time_left};
 use super::stop::Stop;
 use crate::experiment::{
-    ExperimentEvent, ExperimentSettings, Recipe, RecommendationResult, Repetition, Score,
+    ExperimentEvent, ExperimentSettings, Made, Recipe, RecommendationResult, Repetition, Score,
 };
 use crate::learning::TrainUpdate;
 use crate::scoring::Behaviour;
@@ -81,7 +81,7 @@ impl ExperimentProgress {
                     ));
                 }
             }
-            ExperimentEvent::Ran { recipe, policy, plant, results, is_new } => {
+            ExperimentEvent::Ran { recipe, policy, plant, results, made } => {
                 let count = |kind| results.iter().filter(|it| it.behaviour == kind).count();
                 let kinds: Vec<String> = Behaviour::ALL
                     .into_iter()
@@ -98,22 +98,25 @@ impl ExperimentProgress {
                     format!("mean return {mean:.0}")
                 };
                 self.line(format!("{recipe} {policy} on {plant}: {outcome}; {kinds}"));
-                self.count_finished(*is_new);
+                self.count_finished(1, *made);
                 self.progress.wait_while_paused(&self.stop);
             }
             ExperimentEvent::Scored { repetition, recommendation } => {
                 self.scored(repetition, recommendation);
             }
-            ExperimentEvent::Over { is_new, .. } | ExperimentEvent::NotScored { is_new } => {
-                self.count_finished(*is_new);
+            ExperimentEvent::Over { made, .. } => self.count_finished(1, *made),
+            ExperimentEvent::NotScored { budgets, made } => {
+                self.count_finished(*budgets as u64, *made);
             }
         }
     }
 
-    /// Counts one more finished piece of work; one that is not new was on disk.
-    fn count_finished(&self, is_new: bool) {
-        self.found.fetch_add(u64::from(!is_new), Ordering::Relaxed);
-        self.done.fetch_add(1, Ordering::Relaxed);
+    /// Counts more finished pieces of work.
+    fn count_finished(&self, pieces: u64, made: Made) {
+        if made == Made::Earlier {
+            self.found.fetch_add(pieces, Ordering::Relaxed);
+        }
+        self.done.fetch_add(pieces, Ordering::Relaxed);
         self.progress.update(|state| self.expect_end(state));
     }
 
@@ -239,7 +242,7 @@ mod tests {
             recipes: vec![recipe],
             strategies: None,
         };
-        let ran = |progress: &ExperimentProgress, policy, is_new| {
+        let ran = |progress: &ExperimentProgress, policy, made| {
             let results = [RolloutResult {
                 return_: Some(500.0),
                 behaviour: Behaviour::Balanced,
@@ -247,18 +250,21 @@ mod tests {
             }];
             let (recipe, plant) = ("nominal", "lab");
             let results = &results;
-            progress.update(&ExperimentEvent::Ran { recipe, policy, plant, results, is_new });
+            progress.update(&ExperimentEvent::Ran { recipe, policy, plant, results, made });
         };
         let mut progress = ExperimentProgress::new(&settings, &Progress::lines(), &Stop::default());
         progress.began -= std::time::Duration::from_secs(100);
         let mut state = ScreenState::new("test".into(), Instant::now());
-        (0..15).for_each(|policy| ran(&progress, policy, false));
+        (0..15).for_each(|policy| ran(&progress, policy, Made::Earlier));
         progress.expect_end(&mut state);
         assert_eq!((state.done, state.ends), (Some((15, 20)), None));
-        ran(&progress, 15, true);
+        ran(&progress, 15, Made::Now);
         progress.expect_end(&mut state);
         // One policy took 100 s, and four are left.
         let left = state.ends.unwrap().saturating_duration_since(Instant::now()).as_secs_f64();
         assert!((395.0..410.0).contains(&left), "{left}");
+        progress.update(&ExperimentEvent::NotScored { budgets: 2, made: Made::Earlier });
+        progress.expect_end(&mut state);
+        assert_eq!(state.done, Some((18, 20)));
     }
 }

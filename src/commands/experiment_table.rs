@@ -3,6 +3,7 @@ use std::fmt::Write;
 use serde_json::{Map, Value, json};
 
 use super::comparison_table;
+use crate::experiment::statistics::mean_and_deviation;
 use crate::experiment::{RecipeResult, Results};
 use crate::scoring::{Behaviour, Quietness};
 
@@ -82,12 +83,8 @@ fn quietness_columns(quietness: &Quietness) -> String {
 }
 
 fn line(recipe: &RecipeResult) -> String {
-    // Policies whose rollouts are all void have no return, and one return has no deviation.
-    let spread = |(mean, deviation): (f64, f64)| match (mean.is_finite(), deviation.is_finite()) {
-        (false, _) => "-".into(),
-        (true, false) => format!("{mean:.1}"),
-        (true, true) => format!("{mean:.1} ± {deviation:5.1}"),
-    };
+    // Policies whose rollouts are all void have no return.
+    let spread = |returns: (f64, f64)| mean_and_deviation(returns, 5).unwrap_or("-".into());
     let returns = recipe.return_interval();
     let success = recipe.success_interval();
     let succeed = format!("{}/{}", recipe.successes(), recipe.policies.len());

@@ -3,16 +3,14 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::json;
 
-use super::destination::OutputFile;
+use super::destination::{OutputFile, OutputFolder};
 use super::exit::Failure;
-use super::failures;
 use super::onnx_model::onnx_model;
 use super::output::Output;
 use super::parquet_table::parquet_table;
 use super::replay::recording_failure;
 use crate::identification::duplicate;
 use crate::recording::{Completeness, Recording, csv_table, read};
-use crate::storage::{Disk, MachineDisk};
 
 /// Write recordings as tables (CSV or Parquet), or policies as ONNX models
 ///
@@ -85,7 +83,7 @@ impl Format {
     }
 }
 
-/// Writes a table for each recording, or a model for each policy.
+/// Writes a table for each recording, or a model for each policy, if every file can be exported.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let Arguments { files, out, format, onnx, .. } = arguments;
     let extension = if *onnx { "onnx" } else { format.extension() };
@@ -103,9 +101,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             )));
         }
     }
-    if let Some(folder) = &arguments.out {
-        MachineDisk.create_folder(folder).map_err(|error| failures::not_written(folder, &error))?;
-    }
+    let asked = out.as_deref().map(|folder| OutputFolder::of_option("--out", folder));
+    let _folder = asked.transpose()?;
     if *onnx {
         write_models(arguments, &written, output)
     } else {
@@ -114,9 +111,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 }
 
 fn write_models(arguments: &Arguments, models: &[PathBuf], output: &Output) -> Result<(), Failure> {
-    for (file, model) in arguments.files.iter().zip(models) {
-        let place = place(model, arguments.force)?;
-        place.write(&onnx_model(file)?)?;
+    let places = places(models, arguments.force)?;
+    let contents: Vec<Vec<u8>> =
+        arguments.files.iter().map(|file| onnx_model(file)).collect::<Result<_, _>>()?;
+    for (place, content) in places.iter().zip(&contents) {
+        place.write(content)?;
     }
     let shown = shown(models);
     output.print(&shown.join("\n"), &json!({ "models": shown }));
@@ -124,10 +123,15 @@ fn write_models(arguments: &Arguments, models: &[PathBuf], output: &Output) -> R
 }
 
 fn write_tables(arguments: &Arguments, tables: &[PathBuf], output: &Output) -> Result<(), Failure> {
+    let read = |file: &PathBuf| read(file).map_err(|error| recording_failure(&error));
+    let places = places(tables, arguments.force)?;
+    // Each is read once more when its table is written: all of them at once may need much memory.
+    for file in &arguments.files {
+        read(file)?;
+    }
     let (mut ticks, mut lost) = (0, None);
-    for (file, table) in arguments.files.iter().zip(tables) {
-        let place = place(table, arguments.force)?;
-        let recording = read(file).map_err(|error| recording_failure(&error))?;
+    for (file, place) in arguments.files.iter().zip(&places) {
+        let recording = read(file)?;
         place.write(&arguments.format.table(&recording)?)?;
         ticks += recording.ticks.len();
         if let Completeness::CutOff { lost_bytes, .. } = recording.completeness {
@@ -143,6 +147,11 @@ fn write_tables(arguments: &Arguments, tables: &[PathBuf], output: &Output) -> R
     let text = format!("{} with {ticks} ticks in all", shown.join("\n"));
     output.print(&text, &json!({ "tables": shown, "ticks": ticks }));
     lost.map_or(Ok(()), Err)
+}
+
+/// The files of tables or models, in their order, as [`place`] checks them.
+fn places(paths: &[PathBuf], force: bool) -> Result<Vec<OutputFile>, Failure> {
+    paths.iter().map(|path| place(path, force)).collect()
 }
 
 /// The file of a table or model. An existing one is refused unless `force` is set.

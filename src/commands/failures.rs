@@ -44,9 +44,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::CheckFailed { .. } => Failure::failed(format!(
             "{error}\nqube-hil check shows the whole table; --skip-check continues without the check"
         )),
-        RigError::VirtualPort { .. } => {
-            Failure::usage(format!("{error}: leave --clock virtual or the port out"))
-        }
+        RigError::VirtualPort { .. } => virtual_port(&error),
         RigError::WrongBoard { .. } => {
             Failure::usage(format!("{error}, which qube-hil check --write writes"))
         }
@@ -59,6 +57,11 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         }
     };
     failure.caused_by(fault)
+}
+
+/// The refusal of virtual time with a device that is not emulated.
+pub fn virtual_port(error: &RigError) -> Failure {
+    Failure::usage(format!("{error}: leave --clock virtual or the port out"))
 }
 
 /// Writes the ticks of the last second before a fault or a lost link ended homing to a file, one tick a
@@ -163,7 +166,9 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         SessionError::Training(error) => job(error, stop),
         SessionError::Ledger(_) | SessionError::Search(_) => Failure::failed(error),
         SessionError::Policy(error) => policy(&error),
-        SessionError::ProfileLost { .. } => Failure::data_lost(error),
+        SessionError::ProfileLost { .. }
+        | SessionError::PolicyChanged { .. }
+        | SessionError::RecordingMisplaced { .. } => Failure::data_lost(error),
         SessionError::Psi(_)
         | SessionError::SettingsChanged { .. }
         | SessionError::OtherBoard { .. }

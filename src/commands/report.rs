@@ -14,7 +14,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings};
 use crate::jobs::starter::quoted;
 use crate::recording::{Recording, read};
-use crate::report::{ReportError, SessionSource, recordings_page, session_page};
+use crate::report::{ReportError, SessionSource, is_report, recordings_page, session_page};
 use crate::rig::RigSettings;
 use crate::session::{RigSessions, ScoredCandidate, SessionPaths};
 use crate::storage::{MachineDisk, write_whole};
@@ -38,7 +38,7 @@ pub struct Arguments {
     paths: Vec<PathBuf>,
 
     /// File for the page [default: report.html in the folder of the session or experiment; beside the first recording,
-    /// with its name; an older page there is replaced]
+    /// with its name; a report there is replaced, another file is not]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 
@@ -92,6 +92,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             path
         }
         None => {
+            check_replaceable(&default).map_err(|why| {
+                Failure::usage(format!("{why}: name another file by --out, or move this one away"))
+            })?;
             OutputFile::prepare(&default, true)?.write(page.as_bytes())?;
             default
         }
@@ -103,15 +106,35 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Checks that a page at this path would replace nothing but a report.
+///
+/// # Errors
+/// A file is there that is not a report; the text says so.
+fn check_replaceable(path: &Path) -> Result<(), String> {
+    if path.symlink_metadata().is_err() || is_report(&MachineDisk, path) {
+        return Ok(());
+    }
+    Err(format!("{} exists already and is not a report of this program", path.display()))
+}
+
+/// Writes a page into its folder; an older report there is replaced.
+///
+/// # Errors
+/// A file is there that is not a report, or the page cannot be written; the text says which.
+fn write_into(folder: &Path, page: &str) -> Result<PathBuf, String> {
+    let path = folder.join(REPORT);
+    check_replaceable(&path)?;
+    write_whole(&MachineDisk, &path, page.as_bytes()).map_err(|error| error.to_string())?;
+    Ok(path)
+}
+
 /// Writes the report of a session into its folder, and returns its path.
 ///
 /// # Errors
 /// A file cannot be read or written; the text says which and why.
 pub fn write_into_session(folder: &Path) -> Result<PathBuf, String> {
     let page = of_session(folder).map_err(|failure| failure.cause().to_owned())?;
-    let path = folder.join(REPORT);
-    write_whole(&MachineDisk, &path, page.as_bytes()).map_err(|error| error.to_string())?;
-    Ok(path)
+    write_into(folder, &page)
 }
 
 /// Writes the report of an experiment into its folder, and returns its path.
@@ -122,10 +145,7 @@ pub fn write_into_experiment(
     results: &ExperimentReport,
     experiment: &Experiment,
 ) -> Result<PathBuf, String> {
-    let page = page_of_experiment(results, experiment)?;
-    let path = experiment.folder().root().join(REPORT);
-    write_whole(&MachineDisk, &path, page.as_bytes()).map_err(|error| error.to_string())?;
-    Ok(path)
+    write_into(experiment.folder().root(), &page_of_experiment(results, experiment)?)
 }
 
 fn page_of_experiment(
@@ -135,7 +155,7 @@ fn page_of_experiment(
     let root = path_word(experiment.folder().root());
     let commands = [
         (
-            "Continue, or show the table again:".to_owned(),
+            "Continue; for a real Qube add the --device and --qube of its beginning:".to_owned(),
             format!("qube-hil experiment --resume {root}"),
         ),
         (
@@ -261,6 +281,15 @@ fn failure(error: ReportError) -> Failure {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_page_of_another_origin_keeps_its_place_in_a_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(REPORT), "my own page").unwrap();
+        let why = write_into(folder.path(), "<p>new</p>").unwrap_err();
+        assert!(why.ends_with("report.html exists already and is not a report of this program"));
+        assert_eq!(std::fs::read(folder.path().join(REPORT)).unwrap(), b"my own page");
+    }
 
     #[test]
     fn a_repetition_goes_beside_its_session_however_the_path_is_spelled() {

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde_json::json;
 
+pub use self::controller::policy;
 use self::controller::{RunController, randomisation};
 use self::results::Results;
 use self::series::Series;
@@ -58,7 +59,8 @@ pub struct Arguments {
     excite: Option<ExciteArgument>,
 
     /// Largest voltage of the excitation, 0.1 to 3
-    #[arg(long, value_name = "V", default_value_t = 1.5, value_parser = volts, requires = "excite")]
+    #[arg(long, value_name = "V", default_value_t = 1.5, value_parser = volts, requires = "excite",
+          conflicts_with = "policy")]
     volts: f64,
 
     /// Number of rollouts
@@ -134,6 +136,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let folder = OutputFolder::make(arguments.out.as_deref(), "run")?;
     let _hold = folder.hold()?;
     folder.check_for_recordings(arguments.rollouts.into())?;
+    device.check_port_exists()?;
     let directory = folder.path().to_owned();
     controller.notes.iter().for_each(|note| print_message(note));
     let randomisation = controller.policy.as_ref().and_then(randomisation).map(|it| json!(it));

@@ -10,12 +10,12 @@ use super::keyboard::Keyboard;
 use super::number_arguments::positive;
 use super::output::Output;
 use super::printable::print_message;
+use super::run::policy;
 use super::screen::Screen;
 use super::stop::Stop;
 use super::{failures, warn_without_realtime};
 use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
-use crate::policy::{ClassicalController, ClassicalGains, Policy};
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::recording::{Recording, read};
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError};
@@ -32,7 +32,7 @@ const MAX_GROWTH_BYTES: i64 = 5_000_000;
 /// the memory counts from there.
 const WARM_UP_ROLLOUTS: u64 = 20;
 
-/// Run for hours: rollout after rollout by the classical controller, each recorded, read back and checked;
+/// Run for hours: rollout after rollout of one policy, each recorded, read back and checked;
 /// fails if a tick is lost, a fault ends a rollout, or the memory grows
 ///
 /// With `--clock virtual` a day takes minutes. Exit code 3 when a tick was lost, 4 when a fault ended a
@@ -46,6 +46,10 @@ pub struct Arguments {
     /// Hours of ticks
     #[arg(long, default_value_t = 24.0, value_parser = hours)]
     hours: f64,
+
+    /// Policy file, or `classical` for the built-in energy swing-up with balance, which is for a Qube only
+    #[arg(long, value_name = "FILE|classical", default_value = "classical")]
+    policy: String,
 
     /// Seed of the arm's start angles and of the emulated Qube
     #[arg(long, default_value_t = 0)]
@@ -70,12 +74,16 @@ fn hours(text: &str) -> Result<f64, String> {
 /// Runs rollouts until the hours are over, a failure or a stop ends them, and prints the summary.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
-    let folder = Folder::new(arguments.keep.clone())?;
+    let policy = policy(&arguments.policy)?;
     let device = arguments.device.choose()?;
+    policy
+        .check_plant(&device.plant)
+        .map_err(|other| Failure::usage(format!("--policy {}: {other}", arguments.policy)))?;
+    let folder = Folder::new(arguments.keep.clone())?;
     let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
     let started = Instant::now();
     let mut soaked = Soaked::default();
-    let mut ended = soaked.soak(&arguments, &device, &folder, &stop);
+    let mut ended = soaked.soak(&arguments, &policy.to_bytes(), &device, &folder, &stop);
     drop(keyboard);
     if stop.requested() {
         ended = Err(stop.failure("stopped before the hours were over"));
@@ -152,14 +160,12 @@ impl Soaked {
     fn soak(
         &mut self,
         arguments: &Arguments,
+        policy: &[u8],
         device: &ChosenDevice,
         folder: &Folder,
         stop: &Stop,
     ) -> Result<(), Failure> {
         let failed = |error| failures::rig(error, stop);
-        let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
-        policy.check_plant(&device.plant).map_err(Failure::usage)?;
-        let policy = policy.to_bytes();
         let estimator = EstimatorSettings::default();
         let model = device.plant.nominal();
         let emulator =
@@ -178,9 +184,9 @@ impl Soaked {
                 seed: arguments.seed,
                 estimator,
                 safety_box: device.safety_box(SafetyBox::default()),
-                ..RolloutPlan::single("soak", "classical")
+                ..RolloutPlan::single("soak", &arguments.policy)
             };
-            match rig.rollout(&MachineDisk, &path, plan.header(), &policy) {
+            match rig.rollout(&MachineDisk, &path, plan.header(), policy) {
                 Ok(_) => not_begun = 0,
                 Err(RigError::NotBegun { .. }) if not_begun < MAX_NOT_BEGUN => {
                     not_begun += 1;

@@ -7,7 +7,8 @@ use serde::Serialize;
 use super::results::{PolicyResult, RecipeResult, Results};
 use super::statistics::mean;
 
-/// Number of random assignments of signs in a permutation test; the smallest p-value is 0.0001.
+/// Number of random assignments of signs in a permutation test of many pairs, where the smallest
+/// p-value is 0.0001. Of fewer than 14 pairs there are fewer assignments, and each is counted.
 const PERMUTATIONS: usize = 9_999;
 
 /// Seed of the random signs: the same results give the same p-value.
@@ -111,17 +112,26 @@ fn mcnemar(gained: usize, lost: usize) -> f64 {
 }
 
 /// The two-sided p-value of the mean of paired differences under random signs; 1 if there are no
-/// differences or all are 0.
+/// differences or all are 0. It is exact unless there are more than [`PERMUTATIONS`] assignments of
+/// signs, from which it is then estimated.
 fn sign_permutation(differences: &[f64]) -> f64 {
     let observed = differences.iter().sum::<f64>().abs();
+    let largest: f64 = differences.iter().map(|it| it.abs()).sum();
+    // Rounding must not hide an assignment that equals the observed one.
+    let least = observed - 1e-12 * largest;
+    let is_as_extreme = |keeps: &mut dyn FnMut(usize) -> bool| {
+        let signed = (0..).zip(differences).map(|(pair, it)| if keeps(pair) { *it } else { -it });
+        signed.sum::<f64>().abs() >= least
+    };
+    let assignments = 1_usize.checked_shl(differences.len() as u32).unwrap_or(usize::MAX);
+    if assignments <= PERMUTATIONS {
+        let as_extreme = (0..assignments)
+            .filter(|signs| is_as_extreme(&mut |pair| (signs >> pair) & 1 == 1))
+            .count();
+        return as_extreme as f64 / assignments as f64;
+    }
     let mut random = ChaCha8Rng::seed_from_u64(SEED);
-    let as_extreme = (0..PERMUTATIONS)
-        .filter(|_| {
-            let signed = differences.iter().map(|it| if random.random() { *it } else { -it });
-            // Rounding must not hide an assignment that equals the observed one.
-            signed.sum::<f64>().abs() >= observed * (1.0 - 1e-12)
-        })
-        .count();
+    let as_extreme = (0..PERMUTATIONS).filter(|_| is_as_extreme(&mut |_| random.random())).count();
     (as_extreme + 1) as f64 / (PERMUTATIONS + 1) as f64
 }
 
@@ -167,12 +177,25 @@ mod tests {
     }
 
     #[test]
-    fn signs_of_differences_are_permuted() {
+    fn all_signs_of_few_differences_are_counted() {
         // Five differences of one sign: 2 of 32 assignments are as extreme.
-        let p = sign_permutation(&[1.0, 2.0, 3.0, 4.0, 5.0]);
-        assert!((p - 2.0 / 32.0).abs() < 0.01, "{p}");
+        assert_eq!(sign_permutation(&[1.0, 2.0, 3.0, 4.0, 5.0]), 2.0 / 32.0);
+        assert_eq!(sign_permutation(&[3.0, -1.0, 4.0, -2.0]), 10.0 / 16.0);
         assert_eq!(sign_permutation(&[1.0, -1.0]), 1.0);
+        // The sums of these differ by rounding alone.
+        assert_eq!(sign_permutation(&[0.1, 0.2, -0.3]), 1.0);
         assert_eq!(sign_permutation(&[]), 1.0);
+        assert_eq!(sign_permutation(&[1.0; 13]), 2.0 / 8192.0);
+    }
+
+    #[test]
+    fn signs_of_many_differences_are_drawn() {
+        // All of 14, or 14 less one: 30 of 16,384 assignments are as extreme.
+        let mut differences = [1.0; 14];
+        differences[0] = -1.0;
+        let p = sign_permutation(&differences);
+        assert!((p - 30.0 / 16_384.0).abs() < 0.001, "{p}");
+        assert!(sign_permutation(&[1.0; 100]) >= 1e-4);
     }
 
     #[test]

@@ -16,9 +16,11 @@
 //! interrupted and resumed, then [`Results`], which are computed from policies and recordings and
 //! never stored.
 
+mod board;
 mod comparison;
 mod error;
 mod folder;
+mod made;
 mod plant;
 mod queue;
 mod recipe;
@@ -35,6 +37,7 @@ mod work;
 pub use comparison::Comparison;
 pub use error::ExperimentError;
 pub use folder::{ExperimentFolder, PolicyFolders};
+pub use made::Made;
 pub use plant::Plant;
 pub use recipe::Recipe;
 pub use results::{PolicyResult, RecipeResult, Results};

@@ -26,15 +26,15 @@ pub struct Recipe {
     pub settings: SessionSettings,
 }
 
-/// A recipe as a file contains it; the base of the recipe gives the settings that the file does not
-/// name.
+/// A recipe as a file contains it, without the settings: the base of the recipe gives those that the
+/// file does not name.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RecipeFile {
     name: String,
     model: Model,
-    #[serde(default)]
-    settings: toml::Table,
+    #[serde(default, rename = "settings")]
+    _settings: toml::Table,
 }
 
 impl Recipe {
@@ -62,11 +62,7 @@ impl Recipe {
         let file: RecipeFile = toml::from_str(&text)
             .map_err(|error| unreadable(error.to_string().trim_end().to_owned()))?;
         check_name("name", &file.name).map_err(unreadable)?;
-        let overrides =
-            toml::to_string(&file.settings).map_err(|error| unreadable(error.to_string()))?;
-        let settings = base
-            .overridden_by_text(&overrides, path)
-            .map_err(|error| error.located(&text, "settings."))?;
+        let settings = base.overridden_by_part(&text, Some("settings"), path)?;
         Ok(Self::new(file.name, file.model, settings))
     }
 
@@ -127,7 +123,15 @@ mod tests {
         assert_eq!(recipe.settings.training, base.training);
         assert_eq!(recipe.settings.model, Model::OptHandcrafted);
         assert_eq!(recipe.origin(None).model, "opt-handcrafted");
+        let reward = "name = \"a\"\nmodel = \"nominal\"\n\
+                      [settings.training.simulation.reward]\nvoltage = 0.01\n";
+        let mut expected = base.training.simulation;
+        expected.reward.voltage = 0.01;
+        assert_eq!(load(reward).unwrap().settings.training.simulation, expected);
         for (text, words) in [
+            (&*format!("{reward}volt = 0.01\n"), "line 5,"),
+            (&*reward.replace("0.01", "nan"), "line 4: training.simulation.reward.voltage"),
+            ("name = \"a\"\nmodel = \"nominal\"\n\n[settings]\nfamly = \"normal\"\n", "line 5,"),
             ("name = \"a\"\nmodel = \"nominl\"\n", "nominl"),
             ("name = \"a/b\"\nmodel = \"nominal\"\n", "a/b"),
             ("model = \"nominal\"\n", "name"),

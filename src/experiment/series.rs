@@ -3,7 +3,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::folder::{PolicyFolders, make};
 use super::rollouts::{Record, Repeated};
-use super::{ExperimentError, Plant, Recipe, RolloutResult};
+use super::{ExperimentError, Made, Plant, Recipe, RolloutResult};
 use crate::jobs::{CHOSEN_OF_STARTS, Executor, ROUNDS, SUCCEEDED, TrainingJob, worst_return};
 use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_on_new_starts};
 use crate::policy::Policy;
@@ -42,8 +42,8 @@ pub(super) struct Series<'a> {
 pub(super) struct Ran {
     /// Results of the rollouts, in order.
     pub results: Vec<RolloutResult>,
-    /// Whether one of the rollouts was recorded now; otherwise all were on disk.
-    pub is_new: bool,
+    /// Whether one of the rollouts was recorded now, or all were on disk.
+    pub made: Made,
 }
 
 impl Series<'_> {
@@ -218,7 +218,7 @@ impl Series<'_> {
     ) -> Result<Ran, ExperimentError> {
         let file = Policy::load(&self.folders.policy(policy).policy())?.to_bytes();
         let folder = self.folders.rollouts(policy, &plant.name);
-        let mut is_new = false;
+        let mut made = Made::Earlier;
         let results: Result<_, ExperimentError> = (0..rollouts)
             .map(|rollout| {
                 let repeated = Repeated {
@@ -229,12 +229,12 @@ impl Series<'_> {
                     stop: self.stop,
                 };
                 repeated.perform(|attempt, record| {
-                    is_new = true;
+                    made = Made::Now;
                     with_rig(rollout, attempt, record)
                 })
             })
             .collect();
-        Ok(Ran { results: results?, is_new })
+        Ok(Ran { results: results?, made })
     }
 
     fn plan(&self, policy: u32, rollout: u32) -> RolloutPlan {

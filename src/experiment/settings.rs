@@ -167,6 +167,23 @@ impl ExperimentSettings {
         }
     }
 
+    /// Checks that one real Qube can run the policies of all recipes: it is homed once for all.
+    ///
+    /// # Errors
+    /// Two recipes differ in their homing.
+    pub fn check_for_one_rig(&self) -> Result<(), String> {
+        let mut recipes = self.recipes.iter();
+        let Some(first) = recipes.next() else { return Ok(()) };
+        match recipes.find(|it| it.settings.homing != first.settings.homing) {
+            Some(other) => Err(format!(
+                "recipe {}: its settings.homing differ from those of recipe {}, and a real Qube is homed once for all \
+                 recipes: give all of them the same homing, or compare them in experiments of their own",
+                other.name, first.name
+            )),
+            None => Ok(()),
+        }
+    }
+
     fn check_strategies(&self, strategies: &StrategySettings) -> Result<(), String> {
         strategies.check()?;
         let [recipe] = self.recipes.as_slice() else {
@@ -272,6 +289,18 @@ mod tests {
             it.recipes[1].settings = it.recipes[1].settings.clone().of_plant(&larger);
         });
         assert!(mixed.contains("furuta-130") && mixed.contains("one plant"), "{mixed}");
+    }
+
+    #[test]
+    fn recipes_with_different_homing_do_not_share_a_real_qube() {
+        let mut settings = settings();
+        assert_eq!(settings.check_for_one_rig(), Ok(()));
+        settings.recipes[2].settings.homing.theta_offset_rad = 0.1;
+        assert_eq!(settings.check(), Ok(()), "an emulated Qube is homed for each rollout");
+        let told = settings.check_for_one_rig().unwrap_err();
+        for name in [&settings.recipes[0].name, &settings.recipes[2].name] {
+            assert!(told.contains(name), "{told}");
+        }
     }
 
     #[test]

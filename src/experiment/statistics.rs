@@ -40,6 +40,18 @@ pub fn standard_deviation(sample: &[f64]) -> f64 {
     (squares / (sample.len() as f64 - 1.0)).sqrt()
 }
 
+/// A mean and a standard deviation as a text such as `521.3 ± 12.1`, with the deviation padded to
+/// `width` characters. One value has no deviation, so its text is the mean alone; `None` if the mean
+/// is not finite.
+#[must_use]
+pub fn mean_and_deviation((mean, deviation): (f64, f64), width: usize) -> Option<String> {
+    match (mean.is_finite(), deviation.is_finite()) {
+        (false, _) => None,
+        (true, false) => Some(format!("{mean:.1}")),
+        (true, true) => Some(format!("{mean:.1} ± {deviation:width$.1}")),
+    }
+}
+
 /// The median, the mean of the two middle values where their number is even; NaN of an empty
 /// sample.
 #[must_use]
@@ -148,6 +160,15 @@ mod tests {
         assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
         assert!(mean(&[]).is_nan() && median(&[]).is_nan() && standard_deviation(&[1.0]).is_nan());
         assert!(standard_deviation(&[]).is_nan());
+    }
+
+    #[test]
+    fn a_mean_has_its_deviation_beside_it_where_there_is_one() {
+        let text = |mean, deviation, width| mean_and_deviation((mean, deviation), width);
+        assert_eq!(text(521.34, 12.06, 0).as_deref(), Some("521.3 ± 12.1"));
+        assert_eq!(text(521.34, 2.06, 5).as_deref(), Some("521.3 ±   2.1"));
+        assert_eq!(text(521.34, f64::NAN, 5).as_deref(), Some("521.3"));
+        assert_eq!(text(f64::NAN, f64::NAN, 0), None);
     }
 
     /// Reference values from R: `prop.test(x, n, correct = FALSE)$conf.int`.

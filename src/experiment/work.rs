@@ -6,10 +6,10 @@ use super::folder::make;
 use super::queue::Queue;
 use super::search::{RecipePsi, found_psi, open_search, searched};
 use super::series::Series;
-use super::strategies::{Access, Trial};
+use super::strategies::{Access, Followed, Trial};
 use super::{
-    ExperimentError, ExperimentFolder, ExperimentSettings, Method, Recipe, RecommendationResult,
-    Repetition, RolloutResult,
+    ExperimentError, ExperimentFolder, ExperimentSettings, Made, Method, Recipe,
+    RecommendationResult, Repetition, RolloutResult,
 };
 use crate::jobs::{Executor, LocalExecutor};
 use crate::learning::{CURVE_BYTES, TrainUpdate, parse_curve_csv};
@@ -57,9 +57,8 @@ pub enum ExperimentEvent<'a> {
         plant: &'a str,
         /// Results of the rollouts.
         results: &'a [RolloutResult],
-        /// Whether the policy was trained or a rollout recorded since this process began; otherwise
-        /// all was on disk.
-        is_new: bool,
+        /// Time of the policy's training or of its last rollout.
+        made: Made,
     },
     /// A recommendation has been scored, or the method gave a reason for having none.
     Scored {
@@ -68,19 +67,20 @@ pub enum ExperimentEvent<'a> {
         /// Result of the scoring.
         recommendation: &'a RecommendationResult,
     },
-    /// A budget has no score of its own: it allows no recommendation, or only the recommendation
-    /// that the budget before it had.
+    /// Budgets have no score of their own: they allow no recommendation, or only the recommendation
+    /// that the budget before them had.
     NotScored {
-        /// Whether the score beside it is new, as in [`Self::Ran`].
-        is_new: bool,
+        /// Number of these budgets.
+        budgets: usize,
+        /// Time of the score beside them, as in [`Self::Ran`].
+        made: Made,
     },
     /// A repetition of a method has ended.
     Over {
         /// Repetition with all its recommendations.
         repetition: &'a Repetition,
-        /// Whether a recommendation was scored since this process began; otherwise all scores were
-        /// on disk.
-        is_new: bool,
+        /// Time of its last score.
+        made: Made,
     },
 }
 
@@ -278,9 +278,9 @@ impl Experiment {
             }
             WorkItem::Repetition { method, repetition } => {
                 if let Some(strategies) = &self.settings.strategies {
-                    let (repetition, is_new) =
+                    let Followed { repetition, made } =
                         self.follow(strategies, (method, repetition), Access::Work(on_event))?;
-                    on_event(ExperimentEvent::Over { repetition: &repetition, is_new });
+                    on_event(ExperimentEvent::Over { repetition: &repetition, made });
                 }
                 Ok(Vec::new())
             }
@@ -306,7 +306,8 @@ impl Experiment {
             source: Box::new(source),
         };
         let folder = self.folder.search(&recipe.name);
-        let session = open_search(&folder, settings, &self.rig, &self.stop)?;
+        let rig = self.rig_on_the_same_board()?;
+        let session = open_search(&folder, settings, &rig, &self.stop)?;
         let on_event = &mut |progress: SessionEvent| {
             on_event(ExperimentEvent::Search { name: &recipe.name, progress: &progress });
         };
@@ -406,31 +407,26 @@ impl Experiment {
         let plants = if self.is_virtual() { &self.settings.plants[..] } else { &[] };
         for plant in plants {
             let ran = series.run_in_virtual_time(policy, plant, self.settings.rollouts)?;
-            let is_new = ran.is_new || best_return.is_some();
+            let made = ran.made.max(Made::now_if(best_return.is_some()));
             let (recipe, plant, results) = (&recipe.name, &plant.name, &ran.results);
-            on_event(ExperimentEvent::Ran { recipe, policy, plant, results, is_new });
+            on_event(ExperimentEvent::Ran { recipe, policy, plant, results, made });
         }
         Ok(())
     }
 
     /// Runs all rollouts on one Qube, one after the other.
     fn run_on_device(&self, on_event: &OnEvent) -> Result<(), ExperimentError> {
+        let settings = self.rig_on_the_same_board()?;
         let mut rig: Option<Rig> = None;
         let plant = &self.settings.plants[0];
         for recipe in &self.settings.recipes {
             let psi = self.psi(recipe)?;
-            let series = self.series(recipe, psi.value());
+            let series = Series { rig: &settings, ..self.series(recipe, psi.value()) };
             for policy in 0..self.settings.policies {
                 let rollouts = self.settings.rollouts;
                 let ran = series.run_on_device(&mut rig, policy, plant, rollouts)?;
                 let (recipe, plant, results) = (&recipe.name, &plant.name, &ran.results);
-                on_event(ExperimentEvent::Ran {
-                    recipe,
-                    policy,
-                    plant,
-                    results,
-                    is_new: ran.is_new,
-                });
+                on_event(ExperimentEvent::Ran { recipe, policy, plant, results, made: ran.made });
             }
         }
         Ok(())

@@ -20,7 +20,7 @@ use super::{
     ClassicalController, ClassicalGains, Excitation, ExcitationShape, External, Network,
     NetworkPolicy, Policy,
 };
-use crate::qube::MAX_VOLTAGE_V;
+use crate::qube::{MAX_VOLTAGE_V, ModelError};
 
 /// Newest version of the format; files of later versions are refused. A policy that version 1 can
 /// express is written in version 1, so that a later version of the format does not change its
@@ -158,6 +158,19 @@ pub enum PolicyFault {
     /// The weights do not form a network.
     #[error("holds an invalid network: {0}")]
     Network(#[from] NetworkError),
+    /// A number in the record of the training cannot be.
+    #[error("says that the training had {name} = {value}: it must be {bound}")]
+    Training {
+        /// Name of the entry.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// Accepted values.
+        bound: &'static str,
+    },
+    /// The model of the observer in the record of the training cannot be.
+    #[error("says that the training had an observer whose model.{0}")]
+    ObserverModel(ModelError),
     /// The excitation's voltage exceeds the motor's range.
     #[error("excites with {voltage_v} V: give at most {MAX_VOLTAGE_V} V of either sign")]
     ExcitationVoltage {

@@ -271,6 +271,50 @@ fn numbers_that_are_none_are_refused() {
 }
 
 #[test]
+fn a_training_that_cannot_be_is_refused() {
+    let Policy::Network(policy) = network_policy() else { panic!("a network") };
+    let observer = SimulatedObserver {
+        model: QubeModel::NOMINAL,
+        theta_noise_rad_s2: 30.0,
+        alpha_noise_rad_s2: 30.0,
+        reset_error_rad: 0.1,
+    };
+    let sensors = |corner_rad_s, counts_per_revolution, observer| SimulatedSensors::Encoders {
+        corner_rad_s,
+        counts_per_revolution,
+        observer,
+    };
+    let fine = TrainingRecord {
+        sensors: sensors(200.0, 2048, Some(observer)),
+        best_return: Some(540.0),
+        ..policy.training.clone()
+    };
+    let read_back = |training: TrainingRecord| {
+        let network = policy.network.clone();
+        let policy = Policy::Network(NetworkPolicy { network, training });
+        Policy::from_bytes(&policy.to_bytes()).map_err(|fault| fault.to_string())
+    };
+    assert!(read_back(fine.clone()).is_ok());
+    let noise = SimulatedObserver { theta_noise_rad_s2: 0.0, ..observer };
+    let mut massless = observer;
+    massless.model.parameters.pendulum_mass_kg = 0.0;
+    for (training, words) in [
+        (
+            TrainingRecord { sensors: sensors(-1.0, 2048, None), ..fine.clone() },
+            "corner_rad_s = -1",
+        ),
+        (TrainingRecord { sensors: sensors(200.0, 0, None), ..fine.clone() }, "revolution = 0"),
+        (TrainingRecord { sensors: sensors(9.0, 9, Some(noise)), ..fine.clone() }, "theta_noise"),
+        (TrainingRecord { sensors: sensors(9.0, 9, Some(massless)), ..fine.clone() }, "M_p = 0"),
+        (TrainingRecord { best_return: Some(1e308), ..fine.clone() }, "best_return"),
+        (TrainingRecord { voltage_change_weight: -1.0, ..fine }, "voltage_change_weight = -1"),
+    ] {
+        let message = read_back(training).unwrap_err();
+        assert!(message.contains(words), "{words}: {message}");
+    }
+}
+
+#[test]
 fn a_tensor_too_many_is_refused() {
     // The file has a tensor `layers.9.weight` in place of `layers.2.weight`.
     let bytes = network_policy().to_bytes();

@@ -136,6 +136,7 @@ impl NetworkMetadata {
         if observation.len() != sizes[0] {
             return Err(PolicyFault::Inputs { entries: observation.len(), sizes });
         }
+        self.training.check()?;
         let open = [f32::MIN, f32::MAX];
         let bounds = bounds.unwrap_or_default().into_iter().map(|pair| {
             let [lower, upper] = pair.unwrap_or(open);

@@ -3,6 +3,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::Randomisation;
+use super::file::PolicyFault;
 use crate::qube::{PlantModel, QubeModel};
 
 /// The record of a network's training, which is part of the policy file. Commands show it. A rig
@@ -67,6 +68,46 @@ impl TrainingRecord {
             plant: PlantModel::QUBE,
             best_return: None,
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        }
+    }
+
+    /// Checks the numbers of the record.
+    ///
+    /// # Errors
+    /// The first number that no training has.
+    pub(super) fn check(&self) -> Result<(), PolicyFault> {
+        const ABOVE_0: &str = "above 0 and at most 1000000";
+        let is_above_0 = |value: f64| value > 0.0 && value <= 1e6;
+        let weight = f64::from(self.voltage_change_weight);
+        // No step earns more than 1, and no rollout has a million steps.
+        let best = self.best_return.unwrap_or_default();
+        let mut checks = vec![
+            ("voltage_change_weight", weight, (0.0..=1e6).contains(&weight), "0 to 1000000"),
+            ("best_return", best, best.abs() <= 1e6, "-1000000 to 1000000"),
+        ];
+        if let SimulatedSensors::Encoders {
+            corner_rad_s: corner,
+            counts_per_revolution,
+            observer,
+        } = &self.sensors
+        {
+            let counts = f64::from(*counts_per_revolution);
+            checks.push(("sensors.corner_rad_s", *corner, is_above_0(*corner), ABOVE_0));
+            checks.push(("sensors.counts_per_revolution", counts, counts > 0.0, "above 0"));
+            if let Some(observer) = observer {
+                observer.model.check().map_err(PolicyFault::ObserverModel)?;
+                for (name, value) in [
+                    ("sensors.observer.theta_noise_rad_s2", observer.theta_noise_rad_s2),
+                    ("sensors.observer.alpha_noise_rad_s2", observer.alpha_noise_rad_s2),
+                    ("sensors.observer.astray_rad", observer.reset_error_rad),
+                ] {
+                    checks.push((name, value, is_above_0(value), ABOVE_0));
+                }
+            }
+        }
+        match checks.into_iter().find(|(_, _, is_possible, _)| !is_possible) {
+            Some((name, value, _, bound)) => Err(PolicyFault::Training { name, value, bound }),
+            None => Ok(()),
         }
     }
 }

@@ -37,6 +37,7 @@ mod quantity;
 mod qube_lanes;
 mod reward;
 mod state;
+mod toml_line;
 
 pub use delay_line::limited_to;
 pub use distribution::Distribution;
@@ -64,3 +65,4 @@ pub use quantity::{Nonideality, Quantity};
 pub use qube_lanes::{ControlPeriod, QubeLanes};
 pub use reward::RewardWeights;
 pub use state::{State, wrap_angle};
+pub(crate) use toml_line::{key_of_message, line_of_key};

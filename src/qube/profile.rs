@@ -5,6 +5,7 @@ use thiserror::Error;
 
 use super::{
     DomainParameter, DomainParameters, ModelError, Nonidealities, PlantName, Quantity, QubeModel,
+    key_of_message, line_of_key,
 };
 
 /// One Qube, as a file describes it: its model, the uncertainty of its values, and their
@@ -70,23 +71,37 @@ pub enum ProfileError {
     /// The text is not TOML, lacks `name`, or has an unknown entry or a value of the wrong type.
     #[error("{}", .0.to_string().trim_end())]
     Invalid(#[from] Box<toml::de::Error>),
-    /// The correlations name an unknown quantity, or a row has the wrong length or a number out of
-    /// its range.
-    #[error(
-        "correlations: name quantities of a profile, and give one row for each name; row N has N numbers \
-         from -1 to 1, of which the last is 1"
-    )]
-    Correlations,
-    /// A standard error has an unknown name or is out of its range.
-    #[error(
-        "standard_errors.{name} = {value}: give a quantity's name and a number from 0 to {}",
-        DomainParameter::LARGEST
-    )]
-    StandardError {
+    /// A value is wrong, in this line of the text.
+    #[error("line {line}: {error}")]
+    AtLine {
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong.
+        error: Box<Self>,
+    },
+    /// An entry of the correlations is wrong.
+    #[error("correlations.{entry}: {reason}")]
+    Correlations {
+        /// Entry, such as `rows[2]`; entries count from 1.
+        entry: String,
+        /// Reason for the refusal, with the values that are accepted.
+        reason: String,
+    },
+    /// A standard error has the name of no quantity.
+    #[error("standard_errors.{name}: there is no quantity of this name; there are {}", names())]
+    UnknownQuantity {
         /// Name of the entry.
         name: String,
-        /// Its value.
+    },
+    /// A standard error is out of its range.
+    #[error("standard_errors.{name} = {value}: give a number from 0 to {largest}")]
+    StandardError {
+        /// Name of the quantity.
+        name: &'static str,
+        /// Its standard error.
         value: f64,
+        /// Largest accepted standard error.
+        largest: f64,
     },
     /// The profile of a plant other than the Qube lacks a parameter.
     #[error("parameters: name {symbol}, which has no default for a plant other than the Qube")]
@@ -145,8 +160,18 @@ impl Profile {
     /// Reads a profile from TOML.
     ///
     /// # Errors
-    /// The text is not a profile, or its values are outside their ranges.
+    /// The text is not a profile, or its values are outside their ranges. The error names the line.
     pub fn parse(text: &str) -> Result<Self, ProfileError> {
+        Self::parse_checked(text).map_err(|error| {
+            let message = error.to_string();
+            match line_of_key(text, key_of_message(&message), |name, part| name == part) {
+                Some(line) => ProfileError::AtLine { line, error: Box::new(error) },
+                None => error,
+            }
+        })
+    }
+
+    fn parse_checked(text: &str) -> Result<Self, ProfileError> {
         let profile: Self = toml::from_str(text).map_err(Box::new)?;
         if !profile.plant.is_qube() {
             let table: toml::Table = toml::from_str(text).map_err(Box::new)?;
@@ -160,16 +185,32 @@ impl Profile {
         }
         profile.model().check()?;
         for (name, &value) in &profile.standard_errors {
-            if Quantity::from_name(name).is_none()
-                || !(0.0..=DomainParameter::LARGEST).contains(&value)
-            {
-                return Err(ProfileError::StandardError { name: name.clone(), value });
+            let Some(quantity) = Quantity::from_name(name) else {
+                return Err(ProfileError::UnknownQuantity { name: name.clone() });
+            };
+            let largest = profile.largest_standard_error(quantity);
+            if !(0.0..=largest).contains(&value) {
+                let name = quantity.name();
+                return Err(ProfileError::StandardError { name, value, largest });
             }
         }
-        if profile.correlations.as_ref().is_some_and(|correlations| !correlations.are_valid()) {
-            return Err(ProfileError::Correlations);
+        if let Some(correlations) = &profile.correlations {
+            correlations.check()?;
         }
         Ok(profile)
+    }
+
+    /// The largest accepted standard error of a quantity, in its unit: ten times the parameter, or
+    /// the width of a nonideality's range. `identify` finds at most twice the parameter; a larger
+    /// error would say nothing about it.
+    fn largest_standard_error(&self, quantity: Quantity) -> f64 {
+        match quantity {
+            Quantity::Parameter(parameter) => {
+                // A damping of 0 has an error, too.
+                10.0 * self.parameters.get(parameter).max(DomainParameters::NOMINAL.get(parameter))
+            }
+            Quantity::Nonideality(term) => term.range().end() - term.range().start(),
+        }
     }
 
     /// The standard error of a quantity in its unit; 0 where the file names none.
@@ -207,15 +248,66 @@ impl Correlations {
         Self { names, rows: matrix.iter().enumerate().map(row).collect() }
     }
 
-    /// Whether every name is a known quantity and every row has the right length and range.
-    fn are_valid(&self) -> bool {
-        let known = self.names.iter().all(|name| Quantity::from_name(name).is_some());
-        let whole = |(index, row): (usize, &Vec<f64>)| {
-            row.len() == index + 1
-                && row.iter().all(|value| value.abs() <= 1.0 + 1e-9)
-                && (row[index] - 1.0).abs() < 1e-9
-        };
-        known && self.rows.len() == self.names.len() && self.rows.iter().enumerate().all(whole)
+    fn check(&self) -> Result<(), ProfileError> {
+        let wrong = |entry: String, reason: String| ProfileError::Correlations { entry, reason };
+        for (index, name) in self.names.iter().enumerate() {
+            let entry = || format!("names[{}]", index + 1);
+            if Quantity::from_name(name).is_none() {
+                let known = names();
+                let reason = format!("there is no quantity {name}; there are {known}");
+                return Err(wrong(entry(), reason));
+            }
+            if self.names[..index].contains(name) {
+                return Err(wrong(entry(), format!("{name} is named twice: name it once")));
+            }
+        }
+        if self.rows.len() != self.names.len() {
+            let reason = format!("give {} rows, one for each name", self.names.len());
+            return Err(wrong("rows".into(), reason));
+        }
+        for (index, row) in self.rows.iter().enumerate() {
+            let is_correlation = |value: &f64| value.abs() <= 1.0 + 1e-9;
+            if row.len() != index + 1
+                || !row.iter().all(is_correlation)
+                || (row[index] - 1.0).abs() >= 1e-9
+            {
+                let count = index + 1;
+                let rule = "row N has N numbers from -1 to 1, the last one 1";
+                let reason = format!("{rule}, and this is row {count}");
+                return Err(wrong(format!("rows[{count}]"), reason));
+            }
+        }
+        match self.first_impossible_row() {
+            None => Ok(()),
+            Some(row) => Err(wrong(
+                format!("rows[{row}]"),
+                "no errors have these correlations at once: the matrix of the rows up to this one \
+                 has a negative eigenvalue"
+                    .into(),
+            )),
+        }
+    }
+
+    /// The first row, from 1, with which the matrix is not positive semidefinite, by the Cholesky
+    /// decomposition; the rows have the right lengths.
+    fn first_impossible_row(&self) -> Option<usize> {
+        // Rounding to four decimals makes an eigenvalue of 0 slightly negative.
+        const ROUNDING: f64 = 0.01;
+        let mut factor: Vec<Vec<f64>> = Vec::new();
+        for (index, row) in self.rows.iter().enumerate() {
+            let mut own: Vec<f64> = Vec::new();
+            for (column, above) in factor.iter().enumerate() {
+                let known: f64 = own.iter().zip(above).map(|(one, other)| one * other).sum();
+                own.push((row[column] - known) / above[column]);
+            }
+            let pivot = row[index] + ROUNDING - own.iter().map(|it| it * it).sum::<f64>();
+            if pivot <= 0.0 {
+                return Some(index + 1);
+            }
+            own.push(pivot.sqrt());
+            factor.push(own);
+        }
+        None
     }
 
     /// The correlation of two quantities: 1 for a quantity with itself, 0 if the file gives none.
@@ -228,6 +320,11 @@ impl Correlations {
             _ => 0.0,
         }
     }
+}
+
+/// The names of all quantities, separated by commas.
+fn names() -> String {
+    Quantity::all().map(Quantity::name).collect::<Vec<_>>().join(", ")
 }
 
 fn nominal() -> DomainParameters {
@@ -281,10 +378,8 @@ mod tests {
             Profile::parse(&lines.collect::<Vec<_>>().join("\n"))
         };
         let error = without("M_p").unwrap_err().to_string();
-        assert_eq!(
-            error,
-            "parameters: name M_p, which has no default for a plant other than the Qube"
-        );
+        let words = "parameters: name M_p, which has no default for a plant other than the Qube";
+        assert!(error.starts_with("line ") && error.ends_with(words), "{error}");
         assert!(without("g").is_ok());
     }
 
@@ -352,5 +447,35 @@ mod tests {
             let message = Profile::parse(text).unwrap_err().to_string();
             assert!(message.contains(words), "{message}");
         }
+    }
+
+    #[test]
+    fn an_impossible_value_is_refused_with_its_line() {
+        let matrix = |names: &str, rows: &str| {
+            format!("name = \"x\"\n[correlations]\nnames = [\n{names}]\nrows = [\n{rows}]\n")
+        };
+        let three = "\"R_m\",\n\"k_m\",\n\"M_p\",\n";
+        for (text, line, words) in [
+            ("name = \"x\"\n[parameters]\ng = -1.0\n", 3, "parameters.g = -1"),
+            ("name = \"x\"\n[gap]\n\ncommand_delay_s = 6.0\n", 4, "gap.command_delay_s = 6"),
+            ("name = \"x\"\n[standard_errors]\nM_p = 1e6\n", 3, "from 0 to 0.24"),
+            ("name = \"x\"\n[standard_errors]\nM_p = nan\n", 3, "standard_errors.M_p = NaN"),
+            ("name = \"x\"\n[standard_errors]\nM_x = 0.1\n", 3, "no quantity"),
+            ("name = \"x\"\n[standard_errors]\ncommand_delay_s = 1.0\n", 3, "from 0 to 0.1"),
+            (&matrix("\"R_m\",\n\"R_x\",\n", "[1.0],\n[0.0, 1.0],\n"), 5, "no quantity R_x"),
+            (&matrix("\"R_m\",\n\"R_m\",\n", "[1.0],\n[0.0, 1.0],\n"), 5, "named twice"),
+            (&matrix("\"R_m\",\n\"k_m\",\n", "[1.0],\n"), 7, "give 2 rows"),
+            (&matrix("\"R_m\",\n\"k_m\",\n", "[1.0],\n[1.0],\n"), 9, "this is row 2"),
+            (&matrix("\"R_m\",\n\"k_m\",\n", "[1.0],\n[1.5, 1.0],\n"), 9, "from -1 to 1"),
+            (&matrix(three, "[1.0],\n[0.9, 1.0],\n[0.9, -0.9, 1.0],\n"), 11, "negative eigenvalue"),
+        ] {
+            let message = Profile::parse(text).unwrap_err().to_string();
+            let place = format!("line {line}: ");
+            assert!(message.contains(&place) && message.contains(words), "{place} {message}");
+        }
+        // Rounding leaves eigenvalues slightly below 0, and dampings have errors above their value.
+        let rounded = matrix(three, "[1.0],\n[1.0, 1.0],\n[0.9999, 1.0, 1.0],\n");
+        assert!(Profile::parse(&rounded).is_ok());
+        assert!(Profile::parse("name = \"x\"\n[standard_errors]\nD_r = 1e-5\n").is_ok());
     }
 }

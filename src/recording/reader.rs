@@ -32,7 +32,8 @@ pub enum Completeness {
     /// The file was truncated: the program that wrote it was killed, the disk was full, or power
     /// failed.
     CutOff {
-        /// Number of bytes in the file that could not be used.
+        /// Number of bytes in the file that could not be used; the index, which repeats what the
+        /// data hold, does not count.
         lost_bytes: u64,
         /// Position and reason of the first defect.
         reason: String,

@@ -14,7 +14,7 @@ pub enum Recovered {
     Saved {
         /// Number of ticks saved.
         ticks: usize,
-        /// Number of bytes of the old file that could not be used.
+        /// Number of bytes of the old file that could not be used; its index does not count.
         lost_bytes: u64,
         /// Whether the outcome was saved.
         has_outcome: bool,
@@ -162,6 +162,23 @@ mod tests {
         assert_eq!(after.outcome, None);
         let again = recover(&MachineDisk, &cut, &saved);
         assert!(matches!(again, Err(RecordingError::Create { .. })), "nothing is overwritten");
+    }
+
+    #[test]
+    fn a_cut_index_costs_nothing_of_the_rollout() {
+        let directory = tempfile::tempdir().unwrap();
+        let bytes = recorded(&ticks(20));
+        // The data end with a record of their own: an opcode, the length of the body, a checksum.
+        let end = [&[15][..], &4_u64.to_le_bytes()].concat();
+        let index = find_all(&bytes, &end)[0] + end.len() + 4;
+        for kept in [index, index + 1, (index + bytes.len()) / 2, bytes.len() - 9, bytes.len() - 1]
+        {
+            let path = |name: &str| directory.path().join(format!("{kept}-{name}.mcap"));
+            std::fs::write(path("cut"), &bytes[..kept]).unwrap();
+            let recovered = recover(&MachineDisk, &path("cut"), &path("saved")).unwrap();
+            let whole = Recovered::Saved { ticks: 20, lost_bytes: 0, has_outcome: true };
+            assert_eq!(recovered, whole, "{kept} of {} bytes", bytes.len());
+        }
     }
 
     /// Changes the first digit of the checksum whose key begins at this offset.

@@ -36,7 +36,8 @@ pub(super) struct Scan {
     /// First defect of a record. Later ones are not kept, because a hostile file may have millions.
     /// If the file ends between two records, only `closed` shows that its end is missing.
     pub(super) damage: Option<Damage>,
-    /// Number of bytes in the file that could not be used.
+    /// Number of bytes that could not be used, without those of the index, which repeats what the
+    /// data hold.
     pub(super) lost_bytes: u64,
     /// Whether the file ends with a footer and the magic bytes, as a finished file does.
     pub(super) closed: bool,
@@ -62,7 +63,8 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
     let mut summary_start = None;
     while offset < bytes.len() {
         let Some(record) = frame(bytes, offset) else {
-            scan.lose(offset, bytes.len() - offset, "the file ends within a record");
+            let of_data = if summary_start.is_none() { bytes.len() - offset } else { 0 };
+            scan.lose(offset, of_data, "the file ends within a record");
             return scan;
         };
         match record.opcode {

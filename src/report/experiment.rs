@@ -7,6 +7,7 @@ use super::page::{Cell, Page};
 use super::provenance::add_provenance;
 use super::returns::{CandidateReturns, returns_chart};
 use super::rollout::{RolloutView, add_player, behaviour_words, first_upper};
+use crate::experiment::statistics::mean_and_deviation;
 use crate::experiment::{
     Comparison, RecipeResult, Results, SearchReturns, StrategyResult, StrategyResults,
 };
@@ -181,12 +182,8 @@ fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
             let some = |text: String| {
                 Cell::Number(if recipe.policies.is_empty() { "–".into() } else { text })
             };
-            let spread = |(mean, deviation): (f64, f64)| {
-                Cell::Number(match (mean.is_finite(), deviation.is_finite()) {
-                    (false, _) => "–".into(),
-                    (true, false) => format!("{mean:.1}"),
-                    (true, true) => format!("{mean:.1} ± {deviation:.1}"),
-                })
+            let spread = |returns: (f64, f64)| {
+                Cell::Number(mean_and_deviation(returns, 0).unwrap_or("–".into()))
             };
             vec![
                 recipe.recipe.as_str().into(),

@@ -29,6 +29,7 @@ mod timing;
 pub use error::ReportError;
 pub use escape::is_obeyed;
 pub use experiment::{NamedRollouts, recipes_page, strategies_page};
+pub use page::is_report;
 pub use recordings::recordings_page;
 pub use rollout::RolloutView;
 pub use session::{NoSurrogate, SessionSource, SessionSurrogate, session_page};

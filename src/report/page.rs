@@ -1,4 +1,5 @@
 use std::fmt::Write;
+use std::path::Path;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -9,12 +10,25 @@ use super::chart::{Chart, Map};
 use super::densities::NEGLIGIBLE;
 use super::escape::{escaped, inert};
 use super::motion::Motion;
+use crate::storage::Disk;
 
 /// uPlot 1.6.32 by Leon Sorokin, MIT; its licence is beside it.
 const PLOTS: &str = include_str!("assets/uPlot.iife.min.js");
 const PLOTS_STYLE: &str = include_str!("assets/uPlot.min.css");
 const SCRIPT: &str = include_str!("assets/report.js");
 const STYLE: &str = include_str!("assets/report.css");
+
+/// The beginning of every report, before the hashes of its scripts. No page of another origin has
+/// it.
+const BEGINNING: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+    <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; script-src 'sha256-";
+
+/// Whether the file at this path is a report, also one of an earlier version of the program.
+#[must_use]
+pub fn is_report(disk: &dyn Disk, path: &Path) -> bool {
+    let length = BEGINNING.len();
+    disk.read(path, length as u64).is_ok_and(|bytes| bytes.starts_with(BEGINNING.as_bytes()))
+}
 
 /// An HTML page that is being written, with the data of its figures. It escapes every text that its
 /// methods get.
@@ -308,11 +322,25 @@ fn hash(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::storage::MachineDisk;
 
     #[test]
     fn a_hash_is_that_of_the_standard() {
         // The digest of the empty text, as FIPS 180-4 tools print it.
         assert_eq!(hash(""), "'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='");
+    }
+
+    #[test]
+    fn a_report_is_known_by_its_beginning() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("report.html");
+        assert!(!is_report(&MachineDisk, &path));
+        std::fs::write(&path, Page::new("a page").finish().unwrap()).unwrap();
+        assert!(is_report(&MachineDisk, &path));
+        for other in ["", "my own page\n", "<!DOCTYPE html>\n<html lang=\"en\">\n"] {
+            std::fs::write(&path, other).unwrap();
+            assert!(!is_report(&MachineDisk, &path), "{other}");
+        }
     }
 
     #[test]

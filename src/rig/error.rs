@@ -37,7 +37,7 @@ pub enum RigError {
     #[error(transparent)]
     ThreadGone(#[from] ThreadGone),
     /// A fault ended homing.
-    #[error("homing failed: {fault}. The motor is off. {}", fault.operator_step())]
+    #[error("homing failed: {fault}. {}", fault.motor_and_step())]
     Homing {
         /// Fault that ended homing.
         fault: Fault,
@@ -60,7 +60,7 @@ pub enum RigError {
     },
     /// The link failed before a rollout could begin, or the counts moved after homing, so that the
     /// zeros are out of date. The rollout has moved nothing.
-    #[error("the rollout could not begin: {source}. The motor is off. {}", fault.operator_step())]
+    #[error("the rollout could not begin: {source}. {}", fault.motor_and_step())]
     NotBegun {
         /// Entry of the table of faults that corresponds to the cause.
         fault: Fault,
@@ -70,7 +70,7 @@ pub enum RigError {
     /// A lost link did not return.
     #[error(
         "the link to the Qube is lost and did not come back within {patience_s} s: {source}. {}",
-        Fault::LinkGone.operator_step()
+        lost_link_step(source)
     )]
     LinkLost {
         /// Time for which the program tried to reach the link again, s.
@@ -171,6 +171,14 @@ impl From<ControlError> for RigError {
     }
 }
 
+/// The operator's step after a lost link, as far as the error of the last attempt does not say it.
+fn lost_link_step(source: &DeviceError) -> &'static str {
+    match source {
+        DeviceError::FellSilent { .. } => "Its motor may still have its last voltage",
+        _ => Fault::LinkGone.operator_step(),
+    }
+}
+
 /// The failed checks with their remedies, one check a line.
 fn listed(results: &[CheckResult]) -> String {
     let line = |result: &CheckResult| {
@@ -188,7 +196,8 @@ impl RigError {
             Self::Homing { fault, .. } | Self::NotBegun { fault, .. } | Self::Ended { fault } => {
                 Some(*fault)
             }
-            Self::LinkLost { source, .. } => Some(link_fault(source).unwrap_or(Fault::LinkGone)),
+            // Whatever ended the link, by now it is gone.
+            Self::LinkLost { .. } => Some(Fault::LinkGone),
             Self::Device(error) => link_fault(error),
             Self::MiddleLost => Some(Fault::BoardRestarted),
             Self::InDoubt(doubt) => doubt.fault,
@@ -261,5 +270,27 @@ pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
         DeviceError::Restarted { .. } => Some(Fault::BoardRestarted),
         DeviceError::Hil(error) if error.is_silence() => Some(Fault::NoSample),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_that_stayed_silent_is_a_lost_link_and_switched_off_once() {
+        let silent = DeviceError::FellSilent {
+            port: "/dev/qube".into(),
+            silent_s: 30.5,
+            since: "12 hellos had no answer".into(),
+        };
+        let gone = DeviceError::NoSuchPort { port: "/dev/qube".into(), available: "none".into() };
+        for source in [silent, gone] {
+            let lost = RigError::LinkLost { patience_s: 30.0, source, last_ticks: Vec::new() };
+            assert_eq!(lost.fault(), Some(Fault::LinkGone), "{lost}");
+            let told = lost.to_string();
+            assert_eq!(told.matches("Switch the Qube off").count(), 1, "{told}");
+            assert!(told.contains("motor may still have its last voltage"), "{told}");
+        }
     }
 }

@@ -55,18 +55,21 @@ pub fn mean_return(verdicts: &[Verdict]) -> Option<f64> {
     (!returns.is_empty()).then(|| returns.iter().sum::<f64>() / returns.len() as f64)
 }
 
-/// Reads the recording of a rollout that has finished, and computes the verdict.
+/// Reads the recording of a rollout that has finished; returns it with its verdict.
 ///
 /// # Errors
 /// The file is missing or cannot be read, its rollout is [`Verdict::Unfinished`] after all, or one
 /// of its bytes has changed.
-pub fn score_finished(disk: &dyn Disk, path: &Path) -> Result<Verdict, RecordingError> {
-    match score(disk, path) {
-        Ok(Verdict::Unfinished) => Err(RecordingError::CutOff { path: path.to_owned() }),
-        Err(RecordingError::Read { path, source }) if source.kind() == ErrorKind::NotFound => {
-            Err(RecordingError::Missing { path })
+pub fn read_finished(disk: &dyn Disk, path: &Path) -> Result<(Recording, Verdict), RecordingError> {
+    let recording = read_on(disk, path).map_err(|error| match error {
+        RecordingError::Read { path, source } if source.kind() == ErrorKind::NotFound => {
+            RecordingError::Missing { path }
         }
-        scored => scored,
+        error => error,
+    })?;
+    match score_recording(&recording) {
+        Verdict::Unfinished => Err(RecordingError::CutOff { path: path.to_owned() }),
+        verdict => Ok((recording, verdict)),
     }
 }
 

@@ -3,11 +3,15 @@
 
 use std::path::Path;
 
-use toml::{Table, Value};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use toml::de::{DeTable, DeValue, Deserializer};
+use toml::{Spanned, Table};
 
-use super::retired::rename_entries;
+use super::retired::{entry_at, rename_entries};
 use super::settings_check::NEW_SESSION_ADVICE;
 use super::{ConfigurationError, SessionSettings, take_retired};
+use crate::estimation::ObserverSettings;
 use crate::learning::Preset;
 use crate::safety::Guard;
 use crate::simulation::SensorModel;
@@ -26,7 +30,7 @@ impl SessionSettings {
     }
 
     fn loaded(mut text: String, path: &Path) -> Result<Self, ConfigurationError> {
-        let mut table: Table = parsed(&text, path)?;
+        let mut table: Table = toml::from_str(&text).map_err(|error| invalid(path, error))?;
         let retired = take_retired(&mut table);
         let out_of_range =
             |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };
@@ -36,8 +40,10 @@ impl SessionSettings {
         if !retired.is_empty() {
             text = toml::to_string(&table)?;
         }
+        // A session writes its tables whole, so one that lacks an entry is damaged.
+        let _whole: Self = toml::from_str(&text).map_err(|error| invalid(path, error))?;
         let oldest = Self { preset: None, ..Self::default() }.with_guard(Guard::Box);
-        let settings = oldest.with_overrides(&text, path)?;
+        let settings = oldest.with_overrides(&Entries::of(&text, None, path)?)?;
         settings.check_resumable().map_err(out_of_range)?;
         Ok(settings)
     }
@@ -48,8 +54,7 @@ impl SessionSettings {
     /// # Errors
     /// The file cannot be read, or the errors of [`overridden_by_text`](Self::overridden_by_text).
     pub fn overridden_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
-        let text = read(path)?;
-        self.overridden_by_text(&text, path).map_err(|error| error.located(&text, ""))
+        self.overridden_by_text(&read(path)?, path)
     }
 
     /// Configures a new session like [`overridden_by`](Self::overridden_by). If the file names an
@@ -61,8 +66,8 @@ impl SessionSettings {
     /// The errors of [`overridden_by`](Self::overridden_by).
     pub fn configured_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
-        let settings = self.overridden_by(path)?;
-        let file: Table = parsed(&text, path)?;
+        let settings = self.overridden_by_text(&text, path)?;
+        let file: Table = toml::from_str(&text).map_err(|error| invalid(path, error))?;
         let simulation = file.get("training").and_then(|training| training.get("simulation"));
         let simulated = simulation.and_then(|simulation| simulation.get("sensors"));
         let estimator = match (file.get("estimator"), settings.training.simulation.sensors) {
@@ -71,7 +76,7 @@ impl SessionSettings {
             _ => return Ok(settings),
         };
         let settings = settings.seen_through(estimator);
-        settings.checked(path)
+        settings.checked(path).map_err(|error| error.located(&text, ""))
     }
 
     /// Overrides these settings with the text of a file; `path` only appears in errors. The text
@@ -81,34 +86,69 @@ impl SessionSettings {
     /// The text is not TOML, or holds a setting that is unknown, out of its range, only of earlier
     /// versions, or not allowed in the file of a new session.
     pub fn overridden_by_text(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
+        self.overridden_by_part(text, None, path)
+    }
+
+    /// Overrides these settings like [`overridden_by_text`](Self::overridden_by_text), but only with
+    /// the table `part` of the text; `None` means the whole text.
+    ///
+    /// # Errors
+    /// The errors of [`overridden_by_text`](Self::overridden_by_text).
+    pub fn overridden_by_part(
+        &self,
+        text: &str,
+        part: Option<&str>,
+        path: &Path,
+    ) -> Result<Self, ConfigurationError> {
+        let above = part.map_or_else(String::new, |part| format!("{part}."));
+        self.overridden(text, part, path).map_err(|error| error.located(text, &above))
+    }
+
+    fn overridden(
+        &self,
+        text: &str,
+        part: Option<&str>,
+        path: &Path,
+    ) -> Result<Self, ConfigurationError> {
         let out_of_range =
             |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };
-        if let Some(entry) = take_retired(&mut parsed(text, path)?).first() {
+        let entries = Entries::of(text, part, path)?;
+        if let Some(entry) = take_retired(&mut entries.read()?).first() {
             return Err(out_of_range(format!("{entry}: leave it out")));
         }
-        let mut settings = self.with_overrides(text, path)?;
+        let mut settings = self.with_overrides(&entries)?;
         settings.preset = Some(Preset::of(&settings.training));
         settings.check_begun().map_err(out_of_range)?;
         Ok(settings)
     }
 
-    fn with_overrides(&self, text: &str, path: &Path) -> Result<Self, ConfigurationError> {
-        let invalid = |source| ConfigurationError::Invalid {
-            path: path.to_owned(),
-            source: Box::new(source),
-        };
-        // The text is parsed alone first, so that an error names a line of the file.
-        let alone: Self = toml::from_str(text).map_err(invalid)?;
-        let below = match alone.preset {
+    fn with_overrides(&self, above: &Entries<'_>) -> Result<Self, ConfigurationError> {
+        let SelectedPreset { preset } = above.read()?;
+        let below = match preset {
             Some(preset) => self.clone().trained_with(preset),
             None => self.clone(),
         };
-        let mut table: Table = Table::try_from(below)?;
-        let mut above: Table = toml::from_str(text).map_err(invalid)?;
-        rename_entries(&mut above);
-        merge_into(&mut table, above);
-        let settings: Self = table.try_into().map_err(invalid)?;
-        settings.checked(path)
+        let text = toml::to_string(&below)?;
+        let observer = toml::to_string(&ObserverSettings::default())?;
+        let mut all = Entries::of(&text, None, above.path)?;
+        let mut table = above.table.clone();
+        rename_entries(table.get_mut());
+        for place in OBSERVERS {
+            let is_named =
+                entry_at(table.get_mut(), place).is_some_and(|it| it.contains_key("observer"));
+            if let (true, Some(below)) = (is_named, entry_at(all.table.get_mut(), place))
+                && !below.contains_key("observer")
+            {
+                let entries = Entries::of(&observer, None, above.path)?.table;
+                let (span, entries) = (entries.span(), entries.into_inner());
+                let name = Spanned::new(span.clone(), "observer".into());
+                below.insert(name, Spanned::new(span, DeValue::Table(entries)));
+            }
+        }
+        merge_into(all.table.get_mut(), table.into_inner());
+        // The places of the file's entries are those in its own text.
+        let settings: Self = Entries { text: above.text, ..all }.read()?;
+        settings.checked(above.path)
     }
 
     fn checked(self, path: &Path) -> Result<Self, ConfigurationError> {
@@ -135,21 +175,80 @@ pub(super) fn read(path: &Path) -> Result<String, ConfigurationError> {
         .map_err(|source| ConfigurationError::Unreadable { path: path.to_owned(), source })
 }
 
-fn parsed(text: &str, path: &Path) -> Result<Table, ConfigurationError> {
-    toml::from_str(text).map_err(|source| ConfigurationError::Invalid {
-        path: path.to_owned(),
-        source: Box::new(source),
-    })
+fn invalid(path: &Path, source: toml::de::Error) -> ConfigurationError {
+    ConfigurationError::Invalid { path: path.to_owned(), source: Box::new(source) }
 }
 
-fn merge_into(below: &mut Table, above: Table) {
-    for (key, value) in above {
-        match (below.get_mut(&key), value) {
-            (Some(Value::Table(below)), Value::Table(above)) => merge_into(below, above),
-            (_, value) => {
-                below.insert(key, value);
+/// The tables that may have an `observer`, which is absent by default. Where a file names some of
+/// its entries, the others have their defaults.
+const OBSERVERS: [&[&str]; 3] =
+    [&["estimator"], &["homing", "estimator"], &["training", "simulation", "sensors", "estimator"]];
+
+/// The entry of a settings file that selects the other settings' defaults.
+#[derive(Deserialize)]
+struct SelectedPreset {
+    preset: Option<Preset>,
+}
+
+/// The entries of a TOML text with their places in it, so that an error names a line.
+struct Entries<'a> {
+    text: &'a str,
+    path: &'a Path,
+    table: Spanned<DeTable<'a>>,
+}
+
+impl<'a> Entries<'a> {
+    /// The entries of the table `part` of a text, which are none if the text has no such table;
+    /// `None` means those of the whole text. `path` only appears in errors.
+    fn of(text: &'a str, part: Option<&str>, path: &'a Path) -> Result<Self, ConfigurationError> {
+        let mut table = match DeTable::parse(text) {
+            Ok(table) => table,
+            Err(error) if error.span().is_some() => return Err(invalid(path, error)),
+            Err(error) => {
+                // The parser names no place for a key with too many parts.
+                let ends = text.match_indices('\n').map(|(at, _)| at + 1);
+                let ends: Vec<usize> = ends.chain([text.len()]).collect();
+                let is_fine = |end: &usize| {
+                    !DeTable::parse(&text[..*end]).is_err_and(|error| error.span().is_none())
+                };
+                return Err(ConfigurationError::OutOfRange {
+                    path: path.to_owned(),
+                    line: Some(1 + ends.partition_point(is_fine)),
+                    reason: format!("a key has too many parts: {}", error.message()),
+                });
             }
+        };
+        if let Some(part) = part {
+            let value = table.get_mut().remove(part);
+            let value = value.map(|value| (value.span(), value.into_inner()));
+            table = match value {
+                Some((span, DeValue::Table(entries))) => Spanned::new(span, entries),
+                _ => Spanned::new(table.span(), DeTable::new()),
+            };
         }
+        Ok(Self { text, path, table })
+    }
+
+    fn read<T: DeserializeOwned>(&self) -> Result<T, ConfigurationError> {
+        T::deserialize(Deserializer::from(self.table.clone())).map_err(|mut error| {
+            error.set_input(Some(self.text));
+            invalid(self.path, error)
+        })
+    }
+}
+
+fn merge_into<'a>(below: &mut DeTable<'a>, above: DeTable<'a>) {
+    for (key, value) in above {
+        let (span, value) = (value.span(), value.into_inner());
+        let under = below.remove(&**key.get_ref()).map(Spanned::into_inner);
+        let value = match (under, value) {
+            (Some(DeValue::Table(mut under)), DeValue::Table(above)) => {
+                merge_into(&mut under, above);
+                DeValue::Table(under)
+            }
+            (_, value) => value,
+        };
+        below.insert(key, Spanned::new(span, value));
     }
 }
 
@@ -225,6 +324,66 @@ mod tests {
         assert_eq!(origin(&written.replace("preset = \"thesis\"\n", "")), "custom");
         let older = SessionSettings::thesis().to_toml().unwrap();
         assert_eq!(origin(&older.replace("preset = \"thesis\"\n", "")), "thesis");
+    }
+
+    #[test]
+    fn a_table_keeps_the_entries_of_the_preset_that_a_file_does_not_name() {
+        let thesis = SessionSettings::thesis();
+        let changed = |change: fn(&mut SessionSettings)| {
+            let mut settings = thesis.clone();
+            change(&mut settings);
+            settings.preset = Some(Preset::of(&settings.training));
+            settings
+        };
+        let of_observer = "estimator.observer.model.parameters]\nR_m = 9.0\n";
+        for (text, expected) in [
+            (
+                "[training.simulation.reward]\nvoltage = 0.01\n".to_owned(),
+                changed(|it| it.training.simulation.reward.voltage = 0.01),
+            ),
+            (
+                "[homing.signs]\ntheta_inverted = true\n".to_owned(),
+                changed(|it| it.homing.signs.theta_inverted = true),
+            ),
+            ("[emulated]\nplay_rad = 0.01\n".to_owned(), changed(|it| it.emulated.play_rad = 0.01)),
+            (
+                "[emulated.model.parameters]\nM_p = 0.03\n".to_owned(),
+                changed(|it| it.emulated.model.parameters.pendulum_mass_kg = 0.03),
+            ),
+            (
+                "[emulated.model.gap]\ncommand_delay_s = 0.01\n".to_owned(),
+                changed(|it| it.emulated.model.nonidealities.command_delay_s = 0.01),
+            ),
+            (
+                "[emulated.effects]\nslack = 0.2\n".to_owned(),
+                changed(|it| it.emulated.effects.slack = 0.2),
+            ),
+            (
+                format!("[{of_observer}"),
+                changed(|it| {
+                    let observer = it.estimator.observer.get_or_insert_default();
+                    observer.model.parameters.motor_resistance_ohm = 9.0;
+                }),
+            ),
+            (
+                "[homing.estimator.observer]\nastray_rad = 0.2\n".to_owned(),
+                changed(|it| {
+                    it.homing.estimator.observer.get_or_insert_default().reset_error_rad = 0.2;
+                }),
+            ),
+        ] {
+            assert_eq!(overridden(&text).unwrap(), expected, "{text}");
+        }
+        let simulated = overridden(&format!("[training.simulation.sensors.{of_observer}")).unwrap();
+        let SensorModel::Encoders { estimator } = simulated.training.simulation.sensors else {
+            panic!("the sensors are encoders");
+        };
+        let mut observer = ObserverSettings::default();
+        observer.model.parameters.motor_resistance_ohm = 9.0;
+        assert_eq!(estimator, EstimatorSettings::observer(observer));
+        // A profile is absent by default: it describes one Qube and has to be whole.
+        let message = overridden("[profile]\nspread = 0.1\n").unwrap_err().to_string();
+        assert!(message.contains("line 1") && message.contains("`model`"), "{message}");
     }
 
     #[test]
@@ -323,8 +482,21 @@ mod tests {
     fn a_misspelt_key_is_an_error_with_its_line() {
         let message = overridden("seed = 7\nsed = 8\n").unwrap_err().to_string();
         assert!(message.contains("my.toml") && message.contains("line 2"), "{message}");
-        let message = overridden("[extent]\nrolouts = 8\n").unwrap_err().to_string();
-        assert!(message.contains("rolouts") && message.contains("line 2"), "{message}");
+        for (text, line, name) in [
+            ("[extent]\nrolouts = 8\n", 2, "rolouts"),
+            ("[training.simulation.reward]\nvoltage = 0.01\nvolt = 0.01\n", 3, "volt"),
+            (
+                "[training.simulation.sensors]\ntype = \"encoders\"\n\n\
+              [training.simulation.sensors.estimator]\ncorner = 1.0\n",
+                5,
+                "corner",
+            ),
+            ("[emulated.model.parameters]\nM_p = 0.03\nM_x = 0.03\n", 3, "M_x"),
+        ] {
+            let message = overridden(text).unwrap_err().to_string();
+            let place = format!("line {line},");
+            assert!(message.contains(&place) && message.contains(name), "{place} {message}");
+        }
     }
 
     #[test]
@@ -352,6 +524,12 @@ mod tests {
             ("training.discount = 7.0\n", 1, "training.discount = 7"),
             ("seed = 1\n[training]\npendulums = 0\n", 3, "training.num_envs = 0"),
             ("[training]\nnum_envs = 20\n", 2, "training.num_envs"),
+            ("seed = 1\nmodel = \"opt-profile\"\n", 2, "model = \"opt-profile\""),
+            (
+                "[[psi]]\nname = \"std_delay\"\n[[psi]]\nname = \"filter\"\nupper = 1e9\n",
+                5,
+                "psi[2].upper = 1000000000",
+            ),
             ("[extent]\niterations = 4000000000\n", 2, "extent.iterations = 4000000000"),
             ("[extent]\nrepetitions = 4000000000\n", 2, "extent.repetitions = 4000000000"),
             ("seed = 1\n[safety_box]\ntheta = 1e300\n", 3, "safety_box.theta_rad"),
@@ -366,6 +544,22 @@ mod tests {
             let message = overridden(text).unwrap_err().to_string();
             let place = format!("my.toml, line {line}: {name}");
             assert!(message.contains(&place), "{place:?} is missing in: {message}");
+        }
+        let deep = format!("seed = 1\n{} = 1\nname = \"a\"\n", ["a"; 100].join("."));
+        let message = overridden(&deep).unwrap_err().to_string();
+        assert!(message.contains("my.toml, line 2: a key has too many parts"), "{message}");
+    }
+
+    #[test]
+    fn a_wrong_dimension_of_psi_is_named_with_its_own_line() {
+        let first = "seed = 1\n[[psi]]\nname = \"mean_M_p\"\n[[psi]]\n";
+        for (second, words) in [
+            ("name = \"filtr\"\n", "no `filtr`"),
+            ("name = \"mean_M_p\"\n", "mean_M_p twice"),
+            ("name = \"filter\"\nlower = 5.0\nupper = 1.0\n", "range of filter"),
+        ] {
+            let message = overridden(&format!("{first}{second}")).unwrap_err().to_string();
+            assert!(message.contains("line 4,") && message.contains(words), "{message}");
         }
     }
 }

@@ -1,9 +1,9 @@
 use std::path::PathBuf;
 
 use thiserror::Error;
-use toml::de::{DeTable, DeValue};
 
 use super::retired::earlier_name;
+use crate::qube::{key_of_message, line_of_key};
 use crate::storage::WriteError;
 
 /// An error in a configuration.
@@ -50,11 +50,12 @@ impl ConfigurationError {
     #[must_use]
     pub fn located(self, text: &str, above: &str) -> Self {
         match self {
-            Self::OutOfRange { path, reason, .. } => {
-                // A reason begins with the key of the wrong value.
-                let is_of_key = |letter: char| letter.is_alphanumeric() || "._".contains(letter);
-                let key: String = reason.chars().take_while(|&letter| is_of_key(letter)).collect();
-                let line = line_of(text, &format!("{above}{}", key.trim_end_matches('.')));
+            Self::OutOfRange { path, line, reason } => {
+                let key = format!("{above}{}", key_of_message(&reason));
+                // A file may name a limit without its unit, or a setting by its earlier name.
+                let is_named =
+                    |name: &str, part: &str| name == part || Some(name) == earlier_name(part);
+                let line = line.or_else(|| line_of_key(text, &key, is_named));
                 Self::OutOfRange { path, line, reason }
             }
             other => other,
@@ -64,21 +65,4 @@ impl ConfigurationError {
 
 fn at_line(line: Option<usize>) -> String {
     line.map_or_else(String::new, |line| format!(", line {line}"))
-}
-
-/// The line in which a TOML text gives this key its value, from 1; `None` if it has no such key.
-fn line_of(text: &str, key: &str) -> Option<usize> {
-    let document = DeTable::parse(text).ok()?;
-    let mut table = document.get_ref();
-    let mut parts = key.split('.').peekable();
-    while let Some(part) = parts.next() {
-        // A file may name a limit without its unit, or a setting by its earlier name.
-        let is_it = |name: &str| name == part || Some(name) == earlier_name(part);
-        let (_, value) = table.iter().find(|(name, _)| is_it(name.get_ref()))?;
-        match value.get_ref() {
-            DeValue::Table(below) if parts.peek().is_some() => table = below,
-            _ => return Some(1 + text[..value.span().start].matches('\n').count()),
-        }
-    }
-    None
 }

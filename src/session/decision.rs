@@ -1,6 +1,6 @@
 //! Decides how the search around an identified Qube continues.
 
-use super::{Purpose, ScoredCandidate};
+use super::ScoredCandidate;
 
 /// Smallest gain that is worth one more candidate, as a fraction of the verified return.
 pub const WORTHWHILE_GAIN: f64 = 0.01;
@@ -48,9 +48,7 @@ pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
         }
     }
     let Some((best, _)) = best else { return Decision::Propose };
-    let verification = candidates.iter().find(|it| {
-        it.candidate.purpose == Purpose::Incumbent && it.candidate.psi == best.candidate.psi
-    });
+    let verification = candidates.iter().find(|it| it.candidate.runs_policy_of(&best.candidate));
     let succeeds = |it: &ScoredCandidate| it.successes() == it.verdicts.len();
     match verification {
         None if is_full || succeeds(best) => Decision::Verify { candidate: best.candidate.number },
@@ -69,7 +67,7 @@ mod tests {
     use super::*;
     use crate::recording::samples;
     use crate::scoring::Verdict;
-    use crate::session::Candidate;
+    use crate::session::{Candidate, Purpose};
     use crate::telemetry::{Ending, RolloutOutcome};
 
     fn scored(
@@ -86,6 +84,7 @@ mod tests {
             finished: Vec::new(),
             void: 0,
             void_before: 0,
+            policy_of: None,
         };
         let verdict = |&(return_, success): &(f64, bool)| Verdict::Result {
             return_,
@@ -113,6 +112,25 @@ mod tests {
         // A candidate that is better than the verified one is verified too.
         candidates.push(scored(4, Purpose::Search, 2.0, &[(545.0, true)]));
         assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 4 });
+    }
+
+    #[test]
+    fn a_verification_counts_for_its_own_candidate_and_not_for_another_with_the_same_psi() {
+        let verification = scored(2, Purpose::Incumbent, 1.0, &[GOOD; 5]);
+        let of = |policy_of| {
+            let candidate = Candidate { policy_of, ..verification.candidate.clone() };
+            let candidates = [
+                scored(1, Purpose::Initial, 1.0, &[GOOD]),
+                ScoredCandidate { candidate, ..verification.clone() },
+                scored(3, Purpose::Search, 1.0, &[(545.0, true)]),
+            ];
+            decide(&candidates, 10)
+        };
+        assert_eq!(of(Some(1)), Decision::Verify { candidate: 3 });
+        let end = Decision::EndBelow { verified: 540.0, smallest_gain: 5.4 };
+        assert_eq!(of(Some(3)), end);
+        // A ledger of an older program names no candidate.
+        assert_eq!(of(None), end);
     }
 
     #[test]

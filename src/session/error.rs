@@ -87,8 +87,7 @@ pub enum SessionError {
         /// Board that made the recordings so far.
         before: String,
     },
-    /// The file of a profile that the session identified was changed or is damaged. If the file is
-    /// missing, the error is [`SessionError::Folder`].
+    /// The file of a profile that the session identified is missing, was changed or is damaged.
     #[error(
         "{path}: the profile that this session identified is lost: {reason}. Restore it from a backup"
     )]
@@ -97,6 +96,25 @@ pub enum SessionError {
         path: PathBuf,
         /// Defect of the file.
         reason: String,
+    },
+    /// The policy file of a candidate holds another policy than the candidate's recordings.
+    #[error(
+        "{path}: this is not the policy that made the candidate's rollouts: it was changed. Restore it from a backup; \
+         each recording beside it contains the policy that made it"
+    )]
+    PolicyChanged {
+        /// Path of the policy.
+        path: PathBuf,
+    },
+    /// The recording of another rollout is in the place of a finished rollout's.
+    #[error(
+        "{path}: this is the recording of {found}, which would count twice. Put the recording back that was there"
+    )]
+    RecordingMisplaced {
+        /// Path of the recording.
+        path: PathBuf,
+        /// Rollout that the file records.
+        found: String,
     },
     /// The ledger could not be used.
     #[error(transparent)]

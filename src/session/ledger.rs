@@ -35,6 +35,10 @@ pub enum Entry {
         /// psi.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         pending: Vec<u32>,
+        /// Number of the searched candidate whose policy this one runs again, to verify it; `None`
+        /// for a candidate with a policy of its own, and in ledgers of older programs.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        policy_of: Option<u32>,
     },
     /// The candidate's policy is complete on disk.
     Trained {
@@ -123,6 +127,18 @@ pub enum Purpose {
     Incumbent,
     /// A policy that was trained on the nominal Qube, for comparison.
     Baseline,
+}
+
+impl Entry {
+    /// Number of the rig that the entry names, from 1; `None` if it names none.
+    #[must_use]
+    pub fn rig(&self) -> Option<u32> {
+        match self {
+            Self::RolloutFinished { rig, .. } | Self::RolloutVoid { rig, .. } => *rig,
+            Self::RigTakenOut { rig, .. } => Some(*rig),
+            _ => None,
+        }
+    }
 }
 
 impl Purpose {
@@ -238,6 +254,22 @@ impl Ledger {
     #[must_use]
     pub fn state(&self) -> &SessionState {
         &self.state
+    }
+
+    /// Checks that the entries name no other rigs than those of a session with this many.
+    ///
+    /// # Errors
+    /// An entry names a rig that the session does not have.
+    pub fn check_rigs(&self, rigs: u32) -> Result<(), LedgerError> {
+        let named = (1..).zip(self.entries.iter().map(Entry::rig));
+        for (line, rig) in named {
+            if let Some(rig) = rig.filter(|rig| *rig > rigs) {
+                let path = self.path.clone();
+                let reason = format!("it names rig {rig}, and the session has {rigs}");
+                return Err(LedgerError::Damaged { path, line, reason });
+            }
+        }
+        Ok(())
     }
 
     /// Adds one entry; it is on disk when the call returns.
@@ -361,6 +393,7 @@ mod tests {
                 purpose: Purpose::Initial,
                 psi: vec![0.1, 1.0 / 3.0],
                 pending: Vec::new(),
+                policy_of: None,
             },
             Entry::Trained { candidate: 0 },
             Entry::RolloutVoid { candidate: 0, rollout: 0, attempt: 0, rig: None },
@@ -427,6 +460,7 @@ mod tests {
             purpose: Purpose::Initial,
             psi: vec![],
             pending,
+            policy_of: None,
         };
         let proposed = |candidate| beside(candidate, Vec::new());
         let finished =
@@ -449,6 +483,27 @@ mod tests {
         ] {
             let damaged = parse(lines(&entries).as_bytes()).unwrap_err();
             assert_eq!(damaged.line, line, "{entries:?}");
+        }
+    }
+
+    #[test]
+    fn rigs_that_a_session_does_not_have_are_found() {
+        let void =
+            |rig| Entry::RolloutVoid { candidate: 0, rollout: 0, attempt: 0, rig: Some(rig) };
+        let taken_out = |rig| Entry::RigTakenOut { rig, reason: "it rests".into() };
+        for wrong in [void(0), taken_out(0)] {
+            let damaged = parse(lines(&[&sample()[..2], &[wrong]].concat()).as_bytes());
+            let DamagedLine { line, reason } = damaged.unwrap_err();
+            assert_eq!((line, reason.as_str()), (3, "rigs are numbered from 1"));
+        }
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("ledger.jsonl");
+        for other in [void(3), taken_out(3)] {
+            std::fs::write(&path, lines(&[&sample()[..2], &[other]].concat())).unwrap();
+            let ledger = Ledger::open(&MachineDisk, &path).unwrap();
+            assert!(ledger.check_rigs(3).is_ok());
+            let told = ledger.check_rigs(2).unwrap_err().to_string();
+            assert!(told.contains("line 3: it names rig 3, and the session has 2"), "{told}");
         }
     }
 

@@ -1,73 +1,7 @@
 //! Computes the next step of a session from its settings and the ledger's state alone, so that a
 //! session that was killed at any instant continues exactly where it stopped.
 
-use serde::{Deserialize, Serialize};
-
-use super::{Candidate, Identification, IdentificationSettings, Purpose, SessionState};
-use crate::qube::MAX_STEPS;
-
-/// The extent of a session: numbers of candidates and rollouts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Extent {
-    /// Number of initial points of the search.
-    pub initial_candidates: u32,
-    /// Number of points that the search proposes after the initial ones.
-    pub iterations: u32,
-    /// Number of rollouts of each candidate.
-    pub rollouts: u32,
-    /// Number of rollouts that verify the recommendation.
-    pub verification_rollouts: u32,
-    /// Whether the best candidate's existing policy is verified too, by `verification_rollouts`.
-    #[serde(default)]
-    pub verifies_incumbent: bool,
-    /// Largest number of steps of a rollout under a candidate's policy, 10 ms each; the thesis uses
-    /// 600.
-    pub steps: u32,
-    /// Number of times that one rollout is repeated after faults. After one more fault the session
-    /// stops or, if other rigs share it, goes on without the rig.
-    pub repetitions: u32,
-    /// Whether a policy that was trained on the nominal Qube makes one rollout at the end, for
-    /// comparison.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub baseline: bool,
-    /// Number of candidates whose returns may still be unknown when the search proposes the next
-    /// one. The next candidate is then trained while the earlier ones run on the Qube. With 0, the
-    /// Qube and the trainings wait for each other. A search around an identified Qube acts as with
-    /// 0.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub pending: u32,
-}
-
-fn is_zero(count: &u32) -> bool {
-    *count == 0
-}
-
-impl Extent {
-    /// The extent of a session of some minutes.
-    pub const QUICK: Self = Self {
-        initial_candidates: 6,
-        iterations: 4,
-        rollouts: 2,
-        verification_rollouts: 5,
-        verifies_incumbent: true,
-        steps: MAX_STEPS as u32,
-        repetitions: 3,
-        baseline: false,
-        pending: 0,
-    };
-
-    /// The thesis's extent: 15 initial points and 10 iterations, with five rollouts for each
-    /// candidate.
-    pub const THESIS: Self =
-        Self { initial_candidates: 15, iterations: 10, rollouts: 5, ..Self::QUICK };
-}
-
-impl Default for Extent {
-    fn default() -> Self {
-        Self::QUICK
-    }
-}
+use super::{Candidate, Extent, Identification, IdentificationSettings, Purpose, SessionState};
 
 /// The numbers of a session's candidates: so far and at most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -295,6 +229,7 @@ impl SessionState {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::MAX_STEPS;
     use crate::session::Entry;
 
     fn next_step_after(entries: &[Entry], extent: &Extent) -> Step {
@@ -342,6 +277,7 @@ mod tests {
                             purpose,
                             psi: vec![0.0],
                             pending,
+                            policy_of: None,
                         });
                     }
                 }
@@ -508,7 +444,8 @@ mod tests {
     }
 
     fn proposed(candidate: u32, purpose: Purpose) -> Entry {
-        Entry::Proposed { candidate, purpose, psi: Vec::new(), pending: Vec::new() }
+        let (psi, pending) = (Vec::new(), Vec::new());
+        Entry::Proposed { candidate, purpose, psi, pending, policy_of: None }
     }
 
     /// The ledger's entries of a candidate that has finished this number of rollouts.

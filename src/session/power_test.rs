@@ -1,5 +1,7 @@
 use serde::{Deserialize, Serialize};
 
+use super::file_date::date;
+
 /// The result of a power test, as `[power]` in `qube.toml` contains it: the motor's behaviour when
 /// the operator pulled the board's USB plug.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -8,6 +10,7 @@ pub struct PowerTest {
     /// Behaviour of the motor.
     pub usb_lost: UsbLost,
     /// Date of the test, as year-month-day.
+    #[serde(deserialize_with = "date")]
     pub date: String,
     /// Serial number of the board in the test.
     pub board: String,

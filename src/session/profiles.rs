@@ -1,3 +1,5 @@
+use std::io::ErrorKind;
+
 use super::{FolderError, SessionError, SessionPaths, file_checksum};
 use crate::qube::Profile;
 use crate::storage::{Disk, SETTINGS_BYTES};
@@ -14,10 +16,11 @@ pub fn identified_profile(
     (recordings, checksum): &(u32, String),
 ) -> Result<Profile, SessionError> {
     let path = paths.profile(*recordings);
-    let bytes = disk
-        .read(&path, SETTINGS_BYTES)
-        .map_err(|source| FolderError::Io { path: path.clone(), source })?;
     let lost = |reason: String| SessionError::ProfileLost { path: path.clone(), reason };
+    let bytes = disk.read(&path, SETTINGS_BYTES).map_err(|source| match source.kind() {
+        ErrorKind::NotFound => lost("the file is missing".into()),
+        _ => FolderError::Io { path: path.clone(), source }.into(),
+    })?;
     if file_checksum(&bytes) != *checksum {
         return Err(lost("it was changed".into()));
     }

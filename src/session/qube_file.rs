@@ -391,6 +391,11 @@ mod tests {
             ("[limits]\nalpha_dot_rad_s = -1.0\n", ["line 2", "above 0"]),
             ("[limits]\ntheta_dot_rad_s = nan\n", ["line 2", "above 0"]),
             ("[power]\nusb_lost = \"off\"\n", ["line 2", "motor off"]),
+            ("[power]\nusb_lost = \"unknown\"\ndate = \"yesterday\"\n", ["line 3", "yesterday"]),
+            ("[power]\nusb_lost = \"unknown\"\ndate = \"2026-13-01\"\n", ["line 3", "no date"]),
+            ("[watchdog]\nexpired_ms = -1e300\n", ["line 2", "from 0 to 60000"]),
+            ("[watchdog]\nexpired_ms = nan\n", ["line 2", "NaN"]),
+            ("[watchdog]\nexpired_ms = 50.0\ndate = \"\"\n", ["line 3", "no date"]),
         ] {
             let message = read_back(text).unwrap_err().to_string();
             for word in words.iter().chain(&[QUBE_FILE]) {

@@ -99,13 +99,12 @@ impl SessionReport {
         Ok(report)
     }
 
-    /// The number of the searched candidate whose policy the candidate `again` runs once more. It
-    /// is found by its psi, which both share; if there is none, the number of `again`.
+    /// The number of the searched candidate whose policy the candidate `again` runs once more; if
+    /// there is none, the number of `again`.
     #[must_use]
     pub fn incumbent(&self, again: &Candidate) -> u32 {
-        let is_same = |it: &&Candidate| it.purpose.is_searched() && it.psi == again.psi;
         let mut candidates = self.candidates.iter().map(|it| &it.candidate);
-        candidates.find(is_same).unwrap_or(again).number
+        candidates.find(|it| again.runs_policy_of(it)).unwrap_or(again).number
     }
 
     /// The candidates whose purpose `is` accepts.

@@ -3,7 +3,8 @@
 
 use std::fmt::{self, Display};
 
-use toml::{Table, Value};
+use toml::de::{DeTable, DeValue};
+use toml::{Spanned, Table, Value};
 
 use crate::simulation::box_file;
 
@@ -13,7 +14,7 @@ const RETIRED: [(&[&str], &str); 2] =
 
 /// Renamed entries: the path of their table within a session's settings, and their earlier and
 /// present names.
-const RENAMED: [(&[&str], Names); 5] = [
+const RENAMED: [(&[&str], Names); 6] = [
     (
         &["training"],
         &[("pendulums", "num_envs"), ("trace_decay", "gae_lambda"), ("enough", "target_return")],
@@ -21,6 +22,7 @@ const RENAMED: [(&[&str], Names); 5] = [
     (&["safety_box"], &box_file::NAMES),
     (&["training", "simulation", "safety_box"], &box_file::NAMES),
     (&["estimator", "observer"], &OBSERVER_NAMES),
+    (&["homing", "estimator", "observer"], &OBSERVER_NAMES),
     (&["training", "simulation", "sensors", "estimator", "observer"], &OBSERVER_NAMES),
 ];
 
@@ -64,13 +66,16 @@ pub fn take_retired(settings: &mut Table) -> Vec<Retired> {
 }
 
 /// Gives renamed entries of a session's settings their present names. Otherwise such an entry would
-/// not override the entry of a preset but stand beside it.
-pub(super) fn rename_entries(settings: &mut Table) {
+/// not override the entry of a preset but stand beside it. An entry under both names stays, because
+/// it is refused as a duplicate.
+pub(super) fn rename_entries(settings: &mut DeTable<'_>) {
     for (path, names) in RENAMED {
-        let Some(table) = table_at(settings, path) else { continue };
+        let Some(table) = entry_at(settings, path) else { continue };
         for (earlier, present) in names {
-            if let Some(value) = table.remove(*earlier) {
-                table.insert((*present).to_owned(), value);
+            if !table.contains_key(*present)
+                && let Some((key, value)) = table.remove_entry(*earlier)
+            {
+                table.insert(Spanned::new(key.span(), (*present).into()), value);
             }
         }
     }
@@ -80,6 +85,17 @@ pub(super) fn rename_entries(settings: &mut Table) {
 pub(super) fn earlier_name(present: &str) -> Option<&'static str> {
     let mut names = RENAMED.into_iter().flat_map(|(_, names)| names);
     names.find(|(_, name)| *name == present).map(|(earlier, _)| *earlier)
+}
+
+/// The table at a path within the entries of a session's settings file.
+pub(super) fn entry_at<'a, 'i>(
+    settings: &'a mut DeTable<'i>,
+    path: &[&str],
+) -> Option<&'a mut DeTable<'i>> {
+    path.iter().try_fold(settings, |table, step| match table.get_mut(*step)?.get_mut() {
+        DeValue::Table(below) => Some(below),
+        _ => None,
+    })
 }
 
 /// The table at a path within a session's settings.

@@ -8,7 +8,7 @@ use crate::learning::TrainError;
 use crate::qube::{HARD_STOP_RAD, MAX_STEPS};
 use crate::safety::SafetyBox;
 use crate::search::SearchError;
-use crate::simulation::{ProfileSettings, PsiTarget, SensorModel, box_file};
+use crate::simulation::{ProfileSettings, PsiError, PsiTarget, SensorModel, box_file};
 
 /// Largest offset of the arm's zero from the middle between the stops, rad. At any offset the rig
 /// narrows the box to the stops: those that homing touched, or, after homing by hand, those that
@@ -33,7 +33,10 @@ impl SessionSettings {
                 return Err(format!("profile.spread = {spread}: give a number from 0 to 1"));
             }
         }
-        self.base_distribution().map_err(|error| error.to_string())?;
+        self.base_distribution().map_err(|error| match error {
+            PsiError::NoProfile => format!("model = \"{}\": {error}", self.model.name()),
+            other => other.to_string(),
+        })?;
         let sees_truth = self.training.simulation.sensors == SensorModel::TrueState;
         if self.psi.has(PsiTarget::Filter) && sees_truth {
             return Err("psi has filter, but training.simulation.sensors shows true states: \
@@ -143,8 +146,8 @@ impl SessionSettings {
                     .into(),
             );
         }
-        let give = "give guard = \"foresight\" or leave it out";
-        self.safety_box.guard.check_driven().map_err(|gone| format!("safety_box.{gone}: {give}"))
+        let guard = self.safety_box.guard.check_driven();
+        guard.map_err(|gone| format!("safety_box.{gone}, or leave it out"))
     }
 }
 
@@ -162,7 +165,9 @@ fn check_numbers(key: &str, value: &Value) -> Result<(), String> {
         Value::Float(number) => Err(format!(
             "{key} = {number}: give a number from -{LARGEST_NUMBER} to {LARGEST_NUMBER}"
         )),
-        Value::Array(entries) => entries.iter().try_for_each(|entry| check_numbers(key, entry)),
+        Value::Array(entries) => (1..)
+            .zip(entries)
+            .try_for_each(|(number, entry)| check_numbers(&format!("{key}[{number}]"), entry)),
         Value::Table(table) => table.iter().try_for_each(|(name, value)| {
             let key = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
             check_numbers(&key, value)
@@ -198,6 +203,11 @@ mod tests {
             ("preset = \"fast\"\n", "fast"),
             ("[[psi]]\nname = \"mean_M_x\"\n", "mean_M_x"),
             ("psi = []\n", "no entry"),
+            (
+                "[safety_box]\nguard = \"envelope\"\n",
+                "my.toml, line 2: safety_box.guard = \"envelope\" is only for replays of old recordings: give \
+                 guard = \"foresight\", or leave it out",
+            ),
             (
                 "[[psi]]\nname = \"filter\"\n[training.simulation.sensors]\ntype = \"true_state\"\n",
                 "filter",

@@ -292,7 +292,7 @@ fn range(settings: &Table, path: &[String]) -> String {
 }
 
 /// The accepted names of the setting at a path, separated by commas: the names that the error for
-/// an unknown name lists, without those that are refused as well.
+/// an unknown name lists, without those that are refused as well and without earlier names.
 fn names(settings: &Table, path: &[String]) -> String {
     let read = |name: &str| {
         let mut asked = settings.clone();
@@ -304,11 +304,19 @@ fn names(settings: &Table, path: &[String]) -> String {
     let Some(offered) = read("?").err().and_then(|refused| choices(refused.message())) else {
         return "text".into();
     };
-    let accepted = offered.split(", ").filter(|name| {
-        // The error may also be about the other fields, which belong to the present variant.
-        read(name).map_or_else(|refused| !refused.message().contains(name), |_| true)
-    });
-    accepted.collect::<Vec<_>>().join(", ")
+    let mut accepted: Vec<(&str, Option<SessionSettings>)> = Vec::new();
+    for name in offered.split(", ") {
+        match read(name) {
+            Err(refused) if refused.message().contains(name) => {}
+            // The error is about the other fields, which belong to the present variant.
+            Err(_) => accepted.push((name, None)),
+            Ok(settings) if settings.check_begun().is_err() => {}
+            // An earlier name of a value that is listed under its present name.
+            Ok(settings) if accepted.iter().any(|(_, it)| it.as_ref() == Some(&settings)) => {}
+            Ok(settings) => accepted.push((name, Some(settings))),
+        }
+    }
+    accepted.into_iter().map(|(name, _)| name).collect::<Vec<_>>().join(", ")
 }
 
 /// The names that an error lists in place of an unknown one, separated by commas.
@@ -323,6 +331,8 @@ fn choices(refused: &str) -> Option<String> {
 /// The range that an error of the check gives for this key; `None` if the error is about another
 /// key.
 fn bound(refused: &str, key: &str) -> Option<String> {
+    // Extreme values are tried in the first entry of a list.
+    let refused = refused.replacen("[1]", "", 1);
     let (_, range) = refused.strip_prefix(key)?.split_once(": ")?;
     let range = ["it must be ", "give a number ", "give "]
         .iter()
@@ -445,6 +455,9 @@ mod tests {
         assert_eq!(of("training.num_envs").range, "16 to 4096; a multiple of 16");
         assert_eq!(of("family").range, "normal, uniform");
         assert_eq!(of("homing.theta_offset_rad").unit, "rad");
+        assert_eq!(of("homing.method").range, "stops, hand");
+        assert_eq!(of("safety_box.guard").range, "box, foresight");
+        assert_eq!(of("training.simulation.safety_box.guard").range, "box");
         assert!(
             !of("model").range.contains("handcrafted, nominal"),
             "only models with a psi: {}",

@@ -18,6 +18,22 @@ pub struct Candidate {
     /// Number of these attempts that were made before the last rig was taken out. They do not count
     /// towards the allowed repetitions.
     pub void_before: u32,
+    /// Number of the searched candidate whose policy it runs again; `None` if it has a policy of its
+    /// own, or if an older program proposed it.
+    pub policy_of: Option<u32>,
+}
+
+impl Candidate {
+    /// Whether this candidate runs the policy of `other` again, to verify it. A ledger of an older
+    /// program does not name the other candidate, so there it is found by its psi, which both share.
+    #[must_use]
+    pub fn runs_policy_of(&self, other: &Self) -> bool {
+        let is_same = match self.policy_of {
+            Some(number) => number == other.number,
+            None => self.psi == other.psi,
+        };
+        self.purpose == Purpose::Incumbent && other.purpose.is_searched() && is_same
+    }
 }
 
 /// A rollout that has a result.
@@ -136,12 +152,15 @@ impl SessionState {
     /// # Errors
     /// The entry cannot follow the earlier ones; the text names the rule that it breaks.
     pub fn apply(&mut self, entry: &Entry) -> Result<(), &'static str> {
+        if entry.rig() == Some(0) {
+            return Err("rigs are numbered from 1");
+        }
         match *entry {
             Entry::Begun { .. } if self.entries > 0 => {
                 return Err("a session begins in the first line");
             }
             Entry::Begun { .. } => {}
-            Entry::Proposed { candidate, purpose, ref psi, ref pending } => {
+            Entry::Proposed { candidate, purpose, ref psi, ref pending, policy_of } => {
                 if candidate as usize != self.candidates.len() {
                     return Err("candidates are not numbered in their order");
                 }
@@ -153,6 +172,12 @@ impl SessionState {
                 if !pending.iter().all(awaited) {
                     return Err("a pending candidate is not one of the search or has returns");
                 }
+                let is_searched = |number: u32| {
+                    self.candidates.get(number as usize).is_some_and(|it| it.purpose.is_searched())
+                };
+                if policy_of.is_some_and(|it| purpose != Purpose::Incumbent || !is_searched(it)) {
+                    return Err("the candidate runs the policy of none of the search");
+                }
                 self.candidates.push(Candidate {
                     number: candidate,
                     purpose,
@@ -161,6 +186,7 @@ impl SessionState {
                     finished: Vec::new(),
                     void: 0,
                     void_before: 0,
+                    policy_of,
                 });
             }
             Entry::Trained { candidate } => {

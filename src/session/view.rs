@@ -1,9 +1,11 @@
 use std::collections::BTreeMap;
 
 use super::ledger::{MAX_FILE_BYTES, Parsed};
-use super::{Candidate, Entry, LedgerError, SessionPaths, SessionState, parse_ledger};
-use crate::recording::RecordingError;
-use crate::scoring::{Verdict, mean_return, score_finished};
+use super::{
+    Candidate, Entry, Finished, LedgerError, SessionError, SessionPaths, SessionState,
+    finished_rollout, parse_ledger,
+};
+use crate::scoring::{Verdict, mean_return};
 use crate::search::Observation;
 use crate::storage::Disk;
 
@@ -48,14 +50,13 @@ impl<'a> SessionView<'a> {
     /// Reads a candidate's recordings and scores them.
     ///
     /// # Errors
-    /// A recording cannot be read, or is incomplete although the ledger calls its rollout finished.
-    pub fn scored(&self, candidate: &Candidate) -> Result<ScoredCandidate, RecordingError> {
+    /// The errors of [`finished_rollout`].
+    pub fn scored(&self, candidate: &Candidate) -> Result<ScoredCandidate, SessionError> {
         let paths = self.paths.candidate(candidate.number);
-        let verdicts = candidate
-            .finished
-            .iter()
-            .map(|it| score_finished(self.disk, &paths.rollout(it.rollout, it.attempt)))
-            .collect::<Result<_, _>>()?;
+        let verdict = |finished: &Finished| {
+            finished_rollout(self.disk, &paths, candidate.number, finished).map(|(_, it)| it)
+        };
+        let verdicts = candidate.finished.iter().map(verdict).collect::<Result<_, _>>()?;
         Ok(ScoredCandidate { candidate: candidate.clone(), verdicts })
     }
 }

@@ -67,11 +67,19 @@ pub fn reach(quantity: Quantity, mean: f64) -> f64 {
 /// the mean on either side of the mean, for a nonideality the range that can be simulated.
 #[must_use]
 pub(super) fn held_in_range(quantity: Quantity, mean: f64, value: f64) -> f64 {
-    let (smallest, largest) = match quantity {
+    let (smallest, largest) = range_of_draws(quantity, mean);
+    value.clamp(smallest, largest)
+}
+
+/// The smallest and the largest value that a quantity can have in draws around a mean: for a
+/// parameter [`TRUNCATION`] times the mean on either side of the mean, for a nonideality the range
+/// that can be simulated.
+#[must_use]
+pub fn range_of_draws(quantity: Quantity, mean: f64) -> (f64, f64) {
+    match quantity {
         Quantity::Parameter(_) => ((1.0 - TRUNCATION) * mean, (1.0 + TRUNCATION) * mean),
         Quantity::Nonideality(term) => simulated_range(term),
-    };
-    value.clamp(smallest, largest)
+    }
 }
 
 /// The largest standard deviation that a distribution of a quantity may have around a mean: the
@@ -122,6 +130,19 @@ impl Distribution {
             return Err(error);
         }
         Ok(())
+    }
+
+    /// The distribution of the draws of this quantity, where a uniform distribution is wider than
+    /// the [`reach`] around its mean: draws are uniform within the reach.
+    #[must_use]
+    pub fn of_draws(self, quantity: Quantity) -> Self {
+        match self {
+            Self::Uniform { mean, standard_deviation } => {
+                let widest = reach(quantity, mean) / sqrt(3.0);
+                Self::Uniform { mean, standard_deviation: standard_deviation.min(widest) }
+            }
+            other => other,
+        }
     }
 
     /// Draws one value of this quantity. If the distribution passes [`Self::check`], at least 63 %
@@ -209,6 +230,22 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn a_uniform_distribution_of_the_draws_is_no_wider_than_its_reach() {
+        let mass = Quantity::Parameter(DomainParameter::PendulumMass);
+        let wide = Distribution::Uniform { mean: 0.5, standard_deviation: 0.5 / sqrt(3.0) };
+        let values = draws_of(mass, wide, 100_000);
+        let (smallest, largest) = range_of_draws(mass, 0.5);
+        assert!(values.iter().all(|value| (smallest..=largest).contains(value)));
+        let (_, deviation) = moments(&values);
+        let of_draws = wide.of_draws(mass);
+        assert!((of_draws.standard_deviation() - deviation).abs() < 0.002, "{of_draws:?}");
+        let narrow = Distribution::Uniform { mean: 0.5, standard_deviation: 0.1 };
+        assert_eq!(narrow.of_draws(mass), narrow);
+        let normal = Distribution::Normal { mean: 0.5, standard_deviation: 0.5 };
+        assert_eq!(normal.of_draws(mass), normal);
     }
 
     #[test]

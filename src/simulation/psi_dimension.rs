@@ -1,6 +1,8 @@
 use std::fmt;
 
-use serde::{Deserialize, Serialize};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{DeserializeSeed, Error as _, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::PsiError;
 use crate::qube::{Distribution, DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
@@ -167,8 +169,8 @@ impl fmt::Display for PsiTarget {
 
 /// One dimension of the search space: its target and the range that is searched, in the target's
 /// unit.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "DimensionTable", into = "DimensionTable")]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(into = "DimensionTable")]
 pub struct PsiDimension {
     /// Part of the simulation that the dimension sets.
     pub target: PsiTarget,
@@ -238,6 +240,42 @@ impl TryFrom<DimensionTable> for PsiDimension {
             ..default
         };
         dimension.check()?;
+        Ok(dimension)
+    }
+}
+
+impl<'de> Deserialize<'de> for PsiDimension {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        DimensionAfter(&[]).deserialize(deserializer)
+    }
+}
+
+/// Reads a dimension that stands after these in a list. It checks the dimension while its table is
+/// read, so that an error names the line of this table and not that of the list.
+pub(super) struct DimensionAfter<'a>(pub(super) &'a [PsiDimension]);
+
+impl<'de> DeserializeSeed<'de> for DimensionAfter<'_> {
+    type Value = PsiDimension;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<PsiDimension, D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for DimensionAfter<'_> {
+    type Value = PsiDimension;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("a table with the name of an entry of psi")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<PsiDimension, A::Error> {
+        let table = DimensionTable::deserialize(MapAccessDeserializer::new(map))?;
+        let dimension = PsiDimension::try_from(table).map_err(A::Error::custom)?;
+        if self.0.iter().any(|before| before.target == dimension.target) {
+            let name = dimension.target.to_string();
+            return Err(A::Error::custom(PsiError::Twice { name }));
+        }
         Ok(dimension)
     }
 }

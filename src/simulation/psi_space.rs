@@ -1,7 +1,10 @@
 use std::collections::BTreeMap;
+use std::fmt;
 
-use serde::{Deserialize, Serialize};
+use serde::de::{Error as _, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
+use super::psi_dimension::DimensionAfter;
 use super::{Psi, PsiDimension, PsiError, PsiTarget};
 use crate::qube::PlantModel;
 
@@ -11,8 +14,8 @@ const THESIS: [&str; 8] =
 
 /// The search space of psi: its dimensions, each with its range. A point of the space has one entry
 /// for each dimension, in this order and in the unit of the dimension's target.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Vec<PsiDimension>", into = "Vec<PsiDimension>")]
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(into = "Vec<PsiDimension>")]
 pub struct PsiSpace {
     dimensions: Vec<PsiDimension>,
 }
@@ -149,11 +152,27 @@ impl Default for PsiSpace {
     }
 }
 
-impl TryFrom<Vec<PsiDimension>> for PsiSpace {
-    type Error = PsiError;
+impl<'de> Deserialize<'de> for PsiSpace {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_seq(SpaceVisitor)
+    }
+}
 
-    fn try_from(dimensions: Vec<PsiDimension>) -> Result<Self, PsiError> {
-        Self::new(dimensions)
+struct SpaceVisitor;
+
+impl<'de> Visitor<'de> for SpaceVisitor {
+    type Value = PsiSpace;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("a list of entries of psi")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut entries: A) -> Result<PsiSpace, A::Error> {
+        let mut dimensions = Vec::new();
+        while let Some(dimension) = entries.next_element_seed(DimensionAfter(&dimensions))? {
+            dimensions.push(dimension);
+        }
+        PsiSpace::new(dimensions).map_err(A::Error::custom)
     }
 }
 

@@ -92,7 +92,7 @@ impl Default for SimulationSettings {
 
 /// The sensors of a simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
+#[serde(tag = "type", rename_all = "snake_case", from = "SensorTable")]
 pub enum SensorModel {
     /// True angles and velocities without error.
     #[default]
@@ -101,7 +101,34 @@ pub enum SensorModel {
     /// computes the state.
     Encoders {
         /// Velocity filter or observer.
-        #[serde(default)]
         estimator: EstimatorSettings,
     },
+}
+
+/// A [`SensorModel`] as a file contains it. Unlike a tagged enum, a struct is read without a copy of
+/// the whole table, so that an error names its line.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SensorTable {
+    #[serde(rename = "type")]
+    kind: SensorKind,
+    /// Ignored for true states: a file that selects them may override one with an estimator.
+    #[serde(default)]
+    estimator: EstimatorSettings,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum SensorKind {
+    TrueState,
+    Encoders,
+}
+
+impl From<SensorTable> for SensorModel {
+    fn from(SensorTable { kind, estimator }: SensorTable) -> Self {
+        match kind {
+            SensorKind::TrueState => Self::TrueState,
+            SensorKind::Encoders => Self::Encoders { estimator },
+        }
+    }
 }

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The program's reaction to a fault. The motor is off in each case.
+/// The program's reaction to a fault. The motor is off, except perhaps after a lost link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Consequence {
@@ -46,7 +46,7 @@ impl Consequence {
 /// Generates the enum, its causes and the table from rows in the order of the table.
 macro_rules! faults {
     ($($(#[$attribute:meta])* $fault:ident: $consequence:ident, $cause:literal, $operator:literal;)+) => {
-        /// A fault by its name. Each is latched: the motor is off and stays off.
+        /// A fault by its name. Each is latched: the program switches the motor off, and it stays off.
         #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(rename_all = "snake_case")]
         pub enum Fault {
@@ -183,6 +183,16 @@ faults! {
 }
 
 impl Fault {
+    /// The state of the motor after this fault and the operator's step, in whole sentences. After a
+    /// lost link nobody knows whether the motor is off, and the step says so.
+    #[must_use]
+    pub fn motor_and_step(self) -> String {
+        match self.consequence() {
+            Consequence::Reconnect => self.operator_step().to_owned(),
+            _ => format!("The motor is off. {}", self.operator_step()),
+        }
+    }
+
     /// The name in recordings and JSON.
     #[must_use]
     pub fn name(self) -> String {
@@ -261,6 +271,17 @@ mod tests {
         assert!(Fault::ALL.iter().filter(lost).count() > 0);
         for fault in Fault::ALL.iter().filter(lost) {
             assert!(fault.operator_step().starts_with("Switch the Qube off"), "{fault}");
+        }
+    }
+
+    #[test]
+    fn the_motor_counts_as_off_unless_the_step_says_that_it_may_not_be() {
+        for fault in Fault::ALL {
+            let told = fault.motor_and_step();
+            assert!(told.contains(fault.operator_step()), "{fault}");
+            let may_run = told.contains("may still have");
+            assert_ne!(told.contains("The motor is off"), may_run, "{fault}");
+            assert_eq!(may_run, fault.consequence() == Consequence::Reconnect, "{fault}");
         }
     }
 }

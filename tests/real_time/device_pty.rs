@@ -5,6 +5,8 @@
 
 use std::io::{Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd, IntoRawFd, OwnedFd};
+use std::os::unix::fs::symlink;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -224,13 +226,41 @@ fn a_second_name_goes_with_the_qube() {
     let mut link = SerialLink::open(name.to_str().unwrap(), Arc::new(MonotonicClock)).unwrap();
     link.hello().unwrap();
     drop(link);
-    qube.link_as(&name).unwrap();
-    let file = folder.path().join("file");
-    std::fs::write(&file, "mine").unwrap();
-    assert!(qube.link_as(&file).is_err());
     drop(qube);
-    assert!(!name.exists());
-    assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
+    assert!(name.symlink_metadata().is_err());
+}
+
+#[test]
+fn a_second_name_that_anything_else_has_is_refused_and_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let mut first = qube(None);
+    first.link_as(&at("qube")).unwrap();
+    std::fs::write(at("file"), "mine").unwrap();
+    symlink(at("file"), at("link")).unwrap();
+    symlink(at("nothing"), at("dangling")).unwrap();
+    // A killed emulator leaves a link to a pty that is gone.
+    let gone = Path::new("/dev/pts/4000000000");
+    symlink(gone, at("left")).unwrap();
+
+    let mut second = qube(None);
+    for name in ["qube", "file", "link", "dangling"] {
+        let error = second.link_as(&at(name)).unwrap_err().to_string();
+        assert!(error.contains(name) && error.contains("choose another name"), "{error}");
+    }
+    // The next pty may have the number of the one that is gone.
+    symlink(second.port(), at("of-its-number")).unwrap();
+    for name in ["of-its-number", "left"] {
+        second.link_as(&at(name)).unwrap();
+        assert_eq!(std::fs::read_link(at(name)).unwrap(), second.port());
+    }
+    drop(second);
+    assert!(at("left").symlink_metadata().is_err());
+    assert_eq!(std::fs::read_link(at("qube")).unwrap(), first.port());
+    assert_eq!(std::fs::read_to_string(at("link")).unwrap(), "mine");
+    assert!(at("dangling").is_symlink());
+    drop(first);
+    assert!(at("qube").symlink_metadata().is_err());
 }
 
 #[test]

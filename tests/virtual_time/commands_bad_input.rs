@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use crate::program::{qube_hil, refused};
+use crate::program::{has_refused, qube_hil, refused};
 
 #[test]
 fn ports_that_are_none() {
@@ -419,6 +419,74 @@ fn an_export_that_names_a_recording_twice_is_refused() {
 }
 
 #[test]
+fn options_that_do_not_fit_are_refused_before_anything_else_is_said() {
+    let directory = tempfile::tempdir().unwrap();
+    let run: &[&str] = &["run", "--policy", "classical"];
+    let plant = Path::new(env!("CARGO_MANIFEST_DIR")).join("plants/furuta-130.toml");
+    let plant = plant.to_str().unwrap();
+    for (command, arguments, words) in [
+        (run, &["--device", "/dev/null", "--clock", "virtual"][..], &["/dev/null", "--clock"][..]),
+        (run, &["--device", "/dev/ttyNOWHERE"], &["no such port"]),
+        (run, &["--clock", "virtual", "--volts", "2"], &["--volts", "--policy"]),
+        (run, &["--clock", "virtual", "--scale", "M_p=2", "--scale", "M_p=3"], &["M_p twice"]),
+        (run, &["--rollouts", "0.5"], &["--rollouts", "a whole number above 0"]),
+        (&["doctor"], &["--seconds", "0.1"], &["'0.1'", "a whole number above 0"]),
+        (&["doctor"], &["--seconds=0.1"], &["'0.1'", "a whole number above 0"]),
+        (
+            &["soak"],
+            &["--clock", "virtual", "--plant", plant],
+            &["--policy classical", "furuta-130"],
+        ),
+    ] {
+        let arguments = [command, arguments].concat();
+        println!("{arguments:?}");
+        let output = qube_hil(directory.path(), &arguments);
+        has_refused(&output, 2, words);
+        let told = String::from_utf8_lossy(&output.stderr);
+        for early in ["homing:", "checking", "warning:"] {
+            assert!(!told.contains(early), "{early:?} is said before the refusal: {told}");
+        }
+    }
+}
+
+#[test]
+fn an_export_of_files_one_of_which_is_bad_writes_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let at = |name: &str| directory.path().join(name);
+    let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "."];
+    assert!(qube_hil(directory.path(), &run).status.success());
+    let policy = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors");
+    std::fs::copy(policy, at("good.safetensors")).unwrap();
+    for bad in ["bad.mcap", "bad.safetensors"] {
+        std::fs::write(at(bad), "neither").unwrap();
+    }
+    let tables = ["export", "rollout-0.mcap", "bad.mcap"];
+    refused(directory.path(), &tables, 2, &["bad.mcap"]);
+    assert!(!at("rollout-0.csv").exists());
+    let models = ["export", "--onnx", "good.safetensors", "bad.safetensors", "--out", "models"];
+    refused(directory.path(), &models, 2, &["bad.safetensors"]);
+    assert!(!at("models").exists());
+}
+
+#[test]
+fn a_page_that_is_not_a_report_is_not_replaced_by_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let page = directory.path().join("rollout-0.html");
+    let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "."];
+    assert!(qube_hil(directory.path(), &run).status.success());
+    std::fs::write(&page, "my own page\n").unwrap();
+    let report = ["report", "rollout-0.mcap"];
+    let words = ["rollout-0.html", "is not a report", "--out"];
+    refused(directory.path(), &report, 2, &words);
+    assert_eq!(std::fs::read_to_string(&page).unwrap(), "my own page\n");
+    std::fs::remove_file(&page).unwrap();
+    // A report is replaced.
+    for _ in 0..2 {
+        assert!(qube_hil(directory.path(), &report).status.success());
+    }
+}
+
+#[test]
 fn numbers_without_an_end_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     for hours in ["1e300", "inf", "0"] {
@@ -463,7 +531,7 @@ fn a_number_in_any_file_is_refused_by_file_key_value_and_range() {
             (&plants, format!("{plant}[plants.scale]\nM_p = "), "scale.M_p", "from 0.1 to 10"),
             (&profile, format!("{head}[parameters]\nM_p = "), "parameters.M_p", ""),
             (&profile, format!("{head}[gap]\ncommand_delay_s = "), "command_delay_s", "to 0.1"),
-            (&profile, format!("{head}[standard_errors]\nM_p = "), "errors.M_p", "to 1000000"),
+            (&profile, format!("{head}[standard_errors]\nM_p = "), "errors.M_p", "to 0.24"),
             (&psi, "mean_M_p = ".to_owned(), "mean_M_p", "at most 1000000"),
             (
                 &recipe,

@@ -35,7 +35,9 @@ fn an_error_names_line_and_key() {
         ("[training]\nupdates = \"many\"\n", "line 2", "updates"),
         ("[training.simulation.sensors]\ntype = \"encoder\"\n", "line 2", "encoder"),
         ("[[psi]]\nname = \"mean_M_x\"\n", "line 1", "mean_M_x"),
-        ("[homing]\n\n[homing.signs]\n", "line 3", "theta_zero_counts"),
+        ("[homing]\n\n[homing.signs]\ntheta_invertd = true\n", "line 4", "theta_invertd"),
+        // A profile is absent by default and has to be whole.
+        ("[homing]\n\n[profile]\nspread = 0.1\n", "line 3", "`model`"),
         ("[extent\n", "line 1", "extent"),
     ] {
         fs::write(directory.path().join("bad.toml"), text).unwrap();

@@ -200,6 +200,33 @@ fn same_files(directory: &Path, expected: &BTreeMap<String, Vec<u8>>) {
     }
 }
 
+#[test]
+fn files_that_cannot_be_written_in_the_end_do_not_hide_the_table() {
+    let directory = tempfile::tempdir().unwrap();
+    prepare(directory.path());
+    let arguments = ["--recipe", "nominal.toml", "--profile", "lab", "--policies", "3"];
+    let files = ["--out", "one", "--csv", "one.csv", "--figures", "figures", "--json"];
+    let child = experiment(directory.path(), &[&arguments[..], &files].concat())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    // The places are checked before the settings are written. Then another program takes them.
+    while !directory.path().join("one/experiment.toml").exists() {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    std::fs::write(directory.path().join("one.csv"), "mine").unwrap();
+    std::fs::write(directory.path().join("figures"), "mine").unwrap();
+    let output = child.wait_with_output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    assert!(told.contains("--csv: one.csv") && told.contains("--figures: figures"), "{told}");
+    let result: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(result["models"][0]["policies"], 3);
+    assert_eq!(result["ended_by"]["exit_code"], 2);
+    assert_eq!(std::fs::read_to_string(directory.path().join("one.csv")).unwrap(), "mine");
+}
+
 /// A box that the excitation leaves at once.
 const NARROW: &str = "[settings.safety_box]\nalpha_dot = 0.5\n";
 

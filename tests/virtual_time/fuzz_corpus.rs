@@ -92,6 +92,7 @@ fn ledger() {
             purpose: Purpose::Initial,
             psi: vec![0.1, 1.0 / 3.0],
             pending: Vec::new(),
+            policy_of: None,
         },
         Entry::Trained { candidate: 0 },
     ];

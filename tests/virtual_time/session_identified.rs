@@ -73,14 +73,21 @@ fn a_qube_is_identified_and_the_search_varies_the_errors_of_its_profile() {
     // A finished session is only read.
     let again = session(directory.path(), &settings, &["--resume", "s"]);
     assert_eq!(again["best"], told["best"]);
-    // The guard follows the profile, so a changed profile is refused.
-    std::fs::write(directory.path().join("s/profile-1.toml"), text + "# mine\n").unwrap();
-    let mut command = Command::cargo_bin("qube-hil").unwrap();
-    let resume = ["session", "--clock", "virtual", "--resume", "s"];
-    let output = command.current_dir(directory.path()).args(resume).output().unwrap();
-    let told = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(3), "{told}");
-    assert!(told.contains("profile-1.toml") && told.contains("was changed"), "{told}");
+    // The guard follows the profile, so without it, or with another, the session does not go on.
+    let path = directory.path().join("s/profile-1.toml");
+    for (profile, defect) in [(Some(text + "# mine\n"), "was changed"), (None, "is missing")] {
+        match profile {
+            Some(text) => std::fs::write(&path, text).unwrap(),
+            None => std::fs::remove_file(&path).unwrap(),
+        }
+        let mut command = Command::cargo_bin("qube-hil").unwrap();
+        let resume = ["session", "--clock", "virtual", "--resume", "s"];
+        let output = command.current_dir(directory.path()).args(resume).output().unwrap();
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(3), "{told}");
+        assert!(told.contains("profile-1.toml") && told.contains(defect), "{told}");
+        assert!(told.contains("Restore it from a backup"), "{told}");
+    }
 }
 
 #[test]

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::recording::{Recording, RolloutWriter, read};
 use qube_hil::storage::MachineDisk;
 use rustix::process::{Pid, Signal, kill_process};
@@ -95,7 +96,7 @@ fn is_killed_and_resumed(settings: &str) -> bool {
 
     // A kill before the session has written its session.toml leaves this state.
     std::fs::create_dir_all(directory.path().join("killed/candidates")).unwrap();
-    std::fs::write(directory.path().join("killed/session.unfinished"), "seed").unwrap();
+    std::fs::write(directory.path().join("killed/session.toml.4711-0.unfinished"), "seed").unwrap();
     let mut child = begin("killed");
     let mut kills = 0;
     loop {
@@ -236,6 +237,60 @@ fn a_finished_recording_that_was_cut_is_data_lost() {
     std::fs::write(&ledger, entries).unwrap();
     std::fs::write(&recording, whole).unwrap();
     assert_eq!(resume(directory.path(), "mine").0, Some(0));
+}
+
+#[test]
+fn a_policy_that_was_exchanged_is_data_lost() {
+    let directory = tempfile::tempdir().unwrap();
+    assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
+    let (_, told) = resume(directory.path(), "mine");
+    let told: serde_json::Value = serde_json::from_str(told.lines().last().unwrap()).unwrap();
+    let best = directory.path().join(told["best"]["policy"].as_str().unwrap());
+    let searched = directory.path().join("mine/candidates/001/policy.safetensors");
+    let classical = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+    let other_network = directory.path().join("mine/candidates/000/policy.safetensors");
+    let others = [classical.to_bytes(), std::fs::read(other_network).unwrap()];
+    for changed in [&best, &searched] {
+        let whole = std::fs::read(changed).unwrap();
+        for other in &others {
+            std::fs::write(changed, other).unwrap();
+            let (code, told) = resume(directory.path(), "mine");
+            assert_eq!(code, Some(3), "{changed:?}: {told}");
+            let shown = changed.file_name().unwrap().to_str().unwrap();
+            assert!(told.contains(shown) && told.contains("was changed. Restore it"), "{told}");
+        }
+        std::fs::write(changed, whole).unwrap();
+    }
+    assert_eq!(resume(directory.path(), "mine").0, Some(0));
+}
+
+#[test]
+fn a_recording_in_the_place_of_another_is_not_counted_twice() {
+    let directory = tempfile::tempdir().unwrap();
+    assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
+    let candidates = directory.path().join("mine/candidates");
+    let refuses = |copied: &str, over: &str| {
+        let over = candidates.join(over);
+        let whole = std::fs::read(&over).unwrap();
+        std::fs::copy(candidates.join(copied), &over).unwrap();
+        let (code, told) = resume(directory.path(), "mine");
+        assert_eq!(code, Some(3), "{over:?}: {told}");
+        assert!(told.contains(over.file_name().unwrap().to_str().unwrap()), "{told}");
+        assert!(told.contains("would count twice"), "{told}");
+        std::fs::write(&over, whole).unwrap();
+    };
+    refuses("003/rollout-0-attempt-0.mcap", "001/rollout-0-attempt-0.mcap");
+    refuses("001/rollout-0-attempt-0.mcap", "001/rollout-1-attempt-0.mcap");
+
+    // A session that was killed before it entered its last recording does not take another over.
+    let ledger = directory.path().join("mine/ledger.jsonl");
+    let entries = std::fs::read_to_string(&ledger).unwrap();
+    let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 1).collect();
+    std::fs::write(&ledger, &earlier).unwrap();
+    refuses("006/rollout-0-attempt-0.mcap", "006/rollout-1-attempt-0.mcap");
+    assert_eq!(std::fs::read_to_string(&ledger).unwrap(), earlier);
+    assert_eq!(resume(directory.path(), "mine").0, Some(0));
+    assert_eq!(std::fs::read_to_string(&ledger).unwrap(), entries);
 }
 
 /// Runs a session with these arguments; returns its exit code and messages.

@@ -61,6 +61,22 @@ impl Link {
     }
 }
 
+/// Whether this is the path of a pty that does not exist any more.
+fn is_gone_pty(target: &Path) -> bool {
+    target.starts_with("/dev/pts") && !target.exists()
+}
+
+/// The error message for the name of a port that something else has.
+fn taken(path: &Path) -> String {
+    let what = match std::fs::read_link(path) {
+        Ok(target) => {
+            format!("is a link to {}, perhaps of another emulated Qube", target.display())
+        }
+        Err(_) => "exists and is not a link".into(),
+    };
+    format!("{} {what}: choose another name, or remove it", path.display())
+}
+
 /// The two ends of a pty.
 struct Pty {
     master: OwnedFd,
@@ -140,25 +156,22 @@ impl EmulatedQube {
         &self.port
     }
 
-    /// Gives the port a second name, a symbolic link that is removed with the Qube. It replaces an
-    /// old symbolic link but no other file.
+    /// Gives the port a second name, a symbolic link that is removed with the Qube. It replaces a
+    /// link to a pty that is gone, which a killed emulator leaves, and nothing else.
     ///
     /// # Errors
-    /// A file of that name exists that is no symbolic link, or the link cannot be created.
+    /// Another file or link has the name, or the link cannot be created.
     pub fn link_as(&mut self, path: &Path) -> io::Result<()> {
-        match std::fs::symlink_metadata(path) {
-            Ok(metadata) if metadata.file_type().is_symlink() => std::fs::remove_file(path)?,
-            Ok(_) => {
-                return Err(io::Error::new(
-                    io::ErrorKind::AlreadyExists,
-                    format!("{} exists and is not a symbolic link; choose another", path.display()),
-                ));
-            }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) => return Err(error),
-        }
         let mut link = Link::lock(&self.link);
-        std::os::unix::fs::symlink(&link.port, path)?;
+        // The kernel may have given this port the number of the one that is gone.
+        let is_left = |target: PathBuf| target == link.port || is_gone_pty(&target);
+        if std::fs::read_link(path).is_ok_and(is_left) {
+            std::fs::remove_file(path)?;
+        }
+        std::os::unix::fs::symlink(&link.port, path).map_err(|error| match error.kind() {
+            io::ErrorKind::AlreadyExists => io::Error::new(error.kind(), taken(path)),
+            _ => error,
+        })?;
         link.path = Some(path.to_owned());
         Ok(())
     }

@@ -12,7 +12,7 @@ use crate::experiment::queue::Queue;
 use crate::experiment::results::simulated_return;
 use crate::experiment::rollouts::all_of;
 use crate::experiment::{
-    Experiment, ExperimentError, ExperimentEvent, PolicyResult, RecipeResult, RolloutResult,
+    Experiment, ExperimentError, ExperimentEvent, Made, PolicyResult, RecipeResult, RolloutResult,
 };
 
 /// Name in tables for the repetitions on all plants together.
@@ -61,28 +61,31 @@ impl Experiment {
         let run = self.method_run((method, number), plant, folder, access);
         let mut recommendations = recommendations_of(&run, method, strategies)?;
         let mut results: Vec<(usize, PolicyResult)> = Vec::new();
-        let mut scored: Option<u32> = None;
-        // Whether the last score was new; `None` before the first one.
-        let mut last_is_new: Option<bool> = None;
-        // Number of budgets that allow no recommendation and are not reported yet.
-        let mut too_small = 0;
-        let not_scored = |is_new| {
-            if let Access::Work(on_event) = access {
-                on_event(ExperimentEvent::NotScored { is_new });
+        // Steps and time of the last score.
+        let mut scored: Option<(u32, Made)> = None;
+        let not_scored = |budgets, made| {
+            if budgets > 0
+                && let Access::Work(on_event) = access
+            {
+                on_event(ExperimentEvent::NotScored { budgets, made });
             }
         };
-        for (index, &budget) in strategies.budgets.iter().enumerate() {
-            let Some(steps) = steps_within(recommendations.as_ref(), budget) else {
-                too_small += 1;
-                continue;
-            };
+        // Budgets rise, so those that allow no recommendation come first.
+        let too_small = strategies
+            .budgets
+            .iter()
+            .take_while(|&&budget| steps_within(recommendations.as_ref(), budget).is_none())
+            .count();
+        for (index, &budget) in strategies.budgets.iter().enumerate().skip(too_small) {
+            let Some(steps) = steps_within(recommendations.as_ref(), budget) else { continue };
             // A budget that allows no further candidate or recording has the recommendation of the
             // budget before.
-            if scored == Some(steps)
+            if let Some((before, made)) = scored
+                && before == steps
                 && let Some((_, last)) = results.last()
             {
                 results.push((index, last.clone()));
-                not_scored(last_is_new.unwrap_or_default());
+                not_scored(1, made);
                 continue;
             }
             let recommendation = match recommendations.after(steps)? {
@@ -90,22 +93,25 @@ impl Experiment {
                 Recommended::Refused(_) => run.without_identification(),
                 Recommended::NotOnDisk => break,
             };
-            let Some((result, is_new)) =
+            let Some(ScoredPolicy { result, made }) =
                 run.scored_on_its_plant(&recommendation, steps, number, strategies)?
             else {
                 break;
             };
-            (0..std::mem::take(&mut too_small)).for_each(|_| not_scored(is_new));
-            last_is_new = Some(is_new);
+            if scored.is_none() {
+                not_scored(too_small, made);
+            }
             if let Access::Work(on_event) = access {
                 let (recipe, results) = (&row_name(method, budget), &result.rollouts);
                 let (policy, plant) = (number, &plant.name);
-                on_event(ExperimentEvent::Ran { recipe, policy, plant, results, is_new });
+                on_event(ExperimentEvent::Ran { recipe, policy, plant, results, made });
             }
-            scored = Some(steps);
+            scored = Some((steps, made));
             results.push((index, result));
         }
-        (0..too_small).for_each(|_| not_scored(false));
+        if scored.is_none() {
+            not_scored(too_small, Made::Earlier);
+        }
         Ok(results)
     }
 
@@ -157,27 +163,33 @@ impl Experiment {
     }
 }
 
+/// The recommended policy's result at a budget.
+struct ScoredPolicy {
+    result: PolicyResult,
+    /// Time of the policy's training or of its last rollout.
+    made: Made,
+}
+
 impl MethodRun<'_> {
     /// Trains the recommended policy and runs it on the plant of this repetition; a read-only run
-    /// reads the results. Also returns whether the policy was trained or a rollout recorded. `None`:
-    /// the run is read-only, and a result is missing on disk.
+    /// reads the results. `None`: the run is read-only, and a result is missing on disk.
     fn scored_on_its_plant(
         &self,
         recommendation: &Recommendation,
         steps: u32,
         number: u32,
         strategies: &StrategySettings,
-    ) -> Result<Option<(PolicyResult, bool)>, ExperimentError> {
+    ) -> Result<Option<ScoredPolicy>, ExperimentError> {
         let series = self.series(recommendation, steps, strategies.trainings);
         let recordings = series.folders.rollouts(0, &self.plant.name);
         let settings = self.experiment.settings();
-        let (rollouts, is_new): (Vec<RolloutResult>, bool) = if self.access.works() {
+        let (rollouts, made): (Vec<RolloutResult>, Made) = if self.access.works() {
             let trained = series.train(0, &mut |_, _| ())?;
             let ran = series.run_in_virtual_time(0, &self.plant, settings.rollouts)?;
-            (ran.results, ran.is_new || trained.is_some())
+            (ran.results, ran.made.max(Made::now_if(trained.is_some())))
         } else {
             match all_of(&recordings, settings.rollouts, self.recipe.settings.extent.repetitions)? {
-                Some(results) => (results, false),
+                Some(results) => (results, Made::Earlier),
                 None => return Ok(None),
             }
         };
@@ -190,7 +202,8 @@ impl MethodRun<'_> {
             let starts = settings.simulated_starts as usize;
             simulated_return(&path, &distribution, &simulation, starts)?
         };
-        Ok(Some((PolicyResult { number, simulated_return, rollouts, recordings }, is_new)))
+        let result = PolicyResult { number, simulated_return, rollouts, recordings };
+        Ok(Some(ScoredPolicy { result, made }))
     }
 }
 

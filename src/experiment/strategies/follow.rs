@@ -9,13 +9,20 @@ use super::run::{
 use super::score::{ScoredDecision, score};
 use super::search::FromSearch;
 use super::{Method, StrategySettings};
-use crate::experiment::{Experiment, ExperimentError, ExperimentEvent, Plant};
+use crate::experiment::{Experiment, ExperimentError, ExperimentEvent, Made, Plant};
 use crate::session::{SeedFor, derived_seed};
 
+/// A repetition of a method, as far as it was followed.
+pub(in crate::experiment) struct Followed {
+    /// Repetition with its recommendations.
+    pub repetition: Repetition,
+    /// Time of its last score; [`Made::Earlier`] without any.
+    pub made: Made,
+}
+
 impl Experiment {
-    /// Runs one repetition of a method until a recommendation succeeds or none is left. Also returns
-    /// whether a recommendation was scored, whose score was not on disk. A read-only run ends at the
-    /// first result that is not on disk.
+    /// Runs one repetition of a method until a recommendation succeeds or none is left. A read-only
+    /// run ends at the first result that is not on disk.
     ///
     /// # Errors
     /// The work ends early, or a file cannot be read.
@@ -24,7 +31,7 @@ impl Experiment {
         strategies: &StrategySettings,
         (method, number): (Method, u32),
         access: Access,
-    ) -> Result<(Repetition, bool), ExperimentError> {
+    ) -> Result<Followed, ExperimentError> {
         let folder = self.folder().repetition(method.name(), number);
         let run = self.method_run((method, number), &self.settings().plants[0], folder, access);
         let mut recommendations = recommendations_of(&run, method, strategies)?;
@@ -35,8 +42,8 @@ impl Experiment {
             is_over: false,
             budget: recommendations.count() * recommendations.rollouts_each(),
         };
-        let is_new = run.follow(recommendations.as_mut(), &mut repetition)?;
-        Ok((repetition, is_new))
+        let made = run.follow(recommendations.as_mut(), &mut repetition)?;
+        Ok(Followed { repetition, made })
     }
 
     /// One repetition of a method on a plant.
@@ -83,28 +90,29 @@ pub(super) fn recommendations_of<'a>(
 }
 
 impl MethodRun<'_> {
+    /// Adds the recommendations to the repetition; returns the time of the last score.
     fn follow(
         &self,
         recommendations: &mut dyn Recommendations,
         repetition: &mut Repetition,
-    ) -> Result<bool, ExperimentError> {
+    ) -> Result<Made, ExperimentError> {
         let mut scored: Vec<Box<Recommendation>> = Vec::new();
-        let mut has_new_score = false;
+        let mut last_score = Made::Earlier;
         for steps in 1..=recommendations.count() {
             let real_rollouts = steps * recommendations.rollouts_each();
             let result = match recommendations.after(steps)? {
-                Recommended::NotOnDisk => return Ok(has_new_score),
+                Recommended::NotOnDisk => return Ok(last_score),
                 Recommended::Refused(reason) => {
                     RecommendationResult { real_rollouts, score: Err(reason), succeeds: false }
                 }
                 Recommended::Found(recommendation) if scored.contains(&recommendation) => continue,
                 Recommended::Found(recommendation) => {
-                    let Some(ScoredDecision { score, succeeds, is_new }) =
+                    let Some(ScoredDecision { score, succeeds, made }) =
                         self.score(&recommendation, steps)?
                     else {
-                        return Ok(has_new_score);
+                        return Ok(last_score);
                     };
-                    has_new_score |= is_new;
+                    last_score = last_score.max(made);
                     scored.push(recommendation);
                     RecommendationResult { real_rollouts, score: Ok(score), succeeds }
                 }
@@ -118,7 +126,7 @@ impl MethodRun<'_> {
             }
         }
         repetition.is_over = true;
-        Ok(has_new_score)
+        Ok(last_score)
     }
 
     fn score(

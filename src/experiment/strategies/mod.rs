@@ -29,6 +29,7 @@ mod settings;
 
 pub use budgets::ALL_PLANTS;
 pub(super) use budgets::Trial;
+pub(super) use follow::Followed;
 pub use method::Method;
 pub use repetition::{RecommendationResult, Repetition};
 pub use results::{StrategyResult, StrategyResults};

@@ -1,7 +1,7 @@
 use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, PoisonError};
 
-use super::{Access, Method, Repetition};
+use super::{Access, Followed, Method, Repetition};
 use crate::experiment::queue::Queue;
 use crate::experiment::statistics::{Interval, wilson_interval};
 use crate::experiment::{Experiment, ExperimentError};
@@ -107,7 +107,8 @@ impl StrategyResults {
         // Results are needed after a stop request too.
         let never = AtomicBool::new(false);
         Queue::new(strategies.repetitions(), &never).run(experiment.threads(), |job| {
-            let (repetition, _) = experiment.follow(strategies, job, Access::ReadOnly)?;
+            let Followed { repetition, .. } =
+                experiment.follow(strategies, job, Access::ReadOnly)?;
             read.lock().unwrap_or_else(PoisonError::into_inner).push(repetition);
             Ok(Vec::new())
         })?;

@@ -1,7 +1,7 @@
 use super::run::Access;
 use crate::experiment::rollouts::all_of;
 use crate::experiment::series::Series;
-use crate::experiment::{ExperimentError, Plant, RolloutResult};
+use crate::experiment::{ExperimentError, Made, Plant, RolloutResult};
 use crate::scoring::{Behaviour, criterion};
 
 /// The score of a recommendation, over the rollouts that were run until the decision could not
@@ -42,8 +42,8 @@ pub(super) struct ScoredDecision {
     pub score: Score,
     /// Whether the recommendation succeeds.
     pub succeeds: bool,
-    /// Whether a policy was trained or a rollout recorded for the score; otherwise all was on disk.
-    pub is_new: bool,
+    /// Time of the last training or rollout for the score.
+    pub made: Made,
 }
 
 /// Scores a recommendation by up to `policies` policies with `rollouts` rollouts each, and stops
@@ -59,12 +59,12 @@ pub(super) fn score(
     rollouts: u32,
     access: Access,
 ) -> Result<Option<ScoredDecision>, ExperimentError> {
-    let (mut score, mut is_new) = (Score::default(), false);
+    let (mut score, mut made) = (Score::default(), Made::Earlier);
     for policy in 0..policies {
         let results = if access.works() {
             let trained = series.train(policy, &mut |_, _| ())?;
             let ran = series.run_in_virtual_time(policy, plant, rollouts)?;
-            is_new |= ran.is_new || trained.is_some();
+            made = made.max(ran.made).max(Made::now_if(trained.is_some()));
             ran.results
         } else {
             let folder = series.folders.rollouts(policy, &plant.name);
@@ -75,7 +75,7 @@ pub(super) fn score(
         };
         score.add(&results);
         if let Some(succeeds) = score.decided(policies * rollouts) {
-            return Ok(Some(ScoredDecision { score, succeeds, is_new }));
+            return Ok(Some(ScoredDecision { score, succeeds, made }));
         }
     }
     Ok(None)

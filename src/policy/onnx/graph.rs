@@ -297,6 +297,6 @@ fn fold(
             Step::Matrix { .. } | Step::Activation(_) => {}
         }
     }
-    input.fold(layer);
+    input.fold(layer)?;
     Ok(input.into_bounds())
 }

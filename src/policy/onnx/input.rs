@@ -3,6 +3,10 @@
 use super::ImportError;
 use crate::policy::LayerWeights;
 
+/// Largest magnitude of the offsets that are folded into one neuron of the first layer. Single
+/// precision rounds it by 2.4e-4, which changes the voltage by about 1 mV.
+const LARGEST_OFFSET: f64 = 4096.0;
+
 /// The preparation of each entry x of the input for the first layer: factor · clip(x, bounds) +
 /// offset.
 #[derive(Debug)]
@@ -62,11 +66,24 @@ impl Input {
 
     /// Folds the factors a and offsets b of the entries x into the weights W and biases c of the
     /// first layer: W (a x + b) + c = (W a) x + (W b + c).
-    pub fn fold(&self, layer: &mut LayerWeights) {
+    ///
+    /// # Errors
+    /// W a x and W b nearly cancel each other, and are so large that their difference in single
+    /// precision is too far from W (a x + b).
+    pub fn fold(&self, layer: &mut LayerWeights) -> Result<(), ImportError> {
         if self.factors.iter().all(|it| *it == 1.0) && self.offsets.iter().all(|it| *it == 0.0) {
-            return;
+            return Ok(());
         }
         let entries = self.factors.len();
+        for row in layer.weight.chunks_exact(entries) {
+            let cancels = |(weight, offset): (&f32, &f64)| (f64::from(*weight) * offset).abs();
+            let largest: f64 = row.iter().zip(&self.offsets).map(cancels).sum();
+            // A NaN is refused later, with the network.
+            if largest > LARGEST_OFFSET {
+                let deviations = self.offsets.iter().fold(0.0, |most, it| it.abs().max(most));
+                return Err(ImportError::Normalisation { deviations });
+            }
+        }
         for (row, bias) in layer.weight.chunks_exact_mut(entries).zip(&mut layer.bias) {
             let products = row.iter().zip(&self.offsets);
             let shift: f64 = products.map(|(weight, offset)| f64::from(*weight) * offset).sum();
@@ -75,6 +92,7 @@ impl Input {
                 *weight = (f64::from(*weight) * factor) as f32;
             }
         }
+        Ok(())
     }
 
     /// Least and largest value of each original entry x; empty if no entry is clipped.
@@ -109,12 +127,30 @@ mod tests {
         input.multiply(&[3.0]).unwrap();
         input.clip(&[-f32::INFINITY], &[3.0]).unwrap();
         let mut layer = LayerWeights { weight: vec![1.0, 10.0], bias: vec![0.5] };
-        input.fold(&mut layer);
+        input.fold(&mut layer).unwrap();
         assert_eq!((layer.weight, layer.bias), (vec![6.0, -120.0], vec![6.0 - 120.0 + 0.5]));
         // The first clip keeps 2 (x + 1) between -2 and 4 and -4 (x + 1) between -2 and 8. The
         // second keeps 6 (x + 1) and -12 (x + 1) at 3 or below.
         assert_eq!(input.into_bounds(), [[-2.0, -0.5], [-1.25, -0.5]]);
         assert!(Input::plain(3).into_bounds().is_empty());
         assert!(Input::plain(3).add(&[1.0, 2.0]).is_err());
+    }
+
+    #[test]
+    fn a_normalisation_that_single_precision_cannot_hold_is_refused() {
+        let folded = |mean: f32, deviation: f32| {
+            let mut input = Input::plain(2);
+            input.add(&[-mean, 0.0]).unwrap();
+            input.multiply(&[1.0 / deviation, 1.0]).unwrap();
+            let mut layer = LayerWeights { weight: vec![0.6, 1.0], bias: vec![0.0] };
+            input.fold(&mut layer).map(|()| layer)
+        };
+        for (mean, deviation) in [(0.7, 1e-3), (0.0, 1e-8), (1.0, 0.01), (-0.7, -1e-3)] {
+            assert!(folded(mean, deviation).is_ok(), "{mean} {deviation}");
+        }
+        for (mean, deviation) in [(0.7, 1e-5), (0.7, -1e-5), (-1.0, 1e-8), (1e6, 1.0)] {
+            let refused = folded(mean, deviation).unwrap_err();
+            assert!(refused.to_string().contains("times its standard deviation"), "{refused}");
+        }
     }
 }

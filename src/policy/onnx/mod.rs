@@ -100,7 +100,8 @@ pub enum ImportError {
     /// The output is limited to a narrower range than the motor's.
     #[error(
         "limits the voltage to {lower_v} V to {upper_v} V, and this program's networks have no limit below the motor's \
-         {MAX_VOLTAGE_V} V of either sign: leave the last Clip out of the exported module, or check the action scale"
+         {MAX_VOLTAGE_V} V of either sign: check the action scale. Without that limit the module would be another policy, \
+         which may ask for {MAX_VOLTAGE_V} V"
     )]
     OutputLimits {
         /// Lower limit, V.
@@ -111,6 +112,16 @@ pub enum ImportError {
     /// An entry of the observation appears twice, with different bounds.
     #[error("clips two inputs that are the same entry of the observation at different values")]
     TwoBounds,
+    /// The normalisation cannot become a part of the first layer in single precision.
+    #[error(
+        "has a normalisation before the first layer that single precision cannot hold within about 1 mV: the mean of an input \
+         is {deviations:.0} times its standard deviation from 0. An input that hardly varies needs no normalisation: train \
+         with a larger standard deviation for it"
+    )]
+    Normalisation {
+        /// Largest offset of a normalised input, in standard deviations.
+        deviations: f64,
+    },
     /// The limit at which the observation is to be clipped is no positive, finite number.
     #[error("is to be clipped at {limit}: give a finite number above 0")]
     Clip {

@@ -11,7 +11,7 @@ use crate::report::rollout::RolloutView;
 use crate::scoring::{Latencies, Verdict, score_recording};
 use crate::session::{
     Candidate, Entry, Identification, Purpose, ScoredCandidate, SessionPaths, SessionSettings,
-    SessionState, SessionView, Step, TrainingTime, identified_profile, next_step,
+    SessionState, SessionView, Step, TrainingTime, finished_rollout, identified_profile, next_step,
 };
 use crate::storage::Disk;
 
@@ -132,10 +132,9 @@ impl SessionSource {
                     [number, finished.rollout, attempt],
                 );
             }
-            let path = of_candidate.rollout(finished.rollout, finished.attempt);
-            match read_on(disk, &path) {
-                Ok(recording) => {
-                    verdicts.push(score_recording(&recording));
+            match finished_rollout(disk, &of_candidate, number, finished) {
+                Ok((recording, verdict)) => {
+                    verdicts.push(verdict);
                     self.add(&candidate, &recording);
                 }
                 Err(error) => self.problems.push(error.to_string()),
@@ -220,12 +219,15 @@ impl SessionSource {
 
     /// The settings of the search at the proposal of this candidate; `None` gives the latest. They
     /// vary the profile identified by then, or equal the session's settings if no profile was
-    /// identified.
+    /// identified, or if this or the first profile cannot be read.
     pub(super) fn search_settings(&self, candidate: Option<u32>) -> SessionSettings {
-        let mut known = None;
+        let (mut first, mut known) = (None, None);
         for entry in &self.entries {
             match entry {
-                Entry::Identified { recordings, .. } => known = Some(*recordings),
+                Entry::Identified { recordings, .. } => {
+                    first = first.or(Some(*recordings));
+                    known = Some(*recordings);
+                }
                 Entry::Proposed { candidate: proposed, .. } if Some(*proposed) == candidate => {
                     break;
                 }
@@ -233,7 +235,7 @@ impl SessionSource {
             }
         }
         let profile = |number: u32| self.profiles.iter().find(|(of, _)| *of == number);
-        match (self.profiles.first(), known.and_then(profile)) {
+        match (first.and_then(profile), known.and_then(profile)) {
             (Some((_, first)), Some((_, latest))) => {
                 let plan = self.settings.identification.unwrap_or_default();
                 self.settings.clone().around(&plan, first, latest)
@@ -243,15 +245,10 @@ impl SessionSource {
     }
 
     /// Number of the candidate whose training made this candidate's policy: for a verification of
-    /// the incumbent, the searched candidate with the same psi.
+    /// the incumbent, the incumbent.
     pub(super) fn trained_as(&self, candidate: &Candidate) -> u32 {
-        let is_same = |it: &&Candidate| it.purpose.is_searched() && it.psi == candidate.psi;
-        match candidate.purpose {
-            Purpose::Incumbent => {
-                self.state.searched().find(is_same).map_or(candidate.number, |it| it.number)
-            }
-            _ => candidate.number,
-        }
+        let mut searched = self.state.searched();
+        searched.find(|it| candidate.runs_policy_of(it)).unwrap_or(candidate).number
     }
 
     /// Name of a candidate's purpose, as tables show it.
@@ -278,4 +275,33 @@ fn read_curve(disk: &dyn Disk, path: &Path) -> Result<Vec<CurvePoint>, String> {
         return Err(format!("{shown} is longer than any training curve"));
     }
     parse_curve_csv(&String::from_utf8_lossy(&bytes)).map_err(|error| format!("{shown}: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::IdentificationSettings;
+    use crate::storage::MachineDisk;
+
+    #[test]
+    fn without_its_first_profile_the_coordinates_of_a_search_are_unknown() {
+        let folder = tempfile::tempdir().unwrap();
+        let plan = IdentificationSettings::default();
+        let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
+        let path = SessionPaths::new(folder.path()).configuration();
+        std::fs::write(path, settings.to_toml().unwrap()).unwrap();
+        let mut source = SessionSource::read(&MachineDisk, folder.path()).unwrap();
+        let identified = |recordings| Entry::Identified {
+            recordings,
+            verdict: "fits".into(),
+            doubts: Vec::new(),
+            checksum: String::new(),
+        };
+        source.entries = vec![identified(1), identified(3)];
+        source.profiles = vec![(1, Profile::lab()), (3, Profile::lab())];
+        let (whole, began) = (source.search_settings(None), source.settings.clone());
+        assert_ne!(whole, began);
+        source.profiles.remove(0);
+        assert_eq!(source.search_settings(None), began);
+    }
 }

@@ -4,6 +4,7 @@
 use std::path::PathBuf;
 
 use super::Session;
+use super::proposals::Proposal;
 use super::rollouts::SessionRig;
 use crate::identification::{
     Identified, IdentifyError, ModelVerdict, Unknown, check_recording, identify,
@@ -68,7 +69,7 @@ impl Session {
             Fitted::Found(found) => self.append_profile(*found, on_event),
             Fitted::Unfit(reason) if self.may_excite_again() => {
                 on_event(SessionEvent::ExcitationRepeated(&reason));
-                self.append_proposal(Purpose::Excitation, Vec::new(), on_event)
+                self.append_proposal(Proposal::of(Purpose::Excitation, Vec::new()), on_event)
             }
             Fitted::Unfit(reason) | Fitted::Refused(reason) => {
                 on_event(SessionEvent::NotIdentified(&reason));
@@ -121,8 +122,8 @@ impl Session {
         match decide(&scored, plan.candidates) {
             Decision::Propose => self.propose_around(on_event),
             Decision::Verify { candidate } => {
-                let psi = self.ledger.state().candidates()[candidate as usize].psi.clone();
-                self.append_proposal(Purpose::Incumbent, psi, on_event)
+                let incumbent = &self.ledger.state().candidates()[candidate as usize];
+                self.append_proposal(Proposal::again(incumbent), on_event)
             }
             Decision::EndBelow { verified, smallest_gain } => {
                 let expected_gain = self.expected_gain(&scored, verified)?;
@@ -162,7 +163,7 @@ impl Session {
         let searched = self.ledger.state().searched().count() as u32;
         if searched == 0 {
             let psi = self.settings.psi.as_identified();
-            return self.append_proposal(Purpose::Initial, psi, on_event);
+            return self.append_proposal(Proposal::of(Purpose::Initial, psi), on_event);
         }
         let used = self.fitted_recordings();
         if self.used_recordings().len() > used as usize
@@ -174,7 +175,7 @@ impl Session {
         let purpose = if searched < INITIAL_AROUND { Purpose::Initial } else { Purpose::Search };
         let mut strategy = self.settings.search()?;
         let psi = strategy.propose(&self.observations()?, &[], 1)?.remove(0);
-        self.append_proposal(purpose, psi, on_event)
+        self.append_proposal(Proposal::of(purpose, psi), on_event)
     }
 
     /// The return that one more candidate is expected to gain over the verified policy, at least 0.

@@ -1,5 +1,7 @@
 //! Performs the method's steps in their order: proposals, identification, trainings, rollouts.
 
+mod boards;
+mod early_training;
 mod identification;
 mod policies;
 mod prepared;
@@ -8,7 +10,7 @@ mod rollouts;
 mod training;
 mod training_ahead;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,15 +21,15 @@ use training_ahead::TrainingAhead;
 
 use super::seeds::SeedFor;
 use super::{
-    Candidate, Entry, FolderError, Ledger, LedgerError, ScoredCandidate, SessionError,
-    SessionEvent, SessionFolder, SessionSettings, SessionState, Step, file_checksum, next_step,
+    Candidate, Entry, Finished, FolderError, Ledger, LedgerError, ScoredCandidate, SessionError,
+    SessionEvent, SessionFolder, SessionSettings, SessionState, Step, file_checksum,
+    finished_rollout, next_step,
 };
-use crate::device::EMULATOR_KIND;
 use crate::jobs::{Executor, LocalExecutor};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, read_on};
-use crate::rig::{ClockChoice, DeviceChoice, Doubt, RigSettings};
-use crate::scoring::{Verdict, score, score_finished};
+use crate::rig::{ClockChoice, Doubt, RigSettings};
+use crate::scoring::{Verdict, score};
 use crate::storage::SETTINGS_BYTES;
 use crate::telemetry::Ending;
 
@@ -156,57 +158,6 @@ impl Session {
         self
     }
 
-    /// Binds each real rig to the board that made its first recording in this session, so that no
-    /// other board is driven, and no emulated Qube in its place.
-    ///
-    /// # Errors
-    /// A recording cannot be read, or the settings of a rig are for another board, or for an
-    /// emulated Qube where a real one made the recordings.
-    pub fn on_the_same_boards(mut self) -> Result<Self, SessionError> {
-        for index in 0..self.rigs.len() {
-            let Some(device) = self.first_device(self.number_of(index))? else { continue };
-            let Some(before) = device.get("serial").cloned() else { continue };
-            let settings = &mut self.rigs[index].settings;
-            if !settings.is_hardware() {
-                let is_emulator = matches!(settings.device, DeviceChoice::Emulated);
-                if is_emulator && device.get("kind").is_some_and(|kind| kind != EMULATOR_KIND) {
-                    return Err(SessionError::EmulatedInPlace { before });
-                }
-                continue;
-            }
-            match settings.board.replace(before.clone()) {
-                Some(now) if now != before => {
-                    return Err(SessionError::OtherBoard { before, now });
-                }
-                _ => {}
-            }
-        }
-        Ok(self)
-    }
-
-    /// Serial number of the board that made the first finished recording of this rig, or of any rig
-    /// if `rig` is `None`. `None` if there is no such recording or it names no board.
-    ///
-    /// # Errors
-    /// The recording cannot be read.
-    pub fn board(&self, rig: Option<u32>) -> Result<Option<String>, SessionError> {
-        Ok(self.first_device(rig)?.and_then(|device| device.get("serial").cloned()))
-    }
-
-    /// The device that made the first finished recording of this rig, or of any rig if `rig` is
-    /// `None`, as the recording describes it. `None` if there is no such recording.
-    fn first_device(
-        &self,
-        rig: Option<u32>,
-    ) -> Result<Option<BTreeMap<String, String>>, SessionError> {
-        let first = self.ledger.state().candidates().iter().find_map(|it| {
-            let finished = it.finished.iter().find(|it| rig.is_none() || it.rig == rig)?;
-            Some(self.recording(it.number, finished.rollout, finished.attempt))
-        });
-        let Some(first) = first else { return Ok(None) };
-        Ok(Some(read_on(self.folder.disk(), &first)?.header.device))
-    }
-
     /// Runs until the best policy is verified, a fault ends the session, or the operator stops it.
     ///
     /// # Errors
@@ -252,6 +203,7 @@ impl Session {
         goes_on: impl Fn(&SessionState) -> bool,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
+        self.ledger.check_rigs(self.rigs.len() as u32)?;
         self.pass_doubt_to_rig(on_event)?;
         // Reads every recording before anything moves or is trained, because the search needs every
         // return.
@@ -383,17 +335,13 @@ impl Session {
     /// The candidates so far, each with the verdicts on its rollouts.
     ///
     /// # Errors
-    /// A recording cannot be read.
+    /// The errors of [`finished_rollout`].
     pub fn scored_candidates(&mut self) -> Result<Vec<ScoredCandidate>, SessionError> {
         let mut scored = Vec::new();
         for candidate in self.ledger.state().candidates().to_vec() {
             let mut verdicts = Vec::new();
             for finished in &candidate.finished {
-                verdicts.push(self.verdict(
-                    candidate.number,
-                    finished.rollout,
-                    finished.attempt,
-                )?);
+                verdicts.push(self.verdict(candidate.number, finished)?);
             }
             scored.push(ScoredCandidate { candidate, verdicts });
         }
@@ -413,18 +361,13 @@ impl Session {
         self.folder.paths().candidate(candidate).policy()
     }
 
-    fn verdict(
-        &mut self,
-        candidate: u32,
-        rollout: u32,
-        attempt: u32,
-    ) -> Result<Verdict, SessionError> {
-        let key = (candidate, rollout, attempt);
+    fn verdict(&mut self, candidate: u32, finished: &Finished) -> Result<Verdict, SessionError> {
+        let key = (candidate, finished.rollout, finished.attempt);
         if let Some(verdict) = self.verdicts.get(&key) {
             return Ok(verdict.clone());
         }
-        let path = self.recording(candidate, rollout, attempt);
-        let verdict = score_finished(self.folder.disk(), &path)?;
+        let (disk, paths) = (self.folder.disk(), self.folder.paths().candidate(candidate));
+        let (_, verdict) = finished_rollout(disk, &paths, candidate, finished)?;
         self.verdicts.insert(key, verdict.clone());
         Ok(verdict)
     }

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use super::Session;
+use super::early_training::{EarlyKind, EarlyTraining};
 use super::training::Trainer;
 use super::training_ahead::TrainingAhead;
 use crate::policy::{
@@ -11,8 +12,7 @@ use crate::policy::{
 };
 use crate::rig::ClockChoice;
 use crate::session::{
-    Candidate, Entry, Identification, Purpose, SessionError, SessionEvent, SessionSettings, Step,
-    trains_ahead,
+    Candidate, Entry, Purpose, SessionError, SessionEvent, SessionSettings, Step, trains_ahead,
 };
 use crate::storage::write_whole;
 
@@ -68,24 +68,24 @@ impl Session {
         Ok(())
     }
 
-    /// Begins trainings that depend on no recording while the Qube is homed and moves: the policy
-    /// for an unidentified Qube, which a doubted identification needs, before the Qube is
-    /// identified; and the baseline, while the policy that may be the last one is verified. Their
-    /// numbers are those that the candidates will have if nothing unexpected happens; otherwise the
-    /// trainings are not used.
+    /// While the Qube is homed and moves: begins the training that depends on no recording and may
+    /// be needed later, and stops an earlier one that is not needed any more.
     pub(super) fn prepare_trainings(&mut self) -> Result<(), SessionError> {
         let prepares = self.prepares && self.next_step() != Step::Done;
         let Some(plan) = self.settings.identification.filter(|_| prepares) else { return Ok(()) };
-        let candidates = self.ledger.state().candidates();
-        let is_verifying = candidates.last().is_some_and(|it| it.purpose.verifies());
-        let job = match self.ledger.state().identification() {
-            Identification::None => self.trainer().competitor_for_unknown(plan.excitations)?,
-            Identification::Found { .. } if self.settings.extent.baseline && is_verifying => {
-                self.trainer().baseline(candidates.len() as u32)?
-            }
-            Identification::Found { .. } | Identification::Refused(_) => return Ok(()),
+        let has_baseline = self.settings.extent.baseline;
+        let Some(early) = EarlyTraining::of(self.ledger.state(), &plan, has_baseline) else {
+            self.prepared.keep_only(None);
+            return Ok(());
         };
-        self.prepared.begin(job);
+        let job = match early.kind {
+            EarlyKind::Competitor => self.trainer().competitor_for_unknown(early.candidate)?,
+            EarlyKind::Baseline => self.trainer().baseline(early.candidate)?,
+        };
+        self.prepared.keep_only(Some(&job));
+        if early.may_begin {
+            self.prepared.begin(job);
+        }
         Ok(())
     }
 
@@ -100,7 +100,10 @@ impl Session {
         let candidate = self.ledger.state().candidates()[number as usize].clone();
         let policy = match candidate.purpose {
             Purpose::Incumbent => {
-                let incumbent = self.incumbent()?.number;
+                let incumbent = match candidate.policy_of {
+                    Some(incumbent) => incumbent,
+                    None => self.incumbent()?.number,
+                };
                 self.policy(incumbent)?
             }
             Purpose::Excitation => self.excitation(number).to_bytes(),

@@ -24,12 +24,14 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 #[derive(Default)]
 pub(super) struct PreparedTrainings {
     begun: Vec<Prepared>,
-    dropped: Arc<AtomicBool>,
+    /// Threads whose trainings were stopped because nothing needs them any more.
+    stopped: Vec<JoinHandle<()>>,
 }
 
 struct Prepared {
     job: TrainingJob,
     result: Receiver<PreparedTraining>,
+    stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -48,18 +50,27 @@ impl PreparedTrainings {
             return;
         }
         let (sender, result) = bounded(1);
-        let (dropped, of_thread) = (Arc::clone(&self.dropped), job.clone());
+        let stop = Arc::new(AtomicBool::new(false));
+        let (stop_of_thread, job_of_thread) = (Arc::clone(&stop), job.clone());
         let thread = std::thread::spawn(move || {
             let began_unix_ns = unix_ns();
             let executor = LocalExecutor::beside_control_thread();
-            let result = executor.train_one(&of_thread, &dropped, &mut |_| ());
+            let result = executor.train_one(&job_of_thread, &stop_of_thread, &mut |_| ());
             // A clock may be set back.
             let ended_unix_ns = unix_ns().max(began_unix_ns);
             let time = TrainingTime { training: 0, began_unix_ns, ended_unix_ns };
             // If the receiver is gone, nobody needs the result.
             let _ = sender.send(PreparedTraining { result, time });
         });
-        self.begun.push(Prepared { job, result, thread: Some(thread) });
+        self.begun.push(Prepared { job, result, stop, thread: Some(thread) });
+    }
+
+    /// Stops every training except this one, without waiting for the threads.
+    pub(super) fn keep_only(&mut self, needed: Option<&TrainingJob>) {
+        for mut prepared in self.begun.extract_if(.., |it| needed != Some(&it.job)) {
+            prepared.stop.store(true, Ordering::Relaxed);
+            self.stopped.extend(prepared.thread.take());
+        }
     }
 
     /// Whether this training has begun.
@@ -110,8 +121,8 @@ impl PreparedTrainings {
 
 impl Drop for PreparedTrainings {
     fn drop(&mut self) {
-        self.dropped.store(true, Ordering::Relaxed);
-        for thread in self.begun.iter_mut().filter_map(|prepared| prepared.thread.take()) {
+        self.keep_only(None);
+        for thread in self.stopped.drain(..) {
             let _ = thread.join();
         }
     }
@@ -143,6 +154,20 @@ mod tests {
         let later = LocalExecutor::on_cores(1).train_one(&wanted, &never, &mut |_| ());
         assert_eq!(result.unwrap(), later.unwrap());
         assert!(!prepared.has(&wanted) && prepared.has(&other));
+    }
+
+    #[test]
+    fn a_training_that_nothing_needs_any_more_is_stopped() {
+        let (endless, needed) = (job(1, 1_000_000), job(2, 1));
+        let mut prepared = PreparedTrainings::default();
+        prepared.begin(endless.clone());
+        prepared.begin(needed.clone());
+        prepared.keep_only(Some(&needed));
+        assert!(prepared.has(&needed) && !prepared.has(&endless));
+        assert_eq!(prepared.stopped.len(), 1);
+        prepared.stopped.remove(0).join().unwrap();
+        let taken = prepared.take(&needed, 0, &AtomicBool::new(false));
+        assert!(taken.result.is_ok());
     }
 
     #[test]

@@ -4,6 +4,27 @@ use super::Session;
 use crate::search::{Observation, SearchError};
 use crate::session::{Candidate, Entry, Purpose, SessionError, SessionEvent};
 
+/// A candidate that is to be proposed.
+pub(super) struct Proposal {
+    purpose: Purpose,
+    psi: Vec<f64>,
+    /// Number of the candidate whose policy it runs again, if it does.
+    policy_of: Option<u32>,
+}
+
+impl Proposal {
+    /// A candidate with a policy of its own.
+    pub(super) fn of(purpose: Purpose, psi: Vec<f64>) -> Self {
+        Self { purpose, psi, policy_of: None }
+    }
+
+    /// A candidate that runs the incumbent's policy again.
+    pub(super) fn again(incumbent: &Candidate) -> Self {
+        let (psi, policy_of) = (incumbent.psi.clone(), Some(incumbent.number));
+        Self { purpose: Purpose::Incumbent, psi, policy_of }
+    }
+}
+
 impl Session {
     /// Proposes `count` candidates for this purpose: chooses their psi, which is empty for an
     /// excitation and the baseline, and enters them into the ledger. The purposes `Verification`
@@ -16,7 +37,7 @@ impl Session {
     ) -> Result<(), SessionError> {
         let mut strategy = self.settings.search()?;
         let mut pending = Vec::new();
-        let chosen = match purpose {
+        let chosen: Vec<Vec<f64>> = match purpose {
             Purpose::Initial => {
                 // All initial points are computed on each call, and those already proposed are
                 // skipped, so that a crash between two of them changes nothing.
@@ -34,32 +55,35 @@ impl Session {
             }
             Purpose::Excitation | Purpose::Baseline => vec![Vec::new(); count as usize],
             Purpose::Verification => vec![strategy.best(&self.observations()?)?.point],
-            Purpose::Incumbent => vec![self.incumbent()?.psi],
+            Purpose::Incumbent => {
+                let again = Proposal::again(&self.incumbent()?);
+                return self.append_proposal(again, on_event);
+            }
         };
         for psi in chosen {
-            self.append_proposal_beside(pending.clone(), purpose, psi, on_event)?;
+            let proposal = Proposal::of(purpose, psi);
+            self.append_proposal_beside(pending.clone(), proposal, on_event)?;
         }
         Ok(())
     }
 
     pub(super) fn append_proposal(
         &mut self,
-        purpose: Purpose,
-        psi: Vec<f64>,
+        proposal: Proposal,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        self.append_proposal_beside(Vec::new(), purpose, psi, on_event)
+        self.append_proposal_beside(Vec::new(), proposal, on_event)
     }
 
     fn append_proposal_beside(
         &mut self,
         pending: Vec<u32>,
-        purpose: Purpose,
-        psi: Vec<f64>,
+        proposal: Proposal,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
+        let Proposal { purpose, psi, policy_of } = proposal;
         let candidate = self.ledger.state().candidates().len() as u32;
-        self.ledger.append(Entry::Proposed { candidate, purpose, psi, pending })?;
+        self.ledger.append(Entry::Proposed { candidate, purpose, psi, pending, policy_of })?;
         let settings = &self.settings;
         let counts = self
             .ledger

@@ -8,7 +8,8 @@ use crate::policy::EXCITATION_STEPS;
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::rig::{ClockChoice, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
-use crate::scoring::{Verdict, score, score_recording};
+use crate::scoring::{Verdict, score_recording};
+use crate::session::finished_rollout::{check_origin, check_policy};
 use crate::session::folder::put_aside;
 use crate::session::plan::{identifying, wanted_rollouts};
 use crate::session::seeds::{SeedFor, derived_seed};
@@ -161,21 +162,29 @@ impl Session {
         if !disk.exists(&path) {
             return Ok(false);
         }
-        let is_shared = self.rigs.len() > 1;
-        match score(disk, &path) {
-            Ok(Verdict::Unfinished) | Err(RecordingError::Unreadable { .. }) => {
+        let recording = match read_on(disk, &path) {
+            Ok(recording) => recording,
+            Err(RecordingError::Unreadable { .. }) => {
                 put_aside(disk, &path)?;
-                Ok(false)
+                return Ok(false);
             }
-            // The rig of a void recording may have been mended or taken out since. A doubt about a
-            // real Qube is stored apart from the recordings, so it is not lost.
-            Ok(Verdict::Void { .. }) if is_shared => {
-                put_aside(disk, &path)?;
-                Ok(false)
-            }
-            Ok(Verdict::Result { .. } | Verdict::Void { .. }) => Ok(true),
-            Err(error) => Err(error.into()),
+            Err(error) => return Err(error.into()),
+        };
+        let is_due_again = match score_recording(&recording) {
+            Verdict::Result { .. } => false,
+            // The rig of a void recording may have been mended or taken out since, where there are
+            // several. A doubt about a real Qube is stored apart from the recordings, so it is not
+            // lost.
+            Verdict::Void { .. } => self.rigs.len() > 1,
+            Verdict::Unfinished => true,
+        };
+        if is_due_again {
+            put_aside(disk, &path)?;
+            return Ok(false);
         }
+        check_origin(&recording, &path, [turn.candidate, turn.rollout, turn.attempt])?;
+        check_policy(&recording, disk, &self.policy_path(turn.candidate))?;
+        Ok(true)
     }
 
     /// Makes the rig of a turn ready for its rollout.

@@ -365,6 +365,7 @@ mod tests {
             finished: Vec::new(),
             void: 0,
             void_before: 0,
+            policy_of: None,
         };
         let first = candidate(plan.excitations, Purpose::Initial, around.psi.as_identified());
         let baseline = candidate(3, Purpose::Baseline, Vec::new());

@@ -1,0 +1,130 @@
+//! Binds an experiment on a real Qube to one board, because its results are compared.
+
+use super::{Experiment, ExperimentError};
+use crate::recording::{RecordingError, read};
+use crate::rig::RigSettings;
+use crate::session::{SessionError, SessionPaths, SessionView, recording_in};
+use crate::storage::{Disk, MachineDisk};
+
+impl Experiment {
+    /// The settings of the rig. A real Qube is bound to the board that made the experiment's first
+    /// recording, so that no other board is driven.
+    ///
+    /// # Errors
+    /// A search or a recording cannot be read, or the settings of the rig are for another board.
+    pub(super) fn rig_on_the_same_board(&self) -> Result<RigSettings, ExperimentError> {
+        let mut rig = self.rig().clone();
+        if !rig.is_hardware() {
+            return Ok(rig);
+        }
+        let Some(before) = self.first_board()? else { return Ok(rig) };
+        match rig.board.replace(before.clone()) {
+            Some(now) if now != before => Err(SessionError::OtherBoard { before, now }.into()),
+            Some(_) => Ok(rig),
+            // A profile without a board did not count when the experiment began, and a recording
+            // does not show whose profile it is.
+            None => Ok(RigSettings { profile: None, ..rig }),
+        }
+    }
+
+    /// Serial number of the board that made the first recording; `None` if there is no recording or
+    /// it names no board.
+    fn first_board(&self) -> Result<Option<String>, ExperimentError> {
+        let settings = self.settings();
+        let mut paths = Vec::new();
+        for recipe in &settings.recipes {
+            let search = SessionPaths::new(&self.folder().search(&recipe.name));
+            let view = SessionView::read(&MachineDisk, search.clone())?;
+            for candidate in view.state().candidates() {
+                let recorded = candidate.finished.iter();
+                let of_candidate = search.candidate(candidate.number);
+                paths.extend(recorded.map(|it| of_candidate.rollout(it.rollout, it.attempt)));
+            }
+        }
+        for recipe in &settings.recipes {
+            let folders = self.folder().policies(&recipe.name);
+            let folder = |policy| folders.rollouts(policy, &settings.plants[0].name);
+            paths.extend((0..settings.policies).map(|policy| recording_in(&folder(policy), 0, 0)));
+        }
+        for path in paths.iter().filter(|path| MachineDisk.exists(path)) {
+            match read(path) {
+                Ok(recording) => return Ok(recording.header.device.get("serial").cloned()),
+                // A crash may have left a recording that will be made again.
+                Err(RecordingError::Unreadable { .. }) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(None)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::experiment::{ExperimentFolder, ExperimentSettings, Plant, Recipe};
+    use crate::qube::Profile;
+    use crate::recording::{RolloutWriter, samples};
+    use crate::rig::DeviceChoice;
+    use crate::session::SessionSettings;
+    use crate::simulation::Model;
+
+    fn experiment(root: &Path, device: DeviceChoice, board: Option<&str>) -> Experiment {
+        let plant = Plant { name: "device".into(), emulated: Default::default(), vary: 0.0 };
+        let settings = ExperimentSettings {
+            name: "table".into(),
+            seed: 7,
+            policies: 2,
+            rollouts: 1,
+            simulated_starts: 1,
+            guard_profile: None,
+            plants: vec![plant],
+            recipes: vec![Recipe::of(Model::Nominal, &SessionSettings::thesis())],
+            strategies: None,
+        };
+        let folder = match ExperimentFolder::open(root) {
+            Ok(folder) => folder,
+            Err(_) => ExperimentFolder::create(root, &settings.to_toml().unwrap()).unwrap(),
+        };
+        let board = board.map(str::to_owned);
+        let profile = Some(Profile::lab());
+        let rig = RigSettings { board, profile, ..RigSettings::in_virtual_time(device) };
+        Experiment::new(folder, settings, rig, 1, Arc::default())
+    }
+
+    fn record(experiment: &Experiment, policy: u32, serial: &str) {
+        let folder = experiment.folder().policies("nominal").rollouts(policy, "device");
+        std::fs::create_dir_all(&folder).unwrap();
+        let mut header = samples::header();
+        header.device.insert("serial".into(), serial.into());
+        let path = recording_in(&folder, 0, 0);
+        let writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
+        writer.finish(&samples::outcome()).unwrap();
+    }
+
+    #[test]
+    fn a_real_qube_stays_the_board_of_the_first_recording() {
+        let root = tempfile::tempdir().unwrap();
+        let port = || DeviceChoice::Port("/dev/no-such-qube".into());
+        let bound = |device, board| {
+            let rig = experiment(root.path(), device, board).rig_on_the_same_board()?;
+            Ok::<_, ExperimentError>((rig.board.clone(), rig.identified().is_some()))
+        };
+        assert_eq!(bound(port(), None).unwrap(), (None, false));
+        assert_eq!(bound(port(), Some("two")).unwrap(), (Some("two".into()), true));
+        {
+            let begun = experiment(root.path(), port(), None);
+            record(&begun, 1, "three");
+            record(&begun, 0, "one");
+        }
+        // A profile counts for the guard only if the Qube's file names its board.
+        assert_eq!(bound(port(), None).unwrap(), (Some("one".into()), false));
+        assert_eq!(bound(port(), Some("one")).unwrap(), (Some("one".into()), true));
+        let told = bound(port(), Some("two")).unwrap_err().to_string();
+        assert!(told.contains("board two is named in the place of board one"), "{told}");
+        // Each rollout on an emulated Qube has a board of its own.
+        assert_eq!(bound(DeviceChoice::Emulated, None).unwrap(), (None, true));
+    }
+}

@@ -1,0 +1,16 @@
+/// The time at which a result was made. A result of several parts is as new as its newest part,
+/// which is the largest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Made {
+    /// Before this process began: the result was on disk.
+    Earlier,
+    /// Since this process began: a policy was trained for it, or a rollout recorded.
+    Now,
+}
+
+impl Made {
+    /// [`Self::Now`] if the condition holds.
+    pub(super) fn now_if(condition: bool) -> Self {
+        if condition { Self::Now } else { Self::Earlier }
+    }
+}

@@ -1,0 +1,84 @@
+use std::path::Path;
+
+use super::{Finished, PolicyPaths, SessionError};
+use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy};
+use crate::recording::Recording;
+use crate::scoring::{Verdict, read_finished};
+use crate::storage::Disk;
+
+/// Reads the recording of a candidate's finished rollout and computes the verdict; `paths` are the
+/// paths of the candidate's files.
+///
+/// # Errors
+/// The recording is missing, truncated or changed; it is the recording of another rollout; or the
+/// candidate's policy file holds another policy than the one that made the rollout.
+pub fn finished_rollout(
+    disk: &dyn Disk,
+    paths: &PolicyPaths,
+    candidate: u32,
+    &Finished { rollout, attempt, .. }: &Finished,
+) -> Result<(Recording, Verdict), SessionError> {
+    let path = paths.rollout(rollout, attempt);
+    let (recording, verdict) = read_finished(disk, &path)?;
+    check_origin(&recording, &path, [candidate, rollout, attempt])?;
+    check_policy(&recording, disk, &paths.policy())?;
+    Ok((recording, verdict))
+}
+
+/// Checks that a recording is of the candidate, the rollout and the attempt with these numbers.
+///
+/// # Errors
+/// It is the recording of another rollout.
+pub(super) fn check_origin(
+    recording: &Recording,
+    path: &Path,
+    [candidate, rollout, attempt]: [u32; 3],
+) -> Result<(), SessionError> {
+    let header = &recording.header;
+    if (header.candidate, header.rollout, header.attempt) == (Some(candidate), rollout, attempt) {
+        return Ok(());
+    }
+    let of_candidate = match header.candidate {
+        Some(candidate) => format!("candidate {candidate}"),
+        None => "no candidate".into(),
+    };
+    Err(SessionError::RecordingMisplaced {
+        path: path.to_owned(),
+        found: format!(
+            "attempt {} of rollout {} of {of_candidate}",
+            header.attempt, header.rollout
+        ),
+    })
+}
+
+/// Checks that a policy file holds the policy that made a recorded rollout. A file that is missing
+/// or damaged passes: its error belongs to the step that needs the policy.
+///
+/// # Errors
+/// The file holds another policy.
+pub(super) fn check_policy(
+    recording: &Recording,
+    disk: &dyn Disk,
+    path: &Path,
+) -> Result<(), SessionError> {
+    match disk.read(path, MAX_POLICY_BYTES) {
+        Ok(bytes) if are_different(&bytes, &recording.policy) => {
+            Err(SessionError::PolicyChanged { path: path.to_owned() })
+        }
+        Ok(_) | Err(_) => Ok(()),
+    }
+}
+
+/// Whether two policy files hold different policies; false if one is not a policy. Of networks only
+/// the functions and weights are compared, because each version of the program may write the record
+/// of the training in another way.
+fn are_different(one: &[u8], other: &[u8]) -> bool {
+    if one == other {
+        return false;
+    }
+    match (Policy::from_bytes(one), Policy::from_bytes(other)) {
+        (Ok(Policy::Network(one)), Ok(Policy::Network(other))) => one.network != other.network,
+        (Ok(one), Ok(other)) => one.to_bytes() != other.to_bytes(),
+        _ => false,
+    }
+}

@@ -1,0 +1,134 @@
+//! Keeps a session on the boards that made its first recordings.
+
+use std::collections::BTreeMap;
+
+use super::Session;
+use crate::device::EMULATOR_KIND;
+use crate::recording::read_on;
+use crate::rig::DeviceChoice;
+use crate::session::SessionError;
+
+impl Session {
+    /// Binds each real rig to the board that made its first recording in this session, so that no
+    /// other board is driven, and no emulated Qube in its place.
+    ///
+    /// # Errors
+    /// A recording cannot be read, or the settings of a rig are for another board, or for an
+    /// emulated Qube where a real one made the recordings.
+    pub fn on_the_same_boards(mut self) -> Result<Self, SessionError> {
+        for index in 0..self.rigs.len() {
+            let Some(device) = self.first_device(self.number_of(index))? else { continue };
+            let Some(before) = device.get("serial").cloned() else { continue };
+            let settings = &mut self.rigs[index].settings;
+            if !settings.is_hardware() {
+                let is_emulator = matches!(settings.device, DeviceChoice::Emulated);
+                if is_emulator && device.get("kind").is_some_and(|kind| kind != EMULATOR_KIND) {
+                    return Err(SessionError::EmulatedInPlace { before });
+                }
+                continue;
+            }
+            match settings.board.replace(before.clone()) {
+                Some(now) if now != before => {
+                    return Err(SessionError::OtherBoard { before, now });
+                }
+                Some(_) => {}
+                // A profile without a board did not count when the session began, and a recording
+                // does not show whose profile it is.
+                None => settings.profile = None,
+            }
+        }
+        Ok(self)
+    }
+
+    /// Serial number of the board that made the first finished recording of this rig, or of any rig
+    /// if `rig` is `None`. `None` if there is no such recording or it names no board.
+    ///
+    /// # Errors
+    /// The recording cannot be read.
+    pub fn board(&self, rig: Option<u32>) -> Result<Option<String>, SessionError> {
+        Ok(self.first_device(rig)?.and_then(|device| device.get("serial").cloned()))
+    }
+
+    /// The device that made the first finished recording of this rig, or of any rig if `rig` is
+    /// `None`, as the recording describes it. `None` if there is no such recording.
+    fn first_device(
+        &self,
+        rig: Option<u32>,
+    ) -> Result<Option<BTreeMap<String, String>>, SessionError> {
+        let first = self.ledger.state().candidates().iter().find_map(|it| {
+            let finished = it.finished.iter().find(|it| rig.is_none() || it.rig == rig)?;
+            Some(self.recording(it.number, finished.rollout, finished.attempt))
+        });
+        let Some(first) = first else { return Ok(None) };
+        Ok(Some(read_on(self.folder.disk(), &first)?.header.device))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::device::emulator::EmulatorSettings;
+    use crate::qube::Profile;
+    use crate::recording::{RolloutWriter, samples};
+    use crate::rig::RigSettings;
+    use crate::session::{Entry, Purpose, SessionFolder, SessionSettings};
+    use crate::storage::MachineDisk;
+
+    /// A session on a real Qube whose file names this board and a profile.
+    fn session(folder: &Path, board: Option<&str>) -> Session {
+        let settings = SessionSettings::quick();
+        let folder = match SessionFolder::open(folder) {
+            Ok(folder) => folder,
+            Err(_) => SessionFolder::create(folder, &settings.to_toml().unwrap()).unwrap(),
+        };
+        let rig = RigSettings {
+            device: DeviceChoice::Port("/dev/no-such-qube".into()),
+            board: board.map(str::to_owned),
+            profile: Some(Profile::lab()),
+            ..RigSettings::emulated(EmulatorSettings::default())
+        };
+        Session::open(folder, settings, rig, Arc::default()).unwrap()
+    }
+
+    /// Enters a rollout on the board `one` into a new session.
+    fn record(session: &mut Session) {
+        let psi = session.settings.psi.lower();
+        session.folder.make_candidate(0).unwrap();
+        for entry in [
+            Entry::Proposed {
+                candidate: 0,
+                purpose: Purpose::Initial,
+                psi,
+                pending: Vec::new(),
+                policy_of: None,
+            },
+            Entry::Trained { candidate: 0 },
+            Entry::RolloutFinished { candidate: 0, rollout: 0, attempt: 0, rig: None },
+        ] {
+            session.ledger.append(entry).unwrap();
+        }
+        let mut header = samples::header();
+        header.device.insert("serial".into(), "one".into());
+        let path = session.recording(0, 0, 0);
+        let writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
+        writer.finish(&samples::outcome()).unwrap();
+    }
+
+    #[test]
+    fn a_resumed_session_keeps_its_board_and_trusts_no_profile_that_named_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().join("session");
+        record(&mut session(&root, None));
+        let resumed = |board| {
+            let session = session(&root, board).on_the_same_boards()?;
+            let rig = &session.rigs[0].settings;
+            Ok::<_, SessionError>((rig.board.clone(), rig.identified().is_some()))
+        };
+        assert_eq!(resumed(None).unwrap(), (Some("one".into()), false));
+        assert_eq!(resumed(Some("one")).unwrap(), (Some("one".into()), true));
+        assert!(matches!(resumed(Some("two")), Err(SessionError::OtherBoard { .. })));
+    }
+}

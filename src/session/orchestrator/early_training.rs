@@ -1,0 +1,128 @@
+//! Chooses the training that depends on no recording and may begin before the session asks for it.
+
+use crate::session::{Identification, IdentificationSettings, Purpose, SessionState};
+
+/// A training that the session may ask for later; at most one is needed at a time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct EarlyTraining {
+    pub(super) kind: EarlyKind,
+    /// Number of its candidate, if nothing unexpected happens.
+    pub(super) candidate: u32,
+    /// Whether the training may begin now; otherwise it only goes on if it has begun.
+    pub(super) may_begin: bool,
+}
+
+/// The kind of policy of an early training.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum EarlyKind {
+    /// The policy for an unidentified Qube, which a doubted identification needs.
+    Competitor,
+    /// The baseline.
+    Baseline,
+}
+
+impl EarlyTraining {
+    /// The training that the session may still need: the competitor until the identification is
+    /// sure or the first candidate is trained, and the baseline while the policy that may be the
+    /// last one is verified.
+    pub(super) fn of(
+        state: &SessionState,
+        plan: &IdentificationSettings,
+        has_baseline: bool,
+    ) -> Option<Self> {
+        let count = state.candidates().len() as u32;
+        let first = state.searched().next();
+        let (kind, candidate, may_begin) = match (state.identification(), state.candidates().last())
+        {
+            (Identification::None, _) => (EarlyKind::Competitor, count.max(plan.excitations), true),
+            (Identification::Found { doubts, .. }, _)
+                if !doubts.is_empty() && first.is_none_or(|it| !it.trained) =>
+            {
+                (EarlyKind::Competitor, first.map_or(count, |it| it.number), false)
+            }
+            (Identification::Found { .. }, Some(last))
+                if has_baseline && last.purpose.verifies() =>
+            {
+                (EarlyKind::Baseline, count, true)
+            }
+            (Identification::Found { .. }, Some(last))
+                if last.purpose == Purpose::Baseline && !last.trained =>
+            {
+                (EarlyKind::Baseline, last.number, false)
+            }
+            (Identification::Found { .. } | Identification::Refused(_), _) => return None,
+        };
+        Some(Self { kind, candidate, may_begin })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::Entry;
+
+    const PLAN: IdentificationSettings =
+        IdentificationSettings { excitations: 1, ..IdentificationSettings::DEFAULT };
+
+    fn proposed(candidate: u32, purpose: Purpose) -> Entry {
+        let (psi, pending) = (Vec::new(), Vec::new());
+        Entry::Proposed { candidate, purpose, psi, pending, policy_of: None }
+    }
+
+    fn identified(doubts: &[&str]) -> Entry {
+        Entry::Identified {
+            recordings: 1,
+            verdict: "fits_but".into(),
+            doubts: doubts.iter().map(ToString::to_string).collect(),
+            checksum: String::new(),
+        }
+    }
+
+    fn after(entries: &[Entry]) -> Option<EarlyTraining> {
+        EarlyTraining::of(&SessionState::of(entries).unwrap(), &PLAN, true)
+    }
+
+    fn competitor(candidate: u32, may_begin: bool) -> Option<EarlyTraining> {
+        Some(EarlyTraining { kind: EarlyKind::Competitor, candidate, may_begin })
+    }
+
+    #[test]
+    fn the_competitor_is_needed_until_the_identification_is_sure_or_its_candidate_is_trained() {
+        assert_eq!(after(&[]), competitor(1, true));
+        let mut entries = vec![proposed(0, Purpose::Excitation)];
+        assert_eq!(after(&entries), competitor(1, true));
+        let sure = [&entries[..], &[identified(&[])]].concat();
+        assert_eq!(after(&sure), None);
+        let refused = Entry::NotIdentified { reason: "it does not fit".into() };
+        assert_eq!(after(&[&entries[..], &[refused]].concat()), None);
+        // A repeated excitation takes the number that the first candidate would have had.
+        entries.push(proposed(1, Purpose::Excitation));
+        assert_eq!(after(&entries), competitor(2, true));
+        entries.push(identified(&["play"]));
+        assert_eq!(after(&entries), competitor(2, false));
+        entries.push(proposed(2, Purpose::Initial));
+        assert_eq!(after(&entries), competitor(2, false));
+        entries.push(Entry::Trained { candidate: 2 });
+        assert_eq!(after(&entries), None);
+    }
+
+    #[test]
+    fn the_baseline_is_needed_from_the_verification_until_it_is_trained_or_the_search_continues() {
+        let baseline = |candidate, may_begin| {
+            Some(EarlyTraining { kind: EarlyKind::Baseline, candidate, may_begin })
+        };
+        let mut entries = vec![
+            proposed(0, Purpose::Excitation),
+            identified(&[]),
+            proposed(1, Purpose::Initial),
+            proposed(2, Purpose::Incumbent),
+        ];
+        assert_eq!(after(&entries), baseline(3, true));
+        let continued = [&entries[..], &[proposed(3, Purpose::Search)]].concat();
+        assert_eq!(after(&continued), None);
+        entries.push(proposed(3, Purpose::Baseline));
+        assert_eq!(after(&entries), baseline(3, false));
+        entries.push(Entry::Trained { candidate: 3 });
+        assert_eq!(after(&entries), None);
+    }
+}
