@@ -9,6 +9,7 @@ from .distributions import Constant, Distribution, Normal, Uniform
 from .envs import QubeEnv, QubeVectorEnv, register
 from .errors import (
     ActionError,
+    BusyError,
     ClosedError,
     DeviceError,
     EpisodeOverError,
@@ -32,6 +33,7 @@ __all__ = [
     "MAX_STEPS",
     "MAX_VOLTAGE_V",
     "ActionError",
+    "BusyError",
     "Candidate",
     "ClosedError",
     "Constant",

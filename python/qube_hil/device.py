@@ -10,8 +10,8 @@ import gymnasium
 
 from . import _core
 from ._core import MAX_VOLTAGE_V
-from .envs import Float32s, _as_actions, _as_seed, action_space, observation_space
-from .errors import SettingsError
+from .envs import Float32s, _as_actions, _as_seed, _whole, action_space, observation_space
+from .errors import BusyError, QubeHilError, SettingsError
 
 
 class QubeDeviceEnv(gymnasium.Env[Any, Any]):
@@ -36,8 +36,12 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
 
     Spaces, rewards, termination and truncation are those of `QubeEnv`. The state is estimated from the encoders, and
     foresight is the guard unless an option says otherwise: an episode is terminated where the guard takes over. The
-    constructor examines and homes the Qube, and ``reset`` settles it. ``close``, an exception of ``step``, Ctrl-C and the
-    end of the interpreter brake the arm and switch the motor off.
+    constructor examines and homes the Qube, and ``reset`` settles it. ``close``, an exception of ``step`` or ``reset``,
+    also that of Ctrl-C, and the end of the interpreter brake the arm and switch the motor off.
+
+    One thread at a time calls ``step`` and ``reset``; a second one gets a `BusyError`, which changes nothing. ``close`` may
+    be called from any thread and from the handler of a signal, for example by a stop button: the arm is braked at once, and
+    the thread that is in ``step`` or ``reset`` gets a `ClosedError`.
 
     ``info`` has ``late_answers``, and at the end of an episode ``ending``, ``return`` and ``recording``.
     """
@@ -61,9 +65,9 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
         self.render_mode = None
         self._seed = _as_seed(seed) or 0
         self._number = -1
-        self._late = 0
         self._folder = Path(recordings)
         self._recording: Path | None = None
+        history = _whole("history", history, 0, 4)
         named = {"device": device, "clock": clock, "seed": self._seed, **options}
         self._device = _core.Device(_as_options(named), deadline_ms, history)
         self.observation_space = observation_space(6 + history)
@@ -79,37 +83,52 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Float32s, dict[str, Any]]:
         """Brakes a running episode, settles arm and pendulum, and begins the next episode. A seed restarts the sequence
-        of start angles."""
-        super().reset(seed=seed)
-        given = _as_seed(seed)
-        if given is not None:
-            self._seed, self._number = given, -1
-        self._number += 1
-        self._late = 0
-        self._folder.mkdir(parents=True, exist_ok=True)
-        taken = {path.name for path in self._folder.iterdir()}
-        number = 0
-        while (name := f"episode-{number:04}.mcap") in taken:
-            number += 1
-        self._recording = self._folder / name
-        observation = self._device.reset(str(self._recording), self._seed, self._number)
-        return observation, {"late_answers": 0}
+        of start angles, and nothing else: a Qube and its emulation go on from where they are, so that the observations
+        after a second ``reset`` with the same seed differ."""
+        try:
+            super().reset(seed=seed)
+            given = _as_seed(seed)
+            if given is not None:
+                self._seed, self._number = given, -1
+            self._number += 1
+            self._folder.mkdir(parents=True, exist_ok=True)
+            taken = {path.name for path in self._folder.iterdir()}
+            number = 0
+            while (name := f"episode-{number:04}.mcap") in taken:
+                number += 1
+            path = self._folder / name
+            observation = self._device.reset(str(path), self._seed, self._number)
+            self._recording = path
+            return observation, {"late_answers": 0}
+        except BaseException as error:
+            self._brake(error)
+            raise
 
     def step(self, action: Float32s) -> tuple[Float32s, float, bool, bool, dict[str, Any]]:
         """Answers with a voltage, a fraction of 5 V, and waits for the next state."""
         try:
             voltage_v = MAX_VOLTAGE_V * float(_as_actions(action, (1,))[0])
-        except BaseException:
-            self._device.halt()
+            observation, reward, terminated, truncated, late, end = self._device.step(voltage_v)
+            info: dict[str, Any] = {"late_answers": late}
+            if end is not None:
+                info |= {"ending": end[0], "return": end[1], "recording": self._recording}
+            return observation, reward, terminated, truncated, info
+        except BaseException as error:
+            self._brake(error)
             raise
-        observation, reward, terminated, truncated, late, end = self._device.step(voltage_v)
-        info: dict[str, Any] = {"late_answers": late}
-        if end is not None:
-            info |= {"ending": end[0], "return": end[1], "recording": self._recording}
-        return observation, reward, terminated, truncated, info
+
+    def _brake(self, error: BaseException) -> None:
+        """Brakes the arm before an exception leaves a call. A handler of a signal may raise one at any place."""
+        if isinstance(error, BusyError):
+            # The episode of another thread goes on.
+            return
+        try:
+            self._device.halt()
+        except QubeHilError as trouble:
+            raise error from trouble
 
     def close(self) -> None:
-        """Brakes the arm, switches the motor off and closes the Qube. May be called again."""
+        """Brakes the arm, switches the motor off and closes the Qube. May be called again, and from any thread."""
         self._device.close()
 
 
@@ -133,5 +152,4 @@ _OPEN: "weakref.WeakSet[_core.Device]" = weakref.WeakSet()
 
 @atexit.register
 def _close_all() -> None:
-    for device in list(_OPEN):
-        device.close()
+    _core.close_all(list(_OPEN))

@@ -35,7 +35,8 @@ class Constant:
 
 @dataclass(frozen=True)
 class Normal:
-    """A normal distribution in the quantity's SI unit. A draw of a parameter lies between 0.1 and 1.9 times the mean."""
+    """A normal distribution in the quantity's SI unit. Draws lie between 0.1 and 1.9 times the mean for a parameter such as
+    ``M_p``, and as far from the mean on both sides as its range allows for a nonideality such as ``command_delay_s``."""
 
     mean: float
     standard_deviation: float
@@ -50,7 +51,9 @@ class Normal:
 
 @dataclass(frozen=True)
 class Uniform:
-    """A uniform distribution between two values, in the quantity's SI unit."""
+    """A uniform distribution between two values, in the quantity's SI unit. For a parameter such as ``M_p`` the larger value
+    is at most 19 times the smaller one, because draws of a parameter lie between 0.1 and 1.9 times the mean; a wider
+    distribution is refused."""
 
     lower: float
     upper: float
@@ -83,6 +86,8 @@ def read(fields: Mapping[str, Any]) -> Distribution:
 
 def written(distributions: Mapping[str, Distribution | float] | None) -> str:
     """The distributions by quantity as JSON; a number is a constant."""
+    if not isinstance(distributions, Mapping | None):
+        raise SettingsError(f"the distributions are {distributions!r}: give a mapping from names of quantities")
     named = {}
     given: Any
     for name, given in (distributions or {}).items():

@@ -21,6 +21,8 @@ Bools = npt.NDArray[np.bool_]
 
 _ENV_ID = "qube_hil/Qube-v0"
 _STATE_SIZE = 6
+_MAX_ENVS = 1 << 20
+_MAX_NUMBER = 2**64 - 1
 
 
 def register() -> None:
@@ -48,14 +50,17 @@ def action_space() -> spaces.Box:
 
 def _as_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Float32s:
     """The actions as float32 in this shape."""
-    array = np.asarray(actions)
+    try:
+        array = np.asarray(actions)
+    except (TypeError, ValueError) as error:
+        raise ActionError(f"the actions are not an array of numbers: {error}") from error
     if array.dtype != np.float32:
         if array.dtype.kind not in "fiu":
             raise ActionError(
                 f"the actions have the type {array.dtype}: give numbers of type float32"
             )
-        with np.errstate(over="ignore"):
-            array = array.astype(np.float32)
+        # A finite number stays one in single precision.
+        array = np.where(np.isfinite(array), np.clip(array, -2, 2), array).astype(np.float32)
     if array.shape != shape:
         raise ActionError(f"the actions have the shape {array.shape}: give {shape}")
     return array
@@ -68,6 +73,13 @@ def _as_seed(seed: object) -> int | None:
     if isinstance(seed, (int, np.integer)) and 0 <= seed < 2**64:
         return int(seed)
     raise SettingsError(f"seed = {seed!r}: give one whole number from 0 to 2^64 - 1")
+
+
+def _whole(name: str, value: object, smallest: int, largest: int) -> int:
+    """An argument that is a whole number from ``smallest`` to ``largest``."""
+    if isinstance(value, (int, np.integer)) and smallest <= value <= largest:
+        return int(value)
+    raise SettingsError(f"{name} = {value!r}: give a whole number from {smallest} to {largest}")
 
 
 def _simulation(
@@ -152,7 +164,7 @@ class QubeEnv(gymnasium.Env[Any, Any]):
 
     def qube(self, episode_number: int) -> dict[str, float]:
         """The parameters and nonidealities of an episode's Qube under the last seed, in SI units."""
-        return self._simulation.model(episode_number)
+        return self._simulation.model(_whole("episode_number", episode_number, 0, _MAX_NUMBER))
 
 
 class QubeVectorEnv(VectorEnv[Any, Any, Any]):
@@ -163,8 +175,8 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
 
     A Qube whose episode ends begins the next one in the same step (``AutoresetMode.SAME_STEP``). Its last observation
     is then in ``info["final_obs"]``, where ``info["_final_obs"]`` is true; ``info["episode_number"]`` has the numbers of
-    the running episodes, and ``info["guarded"]`` says where foresight ended the episode. Episodes are numbered as they
-    begin: the same seed gives the same episodes, whatever ``num_envs``.
+    the running episodes. With foresight, ``info["guarded"]`` of each step says where it ended the episode. Episodes are
+    numbered as they begin: the same seed gives the same episodes, whatever ``num_envs``.
     """
 
     metadata: dict[str, Any] = {
@@ -187,6 +199,7 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
         if render_mode is not None:
             raise SettingsError(f"render_mode = {render_mode!r}: there is none, give None")
         self.render_mode = None
+        num_envs = _whole("num_envs", num_envs, 1, _MAX_ENVS)
         self._simulation = _simulation(num_envs, model, distributions, settings, guard)
         self._first_seed = _as_seed(seed)
         self._has_begun = False
@@ -237,16 +250,17 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
             self._final,
         )
         info: dict[str, Any] = {}
+        if self._is_guarded:
+            every = np.ones(self.num_envs, np.bool_)
+            info = {"guarded": self._guarded.copy(), "_guarded": every}
         if ended:
             mask = self._terminated | self._truncated
-            info = {
+            info |= {
                 "final_obs": self._final.copy(),
                 "_final_obs": mask,
                 "episode_number": self._simulation.episodes,
                 "_episode_number": mask,
             }
-            if self._is_guarded:
-                info |= {"guarded": self._guarded.copy(), "_guarded": mask}
         return (
             self._handed(self._observations),
             self._handed(self._rewards),
@@ -266,4 +280,4 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
 
     def qube(self, episode_number: int) -> dict[str, float]:
         """The parameters and nonidealities of an episode's Qube under the last seed, in SI units."""
-        return self._simulation.model(episode_number)
+        return self._simulation.model(_whole("episode_number", episode_number, 0, _MAX_NUMBER))

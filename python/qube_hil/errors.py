@@ -39,11 +39,16 @@ class TrainingError(QubeHilError, RuntimeError):
 
 
 class DeviceError(QubeHilError, RuntimeError):
-    """The Qube cannot be opened, or a fault ended the episode. The motor is off."""
+    """The Qube cannot be opened, or a fault ended the episode. The message says whether the motor is off: after a lost
+    link or a restart of the board it may still have its last voltage, and the operator must switch the Qube off."""
 
 
 class LateError(DeviceError):
     """Too many answers in a row came too late. The arm was braked, and the motor is off."""
+
+
+class BusyError(QubeHilError, RuntimeError):
+    """Another thread is inside a call of the same Qube or simulation. The call that raises this has had no effect."""
 
 
 class ClosedError(QubeHilError, RuntimeError):

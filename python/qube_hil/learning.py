@@ -1,6 +1,7 @@
 """Training by the program's PPO, and identification."""
 
 import json
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -51,7 +52,9 @@ def train(
             and have the layers of a trained policy; otherwise `train` raises a `PolicyError`. The command's
             record names the file of this policy; the record of the result here names none.
         callback: Called after each update with its statistics, such as ``mean_return``. An exception ends the training.
-        changes: Settings of the training that differ from the preset's, such as ``updates=20``.
+        changes: Settings of the training that differ from the preset's, such as ``updates=20``. A policy's record then
+            names the preset ``custom``, except after ``voltage_change_weight`` and ``threads``, which are options of the
+            command too. ``largest_gradient_norm=math.inf`` limits no gradient.
 
     Ctrl-C ends the training with a ``KeyboardInterrupt``.
     """
@@ -60,10 +63,12 @@ def train(
         if callback is not None:
             callback(json.loads(update))
 
-    try:
-        changed = json.dumps(changes, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise SettingsError(f"the training's settings cannot be written as JSON: {error}") from error
+    if initial is not None and not isinstance(initial, Policy):
+        raise SettingsError(f"initial = {initial!r}: give a Policy; Policy.load reads a file")
+    # JSON has no number for no limit: null stands for it.
+    if changes.get("largest_gradient_norm") == math.inf:
+        changes["largest_gradient_norm"] = None
+    changed = _settings.as_json(changes, "the training's")
     if not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**64:
         raise SettingsError(f"seed = {seed!r}: give one whole number from 0 to 2^64 - 1")
     core, best_return, curve = _core.train(

@@ -54,8 +54,8 @@ class Policy:
             action_scale_v: Voltage for an output of 1, V; negative where the signs differ.
             activation: ``tanh``, ``relu``, ``elu`` or ``silu``, in all hidden layers.
             output: ``linear`` or ``tanh``.
-            observation: Entries of the observation in the network's order, as the option of `qube-hil import`; None for
-                the program's own.
+            observation: Entries of the observation in the network's order, a list of names or one text with commas as
+                for the option of `qube-hil import`; None for the program's own.
             history: Number of last commands in the program's own observation, 0 to 4; None stands for 0. An
                 ``observation`` names its commands itself.
             filter_rad_s: Corner of the velocity filter in training, rad/s, for the policy's record; None stands for
@@ -64,8 +64,9 @@ class Policy:
                 clips nothing.
         """
         arrays = []
-        for weight, bias in layers:
+        for layer in _listed(layers, "layers"):
             try:
+                weight, bias = layer
                 matrix = np.asarray(weight, np.float32)
                 vector = np.zeros(len(matrix), np.float32) if bias is None else np.asarray(bias, np.float32)
             except (TypeError, ValueError) as error:
@@ -75,7 +76,7 @@ class Policy:
                     f"a layer has the shapes {matrix.shape} and {vector.shape}: give [outputs, inputs] and [outputs]"
                 )
             arrays.append((matrix, vector))
-        names = None if observation is None else ",".join(observation)
+        names, history = _named(observation), _as_history(history)
         return cls(
             _core.Policy.from_layers(
                 arrays,
@@ -103,7 +104,7 @@ class Policy:
         """Makes a policy of an ONNX file, as `qube-hil import` does. A file of another program needs ``action_scale_v``
         and its other conventions, named as for `from_layers`. A file that this program exported contains its
         conventions: it takes no arguments, and gives exactly the policy that was exported."""
-        names = None if observation is None else ",".join(observation)
+        names, history = _named(observation), _as_history(history)
         return cls(
             _core.Policy.from_onnx(
                 os.fspath(path), action_scale_v, names, history, filter_rad_s, clip_observation
@@ -114,7 +115,7 @@ class Policy:
     def from_torch(cls, module: Any, *, action_scale_v: float, **named: Any) -> "Policy":
         """Makes a policy of a ``torch.nn.Sequential`` of ``Linear`` layers with ``Tanh``, ``ReLU``, ``ELU`` or ``SiLU``
         between them, and ``Tanh`` at the end or nothing. ``named`` is as for `from_layers`."""
-        layers, activation, output = _layers_of(list(module))
+        layers, activation, output = _layers_of(_listed(module, "a torch.nn.Sequential"))
         return cls.from_layers(
             layers, action_scale_v=action_scale_v, activation=activation, output=output, **named
         )
@@ -127,7 +128,9 @@ class Policy:
         A2C are refused. ``named`` is as for `from_layers`."""
         if getattr(model, "get_vec_normalize_env", lambda: None)() is not None:
             raise PolicyError("the model sees observations that VecNormalize has scaled: train it without")
-        policy = model.policy
+        policy = getattr(model, "policy", None)
+        if policy is None:
+            raise PolicyError(f"{model!r} has no policy: give a model of Stable-Baselines3")
         # SB3's default extractor only flattens the observation.
         extractor = getattr(getattr(policy, "actor", policy), "features_extractor", None)
         if extractor is not None and type(extractor).__name__ != "FlattenExtractor":
@@ -221,14 +224,45 @@ class Policy:
     @property
     def randomisation(self) -> dict[str, Distribution] | None:
         """Distribution of each quantity of the simulated Qubes in training, by name, as environments and `train` take
-        them for ``distributions``; None without a network, or if the file does not name them. Joint deviations and the
+        them for ``distributions``; None without a network, or if the file does not name them. A uniform distribution has
+        the ends between which the training drew. Joint deviations and the
         Qubes of a distribution of given Qubes, if there are any, are in ``training["randomisation"]``."""
-        known = (self.training or {}).get("randomisation")
-        return known and {name: _distributions.read(it) for name, it in known["distributions"].items()}
+        known = self._core.randomisation
+        if known is None:
+            return None
+        return {name: _distributions.read(it) for name, it in json.loads(known).items()}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles and copies by the bytes of the file: a copy begins with no memory of an episode."""
+        return type(self).from_bytes, (self.to_bytes(),)
 
     def __repr__(self) -> str:
         sizes = "" if self.sizes is None else f" {self.sizes}"
         return f"<qube_hil.Policy: {self.kind}{sizes}>"
+
+
+def _named(observation: Sequence[str] | None) -> str | None:
+    """The entries of an observation as the option of `qube-hil import` takes them."""
+    if observation is None or isinstance(observation, str):
+        return observation
+    try:
+        return ",".join(observation)
+    except TypeError as error:
+        raise PolicyError(f"observation = {observation!r}: give names of entries") from error
+
+
+def _as_history(history: int | None) -> int | None:
+    """A number of last commands that the compiled part can take; it knows the largest one."""
+    if history is None or (isinstance(history, (int, np.integer)) and 0 <= history < 2**63):
+        return history
+    raise PolicyError(f"history = {history!r}: give 0 to 4")
+
+
+def _listed(given: Any, wanted: str) -> list[Any]:
+    try:
+        return list(given)
+    except TypeError as error:
+        raise PolicyError(f"{given!r} cannot be listed: give {wanted}") from error
 
 
 class _LastTanh:

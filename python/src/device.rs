@@ -5,23 +5,24 @@ use std::mem::ManuallyDrop;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
+use std::thread::{JoinHandle, ThreadId};
 use std::time::Duration;
 
 use numpy::PyArray1;
 use pyo3::prelude::*;
-use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, RewardWeights, State, observation};
+use pyo3::sync::MutexExt;
+use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, RewardWeights, State as QubeState, observation};
 use qube_hil::recording::read;
 use qube_hil::rig::{ClockChoice, MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
 use qube_hil::scoring::return_of;
 use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
-use qube_hil::telemetry::{Ending, Phase};
+use qube_hil::telemetry::{Ending, Fault, Phase};
 
 use crate::POLL_INTERVAL;
 use crate::errors::{
-    ActionError, ClosedError, DeviceError, EpisodeOverError, LateError, bad_settings,
+    ActionError, BusyError, ClosedError, DeviceError, EpisodeOverError, LateError, bad_settings,
 };
 use crate::exchange::{Exchange, Remote, Slot};
 
@@ -35,27 +36,55 @@ const SHORTEST_DEADLINE_US: f64 = 500.0;
 /// motor, us.
 const KEPT_US: f64 = 1500.0;
 
+/// The end of an episode by a request to stop, in words.
+const BRAKED: &str = "the arm was braked and the motor is off";
+
 /// A Qube and the thread that drives it. Between episodes the motor is off.
-#[pyclass(module = "qube_hil._core", weakref)]
+///
+/// One thread of Python at a time calls `reset` and `step`. Any thread may call `close`, at any
+/// time: it requests the brake at once, and then waits until the other thread's call is over.
+#[pyclass(module = "qube_hil._core", weakref, frozen)]
 pub struct Device {
-    /// The thread and its channels. A forked process, which has no such thread, never drops them.
-    served: ManuallyDrop<Option<Served>>,
+    /// The lock is held by the thread whose call is under way. A forked process, in which that
+    /// thread does not exist, neither locks nor drops it.
+    state: ManuallyDrop<Mutex<State>>,
+    /// Thread whose call is under way.
+    caller: Mutex<Option<ThreadId>>,
+    requests: Requests,
     process: u32,
     history: usize,
+    deadline_ms: Option<f64>,
+}
+
+/// The state that the calls of a device change.
+struct State {
+    /// The thread that owns the Qube, and its channels; `None` once the Qube is closed.
+    served: Option<Served>,
     /// Number of the last request for a voltage that Python has seen; `None` while no episode runs.
     running: Option<u64>,
     /// Sum of the rewards that `step` has returned in this episode.
     earned: f64,
-    deadline_ms: Option<f64>,
+}
+
+/// Requests to the thread that owns the Qube, which any thread may make.
+struct Requests {
+    exchange: Arc<Exchange>,
+    stop: Arc<AtomicBool>,
+    /// Whether the Qube is to be closed, or is closed.
+    closed: AtomicBool,
 }
 
 /// Python's side of the thread that owns the Qube.
 struct Served {
     orders: Sender<Order>,
     ends: Mutex<Receiver<Result<End, ErrorMessage>>>,
-    exchange: Arc<Exchange>,
-    stop: Arc<AtomicBool>,
     thread: JoinHandle<()>,
+}
+
+/// A call that is under way, with the lock of the state.
+struct Turn<'a> {
+    state: MutexGuard<'a, State>,
+    caller: &'a Mutex<Option<ThreadId>>,
 }
 
 /// An episode to run.
@@ -74,7 +103,7 @@ enum End {
 struct Episode {
     ending: Ending,
     return_: f64,
-    last_state: State,
+    last_state: QubeState,
 }
 
 /// The message of an exception.
@@ -103,22 +132,33 @@ impl Device {
             return Err(bad_settings(format!("deadline_ms = {ms}: give 0.1 to 8.5, or None")));
         }
         let (settings, plan) = qube_hil::commands::rollouts_asked(options).map_err(bad_settings)?;
+        let requests = Requests {
+            exchange: Arc::new(Exchange::default()),
+            stop: Arc::new(AtomicBool::new(false)),
+            closed: AtomicBool::new(false),
+        };
+        let served = serve(settings, plan, deadline_ms, &requests)?;
+        let opened = requests.end(py, &served);
+        // An error closes the Qube by dropping this device.
         let mut device = Self {
-            served: ManuallyDrop::new(Some(serve(settings, plan, deadline_ms)?)),
+            state: ManuallyDrop::new(Mutex::new(State {
+                served: Some(served),
+                running: None,
+                earned: 0.0,
+            })),
+            caller: Mutex::new(None),
+            requests,
             process: std::process::id(),
             history,
-            running: None,
-            earned: 0.0,
             deadline_ms: None,
         };
-        match device.end(py) {
-            Ok(Ok(End::Opened { deadline_us })) => {
+        match opened? {
+            Ok(End::Opened { deadline_us }) => {
                 device.deadline_ms = deadline_us.map(|us| 1e-3 * us);
                 Ok(device)
             }
-            Ok(Ok(End::Episode(_))) => Err(DeviceError::new_err("the Qube was not opened")),
-            Ok(Err(ErrorMessage(sentence))) => Err(DeviceError::new_err(sentence)),
-            Err(error) => Err(error),
+            Ok(End::Episode(_)) => Err(DeviceError::new_err("the Qube was not opened")),
+            Err(ErrorMessage(sentence)) => Err(DeviceError::new_err(sentence)),
         }
     }
 
@@ -133,58 +173,69 @@ impl Device {
     /// its first observation. An episode that ends before the first request for a voltage raises an
     /// error with its ending.
     fn reset<'py>(
-        &mut self,
+        &self,
         py: Python<'py>,
         path: PathBuf,
         seed: u64,
         number: u32,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-        self.halt(py)?;
-        let served = self.served()?;
-        served.stop.store(false, Ordering::Relaxed);
-        served.exchange.begin();
+        let mut turn = self.turn()?;
+        let state = &mut *turn.state;
+        self.end_episode(py, state)?;
+        self.requests.exchange.begin();
+        if !self.requests.allow() {
+            return Err(self.closed_meanwhile(py, state, BRAKED));
+        }
         let gone = |_| ClosedError::new_err("the Qube's thread has ended: open it again");
-        served.orders.send(Order { path, seed, number }).map_err(gone)?;
-        self.running = Some(0);
-        self.earned = 0.0;
-        let slot = self.next(py, 0)?;
+        served(state)?.orders.send(Order { path, seed, number }).map_err(gone)?;
+        state.running = Some(0);
+        state.earned = 0.0;
+        let slot = self.next(py, state, 0)?;
         if slot.over {
-            return Err(match self.ended(py)? {
-                Ok(episode) => DeviceError::new_err(format!(
+            let is_closed = self.requests.is_closed();
+            return Err(match self.ended(py, state)?.map(|episode| episode.ending) {
+                Ok(Ending::Fault(fault)) => ended_by(fault),
+                Ok(_) if is_closed => self.closed_meanwhile(py, state, BRAKED),
+                Ok(ending) => DeviceError::new_err(format!(
                     "the episode ended while arm and pendulum came to rest: {}",
-                    ending_text(episode.ending)
+                    ending_text(ending)
                 )),
+                Err(ErrorMessage(sentence)) if is_closed => {
+                    self.closed_meanwhile(py, state, &sentence)
+                }
                 Err(ErrorMessage(sentence)) => DeviceError::new_err(sentence),
             });
         }
-        self.running = Some(slot.asked);
+        state.running = Some(slot.asked);
         Ok(self.observed(py, &slot.state, &slot))
     }
 
     /// Answers with a voltage, which is limited to the motor's range, and waits for the next state
     /// or for the end of the episode.
-    fn step<'py>(&mut self, py: Python<'py>, voltage_v: f64) -> PyResult<Stepped<'py>> {
+    fn step<'py>(&self, py: Python<'py>, voltage_v: f64) -> PyResult<Stepped<'py>> {
+        let mut turn = self.turn()?;
+        let state = &mut *turn.state;
         if !voltage_v.is_finite() {
-            self.halt(py)?;
+            self.brake(py, state)?;
             return Err(ActionError::new_err(
                 "the action is not a finite number: the arm was braked and the motor is off. Give -1 to 1",
             ));
         }
-        let served = self.served()?;
-        let Some(asked) = self.running else {
+        let Some(asked) = state.running else {
             return Err(EpisodeOverError::new_err("no episode is running: call reset() first"));
         };
-        served.exchange.answer(asked, voltage_v.clamp(-MAX_VOLTAGE_V, MAX_VOLTAGE_V));
-        let slot = self.next(py, asked)?;
-        let reward = slot.earned - self.earned;
-        self.earned = slot.earned;
+        self.requests.exchange.answer(asked, voltage_v.clamp(-MAX_VOLTAGE_V, MAX_VOLTAGE_V));
+        let slot = self.next(py, state, asked)?;
+        let reward = slot.earned - state.earned;
+        state.earned = slot.earned;
         if !slot.over {
-            self.running = Some(slot.asked);
+            state.running = Some(slot.asked);
             let observed = self.observed(py, &slot.state, &slot);
             return Ok((observed, reward, false, false, slot.late, None));
         }
-        let Episode { ending, return_, last_state } =
-            *self.ended(py)?.map_err(|ErrorMessage(sentence)| DeviceError::new_err(sentence))?;
+        let Episode { ending, return_, last_state } = *self
+            .ended(py, state)?
+            .map_err(|ErrorMessage(sentence)| DeviceError::new_err(sentence))?;
         let (left, whole) = match ending {
             Ending::LeftBox(_) => (true, false),
             Ending::Completed => (false, true),
@@ -197,119 +248,171 @@ impl Device {
                     self.deadline_ms.unwrap_or_default()
                 )));
             }
-            Ending::Stopped => (false, true),
-            Ending::Fault(fault) => {
-                return Err(DeviceError::new_err(format!(
-                    "a fault ended the episode: {fault}. The motor is off. {}",
-                    fault.operator_step()
-                )));
+            Ending::Stopped if self.requests.is_closed() => {
+                return Err(self.closed_meanwhile(py, state, BRAKED));
             }
+            Ending::Stopped => (false, true),
+            Ending::Fault(fault) => return Err(ended_by(fault)),
         };
         let observed = self.observed(py, &last_state, &slot);
         Ok((observed, reward, left, whole, slot.late, Some((ending_text(ending), return_))))
     }
 
-    /// Brakes the arm and ends the running episode, if there is one. An episode that ends by an
-    /// error raises it.
-    fn halt(&mut self, py: Python<'_>) -> PyResult<()> {
-        if self.running.is_none() {
+    /// Brakes the arm and ends the running episode, if there is one. An episode that ends by a fault
+    /// or another error raises it. A forked process does nothing.
+    fn halt(&self, py: Python<'_>) -> PyResult<()> {
+        if self.is_forked() {
             return Ok(());
         }
-        self.request_stop()?;
-        match self.ended(py)? {
-            Ok(_) => Ok(()),
-            Err(ErrorMessage(sentence)) => Err(DeviceError::new_err(sentence)),
+        self.requests.request_stop();
+        match self.turn_after_others(py) {
+            Some(mut turn) => self.brake(py, &mut turn.state),
+            None => Ok(()),
         }
     }
 
-    /// Brakes the arm, switches the motor off and closes the Qube. Further calls do nothing.
-    fn close(&mut self, py: Python<'_>) {
-        if self.process == std::process::id()
-            && let Some(served) = self.served.take()
-        {
-            py.detach(|| served.close());
+    /// Brakes the arm, switches the motor off and closes the Qube, whichever thread is using it.
+    /// Further calls do nothing.
+    fn close(&self, py: Python<'_>) {
+        if self.is_forked() {
+            return;
         }
-        self.running = None;
+        self.requests.request_close();
+        if let Some(mut turn) = self.turn_after_others(py) {
+            self.close_now(py, &mut turn.state);
+        }
+    }
+}
+
+/// Closes several devices. All of them brake at the same time, whatever happens to the others.
+#[pyfunction]
+pub fn close_all(py: Python<'_>, devices: Vec<Py<Device>>) {
+    for device in devices.iter().map(Py::get).filter(|device| !device.is_forked()) {
+        device.requests.request_close();
+    }
+    for device in &devices {
+        device.get().close(py);
     }
 }
 
 impl Device {
-    fn served(&self) -> PyResult<&Served> {
-        if self.process != std::process::id() {
+    /// Whether this process was forked from the one that opened the Qube.
+    fn is_forked(&self) -> bool {
+        self.process != std::process::id()
+    }
+
+    /// Begins a call that drives the Qube; an error if the Qube is closed or belongs to another
+    /// process, or while another call is under way.
+    fn turn(&self) -> PyResult<Turn<'_>> {
+        if self.is_forked() {
             return Err(ClosedError::new_err(
                 "this process was forked, and the Qube belongs to its parent: open it again here",
             ));
         }
-        let closed = || ClosedError::new_err("the Qube is closed: make another environment");
-        self.served.as_ref().ok_or_else(closed)
+        if self.requests.is_closed() {
+            return Err(closed());
+        }
+        match self.state.try_lock() {
+            Ok(state) => Ok(Turn::begin(state, &self.caller)),
+            Err(TryLockError::Poisoned(poisoned)) => {
+                Ok(Turn::begin(poisoned.into_inner(), &self.caller))
+            }
+            Err(TryLockError::WouldBlock) => Err(BusyError::new_err(
+                "another call of step or reset of this Qube is under way, and this one has had no effect: one thread \
+                 at a time drives a Qube, and any thread may close it",
+            )),
+        }
     }
 
-    fn request_stop(&self) -> PyResult<()> {
-        let served = self.served()?;
-        served.stop.store(true, Ordering::Relaxed);
-        served.exchange.wake();
-        Ok(())
+    /// Waits until no other thread's call is under way. Returns `None` where a call of this very
+    /// thread is under way, which a handler of a signal has interrupted: that call then carries out
+    /// what was requested.
+    fn turn_after_others(&self, py: Python<'_>) -> Option<Turn<'_>> {
+        if *lock(&self.caller) == Some(std::thread::current().id()) {
+            return None;
+        }
+        let state = self.state.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner);
+        Some(Turn::begin(state, &self.caller))
+    }
+
+    /// Brakes the arm and ends the running episode, if there is one. An episode that ends by a fault
+    /// is an error.
+    fn brake(&self, py: Python<'_>, state: &mut State) -> PyResult<()> {
+        match self.end_episode(py, state)? {
+            Some(Ending::Fault(fault)) => Err(ended_by(fault)),
+            _ => Ok(()),
+        }
+    }
+
+    /// Brakes the arm and ends the running episode, if there is one. Returns its ending.
+    fn end_episode(&self, py: Python<'_>, state: &mut State) -> PyResult<Option<Ending>> {
+        if state.running.is_none() {
+            return Ok(None);
+        }
+        self.requests.request_stop();
+        match self.ended(py, state)? {
+            Ok(episode) => Ok(Some(episode.ending)),
+            Err(ErrorMessage(sentence)) => Err(DeviceError::new_err(sentence)),
+        }
+    }
+
+    /// Waits until the thread has closed the Qube, which was requested.
+    fn close_now(&self, py: Python<'_>, state: &mut State) {
+        state.running = None;
+        if let Some(served) = state.served.take() {
+            py.detach(|| served.close(&self.requests));
+        }
+    }
+
+    /// Closes the Qube at the end of a call during which another thread, or a handler of a signal,
+    /// has requested that. Returns the call's error, which says how the episode ended.
+    fn closed_meanwhile(&self, py: Python<'_>, state: &mut State, ended: &str) -> PyErr {
+        self.close_now(py, state);
+        ClosedError::new_err(format!(
+            "the Qube was closed during this call: {ended}. Make another environment"
+        ))
     }
 
     /// Waits for a request for a voltage with a number above `after`, or for the end of the
-    /// episode. Ctrl-C brakes the arm and ends the episode.
-    fn next(&mut self, py: Python<'_>, after: u64) -> PyResult<Slot> {
+    /// episode. An exception of a signal's handler, such as that of Ctrl-C, brakes the arm and ends
+    /// the episode.
+    fn next(&self, py: Python<'_>, state: &mut State, after: u64) -> PyResult<Slot> {
         loop {
-            let exchange = Arc::clone(&self.served()?.exchange);
-            if let Some(slot) = py.detach(|| exchange.next_ask(after, POLL_INTERVAL)) {
-                return Ok(slot);
-            }
+            let exchange = &self.requests.exchange;
+            let slot = py.detach(|| exchange.next_ask(after, POLL_INTERVAL));
             if let Err(interrupt) = py.check_signals() {
-                if let Err(error) = self.halt(py) {
+                if let Err(error) = self.brake(py, state) {
                     interrupt.set_cause(py, Some(error));
                 }
                 return Err(interrupt);
+            }
+            if let Some(slot) = slot {
+                return Ok(slot);
             }
         }
     }
 
     /// Waits for the end of the episode, which comes after the brake.
-    fn ended(&mut self, py: Python<'_>) -> PyResult<Result<Box<Episode>, ErrorMessage>> {
-        self.running = None;
-        match self.end(py)? {
+    fn ended(
+        &self,
+        py: Python<'_>,
+        state: &mut State,
+    ) -> PyResult<Result<Box<Episode>, ErrorMessage>> {
+        state.running = None;
+        match self.requests.end(py, served(state)?)? {
             Ok(End::Episode(episode)) => Ok(Ok(episode)),
             Ok(End::Opened { .. }) => Ok(Err(ErrorMessage("the episode did not begin".into()))),
             Err(trouble) => Ok(Err(trouble)),
         }
     }
 
-    /// Waits until the thread reports an end. Ctrl-C requests a stop and raises its exception only
-    /// after the thread has reported the end.
-    fn end(&self, py: Python<'_>) -> PyResult<Result<End, ErrorMessage>> {
-        let served = self.served()?;
-        let mut interrupt = None;
-        loop {
-            let next = py.detach(|| {
-                let ends = served.ends.lock().unwrap_or_else(PoisonError::into_inner);
-                ends.recv_timeout(POLL_INTERVAL)
-            });
-            match (next, interrupt.take()) {
-                (Ok(_), Some(interrupt)) => return Err(interrupt),
-                (Ok(end), None) => return Ok(end),
-                (Err(RecvTimeoutError::Disconnected), _) => {
-                    return Err(ClosedError::new_err("the Qube's thread has ended: open it again"));
-                }
-                (Err(RecvTimeoutError::Timeout), earlier) => interrupt = earlier,
-            }
-            if let Err(error) = py.check_signals() {
-                self.request_stop()?;
-                interrupt = Some(error);
-            }
-        }
-    }
-
     fn observed<'py>(
         &self,
         py: Python<'py>,
-        state: &State,
+        state: &QubeState,
         slot: &Slot,
     ) -> Bound<'py, PyArray1<f32>> {
-        let single = State {
+        let single = QubeState {
             theta: state.theta as f32,
             alpha: state.alpha as f32,
             theta_dot: state.theta_dot as f32,
@@ -324,13 +427,15 @@ impl Device {
 impl Drop for Device {
     fn drop(&mut self) {
         // In a forked process the thread does not exist, so a wait for it would never end.
-        if self.process != std::process::id() {
+        if self.is_forked() {
             return;
         }
-        let mut served = self.served.take();
+        let Self { state, requests, .. } = self;
+        let state = state.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let mut served = state.served.take();
         let mut close = || {
             if let Some(served) = served.take() {
-                served.close();
+                served.close(requests);
             }
         };
         // Other threads of Python go on while the brake works.
@@ -340,34 +445,113 @@ impl Drop for Device {
     }
 }
 
+impl Requests {
+    /// Requests the brake.
+    fn request_stop(&self) {
+        self.stop.store(true, Ordering::SeqCst);
+        self.exchange.wake();
+    }
+
+    /// Requests the brake and that the Qube is closed.
+    fn request_close(&self) {
+        self.closed.store(true, Ordering::SeqCst);
+        self.request_stop();
+    }
+
+    fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::SeqCst)
+    }
+
+    /// Withdraws the request to brake, so that an episode can begin; false if the Qube is to be
+    /// closed, in which case the request stays.
+    fn allow(&self) -> bool {
+        self.stop.store(false, Ordering::SeqCst);
+        // A request to close that comes after this line sets `stop` after the line above.
+        let is_allowed = !self.is_closed();
+        if !is_allowed {
+            self.request_stop();
+        }
+        is_allowed
+    }
+
+    /// Waits until the thread reports an end. An exception of a signal's handler requests a stop,
+    /// and is raised only after the thread has reported the end.
+    fn end(&self, py: Python<'_>, served: &Served) -> PyResult<Result<End, ErrorMessage>> {
+        let mut interrupt = None;
+        loop {
+            let next = py.detach(|| lock(&served.ends).recv_timeout(POLL_INTERVAL));
+            match (next, interrupt.take()) {
+                (Ok(_), Some(interrupt)) => return Err(interrupt),
+                (Ok(end), None) => return Ok(end),
+                (Err(RecvTimeoutError::Disconnected), _) => {
+                    return Err(ClosedError::new_err("the Qube's thread has ended: open it again"));
+                }
+                (Err(RecvTimeoutError::Timeout), earlier) => interrupt = earlier,
+            }
+            if let Err(error) = py.check_signals() {
+                self.request_stop();
+                interrupt = Some(error);
+            }
+        }
+    }
+}
+
 impl Served {
     /// Brakes and waits until the thread has closed the Qube.
-    fn close(self) {
-        self.stop.store(true, Ordering::Relaxed);
-        self.exchange.wake();
+    fn close(self, requests: &Requests) {
+        requests.request_stop();
         drop(self.orders);
         let _ = self.thread.join();
     }
 }
 
+impl<'a> Turn<'a> {
+    fn begin(state: MutexGuard<'a, State>, caller: &'a Mutex<Option<ThreadId>>) -> Self {
+        *lock(caller) = Some(std::thread::current().id());
+        Self { state, caller }
+    }
+}
+
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        *lock(self.caller) = None;
+    }
+}
+
+/// The thread that owns the Qube; an error once the Qube is closed.
+fn served(state: &State) -> PyResult<&Served> {
+    state.served.as_ref().ok_or_else(closed)
+}
+
+fn closed() -> PyErr {
+    ClosedError::new_err("the Qube is closed: make another environment")
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Starts the thread that opens the Qube and runs its episodes.
-fn serve(settings: RigSettings, plan: RolloutPlan, deadline_ms: Option<f64>) -> PyResult<Served> {
+fn serve(
+    settings: RigSettings,
+    plan: RolloutPlan,
+    deadline_ms: Option<f64>,
+    requests: &Requests,
+) -> PyResult<Served> {
     let (orders, inbox) = channel();
     let (outbox, ends) = channel();
-    let exchange = Arc::new(Exchange::default());
-    let stop = Arc::new(AtomicBool::new(false));
     let server = Server {
         plan,
-        exchange: Arc::clone(&exchange),
-        stop: Arc::clone(&stop),
+        exchange: Arc::clone(&requests.exchange),
+        stop: Arc::clone(&requests.stop),
         deadline: None,
-        faulty: false,
+        is_homed: true,
     };
     let thread = std::thread::Builder::new()
         .name("qube".into())
         .spawn(move || server.run(&settings, deadline_ms, &inbox, &outbox))
         .map_err(|error| DeviceError::new_err(format!("a thread cannot be started: {error}")))?;
-    Ok(Served { orders, ends: Mutex::new(ends), exchange, stop, thread })
+    Ok(Served { orders, ends: Mutex::new(ends), thread })
 }
 
 /// The state of the thread that owns the rig.
@@ -376,8 +560,8 @@ struct Server {
     exchange: Arc<Exchange>,
     stop: Arc<AtomicBool>,
     deadline: Option<Duration>,
-    /// Whether a fault ended the last episode.
-    faulty: bool,
+    /// Whether the zeros of the encoders hold and no fault is latched, so that an episode can begin.
+    is_homed: bool,
 }
 
 impl Server {
@@ -412,32 +596,33 @@ impl Server {
     }
 
     fn episode(&mut self, rig: &mut Rig, order: &Order) -> Result<Episode, RigError> {
-        if self.faulty {
-            rig.start_again()?;
-            self.faulty = false;
-        }
         let mut tries = 0;
         let Recorded { path, outcome } = loop {
+            if !self.is_homed {
+                // A stop or an error in the middle leaves the Qube as it is: to be homed.
+                rig.start_again()?;
+                self.is_homed = true;
+            }
             match self.rollout(rig, order) {
                 Err(RigError::NotBegun { .. }) if tries < MAX_NOT_BEGUN => {
-                    rig.start_again()?;
+                    self.is_homed = false;
                     tries += 1;
                 }
                 Err(error) => {
-                    self.faulty = error.fault().is_some();
+                    self.is_homed = !error.is_of_rig();
                     return Err(error);
                 }
                 Ok(recorded) => break recorded,
             }
         };
-        self.faulty = matches!(outcome.ending, Ending::Fault(_));
+        self.is_homed = !matches!(outcome.ending, Ending::Fault(_));
         let recording = read(&path)?;
         let running = recording.ticks.iter().rposition(|tick| tick.phase == Phase::Running);
         let last = running.and_then(|at| recording.ticks.get(at + 1).or(recording.ticks.get(at)));
         Ok(Episode {
             ending: outcome.ending,
             return_: return_of(&recording.ticks, &recording.header.reward),
-            last_state: last.map_or_else(State::default, |tick| tick.state),
+            last_state: last.map_or_else(QubeState::default, |tick| tick.state),
         })
     }
 
@@ -469,6 +654,12 @@ fn own_deadline_us(rig: &Rig) -> f64 {
         .link()
         .map_or(LONGEST_OWN_DEADLINE_US, |link| 10_000.0 - KEPT_US - link.round_trip_us.p99);
     left.clamp(SHORTEST_DEADLINE_US, LONGEST_OWN_DEADLINE_US)
+}
+
+/// The exception for an episode that a fault has ended.
+fn ended_by(fault: Fault) -> PyErr {
+    let motor_and_step = fault.motor_and_step();
+    DeviceError::new_err(format!("a fault ended the episode: {fault}. {motor_and_step}"))
 }
 
 fn ending_text(ending: Ending) -> String {

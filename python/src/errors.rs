@@ -5,6 +5,7 @@ use std::fmt::Display;
 use pyo3::{PyErr, import_exception};
 
 import_exception!(qube_hil.errors, ActionError);
+import_exception!(qube_hil.errors, BusyError);
 import_exception!(qube_hil.errors, ClosedError);
 import_exception!(qube_hil.errors, DeviceError);
 import_exception!(qube_hil.errors, EpisodeOverError);

@@ -1,17 +1,21 @@
 //! Policies: their files, and their voltages for observations.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
+use pyo3::sync::MutexExt;
 use pyo3::types::PyBytes;
 use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::onnx::{
     ForeignConventions, ImportError, Layers, MAX_FILE_BYTES, ObservationLayout, from_onnx, to_onnx,
 };
-use qube_hil::policy::{Activation, Controller, LayerWeights, OutputKind, Policy as Kind};
+use qube_hil::policy::{Activation, Controller, LayerWeights, Network, OutputKind, Policy as Kind};
 use qube_hil::qube::{
-    ALPHA_DOT_FACTOR, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, State, THETA_DOT_FACTOR,
+    ALPHA_DOT_FACTOR, Distribution, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity, State,
+    THETA_DOT_FACTOR,
 };
 use qube_hil::storage::{Disk, MachineDisk, read_bounded, write_whole};
 
@@ -19,9 +23,10 @@ use crate::errors::{ActionError, bad_policy};
 
 /// A policy: a network, the classical controller, an excitation, or the name of a controller
 /// outside of this program.
-#[pyclass(module = "qube_hil._core")]
+#[pyclass(module = "qube_hil._core", frozen)]
 pub struct Policy {
-    pub(crate) policy: Kind,
+    /// Threads take turns, because a controller remembers the motion of a Qube.
+    policy: Mutex<Kind>,
 }
 
 #[pymethods]
@@ -29,14 +34,14 @@ impl Policy {
     /// Reads a policy file.
     #[staticmethod]
     fn load(path: PathBuf) -> PyResult<Self> {
-        Ok(Self { policy: Kind::load(&path).map_err(bad_policy)? })
+        Ok(Kind::load(&path).map_err(bad_policy)?.into())
     }
 
     /// Reads the bytes of a policy file.
     #[staticmethod]
     fn from_bytes(bytes: &[u8]) -> PyResult<Self> {
         let bad = |fault| bad_policy(format!("the policy {fault}"));
-        Ok(Self { policy: Kind::from_bytes(bytes).map_err(bad)? })
+        Ok(Kind::from_bytes(bytes).map_err(bad)?.into())
     }
 
     /// Reads a policy from an ONNX file. A file of another program needs `action_scale_v`, the
@@ -74,16 +79,16 @@ impl Policy {
             ImportError::NoActionScale => located(&format!("{error} (action_scale_v)")),
             other => located(&other),
         })?;
-        Ok(Self { policy: Kind::Network(policy) })
+        Ok(Kind::Network(policy).into())
     }
 
     /// The bytes of an ONNX model of the policy's network; an error if the policy has none.
     fn to_onnx<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        match &self.policy {
+        match &*self.turn(py) {
             Kind::Network(policy) => Ok(PyBytes::new(py, &to_onnx(policy))),
-            _ => Err(bad_policy(format!(
+            other => Err(bad_policy(format!(
                 "the policy is of the kind {} and has no network, which an ONNX model would contain",
-                self.kind()
+                kind(other)
             ))),
         }
     }
@@ -132,50 +137,43 @@ impl Policy {
         let policy = Layers::plain(layers, inputs, activation, output)
             .policy(&foreign)
             .map_err(|error| bad_policy(format!("the policy {error}")))?;
-        Ok(Self { policy: Kind::Network(policy) })
+        Ok(Kind::Network(policy).into())
     }
 
     /// The bytes of the policy's file.
     fn to_bytes<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
-        PyBytes::new(py, &self.policy.to_bytes())
+        PyBytes::new(py, &self.turn(py).to_bytes())
     }
 
     /// Writes the policy file, which appears whole or not at all. Only `force` replaces an existing
     /// file.
-    fn save(&self, path: PathBuf, force: bool) -> PyResult<()> {
+    fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<()> {
         if !force && MachineDisk.exists(&path) {
             let path = path.display();
             return Err(bad_policy(format!(
                 "{path}: exists already: give another name, or force=True"
             )));
         }
-        write(&path, &self.policy.to_bytes())
+        let bytes = self.turn(py).to_bytes();
+        write(&path, &bytes)
     }
 
     /// The kind: `network`, `classical`, `excitation` or `external`.
     #[getter]
-    fn kind(&self) -> &'static str {
-        match self.policy {
-            Kind::Network(_) => "network",
-            Kind::Classical(_) => "classical",
-            Kind::Excitation(_) => "excitation",
-            Kind::External(_) => "external",
-        }
+    fn kind(&self, py: Python<'_>) -> &'static str {
+        kind(&self.turn(py))
     }
 
     /// Number of entries of the observation.
     #[getter]
-    fn observation_size(&self) -> usize {
-        match &self.policy {
-            Kind::Network(policy) => policy.network.sizes()[0],
-            Kind::Classical(_) | Kind::Excitation(_) | Kind::External(_) => OBSERVATION_SIZE,
-        }
+    fn observation_size(&self, py: Python<'_>) -> usize {
+        observation_size(&self.turn(py))
     }
 
     /// Sizes of the network's layers from the observation to the output; `None` without a network.
     #[getter]
-    fn sizes(&self) -> Option<Vec<usize>> {
-        match &self.policy {
+    fn sizes(&self, py: Python<'_>) -> Option<Vec<usize>> {
+        match &*self.turn(py) {
             Kind::Network(policy) => Some(policy.network.sizes().to_vec()),
             Kind::Classical(_) | Kind::Excitation(_) | Kind::External(_) => None,
         }
@@ -183,43 +181,58 @@ impl Policy {
 
     /// The record of the training as JSON; `None` without a network.
     #[getter]
-    fn training(&self) -> PyResult<Option<String>> {
-        let Kind::Network(policy) = &self.policy else { return Ok(None) };
+    fn training(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        let Kind::Network(policy) = &*self.turn(py) else { return Ok(None) };
         serde_json::to_string(&policy.training).map(Some).map_err(bad_policy)
     }
 
+    /// The distribution of the draws of each quantity in training as JSON; `None` without a network
+    /// or where the file does not name it.
+    #[getter]
+    fn randomisation(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        let Kind::Network(policy) = &*self.turn(py) else { return Ok(None) };
+        let Some(known) = &policy.training.randomisation else { return Ok(None) };
+        let of_draws = |(&quantity, drawn): (&Quantity, &Distribution)| {
+            (quantity.name(), drawn.of_draws(quantity))
+        };
+        let named: BTreeMap<_, _> = known.distributions.iter().map(of_draws).collect();
+        serde_json::to_string(&named).map(Some).map_err(bad_policy)
+    }
+
     /// Starts a rollout: a controller with a memory forgets the last rollout.
-    fn start(&mut self) {
-        self.policy.start();
+    fn start(&self, py: Python<'_>) {
+        self.turn(py).start();
     }
 
     /// Computes the voltage for each of the observations `[n, observation_size]` and writes it to
     /// `voltages_v`, `[n, 1]`, V, limited to the motor's range. A policy other than a network
     /// remembers the motion of one Qube, so that it takes one observation at a time.
     fn voltages(
-        &mut self,
+        &self,
         py: Python<'_>,
         observations: PyReadonlyArray2<'_, f32>,
         mut voltages_v: PyReadwriteArray2<'_, f32>,
     ) -> PyResult<()> {
-        if let Kind::External(external) = &self.policy {
+        let mut turn = self.turn(py);
+        let policy = &mut *turn;
+        if let Kind::External(external) = policy {
             return Err(bad_policy(format!(
                 "the policy is the controller {:?} outside of this program, which is not in the file",
                 external.name()
             )));
         }
-        let size = self.observation_size();
+        let size = observation_size(policy);
         let [count, given] = [observations.shape()[0], observations.shape()[1]];
         if given != size {
             return Err(ActionError::new_err(format!(
                 "the observation has {given} entries: this policy sees {size}"
             )));
         }
-        if count > 1 && !matches!(self.policy, Kind::Network(_)) {
+        if count > 1 && !matches!(policy, Kind::Network(_)) {
             return Err(ActionError::new_err(format!(
                 "there are {count} observations: a policy of the kind {} remembers the motion of one Qube, so give one \
                  observation at a time, and each Qube a policy of its own",
-                self.kind()
+                kind(policy)
             )));
         }
         if voltages_v.shape() != [count, 1] {
@@ -236,7 +249,7 @@ impl Policy {
             let mut observation = vec![0.0; size];
             for (row, voltage_v) in observations.outer_iter().zip(voltages_v) {
                 observation.iter_mut().zip(row).for_each(|(entry, &seen)| *entry = seen);
-                *voltage_v = match &mut self.policy {
+                *voltage_v = match &mut *policy {
                     Kind::Network(policy) => policy.network.voltage_of_observation_v(&observation),
                     other => other.voltage_v(&state_of(&observation)) as f32,
                 };
@@ -244,6 +257,45 @@ impl Policy {
             }
         });
         Ok(())
+    }
+}
+
+impl Policy {
+    /// Waits for this thread's turn. Other threads of Python go on meanwhile.
+    fn turn(&self, py: Python<'_>) -> MutexGuard<'_, Kind> {
+        self.policy.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A copy of the policy's network; `None` without one.
+    pub(crate) fn network(&self, py: Python<'_>) -> Option<Network> {
+        match &*self.turn(py) {
+            Kind::Network(policy) => Some(policy.network.clone()),
+            Kind::Classical(_) | Kind::Excitation(_) | Kind::External(_) => None,
+        }
+    }
+}
+
+impl From<Kind> for Policy {
+    fn from(policy: Kind) -> Self {
+        Self { policy: Mutex::new(policy) }
+    }
+}
+
+/// The kind of a policy by name.
+fn kind(policy: &Kind) -> &'static str {
+    match policy {
+        Kind::Network(_) => "network",
+        Kind::Classical(_) => "classical",
+        Kind::Excitation(_) => "excitation",
+        Kind::External(_) => "external",
+    }
+}
+
+/// Number of entries of the observation that a policy sees.
+fn observation_size(policy: &Kind) -> usize {
+    match policy {
+        Kind::Network(policy) => policy.network.sizes()[0],
+        Kind::Classical(_) | Kind::Excitation(_) | Kind::External(_) => OBSERVATION_SIZE,
     }
 }
 

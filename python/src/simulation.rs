@@ -1,22 +1,32 @@
 //! Many simulated Qubes at once, for the environments of `qube_hil/envs.py`.
 
+use std::sync::{Mutex, MutexGuard, TryLockError};
+
 use numpy::{
-    PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray1, PyReadwriteArray2,
-    PyUntypedArrayMethods,
+    BorrowError, Element, PyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1,
+    PyReadwriteArray, PyReadwriteArray2, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use qube_hil::estimation::SettingsError as EstimatorError;
 use qube_hil::qube::{Distribution, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity};
 use qube_hil::simulation::{
-    DomainDistribution, Family, LaneStatus, Model, Pendulums, SensorModel, SimulationSettings,
-    Trajectory,
+    DomainDistribution, Family, LANES_MULTIPLE, LaneStatus, Model, Pendulums, SensorModel,
+    SimulationSettings, TRUNCATION, Trajectory, range_of_draws,
 };
 
-use crate::errors::{ActionError, bad_settings};
+use crate::errors::{ActionError, BusyError, bad_settings};
 use crate::guard::Guard;
 
 /// Most Qubes that one simulation advances.
 const MAX_ENVS: usize = 1 << 20;
+
+/// Qubes of a distribution whose motions are checked.
+const MOTIONS_CHECKED: usize = 64;
+
+/// Control periods for which the motion of a Qube is checked, and those between two changes of the
+/// sign of its voltage.
+const STEPS_CHECKED: usize = 40;
+const STEPS_OF_A_PUSH: usize = 10;
 
 /// Largest number of entries of an observation.
 const LONGEST: usize = OBSERVATION_SIZE + MAX_HISTORY;
@@ -25,18 +35,25 @@ const LONGEST: usize = OBSERVATION_SIZE + MAX_HISTORY;
 /// episode's number, so that the same seed gives the same episodes whatever the number of Qubes.
 ///
 /// Observations are `float32` arrays `[num_envs, observation_size]`; actions are fractions of 5 V.
-#[pyclass(module = "qube_hil._core")]
+/// While a call of one thread is under way, the calls of other threads are refused.
+#[pyclass(module = "qube_hil._core", frozen)]
 pub struct Simulation {
+    num_envs: usize,
+    observation_size: usize,
+    episodes: Mutex<Episodes>,
+}
+
+/// The running episodes, one a Qube.
+struct Episodes {
     lanes: Lanes,
     /// Foresight; `None` if the box alone guards the Qubes.
     guard: Option<Guard>,
     distribution: DomainDistribution,
-    num_envs: usize,
     seed: u64,
     /// Number that the next episode gets.
     next: u64,
     /// Number of each Qube's episode.
-    episodes: Vec<u64>,
+    numbers: Vec<u64>,
 }
 
 /// The simulated pendulums, one a lane, and the arrays that they read and write.
@@ -79,7 +96,8 @@ impl Simulation {
         };
         let pendulums = Pendulums::new(num_envs, &settings);
         let lanes = pendulums.lanes();
-        Ok(Self {
+        let observation_size = pendulums.observation_size();
+        let episodes = Episodes {
             lanes: Lanes {
                 voltages_v: vec![0.0; lanes],
                 rewards: vec![0.0; lanes],
@@ -89,51 +107,54 @@ impl Simulation {
             },
             guard,
             distribution,
-            num_envs,
             seed: 0,
             next: 0,
-            episodes: vec![0; num_envs],
-        })
+            numbers: vec![0; num_envs],
+        };
+        Ok(Self { num_envs, observation_size, episodes: Mutex::new(episodes) })
     }
 
     /// Length of an observation.
     #[getter]
     fn observation_size(&self) -> usize {
-        self.lanes.pendulums.observation_size()
+        self.observation_size
     }
 
     /// Numbers of the episodes, `uint64 [num_envs]`.
     #[getter]
-    fn episodes<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u64>> {
-        PyArray1::from_slice(py, &self.episodes)
+    fn episodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<u64>>> {
+        Ok(PyArray1::from_slice(py, &self.turn()?.numbers))
     }
 
     /// The distribution of the simulated Qubes, as JSON.
     #[getter]
     fn distribution(&self) -> PyResult<String> {
-        serde_json::to_string(&self.distribution).map_err(bad_settings)
+        serde_json::to_string(&self.turn()?.distribution).map_err(bad_settings)
     }
 
     /// Begins an episode in every Qube and writes the first observations. With a seed the numbers
     /// of the episodes begin at 0; without a seed they continue.
     #[pyo3(signature = (seed, observations))]
     fn reset(
-        &mut self,
+        &self,
         py: Python<'_>,
         seed: Option<u64>,
-        mut observations: PyReadwriteArray2<'_, f32>,
+        observations: &Bound<'_, PyArray2<f32>>,
     ) -> PyResult<()> {
-        let shape = [self.num_envs, self.observation_size()];
-        let observed = slice_of(&mut observations, shape)?;
+        let mut turn = self.turn()?;
+        let episodes = &mut *turn;
+        let mut observations = written(observations)?;
+        let observed = slice_of(&mut observations, [self.num_envs, self.observation_size])?;
         if let Some(seed) = seed {
-            (self.seed, self.next) = (seed, 0);
+            (episodes.seed, episodes.next) = (seed, 0);
         }
         py.detach(|| {
             for lane in 0..self.num_envs {
-                self.begin(lane);
+                episodes.begin(lane);
             }
-            self.lanes.pendulums.observe(&mut self.lanes.observations);
-            self.lanes.write_observations(observed);
+            let Lanes { pendulums, observations, .. } = &mut episodes.lanes;
+            pendulums.observe(observations);
+            episodes.lanes.write_observations(observed);
         });
         Ok(())
     }
@@ -146,17 +167,21 @@ impl Simulation {
         reason = "one array each, as the environment hands them out"
     )]
     fn step(
-        &mut self,
+        &self,
         py: Python<'_>,
-        actions: PyReadonlyArray2<'_, f32>,
-        mut observations: PyReadwriteArray2<'_, f32>,
-        mut rewards: PyReadwriteArray1<'_, f32>,
-        mut terminated: PyReadwriteArray1<'_, bool>,
-        mut truncated: PyReadwriteArray1<'_, bool>,
-        mut took_over: PyReadwriteArray1<'_, bool>,
-        mut final_observations: PyReadwriteArray2<'_, f32>,
+        actions: &Bound<'_, PyArray2<f32>>,
+        observations: &Bound<'_, PyArray2<f32>>,
+        rewards: &Bound<'_, PyArray1<f32>>,
+        terminated: &Bound<'_, PyArray1<bool>>,
+        truncated: &Bound<'_, PyArray1<bool>>,
+        took_over: &Bound<'_, PyArray1<bool>>,
+        final_observations: &Bound<'_, PyArray2<f32>>,
     ) -> PyResult<bool> {
-        let shape = [self.num_envs, self.observation_size()];
+        // The arrays of an environment are borrowed under the lock, so that another thread's call
+        // does not find them borrowed.
+        let mut turn = self.turn()?;
+        let episodes = &mut *turn;
+        let shape = [self.num_envs, self.observation_size];
         if actions.shape() != [self.num_envs, 1] {
             return Err(ActionError::new_err(format!(
                 "the actions have the shape {:?}: give {:?}",
@@ -164,9 +189,16 @@ impl Simulation {
                 [self.num_envs, 1]
             )));
         }
+        let actions = actions.try_readonly().map_err(|_| {
+            ActionError::new_err("the actions share memory with an array in use: give a copy")
+        })?;
         let actions = actions.as_array();
+        let mut observations = written(observations)?;
         let observed = slice_of(&mut observations, shape)?;
+        let mut final_observations = written(final_observations)?;
         let last_observed = slice_of(&mut final_observations, shape)?;
+        let (mut rewards, mut terminated) = (written(rewards)?, written(terminated)?);
+        let (mut truncated, mut took_over) = (written(truncated)?, written(took_over)?);
         let rewards = rewards.as_slice_mut().map_err(bad_settings)?;
         let terminated = terminated.as_slice_mut().map_err(bad_settings)?;
         let truncated = truncated.as_slice_mut().map_err(bad_settings)?;
@@ -176,20 +208,22 @@ impl Simulation {
             return Err(bad_settings("rewards, terminated, truncated, took_over: give [num_envs]"));
         }
         py.detach(|| {
-            self.lanes.take_actions(actions.iter().copied())?;
-            self.advance();
-            rewards.copy_from_slice(&self.lanes.rewards[..self.num_envs]);
+            episodes.lanes.take_actions(actions.iter().copied())?;
+            episodes.advance();
+            episodes.check_simulated()?;
+            rewards.copy_from_slice(&episodes.lanes.rewards[..self.num_envs]);
             let mut ended = false;
-            for (lane, status) in self.lanes.statuses[..self.num_envs].iter().enumerate() {
+            for (lane, status) in episodes.lanes.statuses[..self.num_envs].iter().enumerate() {
                 terminated[lane] = *status == LaneStatus::LeftBox;
                 truncated[lane] = *status == LaneStatus::TimeUp;
-                took_over[lane] = self.guard.as_ref().is_some_and(|guard| guard.took_over(lane));
+                took_over[lane] =
+                    episodes.guard.as_ref().is_some_and(|guard| guard.took_over(lane));
                 ended |= *status != LaneStatus::Running;
             }
             if ended {
-                self.begin_ended(last_observed);
+                episodes.begin_ended(last_observed);
             }
-            self.lanes.write_observations(observed);
+            episodes.lanes.write_observations(observed);
             Ok(ended)
         })
     }
@@ -198,7 +232,7 @@ impl Simulation {
     /// observation (`float32 [observation_size]`), reward, terminated, truncated, and whether the
     /// guard took over.
     fn step_one<'py>(
-        &mut self,
+        &self,
         py: Python<'py>,
         action: PyReadonlyArray1<'_, f32>,
     ) -> PyResult<Stepped<'py>> {
@@ -208,14 +242,16 @@ impl Simulation {
                 "the action has the shape {shape:?}: give [1]"
             )));
         };
-        self.lanes.take_actions(std::iter::once(action))?;
-        self.advance();
-        let (mut observed, size) = ([0.0; LONGEST], self.observation_size());
-        self.lanes.observation(0, &mut observed[..size]);
-        let (reward, status) = (self.lanes.rewards[0], self.lanes.statuses[0]);
+        let mut episodes = self.turn()?;
+        episodes.lanes.take_actions(std::iter::once(action))?;
+        episodes.advance();
+        episodes.check_simulated()?;
+        let (mut observed, size) = ([0.0; LONGEST], self.observation_size);
+        episodes.lanes.observation(0, &mut observed[..size]);
+        let (reward, status) = (episodes.lanes.rewards[0], episodes.lanes.statuses[0]);
         let observed = PyArray1::from_slice(py, &observed[..size]);
         let [left, time_up] = [LaneStatus::LeftBox, LaneStatus::TimeUp].map(|end| status == end);
-        let took_over = self.guard.as_ref().is_some_and(|guard| guard.took_over(0));
+        let took_over = episodes.guard.as_ref().is_some_and(|guard| guard.took_over(0));
         Ok((observed, f64::from(reward), left, time_up, took_over))
     }
 
@@ -226,7 +262,7 @@ impl Simulation {
             let last = self.num_envs - 1;
             return Err(bad_settings(format!("there is no Qube {index}: give 0 to {last}")));
         }
-        let state = self.lanes.pendulums.state(index);
+        let state = self.turn()?.lanes.pendulums.state(index);
         Ok([state.theta, state.alpha, state.theta_dot, state.alpha_dot])
     }
 
@@ -236,7 +272,7 @@ impl Simulation {
         py: Python<'py>,
         episode: u64,
     ) -> PyResult<Bound<'py, pyo3::types::PyDict>> {
-        let model = Trajectory::draw(&self.distribution, self.seed, episode).model;
+        let model = self.turn()?.drawn(episode).model;
         let named = pyo3::types::PyDict::new(py);
         for quantity in Quantity::all() {
             named.set_item(quantity.name(), model.get(quantity))?;
@@ -246,10 +282,29 @@ impl Simulation {
 }
 
 impl Simulation {
+    /// Begins a call; an error while another one is under way.
+    fn turn(&self) -> PyResult<MutexGuard<'_, Episodes>> {
+        match self.episodes.try_lock() {
+            Ok(episodes) => Ok(episodes),
+            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => Err(BusyError::new_err(
+                "another thread is inside a call of this environment, and this call has had no effect: give each \
+                 thread an environment of its own",
+            )),
+        }
+    }
+}
+
+impl Episodes {
+    /// The Qube and the start of the episode with this number under the seed.
+    fn drawn(&self, number: u64) -> Trajectory {
+        Trajectory::draw(&self.distribution, self.seed, number)
+    }
+
     /// Begins the next episode in a lane.
     fn begin(&mut self, lane: usize) {
-        let trajectory = Trajectory::draw(&self.distribution, self.seed, self.next);
-        self.episodes[lane] = self.next;
+        let trajectory = self.drawn(self.next);
+        self.numbers[lane] = self.next;
         self.next += 1;
         self.lanes.pendulums.restart(lane, &trajectory);
         if let Some(guard) = &mut self.guard {
@@ -261,11 +316,12 @@ impl Simulation {
     /// which it takes over.
     fn advance(&mut self) {
         let Some(guard) = &mut self.guard else { return self.lanes.step() };
-        for (lane, voltage_v) in self.lanes.voltages_v[..self.num_envs].iter_mut().enumerate() {
+        let num_envs = self.numbers.len();
+        for (lane, voltage_v) in self.lanes.voltages_v[..num_envs].iter_mut().enumerate() {
             *voltage_v = guard.permitted_v(lane, *voltage_v);
         }
         self.lanes.step();
-        for (lane, status) in self.lanes.statuses[..self.num_envs].iter_mut().enumerate() {
+        for (lane, status) in self.lanes.statuses[..num_envs].iter_mut().enumerate() {
             guard.observe(lane, self.lanes.pendulums.guarded(lane));
             if guard.took_over(lane) {
                 *status = LaneStatus::LeftBox;
@@ -273,10 +329,22 @@ impl Simulation {
         }
     }
 
+    /// Checks that the state of every Qube is a number.
+    fn check_simulated(&self) -> PyResult<()> {
+        match self.lanes.first_not_finite(self.numbers.len()) {
+            None => Ok(()),
+            Some(lane) => Err(bad_settings(format!(
+                "the Qube of episode {} cannot be simulated, its motion is not a finite number: narrow the distributions, \
+                 and reset the environment",
+                self.numbers[lane]
+            ))),
+        }
+    }
+
     /// Writes the last observation of each ended episode and begins the next episode in its lane; a
     /// lane whose episode goes on gets zeros.
     fn begin_ended(&mut self, last_observed: &mut [f32]) {
-        let size = self.observation_size();
+        let size = self.lanes.pendulums.observation_size();
         for (lane, row) in last_observed.chunks_exact_mut(size).enumerate() {
             if self.lanes.statuses[lane] == LaneStatus::Running {
                 row.fill(0.0);
@@ -314,6 +382,23 @@ impl Lanes {
         pendulums.step(voltages_v, rewards, statuses, observations);
     }
 
+    /// The first of the first `count` lanes with an observation that is not a finite number.
+    fn first_not_finite(&self, count: usize) -> Option<usize> {
+        let lanes = self.pendulums.lanes();
+        // Zero times a finite number is zero. Sums side by side are faster than tests of each number.
+        let (blocks, _) = self.observations.as_chunks::<LANES_MULTIPLE>();
+        let mut sums = [0.0; LANES_MULTIPLE];
+        for block in blocks {
+            sums.iter_mut().zip(block).for_each(|(sum, entry)| *sum += 0.0 * entry);
+        }
+        if sums == [0.0; LANES_MULTIPLE] {
+            return None;
+        }
+        (0..count).find(|lane| {
+            !self.observations.iter().skip(*lane).step_by(lanes).all(|entry| entry.is_finite())
+        })
+    }
+
     /// Copies the observation in a lane to `row`.
     fn observation(&self, lane: usize, row: &mut [f32]) {
         let lanes = self.pendulums.lanes();
@@ -332,6 +417,13 @@ impl Lanes {
             }
         }
     }
+}
+
+/// A caller's array, to be written; an error if it shares memory with an array in use.
+fn written<'py, T: Element, D: numpy::ndarray::Dimension>(
+    array: &Bound<'py, PyArray<T, D>>,
+) -> PyResult<PyReadwriteArray<'py, T, D>> {
+    array.try_readwrite().map_err(|error: BorrowError| bad_settings(format!("an array: {error}")))
 }
 
 /// A caller's array as a slice; an error unless it has this shape and is contiguous.
@@ -395,12 +487,82 @@ pub fn read_distribution(
         known.distribution(&settings.plant, Family::Normal, None, None).map_err(bad_settings)?;
     let replaced: std::collections::BTreeMap<String, Distribution> = serde_json::from_str(replaced)
         .map_err(|error| bad_settings(format!("the distributions: {error}")))?;
-    for (name, own) in replaced {
-        let quantity = Quantity::from_name(&name).ok_or_else(|| {
+    for (name, own) in &replaced {
+        let quantity = Quantity::from_name(name).ok_or_else(|| {
             let names: Vec<_> = Quantity::all().map(Quantity::name).collect();
             bad_settings(format!("there is no quantity {name:?}: give one of {}", names.join(", ")))
         })?;
-        distribution = distribution.with(quantity, own).map_err(bad_settings)?;
+        check_drawn_whole(quantity, own)?;
+        distribution = distribution.with(quantity, *own).map_err(bad_settings)?;
+    }
+    if !replaced.is_empty() && !moves(&distribution, settings) {
+        let names: Vec<_> = replaced.into_keys().collect();
+        return Err(bad_settings(format!(
+            "a Qube of these distributions cannot be simulated, its motion is not a finite number: give values nearer to \
+             those of a Qube for {}",
+            names.join(", ")
+        )));
     }
     Ok(distribution)
+}
+
+/// Checks that draws reach to both ends of a uniform distribution, which the library narrows where
+/// they do not.
+fn check_drawn_whole(quantity: Quantity, distribution: &Distribution) -> PyResult<()> {
+    let &Distribution::Uniform { mean, standard_deviation } = distribution else { return Ok(()) };
+    let half_width = 3.0_f64.sqrt() * standard_deviation;
+    let (lower, upper) = (mean - half_width, mean + half_width);
+    let (smallest, largest) = range_of_draws(quantity, mean);
+    let rounding = 1e-9 * half_width;
+    if lower >= smallest - rounding && upper <= largest + rounding {
+        return Ok(());
+    }
+    let name = quantity.name();
+    let given = format!("{name}: Uniform({}, {})", shown(lower), shown(upper));
+    Err(bad_settings(match quantity {
+        Quantity::Parameter(_) if mean > 0.0 => format!(
+            "{given} is too wide: a parameter is drawn between {:.1} and {:.1} times the mean, here between {} and {}. \
+             Give ends whose ratio is at most {:.0}",
+            1.0 - TRUNCATION,
+            1.0 + TRUNCATION,
+            shown(smallest),
+            shown(largest),
+            (1.0 + TRUNCATION) / (1.0 - TRUNCATION)
+        ),
+        Quantity::Parameter(_) => format!("{given} has values below 0: give values above 0"),
+        Quantity::Nonideality(_) => {
+            let (smallest, largest) = (shown(smallest), shown(largest));
+            format!("{given} cannot be simulated: give values from {smallest} to {largest}")
+        }
+    }))
+}
+
+/// A number with at most six digits.
+fn shown(value: f64) -> String {
+    let rounded = format!("{value:.5e}").parse().unwrap_or(value);
+    // Half a width that was computed from a standard deviation is not exact.
+    if f64::abs(rounded) < 1e-12 { "0".into() } else { format!("{rounded}") }
+}
+
+/// Whether the motion of some Qubes of a distribution, which the full voltage pushes to and fro, is
+/// a finite number.
+fn moves(distribution: &DomainDistribution, settings: &SimulationSettings) -> bool {
+    let pendulums = Pendulums::new(MOTIONS_CHECKED, settings);
+    let lanes = pendulums.lanes();
+    let mut tried = Lanes {
+        voltages_v: vec![0.0; lanes],
+        rewards: vec![0.0; lanes],
+        statuses: vec![LaneStatus::Running; lanes],
+        observations: vec![0.0; lanes * pendulums.observation_size()],
+        pendulums,
+    };
+    for lane in 0..MOTIONS_CHECKED {
+        tried.pendulums.restart(lane, &Trajectory::draw(distribution, 0, lane as u64));
+    }
+    (0..STEPS_CHECKED).all(|step| {
+        let sign = if (step / STEPS_OF_A_PUSH).is_multiple_of(2) { 1.0 } else { -1.0 };
+        tried.voltages_v.fill(sign * MAX_VOLTAGE_V as f32);
+        tried.step();
+        tried.first_not_finite(MOTIONS_CHECKED).is_none()
+    })
 }

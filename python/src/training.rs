@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use qube_hil::learning::{
     Origin, Preset, TrainError, TrainSettings, TrainUpdate, Trained, train as train_on, train_from,
 };
-use qube_hil::policy::{Network, Policy as Kind};
+use qube_hil::policy::Network;
 use qube_hil::simulation::{DomainDistribution, SimulationSettings};
 use serde_json::{Map, Value};
 
@@ -35,7 +35,7 @@ pub fn train(
     simulation: Option<&str>,
     changes: &str,
     seed: u64,
-    initial: Option<PyRef<'_, Policy>>,
+    initial: Option<Bound<'_, Policy>>,
     on_update: &Bound<'_, PyAny>,
 ) -> PyResult<(Policy, f64, String)> {
     let named =
@@ -57,21 +57,22 @@ pub fn train(
     };
     let distribution = read_distribution(model, distributions, &settings.simulation)?;
     settings.check().map_err(bad_settings)?;
-    let initial = match initial.as_deref() {
-        Some(Policy { policy: Kind::Network(policy) }) => Some(&policy.network),
-        Some(_) => return Err(bad_policy("the policy to start from has no network")),
-        None => None,
-    };
+    let without = || bad_policy("the policy to start from has no network");
+    let initial =
+        initial.map(|initial| initial.get().network(py).ok_or_else(without)).transpose()?;
     let from = if initial.is_some() { " from a policy" } else { "" };
+    // The command has an option for this weight too, and records the preset that it changes.
+    let voltage_change_weight = of_preset.voltage_change_weight;
+    let compared = TrainSettings { voltage_change_weight, ..settings.clone() };
     let origin = Origin {
         model: origin(model, distributions) + from,
         psi: None,
-        preset: Preset::of(&settings).name().to_owned(),
+        preset: Preset::of(&compared).name().to_owned(),
     };
-    let trained = supervised(py, initial, &distribution, &settings, seed, on_update)?;
+    let trained = supervised(py, initial.as_ref(), &distribution, &settings, seed, on_update)?;
     let best_return = trained.best_return;
     let curve = serde_json::to_string(&trained.curve).map_err(bad_settings)?;
-    Ok((Policy { policy: trained.into_policy(origin) }, best_return, curve))
+    Ok((trained.into_policy(origin).into(), best_return, curve))
 }
 
 /// Trains in another thread, while this one calls `on_update` and checks for Ctrl-C.

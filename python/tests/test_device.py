@@ -125,6 +125,7 @@ def test_an_exception_or_a_reset_in_the_middle_brakes(virtual):
         (np.array([np.nan], np.float32), "finite"),
         (np.zeros(2, np.float32), "shape"),
         (np.array(["1"]), "type"),
+        ([[0.0], [1.0, 2.0]], "array of numbers"),
     ]:
         with pytest.raises(qube_hil.ActionError, match=told):
             env.step(wrong)
@@ -169,6 +170,118 @@ def test_a_closed_qube_and_a_forked_process_are_refused(virtual):
             call()
 
 
+def driving(env, ended):
+    """Starts a thread that drives episodes until an exception ends it, which it appends to `ended`."""
+    begun = threading.Event()
+
+    def drive():
+        try:
+            while True:
+                env.reset()
+                begun.set()
+                over = False
+                while not over:
+                    _, _, terminated, truncated, _ = env.step(np.zeros(1, np.float32))
+                    over = terminated or truncated
+        except qube_hil.QubeHilError as error:
+            ended.append(error)
+
+    thread = threading.Thread(target=drive, daemon=True)
+    thread.start()
+    assert begun.wait(120.0)
+    return thread
+
+
+def test_any_thread_may_close_a_qube_and_the_thread_that_drives_it_is_told(virtual):
+    for _ in range(3):
+        env, ended = virtual(), []
+        thread = driving(env, ended)
+        env.close()
+        thread.join(120.0)
+        assert [type(error) for error in ended] == [qube_hil.ClosedError]
+        last = qube_hil.recording(env._recording)
+        assert last.outcome["ending"]["kind"] == "stopped"
+        with pytest.raises(qube_hil.ClosedError):
+            env.reset()
+
+
+def test_a_second_thread_that_drives_is_refused_and_disturbs_nothing(virtual):
+    env, ended = virtual(), []
+    thread = driving(env, ended)
+    refused = 0
+    while refused < 5 and not ended:
+        try:
+            env.reset()
+        except qube_hil.BusyError as error:
+            assert "no effect" in str(error)
+            refused += 1
+    env.close()
+    thread.join(120.0)
+    assert refused == 5
+    assert [type(error) for error in ended] <= [qube_hil.ClosedError]
+
+
+@pytest.fixture
+def signalled():
+    """Drives episodes until a signal comes in the middle of an episode's step, whose handler then calls a function."""
+    before = signal.getsignal(signal.SIGALRM)
+
+    def drive(env, delay_s, call):
+        steps = 0
+
+        def handler(_, frame):
+            is_in_step = frame.f_code is QubeDeviceEnv.step.__code__
+            if is_in_step and frame.f_lineno > frame.f_code.co_firstlineno and steps < 500:
+                call()
+            else:
+                signal.setitimer(signal.ITIMER_REAL, 0.001)
+
+        signal.signal(signal.SIGALRM, handler)
+        env.reset()
+        signal.setitimer(signal.ITIMER_REAL, delay_s)
+        while True:
+            _, _, terminated, truncated, _ = env.step(np.zeros(1, np.float32))
+            steps += 1
+            if terminated or truncated:
+                env.reset()
+                steps = 0
+
+    yield drive
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def test_a_handler_of_a_signal_may_close_the_qube(virtual, signalled):
+    env = virtual()
+    with pytest.raises(qube_hil.ClosedError):
+        signalled(env, 0.01, env.close)
+    assert qube_hil.recording(env._recording).outcome["ending"]["kind"] == "stopped"
+    with pytest.raises(qube_hil.ClosedError):
+        env.reset()
+
+
+def test_an_exception_that_a_handler_raises_during_a_step_brakes_first(virtual, signalled):
+    def raises():
+        raise LookupError("in the handler")
+
+    env = virtual()
+    for delay_s in [0.001, 0.01, 0.02]:
+        with pytest.raises(LookupError):
+            signalled(env, delay_s, raises)
+        with pytest.raises(qube_hil.EpisodeOverError):
+            env.step(np.zeros(1, np.float32))
+        read = qube_hil.recording(env._recording)
+        assert read.outcome["ending"]["kind"] == "stopped" and read["phase"][-1] == "braking"
+
+
+def test_a_number_that_is_too_large_for_single_precision_is_clipped(virtual):
+    env = virtual(history=1)
+    for number, clipped in [(1e300, 1.0), (-1e39, -1.0)]:
+        env.reset()
+        observation, *_ = env.step(np.array([number]))
+        assert observation[6] == clipped
+
+
 @pytest.mark.parametrize(
     "options, told",
     [
@@ -178,6 +291,7 @@ def test_a_closed_qube_and_a_forked_process_are_refused(virtual):
         ({"unknown_option": 1}, "unknown-option"),
         ({"deadline_ms": 20.0}, "8.5"),
         ({"history": 9}, "history"),
+        ({"history": -1}, "history"),
         ({"seed": -1}, "seed"),
         ({"guard": "none"}, "none"),
     ],
@@ -241,6 +355,74 @@ def test_an_interpreter_that_ends_brakes(tmp_path):
     assert code == 5, errors
     read = qube_hil.recording(tmp_path / "episodes/episode-0000.mcap")
     assert read.outcome["ending"]["kind"] == "stopped" and read["phase"][-1] == "braking"
+
+
+def test_at_the_end_of_the_interpreter_every_qube_brakes_also_one_that_a_thread_uses(tmp_path):
+    code, _, errors = in_a_process(
+        """
+        import threading
+        envs = [qube_hil.QubeDeviceEnv(clock="virtual", recordings=name) for name in ["a", "used", "b"]]
+        begun = threading.Event()
+
+        def drive():
+            while True:
+                envs[1].reset()
+                begun.set()
+                over = False
+                while not over:
+                    _, _, terminated, truncated, _ = envs[1].step(np.zeros(1, np.float32))
+                    over = terminated or truncated
+
+        for env in [envs[0], envs[2]]:
+            env.reset()
+            env.step(np.zeros(1, np.float32))
+        threading.Thread(target=drive, daemon=True).start()
+        begun.wait()
+        """,
+        tmp_path,
+    )
+    assert code == 0 and "ignored" not in errors and "Borrow" not in errors, errors
+    for name in ["a", "used", "b"]:
+        last = qube_hil.recording(sorted((tmp_path / name).glob("*.mcap"))[-1])
+        assert last.outcome["ending"]["kind"] == "stopped" and last["phase"][-1] != "running", name
+
+
+def test_a_reset_goes_on_after_ctrl_c_and_a_lost_link_does_not_count_as_a_motor_that_is_off(tmp_path):
+    code, out, errors = in_a_process(
+        f"""
+        import os, signal, subprocess, threading
+        emulated = subprocess.Popen([{str(PROGRAM)!r}, "emulate"], stdout=subprocess.PIPE, text=True)
+        try:
+            env = qube_hil.QubeDeviceEnv(device=emulated.stdout.readline().strip())
+            begin(env)
+            try:
+                env.step(np.full(1, np.nan, np.float32))
+            except qube_hil.ActionError:
+                # The arm was not at rest when the motor went off, so the next reset homes it for many seconds.
+                threading.Timer(3.0, os.kill, [os.getpid(), signal.SIGINT]).start()
+            try:
+                env.reset()
+            except KeyboardInterrupt:
+                print("interrupted")
+            begin(env)
+            print("drove")
+        finally:
+            emulated.kill()
+        try:
+            while True:
+                env.step(np.zeros(1, np.float32))
+        except qube_hil.LateError:
+            print("late")
+        except qube_hil.DeviceError as error:
+            print(error)
+        """,
+        tmp_path,
+    )
+    assert code == 0, errors
+    interrupted, drove, told = out.splitlines()
+    assert (interrupted, drove) == ("interrupted", "drove")
+    assert "Switch the Qube off: its motor may still have its last voltage" in told
+    assert "The motor is off" not in told
 
 
 def test_a_qube_that_is_collected_or_whose_loop_raises_brakes(tmp_path):

@@ -165,6 +165,11 @@ def test_arrays_and_names_that_cannot_be_are_named():
         ({"output": "clip"}, "clip"),
         ({"observation": ["sin_beta"]}, "sin_beta"),
         ({"history": 2}, "6 inputs"),
+        ({"history": -1}, "history"),
+        ({"history": 2**70}, "history"),
+        ({"observation": [1, 2]}, "names"),
+        ({"layers": 3}, "layers"),
+        ({"layers": [3]}, "arrays"),
         ({"observation": ["sin_theta"], "history": 1}, "beside observation"),
         ({"filter_rad_s": 0.0}, "filter"),
         ({"layers": [(np.full((4, 6), np.nan), None), layers[1]]}, "NaN"),
@@ -173,3 +178,15 @@ def test_arrays_and_names_that_cannot_be_are_named():
     ]:
         with pytest.raises(qube_hil.PolicyError, match=told):
             Policy.from_layers(**{"layers": layers, "action_scale_v": 5.0, **wrong})
+    for call in [lambda: Policy.from_torch(3, action_scale_v=5.0), lambda: Policy.from_sb3(3)]:
+        with pytest.raises(qube_hil.PolicyError, match="give a"):
+            call()
+
+
+def test_an_observation_is_a_list_of_names_or_the_text_of_the_option():
+    layers = [(RANDOM.normal(size=(4, 6)), None), (RANDOM.normal(size=(1, 4)), None)]
+    names = ["theta_dot", "-1*cos_alpha", "-1*sin_alpha", "cos_theta", "sin_theta", "alpha_dot"]
+    listed, as_text = [
+        Policy.from_layers(layers, action_scale_v=5.0, observation=it).to_bytes() for it in [names, ",".join(names)]
+    ]
+    assert listed == as_text

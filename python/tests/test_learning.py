@@ -1,6 +1,9 @@
 """Training, policies and identification."""
 
 import _thread
+import copy
+import math
+import pickle
 import shutil
 import threading
 import time
@@ -34,6 +37,51 @@ def test_a_training_gives_the_bytes_of_the_command(tmp_path):
     again = qube_hil.train("nominal", seed=3, distributions=randomisation, **SMALL).policy
     assert again.randomisation.keys() == randomisation.keys()
     assert again.randomisation["M_p"] == randomisation["M_p"]
+
+
+def test_a_training_whose_settings_the_command_knows_gives_its_bytes_too(tmp_path):
+    file = tmp_path / "quiet.safetensors"
+    program("train", "--preset", "quick", "--model", "nominal", "--seed", 3, "--voltage-change-weight", 0.1, "--out", file)
+    trained = qube_hil.train("nominal", seed=3, voltage_change_weight=0.1)
+    assert trained.policy.training["preset"] == "quick"
+    assert trained.policy.to_bytes() == file.read_bytes()
+
+
+def test_settings_may_be_numbers_of_numpy_and_infinite_where_that_means_no_limit():
+    named = {name: np.int64(value) for name, value in SMALL.items()}
+    trained = qube_hil.train(
+        **named,
+        largest_gradient_norm=math.inf,
+        learning_rate=np.float32(1e-3),
+        simulation={"history": np.int64(1), "sensors": {"type": "encoders"}},
+        distributions={"M_p": np.float32(0.03)},
+    )
+    assert trained.policy.observation_size == 7
+    for wrong in [{"learning_rate": math.inf}, {"updates": object()}, {"initial": "policy.safetensors"}]:
+        with pytest.raises(qube_hil.SettingsError):
+            qube_hil.train(**wrong)
+    with pytest.raises(qube_hil.SettingsError, match="Policy.load"):
+        qube_hil.train(initial="policy.safetensors")
+
+
+def test_a_policy_is_pickled_copied_and_shared_by_threads(swing_up):
+    network = qube_hil.train(**SMALL).policy
+    observations = np.random.default_rng(0).normal(size=(20_000, 6)).astype(np.float32)
+    expected = network.act(observations)
+    for policy in [network, qube_hil.recording(swing_up).policy]:
+        for again in [pickle.loads(pickle.dumps(policy)), copy.deepcopy(policy), copy.copy(policy)]:
+            assert again.to_bytes() == policy.to_bytes() and again.kind == policy.kind
+    results = [None] * 4
+
+    def act(index):
+        results[index] = [network.act(observations) for _ in range(10)]
+
+    threads = [threading.Thread(target=act, args=[index]) for index in range(len(results))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all((actions == expected).all() for actions_of_one in results for actions in actions_of_one)
 
 
 def test_a_trained_policy_earns_in_the_environment_what_its_training_says():

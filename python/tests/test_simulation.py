@@ -1,5 +1,6 @@
 """The environments over the simulation."""
 
+import threading
 import warnings
 
 import gymnasium
@@ -110,8 +111,8 @@ def test_foresight_ends_episodes_before_the_box_does_and_leaves_calm_ones_alone(
             before = envs.states
             observations, rewards, terminated, _, info = envs.step(np.full((8, 1), action, np.float32))
             seen.append(observations)
+            assert (info["guarded"] == terminated).all() if guard == "foresight" else "guarded" not in info
             if terminated.any():
-                assert (info["guarded"] == terminated).all() if guard == "foresight" else "guarded" not in info
                 ended.extend(np.abs(before[terminated, 0]))
         return ended, np.array(seen)
 
@@ -191,6 +192,56 @@ def test_an_arm_that_is_pushed_turns_and_the_last_commands_are_observed():
         assert np.sign(env.state[0] - start) == np.sign(push)
 
 
+def test_a_second_thread_is_refused_and_disturbs_nothing():
+    env = QubeVectorEnv(5000, model="robust")
+    env.reset(seed=1)
+    actions, ended = np.zeros((5000, 1), np.float32), threading.Event()
+    seen, raised = [], []
+
+    def drive():
+        try:
+            for _ in range(300):
+                seen.append(env.step(actions)[0][0])
+        except BaseException as error:
+            raised.append(error)
+        ended.set()
+
+    thread = threading.Thread(target=drive, daemon=True)
+    thread.start()
+    refused = 0
+    while not ended.is_set():
+        try:
+            # Between two steps of the other thread the shape is refused, which changes nothing either.
+            env.step(np.zeros((5000, 2), np.float32))
+        except qube_hil.BusyError:
+            refused += 1
+        except qube_hil.ActionError:
+            pass
+    thread.join()
+    assert refused > 0 and raised == []
+    alone = QubeEnv(model="robust")
+    alone.reset(seed=1)
+    assert all((alone.step(actions[0])[0] == observation).all() for observation in seen)
+
+
+def test_a_uniform_distribution_is_drawn_to_both_ends_or_refused():
+    env = QubeEnv(distributions={"M_p": Uniform(0.01, 0.19), "coulomb_torque_n_m": Uniform(0.0, 0.1)})
+    env.reset(seed=1)
+    masses = [env.qube(number)["M_p"] for number in range(3000)]
+    assert 0.01 <= min(masses) < 0.0102 and 0.1898 < max(masses) <= 0.19
+    with pytest.raises(qube_hil.SettingsError, match=r"M_p: Uniform\(0, 1\).*between 0.05 and 0.95.*at most 19"):
+        QubeEnv(distributions={"M_p": Uniform(0.0, 1.0)})
+
+
+def test_a_number_that_is_too_large_for_single_precision_is_clipped():
+    env = QubeEnv(settings={"history": 1})
+    for number, clipped in [(1e300, 1.0), (-1e39, -1.0)]:
+        env.reset()
+        assert env.step(np.array([number]))[0][6] == clipped
+    with pytest.raises(qube_hil.ActionError, match="array of numbers"):
+        env.step([[0.0], [1.0, 2.0]])
+
+
 def test_arrays_are_written_over_where_the_caller_wants_no_copies():
     env = QubeVectorEnv(4, copy=False)
     first, _ = env.reset(seed=0)
@@ -238,6 +289,15 @@ def test_an_action_that_is_none_is_refused_and_moves_nothing(action, told):
     "settings, told",
     [
         ({"num_envs": 0}, "num_envs"),
+        ({"num_envs": -1}, "num_envs = -1"),
+        ({"num_envs": 2**70}, "num_envs"),
+        ({"settings": None}, "None"),
+        ({"distributions": [("M_p", 1.0)]}, "mapping"),
+        ({"distributions": {"D_r": 1.0}}, "cannot be simulated.*D_r"),
+        ({"distributions": {"R_m": 1e-3}}, "cannot be simulated.*R_m"),
+        ({"distributions": {"L_p": 1e-6}}, "cannot be simulated.*L_p"),
+        ({"distributions": {"command_delay_s": Uniform(-0.1, 0.1)}}, "from 0 to 0.04"),
+        ({"distributions": {"M_p": Uniform(-0.1, 0.1)}}, "above 0"),
         ({"model": "none"}, "nominal, handcrafted"),
         ({"settings": "none"}, "thesis, machine, robust"),
         ({"settings": {"histroy": 2}}, "histroy"),
@@ -273,3 +333,6 @@ def test_nothing_moves_before_a_reset():
             env.step(np.zeros(env.action_space.shape, np.float32))
     with pytest.raises(qube_hil.SettingsError, match="seed"):
         QubeVectorEnv(2).reset(seed=[1, 2])
+    for number in [-1, 2**64, 1.5]:
+        with pytest.raises(qube_hil.SettingsError, match="episode_number"):
+            QubeEnv().qube(number)
