@@ -210,30 +210,36 @@ impl<T: Transport> SerialLink<T> {
         self.motor = Motor::Off;
         self.device_time = DeviceTime::default();
         let end_ns = self.clock.now_ns() + wait_ns;
-        let mut hellos = 0;
+        let (mut hellos, mut is_refused) = (0, false);
         while self.clock.now_ns() < end_ns {
             // A delimiter ends the partial frame that a terminal or a killed program may have left.
             self.broken_frame = true;
-            let left_ns = end_ns - self.clock.now_ns();
+            let asked_ns = self.clock.now_ns();
+            let left_ns = end_ns - asked_ns;
+            let next_ns = asked_ns + HELLO_INTERVAL_NS.min(left_ns);
             let hello = Request::Hello { protocol_version: PROTOCOL_VERSION };
             hellos += 1;
             match self.exchange(hello, HELLO_INTERVAL_NS.min(left_ns)) {
                 Ok(Reply::Hello(reply)) => return Ok(reply),
-                Ok(_) | Err(LinkFault::Timeout) => {}
-                // The port accepts no more bytes because nobody reads at its other end.
-                Err(LinkFault::Full) => {
-                    self.clock.sleep_until(self.clock.now_ns() + HELLO_INTERVAL_NS.min(left_ns));
+                Err(LinkFault::Timeout) => {}
+                Ok(_) => {
+                    is_refused = true;
+                    self.clock.sleep_until(next_ns);
                 }
+                // The port accepts no more bytes because nobody reads at its other end.
+                Err(LinkFault::Full) => self.clock.sleep_until(next_ns),
                 Err(fault) => return Err(self.link_error(fault)),
             }
         }
-        Err(self.silence(hellos, wait_ns))
+        Err(self.silence(hellos, is_refused, wait_ns))
     }
 
-    /// The error for unanswered hellos.
-    fn silence(&self, hellos: u32, wait_ns: Nanoseconds) -> DeviceError {
+    /// The error for hellos that were not answered, or refused.
+    fn silence(&self, hellos: u32, is_refused: bool, wait_ns: Nanoseconds) -> DeviceError {
         let Traffic { answered_ns, bytes, requests } = self.heard;
-        let nothing = format!("no answer to {hellos} hellos in {:.1} s", wait_ns as f64 * 1e-9);
+        let nothing = if is_refused { "only refusals as" } else { "no" };
+        let nothing =
+            format!("{nothing} answer to {hellos} hellos in {:.1} s", wait_ns as f64 * 1e-9);
         if let Some(answered_ns) = answered_ns {
             let silent_s = (self.clock.now_ns() - answered_ns) as f64 * 1e-9;
             let since =

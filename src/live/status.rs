@@ -13,19 +13,19 @@ pub struct Status {
     pub doing: String,
     /// Number of the candidate, from 0.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "u32")]
+    #[schemars(with = "u32", default)]
     pub candidate: Option<u32>,
     /// Number of candidates, or of rollouts without candidates. Absent in an experiment and where a search may end early.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "u32")]
+    #[schemars(with = "u32", default)]
     pub of: Option<u32>,
     /// Largest return so far; the largest possible is 600.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
+    #[schemars(with = "f64", default)]
     pub best_return: Option<f64>,
     /// Estimate of the time until the command ends, s.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
+    #[schemars(with = "f64", default)]
     pub time_left_s: Option<f64>,
     /// Somebody has asked to stop.
     pub stop_requested: bool,

@@ -295,3 +295,48 @@ fn an_emergency_stop_is_told_and_latched_until_a_hello_finds_it_closed() {
     link.arm().unwrap();
     assert!(!sample(&mut link, &clock).status.emergency_stop);
 }
+
+/// A board that refuses each request.
+struct Refuser {
+    clock: VirtualClock,
+    decoder: Decoder,
+    answers: Vec<u8>,
+}
+
+impl Transport for Refuser {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        let count = self.answers.len().min(buffer.len());
+        if count == 0 {
+            self.clock.sleep_until(deadline_ns);
+        }
+        for (place, answer) in buffer.iter_mut().zip(self.answers.drain(..count)) {
+            *place = answer;
+        }
+        Ok(count)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        for frame in bytes.iter().filter_map(|byte| self.decoder.push(*byte)).flatten() {
+            let (refused_type, reason) = (frame.message_type, RefusalReason::NotGreeted);
+            let reply = Reply::Refusal { refused_type, reason }.encode(frame.sequence);
+            self.answers.extend_from_slice(reply.as_bytes());
+        }
+        Ok(())
+    }
+
+    fn name(&self) -> &str {
+        "refuser"
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        1_000 * MS
+    }
+}
+
+#[test]
+fn a_device_that_refuses_hellos_gets_one_every_tenth_of_a_second() {
+    let clock = VirtualClock::default();
+    let refuser = Refuser { clock: clock.clone(), decoder: Decoder::new(), answers: Vec::new() };
+    let refused = SerialLink::new(refuser, Arc::new(clock)).hello().unwrap_err();
+    assert!(refused.to_string().contains("only refusals as answer to 10 hellos"), "{refused}");
+}
