@@ -41,9 +41,7 @@ mod tests;
 mod trajectory;
 
 pub use direction::Direction;
-pub use distribution::{
-    DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, range_of_draws, reach,
-};
+pub use distribution::{DistributionError, MAX_COMMAND_DELAY_S, TRUNCATION, range_of_draws, reach};
 pub use domain_distribution::{DomainDistribution, Family};
 pub use evaluation::{Actor, Evaluation, evaluate, evaluate_with};
 pub use lane_status::LaneStatus;
