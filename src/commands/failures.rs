@@ -161,6 +161,9 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         }
         // `rig` adds the fault, and a command that helps.
         SessionError::Rig(error) => return rig(error, stop),
+        SessionError::NotHomed { rig: number, source } => {
+            return rig(*source, stop).preceded_by(&format!("rig {number}:"));
+        }
         SessionError::Recording(error) => recording(&error),
         SessionError::Folder(error) => folder(&error),
         SessionError::Training(error) => job(error, stop),

@@ -125,6 +125,14 @@ pub enum SessionError {
     /// The rig could not be opened or used.
     #[error(transparent)]
     Rig(#[from] RigError),
+    /// One of several rigs could not be homed; the error itself does not say which.
+    #[error("rig {rig}: {source}")]
+    NotHomed {
+        /// Number of the rig, from 1.
+        rig: u32,
+        /// Fault of the homing.
+        source: Box<RigError>,
+    },
     /// A recording could not be written or read.
     #[error(transparent)]
     Recording(#[from] RecordingError),
@@ -154,7 +162,7 @@ impl SessionError {
     pub fn fault(&self) -> Option<Fault> {
         match self {
             Self::InDoubt { doubt, .. } => doubt.fault,
-            Self::NotStartedAgain { source, .. } => source.fault(),
+            Self::NotStartedAgain { source, .. } | Self::NotHomed { source, .. } => source.fault(),
             Self::Rig(error) => error.fault(),
             _ => None,
         }
@@ -165,7 +173,9 @@ impl SessionError {
     pub fn is_of_rig(&self) -> bool {
         match self {
             Self::GivenUp { .. } | Self::InDoubt { .. } => true,
-            Self::NotStartedAgain { source, .. } => source.is_of_rig(),
+            Self::NotStartedAgain { source, .. } | Self::NotHomed { source, .. } => {
+                source.is_of_rig()
+            }
             Self::Rig(error) => error.is_of_rig(),
             _ => false,
         }

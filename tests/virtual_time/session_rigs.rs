@@ -14,6 +14,7 @@ use qube_hil::session::{
     Entry, Extent, Session, SessionError, SessionEvent, SessionFolder, SessionSettings,
     run_side_by_side,
 };
+use qube_hil::telemetry::Fault;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -429,6 +430,16 @@ fn the_fault_of_the_last_rig_ends_a_shared_session_until_it_is_mended() {
     session.acknowledge();
     session.run(&mut |_| ()).unwrap();
     assert!(attempts(session.entries())[3..].iter().all(|it| it.ends_with("on 2")));
+}
+
+#[test]
+fn a_fault_of_homing_names_its_rig() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path().join("session");
+    // The first rig is taken out, and the fault of the second ends the session.
+    let error = shared(&root, [Some("stall@5"); 2]).run(&mut |_| ()).unwrap_err();
+    assert!(error.to_string().starts_with("rig 2: homing failed: "), "{error}");
+    assert_eq!(error.fault(), Some(Fault::StallError));
 }
 
 #[test]

@@ -218,7 +218,13 @@ impl Session {
             *opened = None;
         }
         if opened.is_none() {
-            let rig = span_of(number).in_scope(|| Rig::open(settings, &self.stop))?;
+            let rig = span_of(number).in_scope(|| Rig::open(settings, &self.stop));
+            let rig = rig.map_err(|error| match (number, error) {
+                (Some(rig), error @ RigError::Homing { .. }) => {
+                    SessionError::NotHomed { rig, source: Box::new(error) }
+                }
+                (_, error) => error.into(),
+            })?;
             // An acknowledgement holds for one doubt only.
             settings.recovery.acknowledged = false;
             settings.recovery.doubt = None;
