@@ -145,12 +145,13 @@ impl OutputFolder {
         if let Some(above) = path.parent() {
             self.make_missing(above)?;
         }
-        if path.exists() {
-            return Err(Failure::usage(format!("{} is not a folder", path.display())));
-        }
         match fs::create_dir(path) {
             Ok(()) => self.made.push(path.to_owned()),
-            Err(error) if error.kind() == ErrorKind::AlreadyExists && path.is_dir() => {}
+            // Another program has made it meanwhile.
+            Err(_) if path.is_dir() => {}
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+                return Err(Failure::usage(format!("{} is not a folder", path.display())));
+            }
             Err(error) => return Err(failures::not_written(path, &error)),
         }
         Ok(())
@@ -233,6 +234,10 @@ pub fn check_folder(folder: &Path) -> Result<(), Failure> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+    use std::sync::Barrier;
+    use std::thread;
+
     use super::*;
 
     #[test]
@@ -266,6 +271,26 @@ mod tests {
         let folders = [(); 3].map(|()| OutputFolder::numbered(&logs, "run-1").unwrap());
         let names = folders.each_ref().map(|folder| folder.path().file_name().unwrap());
         assert_eq!(names, ["run-1", "run-1-2", "run-1-3"]);
+    }
+
+    #[test]
+    fn programs_that_begin_at_once_have_folders_of_their_own() {
+        const PROGRAMS: usize = 4;
+        for _ in 0..500 {
+            let directory = tempfile::tempdir().unwrap();
+            let logs = directory.path().join("logs");
+            let begin = Barrier::new(PROGRAMS);
+            let make = || {
+                begin.wait();
+                OutputFolder::numbered(&logs, "run-1").unwrap()
+            };
+            let folders: Vec<OutputFolder> = thread::scope(|scope| {
+                let programs = [(); PROGRAMS].map(|()| scope.spawn(make));
+                programs.map(|program| program.join().unwrap()).into()
+            });
+            let paths: BTreeSet<&Path> = folders.iter().map(OutputFolder::path).collect();
+            assert_eq!(paths.len(), PROGRAMS, "{paths:?}");
+        }
     }
 
     #[test]

@@ -1,7 +1,6 @@
 //! Tests the places of results: a bad place is refused before a training or a motion, and existing
 //! files are not lost.
 
-use std::collections::BTreeSet;
 use std::process::{Command, Stdio};
 
 use crate::program::{has_refused, qube_hil, refused};
@@ -119,50 +118,4 @@ fn a_port_that_is_none_leaves_nothing_behind() {
     let session = ["session", "--device", PORT, "--out", "mine"];
     refused(directory.path(), &session, 2, &[PORT]);
     assert_eq!(std::fs::read_dir(directory.path().join("mine")).unwrap().count(), 0);
-}
-
-/// Largest number of attempts to begin two runs in the same second.
-const ATTEMPTS: u32 = 20;
-
-/// Begins three runs at once; returns the names of their folders, which differ.
-fn folders_of_three_runs() -> BTreeSet<String> {
-    let directory = tempfile::tempdir().unwrap();
-    let begin = || {
-        Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-            .current_dir(directory.path())
-            .env("XDG_STATE_HOME", directory.path())
-            .args(["run", "--policy", "classical", "--clock", "virtual"])
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap()
-    };
-    let runs = [begin(), begin(), begin()];
-    for run in runs {
-        let output = run.wait_with_output().unwrap();
-        let stderr = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{:?}: {stderr}", output.status);
-    }
-    let folders = std::fs::read_dir(directory.path().join("logs")).unwrap();
-    let names = folders.map(|folder| folder.unwrap().file_name().into_string().unwrap());
-    let names: BTreeSet<String> = names.collect();
-    assert_eq!(names.len(), 3, "{names:?}");
-    names
-}
-
-/// The second in the name of a run's folder, such as `run-20260102-030405` of the folder
-/// `run-20260102-030405-2`.
-fn second_of(name: &str) -> String {
-    name.split('-').take(3).collect::<Vec<_>>().join("-")
-}
-
-#[test]
-fn runs_that_begin_in_the_same_second_have_folders_of_their_own() {
-    let share_a_second = (0..ATTEMPTS).any(|_| {
-        let names = folders_of_three_runs();
-        let seconds: BTreeSet<String> = names.iter().map(|name| second_of(name)).collect();
-        seconds.len() < names.len()
-    });
-    assert!(share_a_second, "no two runs began in the same second");
 }
