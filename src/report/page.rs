@@ -18,10 +18,9 @@ const PLOTS_STYLE: &str = include_str!("assets/uPlot.min.css");
 const SCRIPT: &str = include_str!("assets/report.js");
 const STYLE: &str = include_str!("assets/report.css");
 
-/// The beginning of every report, before the hashes of its scripts. No page of another origin has
-/// it.
+/// The beginning of every report, before the hashes of its scripts, by which a report is known.
 const BEGINNING: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-    <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; script-src 'sha256-";
+    <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; script-src ";
 
 /// Whether the file at this path is a report, also one of an earlier version of the program.
 #[must_use]
@@ -253,14 +252,13 @@ impl Page {
         // page contains.
         let style = format!("{PLOTS_STYLE}{STYLE}");
         let policy = format!(
-            "default-src 'none'; script-src {} {}; style-src {}; img-src data:; base-uri 'none'; form-action 'none'",
+            "{} {}; style-src {}; img-src data:; base-uri 'none'; form-action 'none'",
             hash(PLOTS),
             hash(SCRIPT),
             hash(&style)
         );
         Ok(format!(
-            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-             <meta http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\n\
+            "{BEGINNING}{policy}\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
              <meta name=\"referrer\" content=\"no-referrer\">\n\
              <link rel=\"icon\" href=\"data:,\">\n<title>{title}</title>\n<style>{style}</style>\n</head>\n\
