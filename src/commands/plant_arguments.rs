@@ -9,6 +9,9 @@ use crate::experiment::Plant;
 use crate::qube::PlantModel;
 use crate::session::PolicyPaths;
 
+/// Name in an experiment's settings of the plant that is a real Qube.
+pub const REAL_QUBE: &str = "device";
+
 /// The arguments of the emulated Qubes on which policies run.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PlantArguments {
@@ -74,9 +77,15 @@ fn specimen(entry: PlantEntry, path: &Path, plant: &PlantModel) -> Result<Plant,
     Ok(Plant { name: entry.name, emulated, vary })
 }
 
-/// Refuses the name of a file that stands beside the plant's folder of recordings in the folder of
-/// a policy. The experiment refuses all other names that are not valid for a folder.
+/// Refuses the name that stands for the real Qube, and that of a file beside the plant's folder of
+/// recordings in the folder of a policy. The experiment refuses all other names that are not valid
+/// for a folder.
 fn check_name(name: &str) -> Result<(), String> {
+    if name == REAL_QUBE {
+        return Err(format!(
+            "the name {REAL_QUBE} stands for the real Qube: give the emulated one another name"
+        ));
+    }
     let paths = PolicyPaths::numbered(Path::new(""), 0);
     let files = [paths.policy(), paths.curve(), paths.training_times()];
     match files.iter().any(|file| file.file_name().is_some_and(|it| it == name)) {

@@ -6,6 +6,7 @@ use crate::commands::device_arguments::ChosenDevice;
 use crate::commands::exit::Failure;
 use crate::commands::experiment_report::ExperimentReport;
 use crate::commands::failures;
+use crate::commands::plant_arguments::REAL_QUBE;
 use crate::commands::strategy_arguments::check_device;
 use crate::estimation::EstimatorSettings;
 use crate::experiment::{ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe};
@@ -14,9 +15,6 @@ use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
 use crate::session::{EmulatedQubeSettings, Extent, SessionError, SessionSettings};
 use crate::simulation::{Family, Model, SensorModel};
-
-/// Name in an experiment's settings of the plant that is a real Qube.
-const REAL_QUBE: &str = "device";
 
 /// Corner of the thesis's velocity filter, rad/s.
 const PUBLISHED_CORNER_RAD_S: f64 = 50.0;
@@ -95,17 +93,6 @@ fn check_resumed_device(
     }
 }
 
-/// The emulated Qubes of the arguments, none of which has the name that stands for the real one.
-fn emulated_plants(arguments: &Arguments, device: &ChosenDevice) -> Result<Vec<Plant>, Failure> {
-    let plants = arguments.plants.plants(&device.plant)?;
-    match plants.iter().any(|plant| plant.name == REAL_QUBE) {
-        true => Err(Failure::usage(format!(
-            "the name {REAL_QUBE} stands for the real Qube: give the emulated one another name"
-        ))),
-        false => Ok(plants),
-    }
-}
-
 /// Begins an experiment: checks everything that can be checked before its work, and makes its folder.
 pub fn begun(
     arguments: &Arguments,
@@ -127,7 +114,7 @@ pub fn begun(
         recipes.push(Recipe::load(path, &base).map_err(Failure::usage)?);
     }
     let mut plants = match is_emulated {
-        true => emulated_plants(arguments, device)?,
+        true => arguments.plants.plants(&device.plant)?,
         false => vec![Plant { name: REAL_QUBE.into(), emulated: Default::default(), vary: 0.0 }],
     };
     for plant in &mut plants {
