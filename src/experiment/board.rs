@@ -3,7 +3,7 @@
 use super::{Experiment, ExperimentError};
 use crate::recording::{RecordingError, read};
 use crate::rig::RigSettings;
-use crate::session::{SessionError, SessionPaths, SessionView, recording_in};
+use crate::session::{SessionPaths, SessionView, keep_on_board, recording_in};
 use crate::storage::{Disk, MachineDisk};
 
 impl Experiment {
@@ -17,14 +17,10 @@ impl Experiment {
         if !rig.is_hardware() {
             return Ok(rig);
         }
-        let Some(before) = self.first_board()? else { return Ok(rig) };
-        match rig.board.replace(before.clone()) {
-            Some(now) if now != before => Err(SessionError::OtherBoard { before, now }.into()),
-            Some(_) => Ok(rig),
-            // A profile without a board did not count when the experiment began, and a recording
-            // does not show whose profile it is.
-            None => Ok(RigSettings { profile: None, ..rig }),
+        if let Some(before) = self.first_board()? {
+            keep_on_board(&mut rig, before)?;
         }
+        Ok(rig)
     }
 
     /// Serial number of the board that made the first recording; `None` if there is no recording or

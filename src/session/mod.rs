@@ -57,7 +57,7 @@ pub use ledger::{
     DamagedLine, Entry, Ledger, LedgerError, Parsed, Purpose, file_checksum, parse as parse_ledger,
 };
 pub use library_watchdog::LibraryWatchdog;
-pub use orchestrator::Session;
+pub use orchestrator::{Session, keep_on_board};
 pub use paths::{PolicyPaths, SessionPaths, recording_in};
 pub use plan::{CandidateCounts, Step, next_step, trains_ahead};
 pub use power_test::{PowerTest, UsbLost, power_warning};

@@ -5,8 +5,24 @@ use std::collections::BTreeMap;
 use super::Session;
 use crate::device::EMULATOR_KIND;
 use crate::recording::read_on;
-use crate::rig::DeviceChoice;
+use crate::rig::{DeviceChoice, RigSettings};
 use crate::session::SessionError;
+
+/// Binds a real rig to the board that made its first recording. A profile is dropped where the
+/// settings name no board.
+///
+/// # Errors
+/// The settings name another board.
+pub fn keep_on_board(settings: &mut RigSettings, before: String) -> Result<(), SessionError> {
+    match settings.board.replace(before.clone()) {
+        Some(now) if now != before => return Err(SessionError::OtherBoard { before, now }),
+        Some(_) => {}
+        // A profile without a board did not count when the work began, and a recording does not
+        // show whose profile it is.
+        None => settings.profile = None,
+    }
+    Ok(())
+}
 
 impl Session {
     /// Binds each real rig to the board that made its first recording in this session, so that no
@@ -27,15 +43,7 @@ impl Session {
                 }
                 continue;
             }
-            match settings.board.replace(before.clone()) {
-                Some(now) if now != before => {
-                    return Err(SessionError::OtherBoard { before, now });
-                }
-                Some(_) => {}
-                // A profile without a board did not count when the session began, and a recording
-                // does not show whose profile it is.
-                None => settings.profile = None,
-            }
+            keep_on_board(settings, before)?;
         }
         Ok(self)
     }
@@ -73,7 +81,6 @@ mod tests {
     use crate::device::emulator::EmulatorSettings;
     use crate::qube::Profile;
     use crate::recording::{RolloutWriter, samples};
-    use crate::rig::RigSettings;
     use crate::session::{Entry, Purpose, SessionFolder, SessionSettings};
     use crate::storage::MachineDisk;
 

@@ -10,6 +10,8 @@ mod rollouts;
 mod training;
 mod training_ahead;
 
+pub use boards::keep_on_board;
+
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
