@@ -4,37 +4,22 @@ use std::ffi::OsString;
 use std::mem::ManuallyDrop;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::RecvTimeoutError;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
-use std::thread::{JoinHandle, ThreadId};
-use std::time::Duration;
+use std::thread::ThreadId;
 
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
-use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, RewardWeights, State as QubeState, observation};
-use qube_hil::recording::read;
-use qube_hil::rig::{ClockChoice, MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
-use qube_hil::scoring::return_of;
-use qube_hil::session::RolloutPlan;
-use qube_hil::storage::MachineDisk;
-use qube_hil::telemetry::{Ending, Fault, Phase};
+use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, State as QubeState, observation};
+use qube_hil::telemetry::{Ending, Fault};
 
 use crate::POLL_INTERVAL;
+use crate::device_thread::{DeviceThread, End, Episode, ErrorMessage, Order};
 use crate::errors::{
     ActionError, BusyError, ClosedError, DeviceError, EpisodeOverError, LateError, bad_settings,
 };
-use crate::exchange::{Exchange, Remote, Slot};
-
-/// Longest deadline that is chosen from the measured link, us: half of the tick.
-const LONGEST_OWN_DEADLINE_US: f64 = 5000.0;
-
-/// Shortest deadline that is chosen from the measured link, us.
-const SHORTEST_DEADLINE_US: f64 = 500.0;
-
-/// Part of the tick that is kept for the control thread's own work and for the voltage's way to the
-/// motor, us.
-const KEPT_US: f64 = 1500.0;
+use crate::exchange::{Exchange, Slot};
 
 /// The end of an episode by a request to stop, in words.
 const BRAKED: &str = "the arm was braked and the motor is off";
@@ -59,7 +44,7 @@ pub struct Device {
 /// The state that the calls of a device change.
 struct State {
     /// The thread that owns the Qube, and its channels; `None` once the Qube is closed.
-    served: Option<Served>,
+    served: Option<DeviceThread>,
     /// Number of the last request for a voltage that Python has seen; `None` while no episode runs.
     running: Option<u64>,
     /// Sum of the rewards that `step` has returned in this episode.
@@ -74,40 +59,11 @@ struct Requests {
     closed: AtomicBool,
 }
 
-/// Python's side of the thread that owns the Qube.
-struct Served {
-    orders: Sender<Order>,
-    ends: Mutex<Receiver<Result<End, ErrorMessage>>>,
-    thread: JoinHandle<()>,
-}
-
 /// A call that is under way, with the lock of the state.
 struct Turn<'a> {
     state: MutexGuard<'a, State>,
     caller: &'a Mutex<Option<ThreadId>>,
 }
-
-/// An episode to run.
-struct Order {
-    path: PathBuf,
-    seed: u64,
-    number: u32,
-}
-
-/// The end of an episode, or of the opening of the Qube.
-enum End {
-    Opened { deadline_us: Option<f64> },
-    Episode(Box<Episode>),
-}
-
-struct Episode {
-    ending: Ending,
-    return_: f64,
-    last_state: QubeState,
-}
-
-/// The message of an exception.
-struct ErrorMessage(String);
 
 /// Observation, reward, terminated, truncated, late answers so far, and at the end of an episode
 /// its ending and return.
@@ -137,7 +93,11 @@ impl Device {
             stop: Arc::new(AtomicBool::new(false)),
             closed: AtomicBool::new(false),
         };
-        let served = serve(settings, plan, deadline_ms, &requests)?;
+        let (exchange, stop) = (Arc::clone(&requests.exchange), Arc::clone(&requests.stop));
+        let served =
+            DeviceThread::start(settings, plan, deadline_ms, exchange, stop).map_err(|error| {
+                DeviceError::new_err(format!("a thread cannot be started: {error}"))
+            })?;
         let opened = requests.end(py, &served);
         // An error closes the Qube by dropping this device.
         let mut device = Self {
@@ -360,7 +320,8 @@ impl Device {
     fn close_now(&self, py: Python<'_>, state: &mut State) {
         state.running = None;
         if let Some(served) = state.served.take() {
-            py.detach(|| served.close(&self.requests));
+            self.requests.request_stop();
+            py.detach(|| served.close());
         }
     }
 
@@ -435,7 +396,8 @@ impl Drop for Device {
         let mut served = state.served.take();
         let mut close = || {
             if let Some(served) = served.take() {
-                served.close(requests);
+                requests.request_stop();
+                served.close();
             }
         };
         // Other threads of Python go on while the brake works.
@@ -476,7 +438,7 @@ impl Requests {
 
     /// Waits until the thread reports an end. An exception of a signal's handler requests a stop,
     /// and is raised only after the thread has reported the end.
-    fn end(&self, py: Python<'_>, served: &Served) -> PyResult<Result<End, ErrorMessage>> {
+    fn end(&self, py: Python<'_>, served: &DeviceThread) -> PyResult<Result<End, ErrorMessage>> {
         let mut interrupt = None;
         loop {
             let next = py.detach(|| lock(&served.ends).recv_timeout(POLL_INTERVAL));
@@ -496,15 +458,6 @@ impl Requests {
     }
 }
 
-impl Served {
-    /// Brakes and waits until the thread has closed the Qube.
-    fn close(self, requests: &Requests) {
-        requests.request_stop();
-        drop(self.orders);
-        let _ = self.thread.join();
-    }
-}
-
 impl<'a> Turn<'a> {
     fn begin(state: MutexGuard<'a, State>, caller: &'a Mutex<Option<ThreadId>>) -> Self {
         *lock(caller) = Some(std::thread::current().id());
@@ -519,7 +472,7 @@ impl Drop for Turn<'_> {
 }
 
 /// The thread that owns the Qube; an error once the Qube is closed.
-fn served(state: &State) -> PyResult<&Served> {
+fn served(state: &State) -> PyResult<&DeviceThread> {
     state.served.as_ref().ok_or_else(closed)
 }
 
@@ -529,131 +482,6 @@ fn closed() -> PyErr {
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Starts the thread that opens the Qube and runs its episodes.
-fn serve(
-    settings: RigSettings,
-    plan: RolloutPlan,
-    deadline_ms: Option<f64>,
-    requests: &Requests,
-) -> PyResult<Served> {
-    let (orders, inbox) = channel();
-    let (outbox, ends) = channel();
-    let server = Server {
-        plan,
-        exchange: Arc::clone(&requests.exchange),
-        stop: Arc::clone(&requests.stop),
-        deadline: None,
-        is_homed: true,
-    };
-    let thread = std::thread::Builder::new()
-        .name("qube".into())
-        .spawn(move || server.run(&settings, deadline_ms, &inbox, &outbox))
-        .map_err(|error| DeviceError::new_err(format!("a thread cannot be started: {error}")))?;
-    Ok(Served { orders, ends: Mutex::new(ends), thread })
-}
-
-/// The state of the thread that owns the rig.
-struct Server {
-    plan: RolloutPlan,
-    exchange: Arc<Exchange>,
-    stop: Arc<AtomicBool>,
-    deadline: Option<Duration>,
-    /// Whether the zeros of the encoders hold and no fault is latched, so that an episode can begin.
-    is_homed: bool,
-}
-
-impl Server {
-    fn run(
-        mut self,
-        settings: &RigSettings,
-        deadline_ms: Option<f64>,
-        inbox: &Receiver<Order>,
-        outbox: &Sender<Result<End, ErrorMessage>>,
-    ) {
-        let mut rig = match Rig::open(settings, &self.stop) {
-            Ok(rig) => rig,
-            Err(error) => {
-                let _ = outbox.send(Err(ErrorMessage(error.to_string())));
-                return;
-            }
-        };
-        let deadline_us = (settings.clock == ClockChoice::Wall)
-            .then(|| deadline_ms.map_or_else(|| own_deadline_us(&rig), |ms| 1e3 * ms));
-        self.deadline = deadline_us.map(|us| Duration::from_nanos((1e3 * us) as u64));
-        if outbox.send(Ok(End::Opened { deadline_us })).is_err() {
-            return;
-        }
-        for order in inbox {
-            let end = self.episode(&mut rig, &order);
-            self.exchange.end();
-            let message = end.map(|episode| End::Episode(Box::new(episode)));
-            if outbox.send(message.map_err(|error| ErrorMessage(error.to_string()))).is_err() {
-                return;
-            }
-        }
-    }
-
-    fn episode(&mut self, rig: &mut Rig, order: &Order) -> Result<Episode, RigError> {
-        let mut tries = 0;
-        let Recorded { path, outcome } = loop {
-            if !self.is_homed {
-                // A stop or an error in the middle leaves the Qube as it is: to be homed.
-                rig.start_again()?;
-                self.is_homed = true;
-            }
-            match self.rollout(rig, order) {
-                Err(RigError::NotBegun { .. }) if tries < MAX_NOT_BEGUN => {
-                    self.is_homed = false;
-                    tries += 1;
-                }
-                Err(error) => {
-                    self.is_homed = !error.is_of_rig();
-                    return Err(error);
-                }
-                Ok(recorded) => break recorded,
-            }
-        };
-        self.is_homed = !matches!(outcome.ending, Ending::Fault(_));
-        let recording = read(&path)?;
-        let running = recording.ticks.iter().rposition(|tick| tick.phase == Phase::Running);
-        let last = running.and_then(|at| recording.ticks.get(at + 1).or(recording.ticks.get(at)));
-        Ok(Episode {
-            ending: outcome.ending,
-            return_: return_of(&recording.ticks, &recording.header.reward),
-            last_state: last.map_or_else(QubeState::default, |tick| tick.state),
-        })
-    }
-
-    fn rollout(&self, rig: &Rig, order: &Order) -> Result<Recorded, RigError> {
-        let plan = RolloutPlan {
-            session: "python".into(),
-            policy: "python".into(),
-            rollout: order.number,
-            seed: order.seed,
-            ..self.plan.clone()
-        };
-        let remote = Remote {
-            exchange: Arc::clone(&self.exchange),
-            deadline: self.deadline,
-            stop: Arc::clone(&self.stop),
-            reward: RewardWeights::THESIS,
-            held_v: 0.0,
-            late_in_a_row: 0,
-        };
-        rig.rollout_by(&MachineDisk, &order.path, plan.header(), "python", Box::new(remote))
-    }
-}
-
-/// The deadline for an answer where the caller names none, us: the tick of 10 ms less `KEPT_US` and
-/// the 99th percentile of the link's round trip, but at least `SHORTEST_DEADLINE_US` and at most
-/// `LONGEST_OWN_DEADLINE_US`. Without a measured link it is `LONGEST_OWN_DEADLINE_US`.
-fn own_deadline_us(rig: &Rig) -> f64 {
-    let left = rig
-        .link()
-        .map_or(LONGEST_OWN_DEADLINE_US, |link| 10_000.0 - KEPT_US - link.round_trip_us.p99);
-    left.clamp(SHORTEST_DEADLINE_US, LONGEST_OWN_DEADLINE_US)
 }
 
 /// The exception for an episode that a fault has ended.

@@ -6,6 +6,7 @@
 //! of the library.
 
 mod device;
+mod device_thread;
 mod errors;
 mod exchange;
 mod guard;
