@@ -90,6 +90,14 @@ impl SlowestArm {
     }
 }
 
+/// Voltages that would turn the slowest arm as its pendulum does while the arm is at rest:
+/// c sin(alpha) (w cos(alpha) + alpha_dot^2), of which the first term is due to gravity.
+#[derive(Clone, Copy, Debug, Default)]
+struct Load {
+    weight_v: f64,
+    swing_v: f64,
+}
+
 /// Watches for a constant count of the arm, and pushes harder and harder until the arm moves.
 ///
 /// A push replaces the policy's voltage: a balancing policy would respond to the pendulum's tilt
@@ -108,12 +116,20 @@ pub struct AskingPush {
     /// voltage that holds the arm in place.
     sent_v: f64,
     sent_ticks: u32,
+    /// The last voltages sent, newest first, V.
+    last_sent_v: [f64; 1 + SLOWEST_TICKS],
+    /// Sums of the voltages that had reached the motor instead of `sent_v` if it is slower by 1 and
+    /// 2 periods, V.
+    reached_v: [f64; SLOWEST_TICKS],
+    /// Sum of the pendulum's load in the same ticks.
+    loaded: Load,
     push_v: f64,
     /// Part of the push that has not yet reached the slowest possible motor, V.
     under_way_v: [f64; SLOWEST_TICKS],
     /// Velocity and travel that the slowest possible arm must have gained by now.
     least_rad_s: f64,
     least_rad: f64,
+    trusts_holding: bool,
 }
 
 impl AskingPush {
@@ -132,11 +148,23 @@ impl AskingPush {
             previous_alpha: 0.0,
             sent_v: 0.0,
             sent_ticks: 0,
+            last_sent_v: [0.0; 1 + SLOWEST_TICKS],
+            reached_v: [0.0; SLOWEST_TICKS],
+            loaded: Load::default(),
             push_v: 0.0,
             under_way_v: [0.0; SLOWEST_TICKS],
             least_rad_s: 0.0,
             least_rad: 0.0,
+            trusts_holding: false,
         }
+    }
+
+    /// This watch by the rules before
+    /// [`TickRules::AlternatingAllowed`](crate::telemetry::TickRules::AlternatingAllowed): the mean
+    /// voltage counts as the one that holds the arm, whatever the pendulum's load was.
+    #[must_use]
+    pub fn by_earlier_rules(self) -> Self {
+        Self { trusts_holding: true, ..self }
     }
 
     /// Takes a sample, the voltage sent before it, mV, and the pendulum's angle from hanging, rad;
@@ -147,6 +175,8 @@ impl AskingPush {
         let elapsed_s = now_us.saturating_sub(self.previous_us) as f64 * 1e-6;
         self.previous_us = now_us;
         let sent_v = f64::from(sent_mv) * 1e-3;
+        self.last_sent_v.rotate_right(1);
+        self.last_sent_v[0] = sent_v;
         let moved = sample.theta_counts.wrapping_sub(self.counts).wrapping_abs() > 1;
         if self.since_us.is_none() || moved {
             let since_us = (sent_mv.saturating_abs() >= DRIVEN_MV).then_some(now_us);
@@ -156,28 +186,36 @@ impl AskingPush {
                 since_us,
                 previous_us: now_us,
                 previous_alpha: alpha,
+                last_sent_v: self.last_sent_v,
+                trusts_holding: self.trusts_holding,
                 ..Self::new(self.slowest)
             };
             return false;
         }
+        let (sin, cos) = Scalar::sin_cos(alpha);
+        let alpha_dot = (alpha - self.previous_alpha) / elapsed_s.max(1e-3);
+        self.previous_alpha = alpha;
+        let load = Load {
+            weight_v: self.slowest.weight_holds_v * sin * cos,
+            swing_v: self.slowest.swing_holds_v_s2 * sin * alpha_dot * alpha_dot,
+        };
         if self.push_v == 0.0 {
             self.sent_v += sent_v;
             self.sent_ticks += 1;
-            self.previous_alpha = alpha;
+            for (sum, reached_v) in self.reached_v.iter_mut().zip(&self.last_sent_v[1..]) {
+                *sum += reached_v;
+            }
+            self.loaded.weight_v += load.weight_v;
+            self.loaded.swing_v += load.swing_v;
             return false;
         }
         let along_v = self.under_way_v[0];
         self.under_way_v.rotate_left(1);
         self.under_way_v[SLOWEST_TICKS - 1] = (sent_v - self.holding_v()) * self.push_v.signum();
-        let (sin, cos) = Scalar::sin_cos(alpha);
-        let alpha_dot = (alpha - self.previous_alpha) / elapsed_s.max(1e-3);
-        let held_v = ABSORBED_V
-            + self.slowest.weight_holds_v * (sin * cos).abs()
-            + self.slowest.swing_holds_v_s2 * sin.abs() * alpha_dot * alpha_dot;
+        let held_v = ABSORBED_V + self.held_v(&load);
         let SlowestArm { least_rad_s2_v, gives_way, .. } = self.slowest;
         let least_rad_s2_v = least_rad_s2_v / (1.0 - gives_way * cos * cos);
         let gained_rad_s = least_rad_s2_v * (along_v - held_v) * elapsed_s;
-        self.previous_alpha = alpha;
         self.least_rad += self.least_rad_s * elapsed_s;
         self.least_rad_s = (self.least_rad_s + gained_rad_s).max(0.0);
         self.least_rad > self.slowest.must_have_gone_rad
@@ -208,6 +246,24 @@ impl AskingPush {
 
     fn holding_v(&self) -> f64 {
         self.sent_v / f64::from(self.sent_ticks.max(1))
+    }
+
+    /// Voltage of the push that may be taken up by the pendulum's load, or be needed where
+    /// `holding_v` did not hold the arm, V.
+    ///
+    /// The mean voltage held the arm against the load of that time, so a load that has not changed
+    /// takes up nothing. A slower motor was held by the mean of earlier voltages.
+    fn held_v(&self, load: &Load) -> f64 {
+        if self.trusts_holding {
+            return load.weight_v.abs() + load.swing_v.abs();
+        }
+        let ticks = f64::from(self.sent_ticks.max(1));
+        let along = self.push_v.signum();
+        let against_v = |now_v: f64, sum_v: f64| (along * (sum_v / ticks - now_v)).max(0.0);
+        let later_v = |reached_v: &f64| along * (reached_v - self.sent_v) / ticks;
+        self.reached_v.iter().map(later_v).fold(0.0, f64::max)
+            + against_v(load.weight_v, self.loaded.weight_v)
+            + against_v(load.swing_v, self.loaded.swing_v)
     }
 }
 
@@ -277,6 +333,44 @@ mod tests {
     fn a_frozen_count_is_found_within_200_ms() {
         let tick = unanswered(Nonidealities::default(), true);
         assert!(tick.is_some_and(|tick| tick <= 20), "{tick:?}");
+    }
+
+    /// The tick at which a constant count is called unanswered, and the voltage sent before it, V,
+    /// if the policy wants `wanted_v(tick)` while the pendulum is at `alpha(tick)`.
+    fn unanswered_under(
+        mut asking: AskingPush,
+        alpha: impl Fn(u64) -> f64,
+        wanted_v: impl Fn(u64) -> f64,
+    ) -> Option<(u64, f64)> {
+        let mut sent_v = 0.0;
+        for tick in 1..60 {
+            if asking.is_unanswered(&at(tick, 1.0), (1e3 * sent_v) as i16, alpha(tick)) {
+                return Some((tick, sent_v));
+            }
+            sent_v = asking.voltage_v(wanted_v(tick), 1.0).clamp(-5.0, 5.0);
+        }
+        None
+    }
+
+    #[test]
+    fn a_load_that_is_gone_may_have_needed_the_voltage_that_held_the_arm() {
+        // The pendulum falls, and 3 V hold the arm against it until it hangs.
+        let alpha = |tick: u64| (0.08 * tick as f64 - 0.8).min(0.0);
+        let asking = AskingPush::of(&PlantModel::QUBE);
+        let earlier = unanswered_under(asking.by_earlier_rules(), alpha, |_| 3.0).unwrap();
+        let now = unanswered_under(asking, alpha, |_| 3.0).unwrap();
+        assert!(now.0 >= earlier.0 + 2 && now.1 < earlier.1, "{earlier:?} {now:?}");
+    }
+
+    #[test]
+    fn the_mean_of_an_alternating_voltage_depends_on_the_delay() {
+        // Two of the three last voltages before the push are the same, whatever the delay is.
+        let wanted_v = |tick: u64| [4.0, 4.0, -4.0][tick as usize % 3];
+        let steady_v = |_| 4.0 / 3.0;
+        let asking = AskingPush::of(&PlantModel::QUBE);
+        let alternating = unanswered_under(asking, |_| 0.0, wanted_v);
+        let steady = unanswered_under(asking, |_| 0.0, steady_v);
+        assert!(alternating.unwrap().0 > steady.unwrap().0, "{alternating:?} {steady:?}");
     }
 
     #[test]

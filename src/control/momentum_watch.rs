@@ -37,6 +37,9 @@ const PENDULUM_SHARE: f64 = 0.15;
 /// computes the current from the voltage.
 const ALIVE_A: f32 = 0.03;
 
+/// Longest delay from a command to the motor that is assumed, control periods: 20 ms.
+const SLOWEST_TICKS: usize = 2;
+
 /// Ticks without a change after which an arm count that steps again has resumed a motion.
 const RESUMES_AFTER_TICKS: usize = 4;
 
@@ -107,7 +110,12 @@ impl Coefficients {
 /// While the arm is at rest, both sides of both equations are zero. The watch integrates the right
 /// sides over windows in which the arm's count is constant; if both show a change of velocity, in
 /// the same direction, the arm moves and its encoder is frozen. An arm that is held violates the
-/// first equation only. Without the equations the watch detects a count that was constant and then
+/// first equation only. The motor's torque follows from its current. A sample shows the current of
+/// one instant: where the voltage alternates in each period and reaches the motor when the next
+/// sample is taken, all samples may show the current of one sign. So the voltages sent must show
+/// the change of velocity too, at each delay that a motor may have.
+///
+/// Without the equations the watch detects a count that was constant and then
 /// makes two steps that only an arm already in motion can make.
 #[derive(Clone, Copy, Debug)]
 pub struct MomentumWatch {
@@ -122,6 +130,9 @@ pub struct MomentumWatch {
     /// Last step, counts, if it was large and came after a constant count; otherwise 0.
     resumed_counts: i32,
     has_taken_current: bool,
+    /// The last voltages sent, newest first, V.
+    sent_v: [f64; 1 + SLOWEST_TICKS],
+    trusts_current: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -132,6 +143,9 @@ struct Entry {
     pushed_rad_s: f64,
     /// Integral of the absolute acceleration by the motor, rad/s.
     push_rad_s: f64,
+    /// Integrals of the acceleration that follows from the voltages sent, for delays of 0, 1 and 2
+    /// periods, rad/s.
+    sent_rad_s: [f64; 1 + SLOWEST_TICKS],
     /// Integral of the acceleration by the pendulum's weight, rad/s.
     pulled_rad_s: f64,
 }
@@ -154,7 +168,17 @@ impl MomentumWatch {
             last_counts: 0,
             resumed_counts: 0,
             has_taken_current: false,
+            sent_v: [0.0; 1 + SLOWEST_TICKS],
+            trusts_current: false,
         }
+    }
+
+    /// This watch by the rules before
+    /// [`TickRules::AlternatingAllowed`](crate::telemetry::TickRules::AlternatingAllowed): the
+    /// sampled current alone gives the motor's torque.
+    #[must_use]
+    pub fn by_earlier_rules(self) -> Self {
+        Self { trusts_current: true, ..self }
     }
 
     /// Takes a sample with the pendulum's angle `alpha`, rad, 0 at hanging, the last voltage sent,
@@ -173,13 +197,19 @@ impl MomentumWatch {
         let step = sample.theta_counts.wrapping_sub(self.last_counts);
         self.last_counts = sample.theta_counts;
         if self.filled == 0 || elapsed_s > HOLE_US as f64 * 1e-6 {
-            let has_taken_current = self.has_taken_current;
-            *self = Self { has_taken_current, ..Self::new(self.coefficients) };
+            *self = Self {
+                has_taken_current: self.has_taken_current,
+                sent_v: [voltage_v; 1 + SLOWEST_TICKS],
+                trusts_current: self.trusts_current,
+                ..Self::new(self.coefficients)
+            };
             self.ring[0] = Entry { time_s, alpha, ..Entry::default() };
             self.filled = 1;
             (self.stood_at, self.last_counts) = (sample.theta_counts, sample.theta_counts);
             return false;
         }
+        self.sent_v.rotate_right(1);
+        self.sent_v[0] = voltage_v;
         self.push(time_s, elapsed_s, alpha, self.accelerates_rad_s2(voltage_v, current_a));
         self.has_taken_current |= current_a.abs() > ALIVE_A;
 
@@ -214,10 +244,14 @@ impl MomentumWatch {
 
     /// Acceleration of a free arm by the motor, rad/s^2.
     fn accelerates_rad_s2(&self, voltage_v: f64, current_a: f32) -> f64 {
-        let Coefficients { torque_per_a, arm_inertia, resistance_ohm, .. } = self.coefficients;
+        let resistance_ohm = self.coefficients.resistance_ohm;
         let current_a =
             if self.has_taken_current { f64::from(current_a) } else { voltage_v / resistance_ohm };
-        torque_per_a * current_a / arm_inertia
+        self.of_current_rad_s2(current_a)
+    }
+
+    fn of_current_rad_s2(&self, current_a: f64) -> f64 {
+        self.coefficients.torque_per_a * current_a / self.coefficients.arm_inertia
     }
 
     fn push(&mut self, time_s: f64, elapsed_s: f64, alpha: f64, accelerates_rad_s2: f64) {
@@ -225,6 +259,11 @@ impl MomentumWatch {
         let (sin, _) = Scalar::sin_cos(0.5 * (alpha + last.alpha));
         let weight = self.coefficients.weight;
         let pushed_rad_s = accelerates_rad_s2 * elapsed_s;
+        let resistance_ohm = self.coefficients.resistance_ohm;
+        let mut sent_rad_s = last.sent_rad_s;
+        for (sum, sent_v) in sent_rad_s.iter_mut().zip(self.sent_v) {
+            *sum += self.of_current_rad_s2(sent_v / resistance_ohm) * elapsed_s;
+        }
         self.newest = (self.newest + 1) % KEPT;
         self.filled = (self.filled + 1).min(KEPT);
         self.ring[self.newest] = Entry {
@@ -232,6 +271,7 @@ impl MomentumWatch {
             alpha,
             pushed_rad_s: last.pushed_rad_s + pushed_rad_s,
             push_rad_s: last.push_rad_s + pushed_rad_s.abs(),
+            sent_rad_s,
             pulled_rad_s: last.pulled_rad_s + weight * sin * elapsed_s,
         };
     }
@@ -262,6 +302,13 @@ impl MomentumWatch {
         if implied_rad_s.abs() <= may_be_rad_s {
             return false;
         }
+        let is_shown_by =
+            |sent_rad_s: f64| implied_rad_s.signum() * (sent_rad_s - swung_rad_s) > may_be_rad_s;
+        let sent_rad_s =
+            now.sent_rad_s.iter().zip(before.sent_rad_s).map(|(now, before)| now - before);
+        if !self.trusts_current && !sent_rad_s.into_iter().all(is_shown_by) {
+            return false;
+        }
         let turned_rad_s = 2.0 / 3.0 * lengths * (now_rad_s - before_rad_s);
         let pulled_rad_s = now.pulled_rad_s - before.pulled_rad_s;
         let pendulum_rad_s = -(turned_rad_s + pulled_rad_s);
@@ -269,5 +316,49 @@ impl MomentumWatch {
             PENDULUM_SHARE.mul_add(0.5 * (turned_rad_s.abs() + pulled_rad_s.abs()), PENDULUM_RAD_S);
         let agree = pendulum_rad_s * implied_rad_s * (cos_now + cos_before) > 0.0;
         pendulum_rad_s.abs() > least_rad_s && agree
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Milliseconds, the pendulum's angle, rad, the motor's current, A, and the voltage sent after
+    /// the sample, V: from a simulated Qube whose motor follows after 10 ms, while a policy
+    /// alternates. The arm stays within one count.
+    const ALTERNATES: [(f64, f64, f32, f64); 11] = [
+        (3891.6, -0.1104, -0.55, 5.0),
+        (3902.0, -0.1166, 0.55, -5.0),
+        (3911.6, -0.1197, -0.55, 5.0),
+        (3920.2, -0.1197, -0.55, -5.0),
+        (3931.3, -0.1135, 0.50, 5.0),
+        (3941.7, -0.1104, -0.50, -5.0),
+        (3950.4, -0.1012, -0.50, 5.0),
+        (3960.4, -0.0890, -0.50, -5.0),
+        (3970.2, -0.0736, -0.50, 5.0),
+        (3980.8, -0.0552, -0.50, -5.0),
+        (3991.4, -0.0337, -0.50, -5.0),
+    ];
+
+    /// Whether the watch calls the arm's count frozen in these samples; `sent_v` changes the voltages
+    /// that were sent.
+    fn is_called_frozen(mut watch: MomentumWatch, sent_v: impl Fn(f64) -> f64) -> bool {
+        let mut voltage_v = 5.0;
+        ALTERNATES.into_iter().any(|(ms, alpha, current_a, next_v)| {
+            let device_time_us = (1e3 * ms) as u64;
+            let sample = Measurement { device_time_us, ..Measurement::default() };
+            let is_frozen = watch.is_frozen(&sample, alpha, voltage_v, current_a);
+            voltage_v = sent_v(next_v);
+            is_frozen
+        })
+    }
+
+    #[test]
+    fn samples_of_one_half_of_an_alternating_voltage_show_no_motion() {
+        let watch = MomentumWatch::of(&PlantModel::QUBE);
+        assert!(is_called_frozen(watch.by_earlier_rules(), |sent_v| sent_v));
+        assert!(!is_called_frozen(watch, |sent_v| sent_v));
+        // The same samples under a voltage that explains them show that the arm moves.
+        assert!(is_called_frozen(watch, |_| -5.0));
     }
 }

@@ -77,13 +77,19 @@ impl Settler {
 
     /// The voltage of the next tick, V.
     pub fn voltage(&mut self, state: &State, target_theta_rad: f64) -> f64 {
+        self.voltage_with(1.0, state, target_theta_rad)
+    }
+
+    /// The voltage of the next tick, V, with gains that are multiplied by `share`.
+    fn voltage_with(&mut self, share: f64, state: &State, target_theta_rad: f64) -> f64 {
         let off_rad = target_theta_rad - state.theta;
         if off_rad.abs() > TRIM_REACH_RAD && state.theta_dot.abs() < TRIM_SPEED_RAD_S {
             let trim_v = self.trim_v + TRIM_RATE * off_rad * CONTROL_PERIOD_S;
             self.trim_v = trim_v.clamp(-LARGEST_TRIM_V, LARGEST_TRIM_V);
         }
         let limit_v = self.feedback.limit_v;
-        (self.feedback.voltage_v(state, target_theta_rad) + self.trim_v).clamp(-limit_v, limit_v)
+        let feedback_v = share * self.feedback.voltage_v(state, target_theta_rad);
+        (feedback_v + self.trim_v).clamp(-limit_v, limit_v)
     }
 }
 
@@ -116,20 +122,44 @@ const CALM_SWING: f64 = 0.35;
 /// Swing from which on these limits are largest.
 const WIDE_SWING: f64 = 0.9;
 
+/// Time after which the gains begin to fall, ticks: 4 s. Most rollouts settle sooner.
+const FULL_GAIN_TICKS: u32 = 400;
+
 /// A settler that moves both the target and the voltage so slowly that an encoder that freezes
 /// meanwhile does no damage.
+///
+/// With a delay of more than 8 ms, the limited slew rate can keep arm and pendulum swinging to and
+/// fro. The swing ends with smaller gains, which need smaller slew rates: after `FULL_GAIN_TICKS`
+/// the gains fall as the reciprocal of the time.
 #[derive(Clone, Copy, Debug)]
 pub struct GentleSettler {
     settler: Settler,
     target_rad: Option<f64>,
     voltage_v: f64,
+    /// Ticks since the target was taken up.
+    ticks: u32,
+    keeps_gains: bool,
 }
 
 impl GentleSettler {
     /// A settler of this plant that has not begun.
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
-        Self { settler: Settler::of(plant), target_rad: None, voltage_v: 0.0 }
+        Self {
+            settler: Settler::of(plant),
+            target_rad: None,
+            voltage_v: 0.0,
+            ticks: 0,
+            keeps_gains: false,
+        }
+    }
+
+    /// This settler by the rules before
+    /// [`TickRules::AlternatingAllowed`](crate::telemetry::TickRules::AlternatingAllowed): the gains
+    /// do not fall.
+    #[must_use]
+    pub fn by_earlier_rules(self) -> Self {
+        Self { keeps_gains: true, ..self }
     }
 
     /// The voltage of the next tick towards `target_theta_rad`, V.
@@ -137,14 +167,19 @@ impl GentleSettler {
         let target_rad = self.target_rad.get_or_insert(state.theta);
         let most_rad = LEAD_RAD_S * CONTROL_PERIOD_S;
         *target_rad += (target_theta_rad - *target_rad).clamp(-most_rad, most_rad);
-        let wanted_v = self.settler.voltage(state, *target_rad);
+        self.ticks += 1;
+        let share = match self.keeps_gains {
+            true => 1.0,
+            false => f64::from(FULL_GAIN_TICKS) / f64::from(self.ticks.max(FULL_GAIN_TICKS)),
+        };
+        let wanted_v = self.settler.voltage_with(share, state, *target_rad);
         self.limit(state, wanted_v, GENTLE_V)
     }
 
     /// The voltage of the next tick towards a target that the caller moves, plus the push `push_v`,
     /// V.
     pub fn follow(&mut self, state: &State, target_theta_rad: f64, push_v: f64) -> f64 {
-        self.target_rad = None;
+        (self.target_rad, self.ticks) = (None, 0);
         let wanted_v = self.settler.feedback.voltage_v(state, target_theta_rad) + push_v;
         self.limit(state, wanted_v, GENTLE_V + push_v.abs())
     }

@@ -96,14 +96,10 @@ impl<C: Controller> Tick<C> {
             policy,
             estimator: Estimator::new(settings.estimator, settings.calibration),
             watch: if cross_checks { Watch::default() } else { Watch::of_the_first_rules() },
-            sensors: if cross_checks {
-                SensorWatch::with_cross_check(plant, settings.calibration)
-            } else {
-                SensorWatch::of(plant)
-            },
+            sensors: sensor_watch(settings),
             asking: None,
             settler: Settler::of(plant),
-            gentle: GentleSettler::of(plant),
+            gentle: gentle_settler(settings),
             rest: RestDetector::default(),
             centred: if cross_checks {
                 CentredDetector::off_stops(hard_stop_rad - room_rad)
@@ -159,8 +155,7 @@ impl<C: Controller> Tick<C> {
                 // The box counts the pendulum's turns from the start of each rollout.
                 self.estimates = self.estimator.forget_whole_turns();
                 self.policy.start();
-                let cross_checks = self.settings.rules >= TickRules::CrossChecked;
-                self.asking = cross_checks.then(|| AskingPush::of(&self.settings.plant));
+                self.asking = asking_push(&self.settings);
                 self.sensors.allow_the_whole_domain();
                 if let Some(foresight) = &mut self.foresight {
                     foresight.begin_policy();
@@ -356,6 +351,32 @@ fn brake_of(settings: &TickSettings, damps: bool) -> Brake {
         Brake::centring(&settings.plant)
     };
     if settings.rules >= TickRules::GainReducing { brake } else { brake.by_earlier_rules() }
+}
+
+fn sensor_watch(settings: &TickSettings) -> SensorWatch {
+    let watch = if settings.rules >= TickRules::CrossChecked {
+        SensorWatch::with_cross_check(&settings.plant, settings.calibration)
+    } else {
+        SensorWatch::of(&settings.plant)
+    };
+    let allows = settings.rules >= TickRules::AlternatingAllowed;
+    if allows { watch } else { watch.by_earlier_rules() }
+}
+
+fn gentle_settler(settings: &TickSettings) -> GentleSettler {
+    let gentle = GentleSettler::of(&settings.plant);
+    let allows = settings.rules >= TickRules::AlternatingAllowed;
+    if allows { gentle } else { gentle.by_earlier_rules() }
+}
+
+/// The test of an arm with a constant count; `None` under [`TickRules::First`].
+fn asking_push(settings: &TickSettings) -> Option<AskingPush> {
+    let asking = AskingPush::of(&settings.plant);
+    match settings.rules {
+        TickRules::First => None,
+        rules if rules < TickRules::AlternatingAllowed => Some(asking.by_earlier_rules()),
+        _ => Some(asking),
+    }
 }
 
 impl<C: Controller> Motion for Tick<C> {

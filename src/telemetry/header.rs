@@ -66,11 +66,15 @@ pub enum TickRules {
     /// an overheated motor or a late computer in the same tick, and an arm that comes into doubt
     /// while it is braked gets no more time to stop.
     FaultsFirst,
+    /// As [`FaultsFirst`](Self::FaultsFirst); in addition, the tests for a frozen encoder, a held
+    /// arm and a dead motor allow for a voltage that alternates between two samples, and for the
+    /// pendulum's load while the count was constant.
+    AlternatingAllowed,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::FaultsFirst;
+    pub const NEWEST: Self = Self::AlternatingAllowed;
 }
 
 /// The record that precedes a rollout.

@@ -13,11 +13,12 @@ use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::Controller;
 use qube_hil::qube::{
-    CONTROL_PERIOD_NS, DomainParameter, HARD_STOP_RAD, MAX_VOLTAGE_V, Profile, QubeModel, State,
+    CONTROL_PERIOD_NS, CONTROL_PERIOD_S, DomainParameter, HARD_STOP_RAD, MAX_VOLTAGE_V, Profile,
+    QubeModel, State,
 };
 use qube_hil::safety::SafetyBox;
 use qube_hil::session::RolloutPlan;
-use qube_hil::telemetry::{Ending, Fault, TickSettings};
+use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
@@ -36,6 +37,13 @@ const SPARE_QUBES: u64 = 20;
 
 /// Number of Qubes for each of which one homing may fail; usually 1 of 265 fails.
 const QUBES_PER_FAILED_HOMING: u64 = 100;
+
+/// Longest delay from a command to the motor, s. At a delay of a period, a voltage that alternates
+/// in each period reaches the motor when the next sample is taken.
+const SLOWEST_S: f64 = 16e-3;
+
+/// Jitter of the delay, s.
+const JITTER_S: f64 = 1e-3;
 
 /// A policy of full voltage whose sign is random or depends on the side of a plane in state space.
 #[derive(Debug)]
@@ -81,7 +89,7 @@ impl Controller for BangBang {
 }
 
 /// A Qube whose parameters lie within 10 % of the name plate's, with up to 1.5 times the friction,
-/// dead zones, cable and delay of `lab`.
+/// dead zones and cable of `lab`, and a delay of up to `SLOWEST_S`.
 fn qube(seed: u64) -> EmulatorSettings {
     let lab = Profile::lab().model();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -93,10 +101,11 @@ fn qube(seed: u64) -> EmulatorSettings {
         let nominal = model.parameters.get(parameter);
         model.parameters.set(parameter, nominal * (0.9 + 0.2 * rng.random::<f64>()));
     }
-    EmulatorSettings { model, seed, ..EmulatorSettings::default() }
+    model.nonidealities.command_delay_s = SLOWEST_S * rng.random::<f64>();
+    EmulatorSettings { model, seed, command_jitter_s: JITTER_S, ..EmulatorSettings::default() }
 }
 
-/// A motion that records the largest angle of the arm, rad.
+/// A motion that records the largest angle that the arm may have had until the next sample, rad.
 struct Noted<C: Controller> {
     tick: Tick<C>,
     farthest_rad: f64,
@@ -105,7 +114,9 @@ struct Noted<C: Controller> {
 impl<C: Controller> Motion for Noted<C> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         let output = self.tick.decide(input);
-        self.farthest_rad = self.farthest_rad.max(output.state.theta.abs());
+        let State { theta, theta_dot, .. } = output.state;
+        let next_rad = theta + theta_dot * CONTROL_PERIOD_S;
+        self.farthest_rad = self.farthest_rad.max(theta.abs()).max(next_rad.abs());
         output
     }
 
@@ -150,7 +161,7 @@ impl Counted {
     }
 }
 
-fn drive_qube(seed: u64) -> Counted {
+fn drive_qube(seed: u64, rules: TickRules) -> Counted {
     let clock = VirtualClock::default();
     let mut device = SerialLink::in_process(qube(seed), clock.clone());
     device.hello().expect("an emulated Qube answers");
@@ -164,6 +175,7 @@ fn drive_qube(seed: u64) -> Counted {
         calibration: homing.calibration().expect("it homes"),
         safety_box: SafetyBox::THESIS,
         start_theta_rad: 0.0,
+        rules,
         ..RolloutPlan::single("bang-bang", "full voltage").header().settings
     };
     let mut counted = Counted { qubes: 1, ..Counted::default() };
@@ -199,7 +211,7 @@ fn no_fault(first_seed: u64, wanted_ticks: u64) {
         let mut all = Counted::default();
         while all.ticks < own_ticks && all.qubes < most_qubes {
             let seed = first_seed + thread + THREADS * all.qubes;
-            all = all.and(drive_qube(seed));
+            all = all.and(drive_qube(seed, TickRules::NEWEST));
         }
         all
     };
@@ -218,6 +230,16 @@ fn no_fault(first_seed: u64, wanted_ticks: u64) {
 #[test]
 fn full_voltage_to_and_fro_raises_no_doubt() {
     no_fault(0, 30_000);
+}
+
+#[test]
+fn a_slow_motor_raises_doubts_under_earlier_rules_only() {
+    for (seed, fault) in [(1048, "EncoderFrozen"), (1194, "SettlingTimedOut")] {
+        let earlier = drive_qube(seed, TickRules::FaultsFirst);
+        assert!(earlier.faults.contains_key(fault), "{seed}: {earlier:?}");
+        let now = drive_qube(seed, TickRules::NEWEST);
+        assert!(now.faults.is_empty(), "{seed}: {now:?}");
+    }
 }
 
 #[test]
