@@ -10,6 +10,7 @@ use super::command_hints::{self, too_wide};
 use super::exit::Failure;
 use super::printable::one_line;
 use super::stop::Stop;
+use crate::device::DeviceError;
 use crate::experiment::ExperimentError;
 use crate::jobs::starter::{StartError, quoted};
 use crate::jobs::{JobError, JobFolderError};
@@ -36,7 +37,8 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::InDoubt(_) => {
             Failure::fault(format!("{error}. Then start again with --acknowledge"))
         }
-        // A failing link is a fault, not bad usage.
+        // A failing link is a fault, not bad usage, and so is a board that refuses.
+        RigError::Device(DeviceError::Refused { .. }) => Failure::fault(error),
         RigError::Device(_) if fault.is_some() => Failure::fault(error),
         RigError::Recording(error) => recording(&error),
         RigError::Emulator(_) | RigError::Thread(_) => Failure::failed(error),

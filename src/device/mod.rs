@@ -214,6 +214,17 @@ pub enum DeviceError {
         /// Reason for this conclusion, in words: the wrong answer, or that none came.
         reason: String,
     },
+    /// The board answers, but the Qube that it controls does not.
+    #[error(
+        "the board at {port} answers, but the Qube behind it does not (module id 0x{module_id:04x}). Check the Qube's \
+         power and the SPI wires"
+    )]
+    QubeAbsent {
+        /// The port.
+        port: String,
+        /// Module id in place of the Qube's.
+        module_id: u16,
+    },
     /// A device that answered before no longer answers.
     #[error(
         "{port} answered until {silent_s:.1} s ago, then {since}. Switch the Qube off, then check the \

@@ -300,11 +300,7 @@ impl<T: Transport> SerialLink<T> {
             });
         }
         if reply.module_id != QUBE_MODULE_ID {
-            return Err(self.not_a_qube(format!(
-                "the board answers, but the Qube behind it does not (module id 0x{:04x} instead of \
-                 0x{QUBE_MODULE_ID:04x}); check its power and the SPI wires",
-                reply.module_id
-            )));
+            return Err(DeviceError::QubeAbsent { port: self.name(), module_id: reply.module_id });
         }
         self.nonce = Some(reply.nonce);
         self.is_emulator = DeviceKind::from_wire(reply.kind) == Some(DeviceKind::Emulator);

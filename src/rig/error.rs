@@ -174,7 +174,9 @@ impl From<ControlError> for RigError {
 /// The operator's step after a lost link, as far as the error of the last attempt does not say it.
 fn lost_link_step(source: &DeviceError) -> &'static str {
     match source {
-        DeviceError::FellSilent { .. } => "Its motor may still have its last voltage",
+        DeviceError::FellSilent { .. } | DeviceError::QubeAbsent { .. } => {
+            "Its motor may still have its last voltage."
+        }
         _ => Fault::LinkGone.operator_step(),
     }
 }
