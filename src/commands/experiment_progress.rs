@@ -198,6 +198,7 @@ impl ExperimentProgress {
                 self.progress.wait_while_paused(&self.stop);
             }
             SessionEvent::Connected { .. }
+            | SessionEvent::RolloutBegins { .. }
             | SessionEvent::Drift { .. }
             | SessionEvent::RigTakenOut { .. }
             | SessionEvent::Identified { .. }

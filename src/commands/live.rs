@@ -174,11 +174,22 @@ impl Live {
                     format!("training candidate {candidate}: update {done}, return {mean:.0}");
             }),
             SessionEvent::Trained { candidate, .. } => view.update_status(|status| {
+                status.time_left_s = left.map(|left| left.as_secs_f64());
                 status.doing = format!("candidate {candidate} is trained");
             }),
-            SessionEvent::Rollout { candidate, rollout, verdict, .. } => {
+            SessionEvent::RolloutBegins { candidate, rollout, .. } => {
+                let is_excitation = self.excitations.contains(candidate);
                 view.update_status(|status| {
                     status.doing = format!("candidate {candidate}, rollout {rollout}");
+                    if !is_excitation {
+                        status.candidate = Some(*candidate);
+                    }
+                });
+            }
+            SessionEvent::Rollout { candidate, rollout, verdict, .. } => {
+                view.update_status(|status| {
+                    status.doing = format!("candidate {candidate}, rollout {rollout} has ended");
+                    status.time_left_s = left.map(|left| left.as_secs_f64());
                     // An excitation is no attempt to balance.
                     if !self.excitations.contains(candidate) {
                         better(status, verdict.return_());
@@ -198,6 +209,12 @@ impl Live {
                 progress: SessionEvent::Proposed { candidate, .. },
             } => {
                 self.doing(&format!("{name}: candidate {candidate}"));
+            }
+            ExperimentEvent::Search {
+                name,
+                progress: SessionEvent::RolloutBegins { candidate, rollout, .. },
+            } => {
+                self.doing(&format!("{name}: candidate {candidate}, rollout {rollout}"));
             }
             ExperimentEvent::Search { progress: SessionEvent::Rollout { verdict, .. }, .. } => {
                 self.returned(verdict.return_());

@@ -178,6 +178,9 @@ impl SessionProgress {
             SessionEvent::RigTakenOut { rig, reason } => self.line(format!(
                 "rig {rig} is taken out, and the others make its rollouts: {reason}"
             )),
+            SessionEvent::RolloutBegins { .. } => {
+                self.progress.update(|state| state.phase = ROLLOUTS.into());
+            }
             SessionEvent::Rollout { candidate, rollout, attempt, rig, verdict } => {
                 let on_rig = rig.map_or(String::new(), |rig| format!(" on rig {rig}"));
                 let again =

@@ -140,7 +140,9 @@ pub fn run(
 /// rigs show it.
 fn rig_of(event: &SessionEvent) -> Option<u32> {
     match event {
-        SessionEvent::Connected { rig, .. } | SessionEvent::Rollout { rig, .. } => *rig,
+        SessionEvent::Connected { rig, .. }
+        | SessionEvent::RolloutBegins { rig, .. }
+        | SessionEvent::Rollout { rig, .. } => *rig,
         _ => None,
     }
 }

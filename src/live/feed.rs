@@ -7,7 +7,7 @@ use crossbeam_channel::{Receiver, Sender, TrySendError};
 use serde::Serialize;
 
 use super::Status;
-use crate::recording::{Channel, Viewer, encode_scene, encode_tick};
+use crate::recording::{Channel, Viewer, encode_ending, encode_scene, encode_tick};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
 
 /// Largest number of records that wait for the view's thread: ten seconds of ticks.
@@ -84,6 +84,12 @@ pub(super) struct EndShown {
     number: u64,
     ending: String,
     steps: u32,
+    /// Time of the last tick, ns since 1970.
+    #[serde(skip)]
+    pub(super) time_ns: u64,
+    /// Last encoded message of the channel [`Channel::Safety`]; empty after a rollout without ticks.
+    #[serde(skip)]
+    pub(super) safety: Vec<u8>,
 }
 
 /// One tick in the ring.
@@ -170,6 +176,7 @@ impl Feed {
     pub(super) fn follow(&self, FeedReceiver(events): FeedReceiver) {
         let mut rollout: Option<(Box<RolloutHeader>, Arc<RolloutShown>)> = None;
         let mut origin_ns = None;
+        let mut last: Option<(TickRecord, u64)> = None;
         while !self.closed.load(Ordering::Relaxed) {
             let event = match events.recv_timeout(Duration::from_millis(50)) {
                 Ok(event) => event,
@@ -182,13 +189,15 @@ impl Feed {
                     let shown = Arc::new(rollout_shown(&header, number, time_ns));
                     self.shown().rollout = Some(Arc::clone(&shown));
                     rollout = Some((header, shown));
-                    origin_ns = None;
+                    (origin_ns, last) = (None, None);
                 }
                 Event::Tick(tick) => {
                     let Some((header, shown)) = &rollout else { continue };
                     let since_ns =
                         tick.deadline_ns.saturating_sub(*origin_ns.get_or_insert(tick.deadline_ns));
-                    self.add(self.tick_shown(header, shown, &tick, since_ns));
+                    let shown = self.tick_shown(header, shown, &tick, since_ns);
+                    last = Some((tick, shown.time_ns));
+                    self.add(shown);
                     // A stop may also be requested elsewhere than on the page, for instance by
                     // Ctrl-C.
                     if tick.stop_requested {
@@ -197,7 +206,7 @@ impl Feed {
                 }
                 Event::Ended(outcome) => {
                     let Some((_, rollout)) = &rollout else { continue };
-                    let end = end_shown(rollout.number, outcome.as_deref());
+                    let end = end_shown(rollout.number, outcome.as_deref(), last.take());
                     let mut shown = self.shown();
                     shown.end = Some(Arc::new(end));
                     shown.end_number += 1;
@@ -297,9 +306,14 @@ fn rollout_shown(header: &RolloutHeader, number: u64, time_ns: u64) -> RolloutSh
     }
 }
 
-fn end_shown(number: u64, outcome: Option<&RolloutOutcome>) -> EndShown {
+fn end_shown(
+    number: u64,
+    outcome: Option<&RolloutOutcome>,
+    last: Option<(TickRecord, u64)>,
+) -> EndShown {
     let Some(outcome) = outcome else {
-        return EndShown { number, ending: "it never began".to_owned(), steps: 0 };
+        let ending = "it never began".to_owned();
+        return EndShown { number, ending, steps: 0, time_ns: 0, safety: Vec::new() };
     };
     let ending = match outcome.ending {
         Ending::Completed => "completed".to_owned(),
@@ -307,7 +321,11 @@ fn end_shown(number: u64, outcome: Option<&RolloutOutcome>) -> EndShown {
         Ending::Stopped => "stopped".to_owned(),
         Ending::Fault(fault) => format!("fault: {fault}"),
     };
-    EndShown { number, ending, steps: outcome.steps }
+    let (time_ns, safety) = last.map_or((0, Vec::new()), |(tick, time_ns)| {
+        // Encoding into memory cannot fail; without the message, viewers miss the ending.
+        (time_ns, encode_ending(&tick, outcome.ending).unwrap_or_default())
+    });
+    EndShown { number, ending, steps: outcome.steps, time_ns, safety }
 }
 
 /// The time by the wall clock, ns since 1970.

@@ -202,6 +202,9 @@ impl Client {
                 self.data(number(*channel), tick.time_ns, message)?;
             }
         }
+        if let Some(end) = changes.end.as_ref().filter(|end| !end.safety.is_empty()) {
+            self.data(number(Channel::Safety), end.time_ns, &end.safety)?;
+        }
         Ok(())
     }
 

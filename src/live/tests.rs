@@ -185,6 +185,22 @@ fn foxglove_gets_the_messages_of_a_recording() {
 }
 
 #[test]
+fn the_last_message_about_safety_has_the_ending() {
+    let (view, _) = view();
+    let viewer = begun(&view);
+    let mut listener = listening(view.address(), &["/safety"]);
+    viewer.ticked(&tick(0));
+    viewer.ended(Some(&outcome()));
+    let endings = [(); 2].map(|()| {
+        let (_, time_ns, message) = listener.data();
+        assert_eq!(time_ns, VIRTUAL_EPOCH_UNIX_NS);
+        let safety: Value = serde_json::from_slice(&message).unwrap();
+        safety["ending_number"].as_u64()
+    });
+    assert_eq!(endings, [None, Some(2)], "the box ended it");
+}
+
+#[test]
 fn a_viewer_that_writes_all_the_time_gets_the_feed_too() {
     let (view, _) = view();
     let viewer = begun(&view);

@@ -9,7 +9,7 @@ use super::tick_messages::{
     CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TimingMessage,
 };
 use super::writer::topic;
-use crate::telemetry::{RolloutHeader, TickRecord};
+use crate::telemetry::{Ending, RolloutHeader, TickRecord};
 
 /// A channel of a recording, which live viewers get too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -130,6 +130,14 @@ pub fn encode_tick(
     let transforms = FrameTransforms::new(&header.settings.plant, &tick.state, time_ns);
     take(Channel::Transforms, &transforms.to_bytes())?;
     take(Channel::Timing, json(&mut buffer, &TimingMessage::new(tick))?)
+}
+
+/// The last message of [`Channel::Safety`], with the ending of a rollout whose last tick is `last`.
+///
+/// # Errors
+/// The message cannot be encoded.
+pub fn encode_ending(last: &TickRecord, ending: Ending) -> io::Result<Vec<u8>> {
+    Ok(serde_json::to_vec(&SafetyMessage::of_ending(last, ending))?)
 }
 
 /// The message of [`Channel::Scene`] for a rollout that starts at `time_ns`, ns since 1970.

@@ -30,7 +30,7 @@ mod viewer;
 mod wire_format;
 mod writer;
 
-pub use channels::{Channel, ChannelSchema, encode_scene, encode_tick};
+pub use channels::{Channel, ChannelSchema, encode_ending, encode_scene, encode_tick};
 pub use error::{RecordingError, Unreadable};
 pub use reader::{Completeness, Recording, parse, read, read_on};
 pub use recorder::Recorder;

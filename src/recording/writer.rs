@@ -6,13 +6,12 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions};
 
-use super::channels::{Channel, encode_scene, encode_tick};
-use super::tick_messages::SafetyMessage;
+use super::channels::{Channel, encode_ending, encode_scene, encode_tick};
 use super::{
     LAST_TICKS_ATTACHMENT, POLICY_ATTACHMENT, RecordingError, VIRTUAL_EPOCH_UNIX_NS, metadata,
 };
 use crate::storage::{Disk, DiskFile, sync_name};
-use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
+use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
 
 /// Number of ticks in a block: a tenth of a second. The size is a number of ticks rather than a
 /// time, so that the bytes of a simulated rollout do not depend on the speed of the simulation.
@@ -269,19 +268,15 @@ impl<W: Sink> RolloutWriter<W> {
                 return Err(RecordingError::NotFinite { path, record: metadata::OUTCOME });
             };
             records.push(Metadata { name: metadata::OUTCOME.to_owned(), metadata });
-            ending = Some(SafetyMessage::of_ending(&self.last.0, outcome.ending));
+            ending = Some(outcome.ending);
         }
         self.try_close(&records, ending).map_err(|source| RecordingError::write(&path, source))
     }
 
-    fn try_close(
-        mut self,
-        records: &[Metadata],
-        ending: Option<SafetyMessage>,
-    ) -> Result<W, io::Error> {
+    fn try_close(mut self, records: &[Metadata], ending: Option<Ending>) -> Result<W, io::Error> {
         if let Some(ending) = ending {
-            let ending = serde_json::to_vec(&ending)?;
-            self.message(Channel::Safety, &ending).map_err(io_error)?;
+            let message = encode_ending(&self.last.0, ending)?;
+            self.message(Channel::Safety, &message).map_err(io_error)?;
         }
         self.close_block().map_err(io_error)?;
         let Some(mut mcap) = self.mcap.take() else { return Err(closed()) };

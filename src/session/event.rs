@@ -66,6 +66,15 @@ pub enum SessionEvent<'a> {
         /// The rig.
         opened: &'a Rig,
     },
+    /// A rollout begins. Those of several rigs that share the session begin together.
+    RolloutBegins {
+        /// Number of the candidate.
+        candidate: u32,
+        /// Number of the rollout.
+        rollout: u32,
+        /// Number of the rig that makes it, from 1, where several rigs share the session.
+        rig: Option<u32>,
+    },
     /// A rollout has ended.
     Rollout {
         /// Number of the candidate.

@@ -114,6 +114,10 @@ impl Session {
                 return self.take_out(turn.index, error, on_event);
             }
         }
+        for &Turn { candidate, rollout, index, .. } in &missing {
+            let rig = self.number_of(index);
+            on_event(SessionEvent::RolloutBegins { candidate, rollout, rig });
+        }
         let mut failed = self.record(&missing)?;
         for turn in turns {
             let failure = failed.iter().position(|(index, _)| *index == turn.index);
