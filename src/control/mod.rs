@@ -11,6 +11,7 @@ mod asking_push;
 mod between_motions;
 mod cross_check;
 mod current_watch;
+mod dead_motor;
 mod drive;
 mod error;
 mod hanging;

@@ -1,5 +1,5 @@
 use super::cross_check::{Contradiction, CrossCheck, RIG_SHARE, WHOLE_DOMAIN_SHARE};
-use super::current_watch::draws_no_current;
+use super::dead_motor::DeadMotor;
 use super::momentum_watch::MomentumWatch;
 use super::push::{ArmInput, Push};
 use super::still_pendulum::StillPendulum;
@@ -15,16 +15,6 @@ const JUMP_COUNTS: f64 = 200.0;
 /// Largest excess of a step over both its neighbours, in counts of a Qube; a larger excess is a
 /// jump, too. A blow changes the arm's velocity for more than one period.
 const SPIKE_COUNTS: i32 = 40;
-
-/// Voltage from which on a motor must draw current, mV: no arm is fast enough for its back EMF to
-/// cancel the current for long.
-const DRIVEN_MV: i16 = 800;
-
-/// Current of a driven motor below which it counts as zero, A.
-const LEAST_DRIVEN_A: f32 = 0.012;
-
-/// Consecutive driven samples without current after which the motor counts as dead.
-const WITHOUT_CURRENT_TICKS: u32 = 15;
 
 /// Voltage from which on every arm must move, mV: no friction holds an arm against 1 V.
 const FROZEN_DRIVE_MV: i16 = 1000;
@@ -86,13 +76,10 @@ pub struct SensorWatch {
     cross_check: Option<(Calibration, CrossCheck)>,
     /// Test of the arm's count against the Qube's momentum.
     momentum: MomentumWatch,
-    has_taken_current: bool,
-    without_current_ticks: u32,
+    motor: DeadMotor,
     frozen: Push,
     stall: Push,
     pendulum: StillPendulum,
-    /// Whether a dead motor is looked for in driven samples only.
-    looks_when_driven: bool,
     /// Device time since which counter and tachometer disagree, us.
     disagree_since_us: Option<u64>,
 }
@@ -130,12 +117,10 @@ impl SensorWatch {
             alpha_steps: [0; 3],
             cross_check: None,
             momentum: MomentumWatch::of(plant),
-            has_taken_current: false,
-            without_current_ticks: 0,
+            motor: DeadMotor::default(),
             frozen: Push::default(),
             stall: Push::default(),
             pendulum: StillPendulum::default(),
-            looks_when_driven: false,
             disagree_since_us: None,
         }
     }
@@ -144,7 +129,8 @@ impl SensorWatch {
     /// [`TickRules::AlternatingAllowed`](crate::telemetry::TickRules::AlternatingAllowed).
     #[must_use]
     pub fn by_earlier_rules(self) -> Self {
-        Self { momentum: self.momentum.by_earlier_rules(), looks_when_driven: true, ..self }
+        let (momentum, motor) = (self.momentum.by_earlier_rules(), self.motor.by_earlier_rules());
+        Self { momentum, motor, ..self }
     }
 
     /// A watch of a plant, with the cross-check of the two encoders. `calibration` gives the signs
@@ -178,7 +164,7 @@ impl SensorWatch {
     /// Names the fault of an arm whose count is constant under a voltage, mV, that moves any arm.
     #[must_use]
     pub fn why_arm_rests(&self, sample: &Measurement, voltage_mv: i16) -> Fault {
-        if self.is_dead(sample, voltage_mv) {
+        if self.motor.is_dead(sample, voltage_mv) {
             return Fault::MotorDead;
         }
         let moves_by_pendulum = self
@@ -266,7 +252,7 @@ impl SensorWatch {
             }
             None => {}
         }
-        if self.cross_check.is_some() && self.takes_no_current(sample) {
+        if self.cross_check.is_some() && self.motor.takes_no_current(sample) {
             return Some(Alarm::Zero(Fault::MotorDead));
         }
         let counts_s = theta / elapsed_s;
@@ -313,7 +299,7 @@ impl SensorWatch {
         counts_s: f64,
         elapsed_s: f64,
     ) -> Option<Fault> {
-        let is_dead = self.cross_check.is_some() && self.is_dead(sample, drive.voltage_mv);
+        let is_dead = self.cross_check.is_some() && self.motor.is_dead(sample, drive.voltage_mv);
         if self.frozen.moves_nothing(sample, drive, (FROZEN_DRIVE_MV, FROZEN_COUNTS, FROZEN_US)) {
             return Some(match self.cross_check {
                 // The cross-check has not contradicted the count, so the arm does not move.
@@ -332,30 +318,6 @@ impl SensorWatch {
         let stalls =
             self.stall.moves_nothing(sample, drive, (STALL_DRIVE_MV, crept_counts, STALL_US));
         stalls.then_some(if is_dead { Fault::MotorDead } else { Fault::Stall })
-    }
-
-    /// Whether a motor that has drawn current earlier draws none under voltage. Under a voltage that
-    /// alternates between two samples, the current may appear when the voltage seems to be low.
-    fn takes_no_current(&mut self, sample: &Measurement) -> bool {
-        let is_driven = sample.applied_mv.saturating_abs() >= DRIVEN_MV;
-        if !is_driven && self.looks_when_driven {
-            return false;
-        }
-        let takes_some = sample.current_a.abs() >= LEAST_DRIVEN_A;
-        self.has_taken_current |= takes_some && is_driven;
-        if takes_some {
-            self.without_current_ticks = 0;
-        } else if is_driven {
-            self.without_current_ticks += 1;
-        }
-        is_driven && self.has_taken_current && self.without_current_ticks >= WITHOUT_CURRENT_TICKS
-    }
-
-    /// Whether this sample shows no current under the voltage, mV, and the last driven sample did
-    /// not either: at the instant at which a voltage changes its sign every motor draws none.
-    fn is_dead(&self, sample: &Measurement, voltage_mv: i16) -> bool {
-        let is_dead = draws_no_current(sample, voltage_mv);
-        is_dead && (self.looks_when_driven || self.without_current_ticks > 0)
     }
 
     fn disagrees(&mut self, sample: &Measurement, counts_s: f64) -> bool {
@@ -507,51 +469,6 @@ mod tests {
         assert_eq!(creeping(2000, 1.8), None);
         let pushing = |_: u32, sample: &mut Measurement| sample.applied_mv = 4000;
         assert_eq!(first_alarm(500, pushing, true), None, "homing pushes against the stops");
-    }
-
-    #[test]
-    fn a_motor_whose_current_shows_between_driven_samples_is_not_dead() {
-        let calls_dead = |watch: SensorWatch, undriven_a: f32| {
-            let mut watch = watch;
-            (0..80_u32).any(|tick| {
-                let (applied_mv, current_a) = match tick % 2 {
-                    _ if tick < 10 => (2000, 0.2),
-                    0 => (900, 0.001),
-                    _ => (100, undriven_a),
-                };
-                let sample = Measurement {
-                    device_time_us: u64::from(tick) * 10_000,
-                    applied_mv,
-                    current_a,
-                    ..Measurement::default()
-                };
-                let dead = Some(Alarm::Zero(Fault::MotorDead));
-                watch.check(&sample, None) == dead
-            })
-        };
-        let watch = SensorWatch::with_cross_check(&PlantModel::QUBE, Calibration::IDENTITY);
-        assert!(!calls_dead(watch, 0.08));
-        assert!(calls_dead(watch.by_earlier_rules(), 0.08));
-        assert!(calls_dead(watch, 0.001), "a dead motor");
-    }
-
-    #[test]
-    fn a_voltage_that_crosses_zero_does_not_make_a_motor_dead() {
-        let mut watch = SensorWatch::with_cross_check(&PlantModel::QUBE, Calibration::IDENTITY);
-        let sample = |device_time_us: u64, applied_mv: i16, current_a: f32| Measurement {
-            device_time_us,
-            applied_mv,
-            current_a,
-            ..Measurement::default()
-        };
-        watch.check(&sample(0, 2000, 0.2), None);
-        watch.check(&sample(10_000, 2000, 0.2), None);
-        let crossing = sample(20_000, -430, 0.004);
-        watch.check(&crossing, None);
-        assert_ne!(watch.why_arm_rests(&crossing, -430), Fault::MotorDead);
-        assert_eq!(watch.by_earlier_rules().why_arm_rests(&crossing, -430), Fault::MotorDead);
-        watch.check(&sample(30_000, 2000, 0.002), None);
-        assert_eq!(watch.why_arm_rests(&crossing, -430), Fault::MotorDead);
     }
 
     #[test]
