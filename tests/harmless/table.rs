@@ -74,8 +74,8 @@ pub struct Row {
 
 impl Row {
     pub const HEAD: &str = "| case | starts | fastest contact, homing and settling | too fast | \
-        named rightly | false results | fastest contact, rollout | freezes in a rollout not found in \
-        300 ms | homing, mean and longest | how they ended |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |";
+        named rightly | false results | fastest contact, rollout | freezes in a rollout whose motor was off \
+        more than 300 ms later (damped until then) | homing, mean and longest | how they ended |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |";
 
     pub fn of(case: Case, trials: &[(Start, Trial)]) -> Self {
         let largest = |value: fn(&Trial) -> f64| {
