@@ -320,8 +320,7 @@ impl Device {
     fn close_now(&self, py: Python<'_>, state: &mut State) {
         state.running = None;
         if let Some(served) = state.served.take() {
-            self.requests.request_stop();
-            py.detach(|| served.close());
+            py.detach(|| self.requests.close(served));
         }
     }
 
@@ -396,8 +395,7 @@ impl Drop for Device {
         let mut served = state.served.take();
         let mut close = || {
             if let Some(served) = served.take() {
-                requests.request_stop();
-                served.close();
+                requests.close(served);
             }
         };
         // Other threads of Python go on while the brake works.
@@ -412,6 +410,12 @@ impl Requests {
     fn request_stop(&self) {
         self.stop.store(true, Ordering::SeqCst);
         self.exchange.wake();
+    }
+
+    /// Brakes and waits until the thread has closed the Qube.
+    fn close(&self, thread: DeviceThread) {
+        self.request_stop();
+        thread.close();
     }
 
     /// Requests the brake and that the Qube is closed.
