@@ -232,3 +232,18 @@ pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure 
         | ExperimentError::Configuration(_) => Failure::usage(error),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_board_that_refuses_is_a_fault() {
+        for action in ["arm", "disarm"] {
+            let (port, reason) = ("/dev/ttyACM0".into(), "busy".into());
+            let refused = DeviceError::Refused { port, action, reason };
+            let failure = rig(RigError::Device(refused), &Stop::default());
+            assert_eq!(failure.report(), 4);
+        }
+    }
+}
