@@ -122,7 +122,7 @@ const CALM_SWING: f64 = 0.35;
 /// Swing from which on these limits are largest.
 const WIDE_SWING: f64 = 0.9;
 
-/// Time after which the gains begin to fall, ticks: 4 s. Most rollouts settle sooner.
+/// Time after which the gains begin to fall, ticks: 4 s.
 const FULL_GAIN_TICKS: u32 = 400;
 
 /// A settler that moves both the target and the voltage so slowly that an encoder that freezes

@@ -68,7 +68,7 @@ pub enum TickRules {
     FaultsFirst,
     /// As [`FaultsFirst`](Self::FaultsFirst); in addition, the tests for a frozen encoder, a held
     /// arm and a dead motor allow for a voltage that alternates between two samples, and for the
-    /// pendulum's load while the count was constant.
+    /// pendulum's load while the count was constant; and settling loses gain after 4 s.
     AlternatingAllowed,
 }
 

@@ -35,7 +35,7 @@ const LEAST_TICKS: u64 = 1_000;
 /// Number of Qubes that a thread may drive in addition.
 const SPARE_QUBES: u64 = 20;
 
-/// Number of Qubes for each of which one homing may fail; usually 1 of 265 fails.
+/// Number of Qubes for each of which one homing may fail; usually fewer than 1 of 1000 fails.
 const QUBES_PER_FAILED_HOMING: u64 = 100;
 
 /// Longest delay from a command to the motor, s. At a delay of a period, a voltage that alternates
