@@ -3,6 +3,7 @@
 //! While a pendulum is balanced quietly, no other sensor can tell a frozen encoder from an arm at
 //! rest: the arm's drift is smaller than the uncertainty about the Qube. Only a push can.
 
+use super::push::SLOWEST_TICKS;
 use crate::elementary::Scalar;
 use crate::qube::{DomainParameters, Dynamics, Measurement, PlantModel};
 
@@ -27,9 +28,6 @@ const WEIGHT_HOLDS_V: f64 = 3.0;
 /// Voltage with which the pendulum's swing may hold the arm, V s^2, as a factor on sin(alpha)
 /// alpha_dot^2: M_p L_r L_p / 2 over the motor's torque per volt.
 const SWING_HOLDS_V_S2: f64 = 0.026;
-
-/// Longest delay from a command to the motor that is assumed, control periods: 20 ms.
-const SLOWEST_TICKS: usize = 2;
 
 /// Least acceleration per volt of an arm that its pendulum neither loads nor unloads, rad/s^2/V:
 /// half of the motor's torque per volt over M_p L_r^2 + J_r.
@@ -335,6 +333,10 @@ mod tests {
         assert!(tick.is_some_and(|tick| tick <= 20), "{tick:?}");
     }
 
+    /// Tick from which on the count of [`unanswered_under`] is constant. The mean voltage is then that
+    /// of the six ticks from this one on.
+    const STANDS_FROM: u64 = 12;
+
     /// The tick at which a constant count is called unanswered, and the voltage sent before it, V,
     /// if the policy wants `wanted_v(tick)` while the pendulum is at `alpha(tick)`.
     fn unanswered_under(
@@ -344,10 +346,11 @@ mod tests {
     ) -> Option<(u64, f64)> {
         let mut sent_v = 0.0;
         for tick in 1..60 {
-            if asking.is_unanswered(&at(tick, 1.0), (1e3 * sent_v) as i16, alpha(tick)) {
+            let theta = 1.0 + 0.1 * STANDS_FROM.saturating_sub(tick) as f64;
+            if asking.is_unanswered(&at(tick, theta), (1e3 * sent_v) as i16, alpha(tick)) {
                 return Some((tick, sent_v));
             }
-            sent_v = asking.voltage_v(wanted_v(tick), 1.0).clamp(-5.0, 5.0);
+            sent_v = asking.voltage_v(wanted_v(tick), theta).clamp(-5.0, 5.0);
         }
         None
     }
@@ -355,7 +358,7 @@ mod tests {
     #[test]
     fn a_load_that_is_gone_may_have_needed_the_voltage_that_held_the_arm() {
         // The pendulum falls, and 3 V hold the arm against it until it hangs.
-        let alpha = |tick: u64| (0.08 * tick as f64 - 0.8).min(0.0);
+        let alpha = |tick: u64| (0.08 * (tick as f64 - STANDS_FROM as f64) - 0.8).min(0.0);
         let asking = AskingPush::of(&PlantModel::QUBE);
         let earlier = unanswered_under(asking.by_earlier_rules(), alpha, |_| 3.0).unwrap();
         let now = unanswered_under(asking, alpha, |_| 3.0).unwrap();
@@ -364,8 +367,8 @@ mod tests {
 
     #[test]
     fn the_mean_of_an_alternating_voltage_depends_on_the_delay() {
-        // Two of the three last voltages before the push are the same, whatever the delay is.
-        let wanted_v = |tick: u64| [4.0, 4.0, -4.0][tick as usize % 3];
+        // The mean of the six voltages is 4/3 V; one tick earlier it was 0 V.
+        let wanted_v = |tick: u64| [4.0, 4.0, -4.0, -4.0][tick as usize % 4];
         let steady_v = |_| 4.0 / 3.0;
         let asking = AskingPush::of(&PlantModel::QUBE);
         let alternating = unanswered_under(asking, |_| 0.0, wanted_v);

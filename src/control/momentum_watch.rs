@@ -1,5 +1,6 @@
 //! Detects a frozen arm encoder: the momentum of the whole Qube shows that the arm moves.
 
+use super::push::SLOWEST_TICKS;
 use crate::elementary::Scalar;
 use crate::qube::{Measurement, PlantModel};
 
@@ -36,9 +37,6 @@ const PENDULUM_SHARE: f64 = 0.15;
 /// Motor current that proves a working current sensor, A. Before the first such reading the watch
 /// computes the current from the voltage.
 const ALIVE_A: f32 = 0.03;
-
-/// Longest delay from a command to the motor that is assumed, control periods: 20 ms.
-const SLOWEST_TICKS: usize = 2;
 
 /// Ticks without a change after which an arm count that steps again has resumed a motion.
 const RESUMES_AFTER_TICKS: usize = 4;
@@ -324,8 +322,9 @@ mod tests {
     use super::*;
 
     /// Milliseconds, the pendulum's angle, rad, the motor's current, A, and the voltage sent after
-    /// the sample, V: from a simulated Qube whose motor follows after 10 ms, while a policy
-    /// alternates. The arm stays within one count.
+    /// the sample, V, of a policy that alternates. Times, angles and voltages are those of a
+    /// simulated Qube whose motor follows after 10 ms, with its arm within one count in the last
+    /// seven samples; the currents are rounded.
     const ALTERNATES: [(f64, f64, f32, f64); 11] = [
         (3891.6, -0.1104, -0.55, 5.0),
         (3902.0, -0.1166, 0.55, -5.0),

@@ -7,6 +7,9 @@ use crate::qube::Measurement;
 /// way.
 const CARRIED_RAD_S: f64 = 2.0;
 
+/// Longest delay from a command to the motor that is assumed, control periods: 20 ms.
+pub(super) const SLOWEST_TICKS: usize = 2;
+
 /// The two inputs that accelerate the arm, in the signs of the equations of motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ArmInput {
