@@ -57,6 +57,10 @@ struct Arguments {
     /// false fault), and searches nothing.
     #[arg(long)]
     show: Option<u64>,
+    /// Plays 1600 episodes near the farthest one of this seed in FILE, at each of three distances,
+    /// and searches nothing.
+    #[arg(long, conflicts_with = "show")]
+    near: Option<u64>,
 }
 
 fn main() -> anyhow::Result<()> {
@@ -89,21 +93,25 @@ fn main() -> anyhow::Result<()> {
     let done = read(&arguments.out)?;
     let record_of =
         |search: &AdversarySearch| done.iter().find(|record| is_of(record, search, &effort));
-    if let Some(seed) = arguments.show {
+    if let Some(seed) = arguments.show.or(arguments.near) {
         let searches = methods.iter().map(|&method| AdversarySearch {
             seed,
             known,
             method,
             guard: Guard::Foresight,
         });
-        let mut shown = 0;
+        let mut found = 0;
         for search in searches {
             if let Some(record) = record_of(&search) {
-                print_record(&search, record);
-                shown += 1;
+                if arguments.show.is_some() {
+                    print_record(&search, record);
+                } else {
+                    play_near(&search, record);
+                }
+                found += 1;
             }
         }
-        anyhow::ensure!(shown > 0, "{}: no search of seed {seed}", arguments.out.display());
+        anyhow::ensure!(found > 0, "{}: no search of seed {seed}", arguments.out.display());
         return Ok(());
     }
 
@@ -182,5 +190,18 @@ fn print_record(search: &AdversarySearch, record: &SearchRecord) {
             println!("{line}");
         }
         println!("{:?}\nas recorded: {}\n", trace.outcome, trace.outcome == found.outcome);
+    }
+}
+
+/// Plays episodes near the farthest one of a record and prints how many of them reach the stop.
+fn play_near(search: &AdversarySearch, record: &SearchRecord) {
+    let Some(found) = &record.farthest else { return };
+    for spread in [0.01, 0.03, 0.1] {
+        let near = search.play_near(&record.scenario, &found.genes, spread, 1600);
+        println!(
+            "seed {} {:?}, genes within {spread}: {} of {} episodes reach the stop, farthest \
+             {:.4} rad",
+            search.seed, search.method, near.hits, near.episodes, near.farthest_rad
+        );
     }
 }

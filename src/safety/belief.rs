@@ -3,7 +3,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::Particle;
-use super::places::{NUMBERS, PLACES};
+use super::places::{NEGATIVE_SHARE, NUMBERS, PLACES};
 use crate::qube::{
     CONTROL_PERIOD_S, DomainParameter, Encoder, Encoders, MAX_HISTORY, Nonidealities, Nonideality,
     ParameterError, PlantModel, Profile, Quantity, QubeModel, State,
@@ -67,6 +67,11 @@ pub struct Belief {
     /// Least fraction of a voltage that arrives at the motor, for either sign; below 1 if the
     /// supply may be weak, or the amplifier may differ between the signs.
     pub least_share: f64,
+    /// Whether the first two particles, which are the hardest to brake, get only `least_share` of a
+    /// voltage whose sign brakes them. Recordings that do not name it have `false`: each of their
+    /// particles got whole voltages.
+    #[serde(default, skip_serializing_if = "is_off")]
+    pub weak_side: bool,
     /// Correlated errors of a fit, as changes from any model within the ranges; all zero if they
     /// are not known.
     #[serde(default = "no_steps", skip_serializing_if = "are_none")]
@@ -106,6 +111,10 @@ pub enum BeliefError {
         "steps: give each parameter at most {UNKNOWN_SHARE}, and each nonideality at most the width of its range"
     )]
     Step,
+}
+
+fn is_off(weak_side: &bool) -> bool {
+    !weak_side
 }
 
 fn no_steps() -> [Step; Quantity::COUNT] {
@@ -151,13 +160,13 @@ impl Belief {
             command_delay_s: 0.02,
             ..Nonidealities::default()
         };
-        Self { low, high, least_share: 1.0, steps: no_steps() }
+        Self { low, high, least_share: 1.0, weak_side: false, steps: no_steps() }
     }
 
     /// The belief about a specimen of this plant, from its profile. Each number except gravity may
     /// be off by three standard errors or by 10 %, whichever is more, but a parameter by at most
     /// 30 %; the delay may be off by at least 30 % and at least 2 ms. At least 80 % of a voltage
-    /// arrives at the motor.
+    /// arrives at the motor; only the first two particles get so little, and of one sign.
     ///
     /// If the profile has correlations, steps of two standard errors in the independent directions
     /// of the errors take the place of the three. Besides, each number may be off by 10 % minus its
@@ -169,6 +178,7 @@ impl Belief {
             low: model,
             high: model,
             least_share: IDENTIFIED_SHARE,
+            weak_side: true,
             steps: independent_steps(profile, plant),
         };
         for quantity in Quantity::all() {
@@ -280,7 +290,11 @@ impl Belief {
         let widths = unknown_widths(&PlantModel::QUBE);
         let share = |place: &[i8; NUMBERS]| place.map(|percent| f64::from(percent) / 100.0);
         let places = PLACES.iter().map(share).enumerate();
-        let both = places.flat_map(|(row, place)| {
+        let both = places.flat_map(|(row, mut place)| {
+            if self.weak_side && row == 0 {
+                // This particle's arm moves towards positive angles, so negative voltages brake it.
+                place[NEGATIVE_SHARE] = -1.0;
+            }
             // In every other pair of particles the pendulum's velocity error has the opposite sign
             // of the arm's.
             let swing_rad_s = if row % 2 == 0 { pendulum_rad_s } else { -pendulum_rad_s };
@@ -450,6 +464,21 @@ mod tests {
             assert_eq!(tolerated.check(), Ok(()));
             assert!(half_width(&tolerated, "R_m") > 0.1 - 1e-9);
         }
+    }
+
+    #[test]
+    fn the_hardest_particles_of_an_identified_qube_have_a_weak_side() {
+        let belief = belief_of(&Profile::lab());
+        let shares = |belief: &Belief| -> Vec<[f64; 2]> {
+            let particles = belief.particles(PlantModel::QUBE.encoders);
+            particles.iter().map(|it| [it.positive_share, it.negative_share]).collect()
+        };
+        let mut whole = vec![[1.0, 1.0]; 64];
+        let mut earlier = serde_json::to_value(belief).unwrap();
+        earlier.as_object_mut().unwrap().remove("weak_side").unwrap();
+        assert_eq!(shares(&serde_json::from_value(earlier).unwrap()), whole);
+        whole[..2].copy_from_slice(&[[1.0, IDENTIFIED_SHARE], [IDENTIFIED_SHARE, 1.0]]);
+        assert_eq!(shares(&belief), whole);
     }
 
     #[test]

@@ -1,6 +1,9 @@
 /// Number of coordinates of a particle within a belief.
 pub(super) const NUMBERS: usize = 17;
 
+/// Index of the coordinate for the fraction of a negative voltage that arrives at the motor.
+pub(super) const NEGATIVE_SHARE: usize = NUMBERS - 1;
+
 /// Coordinates of half of the particles, in percent of the way from the middle of a belief to its
 /// upper end (100) or its lower end (-100). The other half are their mirror images, in which
 /// positive and negative directions are exchanged. The particles that are hardest to brake come
@@ -15,7 +18,7 @@ pub(super) const NUMBERS: usize = 17;
 /// masses and lengths with a weak motor and the longest delay. Eight of the corners appear again
 /// with the shortest delay, and eight with a strong motor. The friction of the joints, which only
 /// helps the brake, is at its lower end throughout. The fractions of the voltages that arrive are
-/// at their upper end throughout, so no particle has a weak supply.
+/// at their upper end throughout; `Belief::weak_side` lowers one of them in the first row.
 #[rustfmt::skip]
 pub(super) const PLACES: [[i8; NUMBERS]; 32] = [
     [   0,  100, -100, -100, -100,  100,  100,  100,  100, -100,  100,  100, -100,   50,  100,  100,  100],

@@ -7,6 +7,7 @@ use rand_chacha::rand_core::SeedableRng;
 
 use super::beliefs::BeliefKind;
 use super::episode::{Outcome, Trace, gene_count, play, settings, show};
+use super::genes::normal;
 use super::optimiser::Method;
 use super::report::{Found, SearchRecord};
 use super::scenario::Scenario;
@@ -60,6 +61,30 @@ impl AdversarySearch {
             played.sort_by(|(_, one), (_, other)| other.score.total_cmp(&one.score));
             let best_first: Vec<Vec<f64>> = played.into_iter().map(|(genes, _)| genes).collect();
             optimiser.tell(&best_first);
+        }
+        record
+    }
+
+    /// Plays episodes near one of a record: each gene differs by a normal number times `spread`. A
+    /// search that finds nothing after the guard has changed may merely have gone another way; this
+    /// goes to the place where it found something.
+    #[allow(dead_code, reason = "the tests play single episodes alone")]
+    pub fn play_near(
+        &self,
+        scenario: &Scenario,
+        genes: &[f64],
+        spread: f64,
+        episodes: u32,
+    ) -> SearchRecord {
+        let settings = settings(scenario, self.guard);
+        let mut random = ChaCha8Rng::seed_from_u64(self.seed);
+        random.set_stream(100 + self.method as u64);
+        let mut record = SearchRecord::new(self.method, scenario.clone(), genes.len());
+        for _ in 0..episodes {
+            let near: Vec<f64> =
+                genes.iter().map(|gene| gene + spread * normal(&mut random)).collect();
+            let outcome = play(scenario, &settings, &near);
+            record.count(&near, &outcome, KEPT_HITS);
         }
         record
     }

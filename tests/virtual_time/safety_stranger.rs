@@ -2,7 +2,7 @@
 //! enough for every run of the tests.
 //!
 //! `cargo run --release --example strangers_adversary` searches at full size. The search of these
-//! tests has no mishaps on the link. Two episodes with lost samples, in which the arm reaches its
+//! tests has no mishaps on the link. Three episodes with lost samples, in which the arm reaches its
 //! stop if a part of foresight is switched off, are repeated.
 
 use qube_hil::safety::Guard;
@@ -99,4 +99,19 @@ fn samples_that_are_lost_twice_while_the_pendulum_spins_do_not_throw_the_arm_int
     assert!(certain.is_hit(), "a velocity that counts as certain as any: {certain:?}");
     let uncertain = search.play_by(&scenario, &genes, |_| ());
     assert!(!uncertain.is_hit() && uncertain.farthest_rad < 2.2, "{uncertain:?}");
+}
+
+/// Three samples are lost as the arm moves outward at 11.5 rad/s on a Qube whose amplifier gives
+/// 80 % of the voltages that brake it. The arm is stopped, and its pendulum draws it out once more.
+#[test]
+fn three_samples_lost_before_a_weak_side_brakes_do_not_throw_the_arm_into_its_stop() {
+    let (search, Episode { scenario, genes }) =
+        episode(include_str!("../fixtures/three_samples_lost_before_a_weak_side_brakes.json"));
+    let whole = search.play_by(&scenario, &genes, |settings| {
+        let foresight = settings.foresight.as_mut().unwrap();
+        foresight.identified.as_mut().unwrap().belief.weak_side = false;
+    });
+    assert!(whole.is_hit(), "particles that all get whole voltages: {whole:?}");
+    let weak = search.play_by(&scenario, &genes, |_| ());
+    assert!(!weak.is_hit() && weak.farthest_rad < 2.2, "{weak:?}");
 }
