@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use super::destination::{OutputFile, OutputFolder};
 use super::exit::Failure;
 use super::output::Output;
+use super::picture_names::picture_names;
 use super::plant_file::PlantArgument;
 use super::printable::print_message;
 use super::profile;
@@ -133,8 +134,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             arguments.files.iter().chain(&arguments.holdout).map(PathBuf::as_path).collect();
         let logs = fitted.iter().chain(&held_out);
         let models = own_models.iter().chain(&held_out_models);
-        for ((index, log), model) in logs.enumerate().zip(models) {
-            plot(folder.path(), files[index], &picture_name(&files, index), log, model)?;
+        let pictures = files.iter().zip(picture_names(&files));
+        for (((path, name), log), model) in pictures.zip(logs).zip(models) {
+            plot(folder.path(), path, &name, log, model)?;
         }
     }
 
@@ -178,14 +180,6 @@ fn incomplete_json(recording: &IncompleteRecording) -> Value {
 
 fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// The name of the picture of the file with this index, without its ending. Where several files
-/// share a name, the file's index stands in front of it.
-fn picture_name(files: &[&Path], index: usize) -> String {
-    let name = file_name(files[index]);
-    let is_unique = files.iter().filter(|file| file_name(file) == name).count() == 1;
-    if is_unique { name } else { format!("{index}-{name}") }
 }
 
 fn plot(
@@ -401,17 +395,4 @@ fn result(
         "inflation": identified.inflation,
         "profile": arguments.out.to_string_lossy(),
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn recordings_of_one_name_have_pictures_of_their_own() {
-        let files =
-            ["one/rollout-0.mcap", "two/rollout-0.mcap", "two/rollout-1.mcap"].map(Path::new);
-        let names = [0, 1, 2].map(|index| picture_name(&files, index));
-        assert_eq!(names, ["0-rollout-0.mcap", "1-rollout-0.mcap", "rollout-1.mcap"]);
-    }
 }

@@ -40,6 +40,7 @@ mod number_arguments;
 mod onnx_model;
 mod output;
 mod parquet_table;
+mod picture_names;
 mod plant_arguments;
 mod plant_file;
 mod printable;

@@ -1,4 +1,3 @@
-use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,6 +9,7 @@ use super::command_hints;
 use super::destination::OutputFile;
 use super::exit::Failure;
 use super::output::{Output, path_as_text};
+use super::picture_names::picture_names;
 use super::printable::one_line;
 use super::profile;
 use crate::charts::{animation_svg, motion_svg};
@@ -154,7 +154,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     let mut reports = Vec::new();
     let mut problems = Vec::new();
-    for (path, name) in arguments.files.iter().zip(picture_names(&arguments.files)) {
+    let files: Vec<&Path> = arguments.files.iter().map(PathBuf::as_path).collect();
+    for (path, name) in arguments.files.iter().zip(picture_names(&files)) {
         let mut report = Report { path: path.clone(), ..Report::default() };
         if let Err(problem) = replay_file(arguments, profile.as_ref(), &name, &mut report) {
             report.problem = Some(problem.message.clone());
@@ -362,17 +363,6 @@ fn simulate(
     Ok(())
 }
 
-/// The names of the files' pictures, without their endings; no two are the same. Where two files
-/// share a name, the place of each file in the list, from 0, stands in front of its name.
-fn picture_names(files: &[PathBuf]) -> Vec<String> {
-    let name = |file: &PathBuf| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let names: Vec<String> = files.iter().map(name).collect();
-    if names.iter().collect::<BTreeSet<_>>().len() == names.len() {
-        return names;
-    }
-    names.iter().enumerate().map(|(number, name)| format!("{number}-{name}")).collect()
-}
-
 fn rmse_text(rmse: Rmse) -> String {
     format!(
         "the simulator in open loop is off by {:.3} rad in theta and {:.3} rad in alpha (RMS)",
@@ -417,21 +407,5 @@ fn is_bad_input(error: &RecordingError) -> bool {
         | RecordingError::Write { .. }
         | RecordingError::NotFinite { .. }
         | RecordingError::Stopped { .. } => false,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_two_pictures_have_the_same_name() {
-        let names = |files: &[&str]| {
-            picture_names(&files.iter().map(PathBuf::from).collect::<Vec<PathBuf>>())
-        };
-        assert_eq!(names(&["x/a.mcap", "y/b.mcap"]), ["a", "b"]);
-        assert_eq!(names(&["x/a.mcap", "y/a.mcap"]), ["0-a", "1-a"]);
-        assert_eq!(names(&["a.mcap", "a.csv", "0-a.mcap"]), ["0-a", "1-a", "2-0-a"]);
-        assert_eq!(names(&["a.mcap", "a.mcap"]), ["0-a", "1-a"]);
     }
 }
