@@ -17,7 +17,7 @@ pub fn after_fault(fault: Fault) -> Option<&'static str> {
             "qube-hil doctor tests this computer's timing, and qube-hil check --conformance tests the board",
         ),
         Fault::WrongSignTheta | Fault::WrongSignAlpha | Fault::WrongSignMotor => {
-            Some("qube-hil check --write finds the signs")
+            Some("qube-hil check --device PORT --write finds the signs")
         }
         _ => None,
     }
@@ -26,8 +26,9 @@ pub fn after_fault(fault: Fault) -> Option<&'static str> {
 /// The commands that help after this limit has ended a rollout; `None` if there are none.
 pub fn after_limit(limit: Limit) -> Option<&'static str> {
     let is_unpredicted = limit == Limit::Unpredicted;
-    is_unpredicted
-        .then_some("qube-hil run --excite chirp, then qube-hil identify, make a new profile")
+    is_unpredicted.then_some(
+        "qube-hil run --excite chirp --qube qube.toml, then qube-hil identify, make a new profile",
+    )
 }
 
 /// The remedy of a check, with the command that helps, if there is one; `None` if the check has no
@@ -36,7 +37,7 @@ pub fn remedy(result: &CheckResult) -> Option<String> {
     let remedy = result.remedy.clone()?;
     Some(match result.name.as_str() {
         "arm-sign" | "pendulum-sign" | "motor-sign" => {
-            format!("qube-hil check --write, or by hand {remedy}")
+            format!("qube-hil check --device PORT --write, or by hand {remedy}")
         }
         "watchdog" if remedy.contains("firmware") => {
             format!("{remedy} with qube-hil check --conformance")
@@ -74,7 +75,7 @@ pub fn too_wide(error: &HardwareRefusal) -> String {
 /// a profile of the Qube; `None` if it is identified or the guard is not foresight.
 pub fn unidentified(rig: &RigSettings, guard: Guard) -> Option<String> {
     let warning = rig.identification_warning(guard)?;
-    Some(format!("{warning}: qube-hil run --excite chirp, then qube-hil identify"))
+    Some(format!("{warning}: qube-hil run --excite chirp --device PORT, then qube-hil identify"))
 }
 
 /// The drift of a rig from its profile. If the rig has drifted, the commands that make a new profile
@@ -91,7 +92,9 @@ pub fn before_driving(power: Option<&PowerTest>) -> Option<String> {
     let warning = power_warning(power)?;
     Some(match power.map(|power| power.usb_lost) {
         Some(UsbLost::MotorOff | UsbLost::KeepsVoltage) => warning.into(),
-        Some(UsbLost::Unknown) | None => format!("{warning} with qube-hil check --power-test"),
+        Some(UsbLost::Unknown) | None => {
+            format!("{warning} with qube-hil check --device PORT --power-test")
+        }
     })
 }
 

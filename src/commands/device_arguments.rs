@@ -244,6 +244,9 @@ impl QubeArguments {
         let named = file.as_ref().and_then(|file| file.profile.as_deref());
         let folder = path.and_then(Path::parent).unwrap_or(Path::new(""));
         let profile = named.map(|named| profile::load(&folder.join(named), plant)).transpose()?;
+        if let (Some(file), Some(profile), Some(path)) = (&file, &profile, path) {
+            check_boards(path, file, profile)?;
+        }
         Ok(ChosenDevice {
             choice,
             clock,
@@ -257,6 +260,23 @@ impl QubeArguments {
             home: self.treatment.home.map(HomeArgument::method),
         })
     }
+}
+
+/// Refuses a profile that was fitted to recordings of other boards than that of the file which names
+/// the profile: under it the guard would believe in another Qube, emulated ones included.
+fn check_boards(path: &Path, file: &QubeFile, profile: &Profile) -> Result<(), Failure> {
+    let boards = profile.provenance.as_ref().map_or(&[][..], |provenance| &provenance.boards);
+    let Some(board) = file.board.as_ref().filter(|_| !boards.is_empty()) else { return Ok(()) };
+    if boards.iter().all(|other| other == board) {
+        return Ok(());
+    }
+    Err(Failure::usage(format!(
+        "{}: the profile {} was identified from recordings of the board {}, and this board is {board}. Record this \
+         Qube with qube-hil run --excite chirp --device PORT, and identify it anew",
+        path.display(),
+        file.profile.as_deref().unwrap_or(Path::new("")).display(),
+        boards.join(", "),
+    )))
 }
 
 impl ChosenDevice {
@@ -503,6 +523,32 @@ fn doubts_folder() -> Option<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_profile_that_was_identified_on_another_board_is_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("qube.toml");
+        let profile = Some(PathBuf::from("mine.toml"));
+        let file = QubeFile { board: Some("B2".into()), profile, ..QubeFile::default() };
+        file.save(&path, "a test").unwrap();
+        let chosen = |boards: &[&str]| {
+            let mut profile = Profile::lab();
+            profile.provenance.as_mut().unwrap().boards =
+                boards.iter().map(ToString::to_string).collect();
+            let text = toml::to_string(&profile).unwrap();
+            std::fs::write(directory.path().join("mine.toml"), text).unwrap();
+            let treatment = TreatmentArguments { home: None, unidentified: false };
+            let device = Some("/dev/ttyACM0".to_owned());
+            QubeArguments::of_one(device, Some(path.clone()), treatment)
+                .choose_specimen(&PlantModel::QUBE)
+        };
+        assert!(chosen(&[]).is_ok(), "the files named no board");
+        assert!(chosen(&["B2"]).is_ok());
+        for boards in [&["0000000000000000"][..], &["B2", "C3"]] {
+            let message = chosen(boards).err().unwrap().to_string();
+            assert!(message.contains(&boards.join(", ")) && message.contains("B2"), "{message}");
+        }
+    }
 
     #[test]
     fn a_hint_to_resume_keeps_a_homing_that_the_qubes_file_would_replace() {

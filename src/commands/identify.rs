@@ -89,7 +89,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         .map(|folder| OutputFolder::of_option("--plot", folder))
         .transpose()?;
     let groups = [&arguments.files[..], &arguments.holdout[..]];
-    let Recordings { groups: [fitted, held_out], plant, incomplete } =
+    let Recordings { groups: [fitted, held_out], plant, boards, incomplete } =
         read_recordings(groups, arguments.plant.given()?).map_err(Failure::usage)?;
     if !incomplete.is_empty() {
         let parts: Vec<String> = incomplete.iter().map(ToString::to_string).collect();
@@ -124,8 +124,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
     let files = arguments.files.iter().map(|path| file_name(path)).collect();
     let mut profile = identified.profile(&arguments.name, files);
-    if let Some(provenance) = profile.provenance.as_mut().filter(|_| long.predictions > 0) {
-        provenance.held_out_rms_rad = Some([long.rms.theta_rad, long.rms.alpha_rad]);
+    if let Some(provenance) = &mut profile.provenance {
+        provenance.boards = boards;
+        provenance.held_out_rms_rad =
+            (long.predictions > 0).then_some([long.rms.theta_rad, long.rms.alpha_rad]);
     }
     let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
     out.write(toml.as_bytes())?;

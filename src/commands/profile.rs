@@ -26,7 +26,11 @@ pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure>
             )));
         }
         "lab" => Profile::lab(),
-        path => load(Path::new(path), plant)?,
+        path => {
+            let profile = read(Path::new(path), AND_NAMES)?;
+            check_plant(path, &profile, plant).map_err(Failure::usage)?;
+            profile
+        }
     })
 }
 
@@ -36,7 +40,7 @@ pub fn named_of_any_plant(name: &str) -> Result<Option<Profile>, Failure> {
     match name {
         IDEAL => Ok(None),
         "lab" => named_profile(name, &PlantModel::QUBE).map(Some),
-        path => read(Path::new(path)).map(Some),
+        path => read(Path::new(path), AND_NAMES).map(Some),
     }
 }
 
@@ -54,21 +58,22 @@ pub fn check_plant(name: &str, profile: &Profile, plant: &PlantModel) -> Result<
     ))
 }
 
-/// Reads a profile file of a specimen of any plant.
-fn read(path: &Path) -> Result<Profile, Failure> {
-    let text = read_text(path, SETTINGS_BYTES)
-        .map_err(|error| {
-            let shown = path.display();
-            Failure::usage(format!(
-                "{shown}: {error}. A profile is a file that identify wrote (--profile also takes {IDEAL} and lab)"
-            ))
-        })?;
+/// The end of an error's sentence where a name stands for a profile, too.
+const AND_NAMES: &str = ", or one of the names ideal and lab";
+
+/// Reads a profile file of a specimen of any plant; `names` ends the sentence that says what to
+/// give.
+fn read(path: &Path, names: &str) -> Result<Profile, Failure> {
+    let text = read_text(path, SETTINGS_BYTES).map_err(|error| {
+        let shown = path.display();
+        Failure::usage(format!("{shown}: {error}. Give a profile that identify wrote{names}"))
+    })?;
     Profile::parse(&text).map_err(|error| Failure::usage(format!("{}: {error}", path.display())))
 }
 
 /// Reads a profile file of a specimen of this plant.
 pub fn load(path: &Path, plant: &PlantModel) -> Result<Profile, Failure> {
-    let profile = read(path)?;
+    let profile = read(path, "")?;
     check_plant(&path.display().to_string(), &profile, plant).map_err(Failure::usage)?;
     Ok(profile)
 }

@@ -18,7 +18,8 @@ const DRIVEN_MV: i16 = 20;
 const GROWS_V: f64 = 0.4;
 
 /// Voltage that friction, dead zone and cable may take up in addition to the voltage that holds the
-/// arm in place, V: four times the friction of the profile `lab` and 1.5 times its dead zone.
+/// arm in place, V: 3.5 times the friction of the profile `lab` (0.12 V) and 1.5 times its dead zone
+/// (0.32 V).
 const ABSORBED_V: f64 = 0.9;
 
 /// Voltage with which the pendulum's weight may hold the arm, V, as a factor on sin(alpha)
@@ -88,7 +89,7 @@ impl SlowestArm {
     }
 }
 
-/// Voltages that would turn the slowest arm as its pendulum does while the arm is at rest:
+/// The load of the pendulum on the slowest arm at rest, as the motor voltages with the same torque:
 /// c sin(alpha) (w cos(alpha) + alpha_dot^2), of which the first term is due to gravity.
 #[derive(Clone, Copy, Debug, Default)]
 struct Load {

@@ -141,8 +141,7 @@ fn foresight_ends_no_swing_up_of_a_nominal_qube() {
     assert_eq!(tick.control_state(), ControlState::Ready);
 }
 
-/// A controller that asks for a different voltage each time and stores the voltages that it is
-/// told.
+/// A controller whose voltage changes with each call, and that stores the voltages that it is told.
 #[derive(Default)]
 struct Listener {
     starts: u32,

@@ -18,6 +18,7 @@ impl Identified {
             correlations: Some(Correlations::new(names, &self.correlations)),
             provenance: Some(Provenance {
                 recordings,
+                boards: Vec::new(),
                 program_version: env!("CARGO_PKG_VERSION").to_owned(),
                 held_out_rms_rad: None,
                 note: None,

@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::fitness::{Unfit, check_recording};
 use super::stretch::duration_of;
 use crate::qube::{PlantModel, PlantName};
-use crate::replay::{Incomplete, MotionLog, MotionLogError};
+use crate::replay::{Incomplete, MotionLog, MotionLogError, RecordedMotion};
 
 /// Recordings of one plant that can be fitted or predicted, in `N` groups.
 #[derive(Clone, Debug)]
@@ -16,6 +16,8 @@ pub struct Recordings<const N: usize> {
     pub groups: [Vec<MotionLog>; N],
     /// Plant of all recordings; the built-in Qube if there is no recording.
     pub plant: PlantModel,
+    /// Serial numbers of the boards that made the recordings of the first group, each once.
+    pub boards: Vec<String>,
     /// Recordings that hold only a part of their rollout.
     pub incomplete: Vec<IncompleteRecording>,
 }
@@ -94,24 +96,30 @@ pub fn read_recordings<const N: usize>(
     mut plant: Option<PlantModel>,
 ) -> Result<Recordings<N>, RecordingsError> {
     let mut incomplete = Vec::new();
+    let mut boards = BTreeSet::new();
     let mut read: [Vec<MotionLog>; N] = std::array::from_fn(|_| Vec::new());
-    for (logs, files) in read.iter_mut().zip(groups) {
+    for (group, (logs, files)) in read.iter_mut().zip(groups).enumerate() {
         for path in files {
-            logs.push(read_one(path, &mut plant, &mut incomplete)?);
+            let (log, board) = read_one(path, &mut plant, &mut incomplete)?;
+            logs.push(log);
+            boards.extend(board.filter(|_| group == 0));
         }
     }
     if let Some(path) = duplicate(groups.into_iter().flatten()) {
         return Err(RecordingsError::NamedTwice { path: path.clone() });
     }
-    Ok(Recordings { groups: read, plant: plant.unwrap_or_default(), incomplete })
+    let (plant, boards) = (plant.unwrap_or_default(), boards.into_iter().collect());
+    Ok(Recordings { groups: read, plant, boards, incomplete })
 }
 
+/// Reads one file; returns its motion and the board that made it, if the file names the board.
 fn read_one(
     path: &Path,
     plant: &mut Option<PlantModel>,
     incomplete: &mut Vec<IncompleteRecording>,
-) -> Result<MotionLog, RecordingsError> {
-    let (log, why) = MotionLog::read_of(path, &plant.unwrap_or_default())?;
+) -> Result<(MotionLog, Option<String>), RecordingsError> {
+    let RecordedMotion { log, incomplete: why, board } =
+        MotionLog::read_of(path, &plant.unwrap_or_default())?;
     let used_s = duration_of(&log.samples);
     incomplete.extend(why.map(|why| IncompleteRecording { path: path.into(), why, used_s }));
     let (own, others) = (&log.plant, plant.get_or_insert(log.plant));
@@ -124,7 +132,7 @@ fn read_one(
         });
     }
     check_recording(&log).map_err(|why| RecordingsError::Unfit { path: path.into(), why })?;
-    Ok(log)
+    Ok((log, board))
 }
 
 /// The series of a recording: its path without the number and ending of its name, such as

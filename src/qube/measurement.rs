@@ -28,8 +28,8 @@ pub struct Measurement {
 pub struct Status {
     /// The amplifier may drive the motor.
     pub armed: bool,
-    /// The watchdog switched the amplifier off. On a board the flag stays until the next arm or
-    /// restart, on a USB panel until the next hello or disarm.
+    /// The watchdog switched the amplifier off. On a board the flag stays until the board is
+    /// armed again or restarts, on a USB panel until the next hello or disarm.
     pub watchdog_tripped: bool,
     /// The amplifier reports a fault.
     pub amplifier_fault: bool,

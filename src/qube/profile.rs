@@ -54,10 +54,14 @@ pub struct Correlations {
 pub struct Provenance {
     /// Files that the profile was fitted to.
     pub recordings: Vec<String>,
+    /// Serial numbers of the boards that made these recordings; empty if the files name no board.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub boards: Vec<String>,
     /// Version of the program that fitted it.
     pub program_version: String,
-    /// Root mean square error of predictions over 9.8 s, each from a start state estimated from the 0.2 s
-    /// before: arm and pendulum, rad. They cover the held-out recordings whose pendulum never comes upright.
+    /// Root mean square error of predictions over 9.8 s, or to the end of a shorter recording, each
+    /// from a start state estimated from the 0.2 s before: arm and pendulum, rad. They cover the
+    /// held-out recordings whose pendulum never comes upright.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out_rms_rad: Option<[f64; 2]>,
     /// Note for the reader.
@@ -76,7 +80,7 @@ pub enum ProfileError {
     AtLine {
         /// Line, from 1.
         line: usize,
-        /// What is wrong.
+        /// Error of this line's value.
         error: Box<Self>,
     },
     /// An entry of the correlations is wrong.
@@ -410,6 +414,7 @@ mod tests {
             }),
             provenance: Some(Provenance {
                 recordings: vec!["a.csv".into()],
+                boards: vec!["A1".into()],
                 program_version: "1".into(),
                 held_out_rms_rad: Some([0.04, 0.01]),
                 note: None,

@@ -18,7 +18,7 @@ mod rerun;
 mod rerun_tests;
 
 pub use csv::CsvError;
-pub use motion_log::{Incomplete, MotionLog, MotionLogError};
+pub use motion_log::{Incomplete, MotionLog, MotionLogError, RecordedMotion};
 pub use motion_sample::MotionSample;
 pub use open_loop::{
     AngleError, OpenLoop, OpenLoopError, simulate_from, simulate_from_first_state,

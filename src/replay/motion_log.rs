@@ -24,6 +24,17 @@ pub struct MotionLog {
     pub plant: PlantModel,
 }
 
+/// The motion that a file holds.
+#[derive(Clone, Debug)]
+pub struct RecordedMotion {
+    /// The motion.
+    pub log: MotionLog,
+    /// Reason why a recording holds only a part of its rollout; `None` if it holds the whole.
+    pub incomplete: Option<Incomplete>,
+    /// Serial number of the board that made a recording; `None` for a CSV file.
+    pub board: Option<String>,
+}
+
 /// The reason why a recording holds only a part of the motion that its rollout was to have.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum Incomplete {
@@ -104,29 +115,28 @@ impl MotionLog {
     /// # Errors
     /// The file cannot be read or holds no motion.
     pub fn read(path: &Path) -> Result<Self, MotionLogError> {
-        Self::read_of(path, &PlantModel::QUBE).map(|(log, _)| log)
+        Self::read_of(path, &PlantModel::QUBE).map(|motion| motion.log)
     }
 
     /// Reads a file like [`Self::read`], but takes a CSV file, which names no plant, as a motion of
-    /// `plant`. A recording names its own plant, and if it is incomplete, the reason is returned
-    /// too.
+    /// `plant`. A recording names its own plant.
     ///
     /// # Errors
     /// The file cannot be read or holds no motion.
-    pub fn read_of(
-        path: &Path,
-        plant: &PlantModel,
-    ) -> Result<(Self, Option<Incomplete>), MotionLogError> {
+    pub fn read_of(path: &Path, plant: &PlantModel) -> Result<RecordedMotion, MotionLogError> {
         if is_mcap(path).map_err(|source| read_error(path, source))? {
             let recording = recording::read(path)?;
             let log = Self::of_recording(&recording)
                 .ok_or_else(|| MotionLogError::NeverRan { path: path.to_owned() })?;
-            return Ok((log, Incomplete::of(&recording)));
+            let incomplete = Incomplete::of(&recording);
+            let board = recording.header.device.get("serial").cloned();
+            return Ok(RecordedMotion { log, incomplete, board });
         }
         let text = read_text(path, MAX_FILE_BYTES).map_err(|source| read_error(path, source))?;
         let samples =
             parse_csv(&text).map_err(|why| MotionLogError::Csv { path: path.to_owned(), why })?;
-        Ok((Self { samples, plant: *plant }, None))
+        let log = Self { samples, plant: *plant };
+        Ok(RecordedMotion { log, incomplete: None, board: None })
     }
 
     /// The motion while the policy had the motor, with times by the device's clock; `None` with

@@ -2,9 +2,10 @@
 //! recording one rollout at a time.
 //!
 //! The room may import `clock`, `device`, `control`, `preflight`, `estimation`, `safety`, `policy`,
-//! `qube`, `recording`, `telemetry` and `storage`. Sessions, experiments and the commands `run`,
-//! `check` and `soak` use it in the same way: [`RigSettings`] describe a rig, [`Rig::open`] opens
-//! it, and [`Rig::rollout`] records a rollout.
+//! `qube`, `recording`, `telemetry` and `storage`. Sessions, experiments and the commands `run`
+//! and `soak` use it in the same way: [`RigSettings`] describe a rig, [`Rig::open`] opens it, and
+//! [`Rig::rollout`] records a rollout. The command `check` uses [`Rig::connect`] and
+//! [`Rig::check`].
 
 mod connection;
 mod doubt;

@@ -219,6 +219,7 @@ impl Rig {
             let report = drive_warm(device, clock, &mut press, heat, None, stop)?;
             Ok(Pressed { ending: report.outcome.ending, outcome: press.outcome() })
         })??;
+        self.latch(pressed.ending);
         Ok(pressed)
     }
 

@@ -173,6 +173,14 @@ pub enum LedgerError {
         /// The cause.
         source: std::io::Error,
     },
+    /// The file is longer than any session's ledger.
+    #[error(
+        "{path} has more than {MAX_FILE_BYTES} bytes, far more than any session writes: restore it from a backup"
+    )]
+    TooLong {
+        /// Path of the ledger.
+        path: PathBuf,
+    },
     /// A line is damaged, or cannot follow the earlier ones, in a way that no crash can cause: the
     /// file was changed, or its disk is failing.
     #[error(
@@ -224,7 +232,8 @@ impl Ledger {
     /// Opens a ledger, or creates it.
     ///
     /// # Errors
-    /// The file is not accessible, or a line is damaged in a way that no crash can cause.
+    /// The file is not accessible or too long, or a line is damaged in a way that no crash can
+    /// cause.
     pub fn open(disk: &dyn Disk, path: &Path) -> Result<Self, LedgerError> {
         let io = |source| LedgerError::Io { path: path.to_owned(), source };
         let bytes = if disk.exists(path) {
@@ -232,6 +241,10 @@ impl Ledger {
         } else {
             Vec::new()
         };
+        if bytes.len() as u64 > MAX_FILE_BYTES {
+            // The rest of the file was not read, so its last line is not torn and must not be cut.
+            return Err(LedgerError::TooLong { path: path.to_owned() });
+        }
         let Parsed { entries, state, whole_bytes } =
             parse(&bytes).map_err(|damage| damage.in_file(path))?;
         let mut file = disk.append(path).map_err(io)?;
@@ -429,6 +442,17 @@ mod tests {
                 assert_eq!(std::fs::read(&path).unwrap(), bytes, "cut at {length}");
             }
         }
+    }
+
+    #[test]
+    fn a_ledger_that_is_too_long_is_refused_and_not_cut() {
+        let directory = tempfile::tempdir().unwrap();
+        let (path, _) = written(directory.path());
+        let file = std::fs::OpenOptions::new().append(true).open(&path).unwrap();
+        file.set_len(MAX_FILE_BYTES + 10).unwrap();
+        let error = Ledger::open(&MachineDisk, &path).unwrap_err();
+        assert!(matches!(error, LedgerError::TooLong { .. }), "{error}");
+        assert_eq!(std::fs::metadata(&path).unwrap().len(), MAX_FILE_BYTES + 10);
     }
 
     #[test]

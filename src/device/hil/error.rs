@@ -96,7 +96,7 @@ pub enum HilError {
         /// Time since the function was called, s.
         waited_s: f64,
     },
-    /// An arm was requested of a card that no hello has opened, or whose last fault no hello has
+    /// Arming was requested of a card that no hello has opened, or whose last fault no hello has
     /// cleared.
     #[error("{port} cannot be armed before a hello has opened it and cleared its last fault")]
     NotGreeted {

@@ -48,11 +48,13 @@ impl Holder {
 
     /// Whether the process ran on this computer since the computer's last start, and has ended.
     /// `here` is the identity of a process on this computer. The answer is `false` if the process
-    /// belongs to another PID namespace, because its end cannot be seen from here.
+    /// belongs to another PID namespace, or if its start is unknown, because its end cannot be seen
+    /// from here.
     #[must_use]
     pub fn has_ended_here(&self, here: &Self) -> bool {
         self.host == here.host
             && self.boot == here.boot
+            && self.started != 0
             && start_of(self.process) != Some(self.started)
     }
 
@@ -104,6 +106,7 @@ mod tests {
         child.kill().unwrap();
         child.wait().unwrap();
         assert!(other.has_ended_here(&here));
+        assert!(!Holder { started: 0, ..other.clone() }.has_ended_here(&here), "an unknown start");
         // The id of an ended process may belong to a later process.
         assert!(Holder { started: here.started + 1, ..here.clone() }.has_ended_here(&here));
         let elsewhere = Holder { host: "elsewhere".into(), ..other.clone() };

@@ -223,7 +223,8 @@ impl JobFolder {
     }
 
     /// Stores the result of a job. If two workers finish the same job, the later result replaces
-    /// the earlier one; both have the same policy and curve, and only the worker's name differs.
+    /// the earlier one; both have the same policy and curve; only the worker's name and its
+    /// instruction set may differ.
     ///
     /// # Errors
     /// A file operation fails; no result appears.
@@ -372,8 +373,9 @@ impl JobFolder {
     }
 
     /// Takes the folder for one coordinator, whose terms hold from then on. If the last coordinator
-    /// has written no ending and ran on another computer, this waits until its heartbeat file
-    /// grows, which is an error, or counts as stale.
+    /// has written no ending and ran on another computer, before this computer's last start or in
+    /// another PID namespace, this waits until its heartbeat file grows, which is an error, or
+    /// counts as stale.
     ///
     /// # Errors
     /// Another coordinator lives, `stop` was set during the wait, or a file operation fails.

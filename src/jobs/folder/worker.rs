@@ -123,7 +123,7 @@ enum Claim {
     Over,
 }
 
-/// What one look at the folder has led to.
+/// The outcome of one look at the folder.
 #[derive(Default)]
 struct Pass {
     /// Whether the worker has claimed a job.

@@ -1,9 +1,17 @@
 use std::io::{self, Write};
 use std::process::{Command, Output, Stdio};
+use std::sync::mpsc;
+use std::time::Duration;
+
+use rustix::process::{Pid, Signal, kill_process};
 
 use super::{StartError, Starter, WorkerCount, log_folder};
 use crate::jobs::checksum::checksum;
 use crate::jobs::folder::JobFolder;
+
+/// Longest time that a command of Slurm may take. The coordinator writes no heartbeat meanwhile,
+/// and by default its folder counts as abandoned after 60 s without one.
+const LONGEST_COMMAND: Duration = Duration::from_secs(30);
 
 /// The options with which workers are submitted, each in the form that Slurm's commands take.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -95,7 +103,7 @@ impl Starter for SlurmStarter {
         log_folder(folder)?;
         let options = self.array_options(folder, workers);
         let script = self.script(workers);
-        let output = run_command("sbatch", &options, &script)?;
+        let output = run_command("sbatch", &options, &script, LONGEST_COMMAND)?;
         if output.status.success() {
             return Ok(());
         }
@@ -109,7 +117,15 @@ impl Starter for SlurmStarter {
     fn count_workers(&mut self, _appeared: u32, _alive: u32) -> Result<WorkerCount, StartError> {
         let own = flag("me");
         let options = ["-r", "-h", &own, "-n", &self.name, "-o", "%i %T %r"].map(str::to_owned);
-        let output = run_command("squeue", &options, "")?;
+        let output = match run_command("squeue", &options, "", LONGEST_COMMAND) {
+            Err(silent @ StartError::Silent { .. }) => {
+                return Ok(WorkerCount {
+                    note: Some(silent.to_string()),
+                    ..WorkerCount::default()
+                });
+            }
+            output => output?,
+        };
         if !output.status.success() {
             let reason = first_line(&output.stderr);
             // The failure may pass, and workers may be running, so it is a note and not an error.
@@ -124,7 +140,7 @@ impl Starter for SlurmStarter {
 
     fn cancel(&mut self) {
         let options = [&flag("me"), "-n", &self.name].map(str::to_owned);
-        let _ = run_command("scancel", &options, "");
+        let _ = run_command("scancel", &options, "", LONGEST_COMMAND);
     }
 }
 
@@ -152,8 +168,14 @@ fn of_queue(lines: &str) -> WorkerCount {
     count
 }
 
-/// Runs a command of Slurm and waits for its output.
-fn run_command(program: &str, options: &[String], input: &str) -> Result<Output, StartError> {
+/// Runs a command of Slurm and waits for its output, but no longer than `longest`; then the command
+/// is killed.
+fn run_command(
+    program: &str,
+    options: &[String],
+    input: &str,
+    longest: Duration,
+) -> Result<Output, StartError> {
     let run = || -> io::Result<Output> {
         let mut child = Command::new(program)
             .args(options)
@@ -165,17 +187,37 @@ fn run_command(program: &str, options: &[String], input: &str) -> Result<Output,
             // A command that refuses its options does not read its input.
             let _ = stdin.write_all(input.as_bytes());
         }
-        child.wait_with_output()
+        let process = Pid::from_child(&child);
+        let (sender, receiver) = mpsc::channel();
+        std::thread::spawn(move || {
+            // Nobody receives the output of a command that was killed.
+            let _ = sender.send(child.wait_with_output());
+        });
+        receiver.recv_timeout(longest).unwrap_or_else(|_| {
+            // Fails if the command has just ended.
+            let _ = kill_process(process, Signal::KILL);
+            Err(io::ErrorKind::TimedOut.into())
+        })
     };
     run().map_err(|error| match error.kind() {
         io::ErrorKind::NotFound => StartError::NoProgram { program: program.to_owned() },
+        io::ErrorKind::TimedOut => StartError::Silent {
+            reason: format!("{program} has not ended after {} s", longest.as_secs_f64()),
+        },
         _ => StartError::Command(error),
     })
 }
 
-/// Whether a message says that Slurm's controller does not answer, for example during its restart.
+/// Whether a message says that Slurm's controller does not answer, for example during its restart,
+/// or that it accepts no job for the moment.
 fn is_silence(message: &str) -> bool {
-    let words = ["nable to contact", "ocket timed out", "onnection refused", "onnect failure"];
+    let words = [
+        "nable to contact",
+        "ocket timed out",
+        "onnection refused",
+        "onnect failure",
+        "temporarily unable to accept job",
+    ];
     words.iter().any(|word| message.contains(word))
 }
 
@@ -227,5 +269,17 @@ mod tests {
         let away = "slurm_load_jobs error: Unable to contact slurm controller (connect failure)";
         assert!(is_silence(away));
         assert!(!is_silence("sbatch: error: invalid partition specified: nowhere"));
+    }
+
+    #[test]
+    fn a_command_that_hangs_is_killed_and_counts_as_silence() {
+        let begun = std::time::Instant::now();
+        let hangs = run_command("sleep", &["600".to_owned()], "", Duration::from_millis(200));
+        assert!(begun.elapsed() < Duration::from_secs(300));
+        let error = hangs.unwrap_err();
+        assert!(matches!(error, StartError::Silent { .. }), "{error}");
+        assert_eq!(error.to_string(), "Slurm does not answer: sleep has not ended after 0.2 s");
+        let ends = run_command("echo", &["12 RUNNING".to_owned()], "", Duration::from_secs(600));
+        assert_eq!(ends.unwrap().stdout, b"12 RUNNING\n");
     }
 }

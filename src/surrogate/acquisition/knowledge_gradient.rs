@@ -47,9 +47,9 @@ struct Line {
 
 impl<'a> LogKnowledgeGradient<'a> {
     /// A knowledge gradient on a process, with further alternatives in the box's own units. The
-    /// next observation is assumed to have the median noise variance of the past ones, in which
-    /// fantasies do not count. Costs O(n^2)
-    /// for each further alternative, and O(n^2 d) for the observed points.
+    /// next observation is assumed to have the median noise variance of the past observations,
+    /// without fantasies. Costs O(n^2) for each further alternative, and O(n^2 d) for the observed
+    /// points.
     #[must_use]
     pub fn new(process: &'a GaussianProcess, further: &[Vec<f64>]) -> Self {
         let data = process.data();
