@@ -226,7 +226,9 @@ fn names_that_are_no_text_are_names() {
 #[test]
 fn a_simulator_is_laid_beside_a_recording_by_the_name_of_its_profile() {
     let directory = tempfile::tempdir().unwrap();
-    for (name, missing) in [("lab", "missing.mcap"), ("lap", "a profile that identify wrote, or one of the names")] {
+    for (name, missing) in
+        [("lab", "missing.mcap"), ("lap", "a profile that identify wrote, or one of the names")]
+    {
         let replay = ["replay", "--simulate", "missing.mcap", "--profile", name];
         let output = qube_hil(directory.path(), &replay);
         let stderr = String::from_utf8_lossy(&output.stderr);
