@@ -67,10 +67,7 @@ fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String,
         read_recordings([paths], None).map_err(|error| error.to_string())?;
     let identified = fit(&logs, unknowns, &plant.nominal()).map_err(|error| error.to_string())?;
     let file_name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into();
-    let mut profile = identified.profile(name, paths.iter().map(file_name).collect());
-    if let Some(provenance) = &mut profile.provenance {
-        provenance.boards = boards;
-    }
+    let profile = identified.profile(name, paths.iter().map(file_name).collect(), boards);
     let estimates = identified.estimates.iter().map(|estimate| {
         json!({
             "name": estimate.unknown.name(),

@@ -263,13 +263,12 @@ impl QubeArguments {
 }
 
 /// Refuses a profile that was fitted to recordings of other boards than that of the file which names
-/// the profile: under it the guard would believe in another Qube, emulated ones included.
+/// the profile, instead of driving the Qube as one that is not identified.
 fn check_boards(path: &Path, file: &QubeFile, profile: &Profile) -> Result<(), Failure> {
-    let boards = profile.provenance.as_ref().map_or(&[][..], |provenance| &provenance.boards);
-    let Some(board) = file.board.as_ref().filter(|_| !boards.is_empty()) else { return Ok(()) };
-    if boards.iter().all(|other| other == board) {
+    let Some(board) = file.board.as_ref().filter(|board| !profile.may_be_of_board(board)) else {
         return Ok(());
-    }
+    };
+    let boards = profile.provenance.as_ref().map_or(&[][..], |provenance| &provenance.boards);
     Err(Failure::usage(format!(
         "{}: the profile {} was identified from recordings of the board {}, and this board is {board}. Record this \
          Qube with qube-hil run --excite chirp --device PORT, and identify it anew",

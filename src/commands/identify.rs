@@ -123,11 +123,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let [.., long] = held_out_errors.horizons;
 
     let files = arguments.files.iter().map(|path| file_name(path)).collect();
-    let mut profile = identified.profile(&arguments.name, files);
-    if let Some(provenance) = &mut profile.provenance {
-        provenance.boards = boards;
-        provenance.held_out_rms_rad =
-            (long.predictions > 0).then_some([long.rms.theta_rad, long.rms.alpha_rad]);
+    let mut profile = identified.profile(&arguments.name, files, boards);
+    if let Some(provenance) = profile.provenance.as_mut().filter(|_| long.predictions > 0) {
+        provenance.held_out_rms_rad = Some([long.rms.theta_rad, long.rms.alpha_rad]);
     }
     let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
     out.write(toml.as_bytes())?;

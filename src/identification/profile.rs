@@ -3,9 +3,9 @@ use crate::qube::{Correlations, Profile, Provenance};
 
 impl Identified {
     /// The profile of the identified specimen with the errors of its values. `recordings` are the
-    /// names of the fitted files.
+    /// names of the fitted files, `boards` those of the boards that made them.
     #[must_use]
-    pub fn profile(&self, name: &str, recordings: Vec<String>) -> Profile {
+    pub fn profile(&self, name: &str, recordings: Vec<String>, boards: Vec<String>) -> Profile {
         let named = |unknown: super::Unknown| unknown.name().to_owned();
         let errors = self.estimates.iter().map(|it| (named(it.unknown), it.standard_error));
         let names = self.estimates.iter().map(|it| named(it.unknown)).collect();
@@ -18,7 +18,7 @@ impl Identified {
             correlations: Some(Correlations::new(names, &self.correlations)),
             provenance: Some(Provenance {
                 recordings,
-                boards: Vec::new(),
+                boards,
                 program_version: env!("CARGO_PKG_VERSION").to_owned(),
                 held_out_rms_rad: None,
                 note: None,

@@ -235,6 +235,12 @@ impl Profile {
         correlation * self.standard_error(one) * self.standard_error(other)
     }
 
+    /// Whether this board made each recording of which the maker is known.
+    #[must_use]
+    pub fn may_be_of_board(&self, board: &str) -> bool {
+        self.provenance.iter().flat_map(|provenance| &provenance.boards).all(|maker| maker == board)
+    }
+
     /// The model of the Qube.
     #[must_use]
     pub fn model(&self) -> QubeModel {

@@ -176,11 +176,15 @@ impl RigSettings {
     }
 
     /// The identified model that the guard may use; `None` if the Qube counts as not identified.
-    /// The profile of a real Qube counts only if its board is known.
+    /// The profile of a real Qube counts only if its board is known, and no other board made the
+    /// profile's recordings.
     #[must_use]
     pub fn identified(&self) -> Option<IdentifiedQube> {
         match &self.profile {
-            Some(profile) if self.board.is_some() || !self.is_hardware() => {
+            Some(profile)
+                if !self.is_hardware()
+                    || self.board.as_ref().is_some_and(|board| profile.may_be_of_board(board)) =>
+            {
                 Some(IdentifiedQube::of(profile, &self.plant))
             }
             None if !self.is_hardware() && !self.unidentified => {

@@ -70,7 +70,7 @@ pub struct Belief {
     /// Whether the first two particles, which are the hardest to brake, get only `least_share` of a
     /// voltage whose sign brakes them. Recordings that do not name it have `false`: each of their
     /// particles got whole voltages.
-    #[serde(default, skip_serializing_if = "is_off")]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub weak_side: bool,
     /// Correlated errors of a fit, as changes from any model within the ranges; all zero if they
     /// are not known.
@@ -111,10 +111,6 @@ pub enum BeliefError {
         "steps: give each parameter at most {UNKNOWN_SHARE}, and each nonideality at most the width of its range"
     )]
     Step,
-}
-
-fn is_off(weak_side: &bool) -> bool {
-    !weak_side
 }
 
 fn no_steps() -> [Step; Quantity::COUNT] {

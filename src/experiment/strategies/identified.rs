@@ -117,7 +117,7 @@ impl<'a> FromRecordings<'a> {
         }
         // The name counts the fitted recordings alone.
         let name = format!("{} from {} recordings", self.run.name, logs.len());
-        Ok(Fit::Found(toml::to_string_pretty(&found.profile(&name, Vec::new()))?))
+        Ok(Fit::Found(toml::to_string_pretty(&found.profile(&name, Vec::new(), Vec::new()))?))
     }
 
     /// The fit to the first `recordings` recordings. The fit is stored on disk, because it takes

@@ -235,7 +235,7 @@ impl Session {
             1 => "identified from 1 recording".to_owned(),
             _ => format!("identified from {count} recordings"),
         };
-        let profile = found.profile(&name, Vec::new());
+        let profile = found.profile(&name, Vec::new(), Vec::new());
         Ok(Fitted::Found(Box::new(Found { recordings: count, profile, found, doubts })))
     }
 
