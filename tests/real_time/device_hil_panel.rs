@@ -40,6 +40,22 @@ fn without_the_library_each_command_says_what_to_install() {
 }
 
 #[test]
+fn a_library_that_cannot_be_loaded_is_refused_with_the_loaders_reason() {
+    let panel = Panel::new(&[]);
+    let broken = panel.path().join("libhil.so");
+    std::fs::write(&broken, "no library").unwrap();
+    for arguments in [&["check", "--device", "hil"][..], &["doctor", "--seconds", "1"]] {
+        let mut command = panel.command(arguments);
+        command.env("QUBE_HIL_LIBHIL", &broken);
+        let ended = Ended::of(command.output().unwrap());
+        let said = format!("{}{}", ended.out, ended.told);
+        let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(said.contains("cannot be loaded") && said.contains("too short"), "{said}");
+        assert!(!said.contains("not found"), "{said}");
+    }
+}
+
+#[test]
 fn a_library_of_another_version_is_refused_with_the_function_that_it_lacks() {
     let panel = Panel::new(&[]);
     let older = panel.path().join("libhil.so");

@@ -3,15 +3,23 @@ use thiserror::Error;
 /// A failure of the vendor's library or of the card behind it.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum HilError {
-    /// No file of the library could be loaded.
+    /// There is no file of the library.
     #[error(
         "the vendor's HIL library was not found (tried {tried}). Install the vendor's package quanser-sdk, or \
          name its libhil.so in the environment variable QUBE_HIL_LIBHIL"
     )]
     NoLibrary {
-        /// Names under which the library was looked for; for a path that the user named, with the
-        /// loader's reason.
+        /// Names under which the library was looked for.
         tried: String,
+    },
+    /// A file of the library is there, and the loader refuses it.
+    #[error(
+        "the vendor's HIL library is here, but cannot be loaded: {reason}. Install the vendor's current package \
+         quanser-sdk for this computer's processor, or name another file in QUBE_HIL_LIBHIL"
+    )]
+    NotLoaded {
+        /// Name of the file, and the loader's reason.
+        reason: String,
     },
     /// The library that was found lacks a function, so it is of another version.
     #[error(

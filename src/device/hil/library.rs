@@ -118,13 +118,13 @@ pub(super) enum TextProperty {
 }
 
 impl Library {
-    /// Loads the first library that is found, and looks up its functions; all but the two optional
-    /// ones must be there.
+    /// Loads the first library that can be loaded, and looks up its functions; all but the two
+    /// optional ones must be there.
     pub(super) fn load() -> Result<Self, HilError> {
         let named = std::env::var(NAMED).ok().filter(|name| !name.is_empty());
         let names: Vec<&str> = named.as_deref().map_or(NAMES.to_vec(), |name| vec![name]);
-        let mut tried = Vec::new();
-        for name in names {
+        let mut refused = None;
+        for &name in &names {
             match open(name) {
                 Ok(library) => {
                     let functions = find_functions(&library, name)?;
@@ -132,10 +132,14 @@ impl Library {
                     std::mem::forget(library);
                     return Ok(Self { functions, name: name.to_owned() });
                 }
-                Err(reason) => tried.push(if named.is_some() { reason } else { name.to_owned() }),
+                Err(reason) if is_absent(name, &reason) => {}
+                Err(reason) => refused = refused.or(Some(format!("{name}: {reason}"))),
             }
         }
-        Err(HilError::NoLibrary { tried: tried.join(", ") })
+        Err(match refused {
+            Some(reason) => HilError::NotLoaded { reason },
+            None => HilError::NoLibrary { tried: names.join(", ") },
+        })
     }
 
     /// The library's text for a (negative) error code, followed by the code without its sign; that
@@ -281,14 +285,21 @@ fn plain(text: &[c_char; TEXT_BYTES]) -> String {
     line.trim_end_matches('.').chars().take(LONGEST).collect()
 }
 
+/// Loads the library of this name, or returns the loader's reason.
 fn open(name: &str) -> Result<Loaded, String> {
     // SAFETY: loading runs the library's own start-up code; the user has installed this library, or
     // named its file.
     let loaded = unsafe { Loaded::open(Some(name), RTLD_NOW | RTLD_LOCAL) };
     loaded.map_err(|error| match std::error::Error::source(&error) {
-        Some(source) => format!("{name}: {source}"),
-        None => format!("{name}: {error}"),
+        Some(source) => source.to_string(),
+        None => error.to_string(),
     })
+}
+
+/// Whether the loader's reason is that the file of this name itself is missing, and not one that
+/// it needs.
+fn is_absent(name: &str, reason: &str) -> bool {
+    reason.starts_with(name) && reason.contains("No such file or directory")
 }
 
 fn find_functions(library: &Loaded, name: &str) -> Result<Functions, HilError> {

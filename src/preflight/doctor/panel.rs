@@ -23,6 +23,13 @@ pub(super) fn diagnose(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
         Err(HilError::NoLibrary { tried }) => {
             Diagnosis::unfit(LIBRARY, format!("not here (tried {tried})"), INSTALL)
         }
+        Err(HilError::NotLoaded { reason }) => {
+            let value = format!("cannot be loaded: {reason}");
+            match cards {
+                [] => Diagnosis::advice(LIBRARY, value, INSTALL),
+                _ => Diagnosis::unfit(LIBRARY, value, INSTALL),
+            }
+        }
         Err(HilError::NoFunction { library, function }) => {
             Diagnosis::unfit(LIBRARY, format!("{library} has no function {function}"), INSTALL)
         }
