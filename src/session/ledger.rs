@@ -205,7 +205,7 @@ pub enum LedgerError {
 }
 
 /// Largest ledger that is read, bytes; the longest session's has less than 10 MB.
-pub(super) const MAX_FILE_BYTES: u64 = 64 << 20;
+const MAX_FILE_BYTES: u64 = 64 << 20;
 
 /// The append-only record of a session, `ledger.jsonl`: one entry a line, each with a checksum and
 /// synced before work continues. A crash leaves at most a torn last line, which is cut.
@@ -228,6 +228,23 @@ struct Line<'a> {
     entry: &'a serde_json::value::RawValue,
 }
 
+/// Reads the bytes of a ledger; a file that does not exist has none.
+///
+/// # Errors
+/// The file is not accessible or too long.
+pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, LedgerError> {
+    if !disk.exists(path) {
+        return Ok(Vec::new());
+    }
+    let io = |source| LedgerError::Io { path: path.to_owned(), source };
+    let bytes = disk.read(path, MAX_FILE_BYTES).map_err(io)?;
+    // The rest of a longer file was not read, so its last line is not torn and must not be cut.
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        return Err(LedgerError::TooLong { path: path.to_owned() });
+    }
+    Ok(bytes)
+}
+
 impl Ledger {
     /// Opens a ledger, or creates it.
     ///
@@ -236,15 +253,7 @@ impl Ledger {
     /// cause.
     pub fn open(disk: &dyn Disk, path: &Path) -> Result<Self, LedgerError> {
         let io = |source| LedgerError::Io { path: path.to_owned(), source };
-        let bytes = if disk.exists(path) {
-            disk.read(path, MAX_FILE_BYTES).map_err(io)?
-        } else {
-            Vec::new()
-        };
-        if bytes.len() as u64 > MAX_FILE_BYTES {
-            // The rest of the file was not read, so its last line is not torn and must not be cut.
-            return Err(LedgerError::TooLong { path: path.to_owned() });
-        }
+        let bytes = read_bytes(disk, path)?;
         let Parsed { entries, state, whole_bytes } =
             parse(&bytes).map_err(|damage| damage.in_file(path))?;
         let mut file = disk.append(path).map_err(io)?;

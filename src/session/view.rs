@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use super::ledger::{MAX_FILE_BYTES, Parsed};
+use super::ledger::{self, Parsed};
 use super::{
     Candidate, Entry, Finished, LedgerError, SessionError, SessionPaths, SessionState,
     finished_rollout, parse_ledger,
@@ -21,17 +21,12 @@ impl<'a> SessionView<'a> {
     /// Reads the ledger; a session without a ledger has no entries.
     ///
     /// # Errors
-    /// The ledger cannot be read or is damaged.
+    /// The ledger cannot be read, is too long or is damaged.
     pub fn read(disk: &'a dyn Disk, paths: SessionPaths) -> Result<Self, LedgerError> {
         let path = paths.ledger();
-        let mut parsed = Parsed::default();
-        if disk.exists(&path) {
-            let bytes = disk
-                .read(&path, MAX_FILE_BYTES)
-                .map_err(|source| LedgerError::Io { path: path.clone(), source })?;
-            parsed = parse_ledger(&bytes).map_err(|damage| damage.in_file(&path))?;
-        }
-        let Parsed { entries, state, .. } = parsed;
+        let bytes = ledger::read_bytes(disk, &path)?;
+        let Parsed { entries, state, .. } =
+            parse_ledger(&bytes).map_err(|damage| damage.in_file(&path))?;
         Ok(Self { disk, paths, entries, state })
     }
 
