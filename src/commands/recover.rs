@@ -1,3 +1,4 @@
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
@@ -34,6 +35,14 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                 "{}: the disk is full, and nothing was kept there. Make room, or name a file on another disk with --out",
                 path.display()
             )),
+            RecordingError::Create { path, source }
+                if source.kind() == io::ErrorKind::AlreadyExists =>
+            {
+                Failure::usage(format!(
+                    "{}: the file exists already and is kept. Name another one with --out",
+                    path.display()
+                ))
+            }
             error => recording_failure(&error),
         })?;
     let path = arguments.file.display();

@@ -173,7 +173,11 @@ fn a_changed_byte_is_bad_input_and_a_cut_off_file_is_lost_data() {
     let before = files_of(folder.path());
     let output = qube_hil(&["recover", path.to_str().unwrap()]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    assert!(files_of(folder.path()) == before, "a whole file is left alone");
+    let again = qube_hil(&["recover", &cut]);
+    assert_eq!(again.status.code(), Some(2));
+    let told = stderr(&again);
+    assert!(told.contains("exists already") && told.contains("--out"), "{told}");
+    assert!(files_of(folder.path()) == before, "a whole file and a saved one are left alone");
 }
 
 #[test]
