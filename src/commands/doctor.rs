@@ -27,7 +27,7 @@ pub struct Arguments {
 
 /// Performs the checks and prints the findings.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-    let stop = Stop::on_signals()?;
+    let stop = Stop::saying("stopping: the measurement ends")?;
     print_message(&format!("watching the timer for {} s", arguments.seconds));
     let found = diagnose(&arguments.device, arguments.seconds, &stop.flag)
         .map_err(|error| Failure::failed(format!("the timer cannot be watched: {error}")))?;

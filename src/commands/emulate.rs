@@ -73,7 +73,7 @@ enum Wire {
 
 /// Serves the Qube until a signal arrives or the pty is gone.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-    let stop = Stop::on_signals()?;
+    let stop = Stop::saying("stopping: the emulated Qube's port is closed")?;
     let plant = arguments.plant.plant()?;
     let emulated = arguments.emulated.of_plant(&plant)?;
     let is_inverted = |wire| arguments.inverted.contains(&wire);

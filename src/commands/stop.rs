@@ -1,5 +1,5 @@
-//! Stop requests by Ctrl-C, SIGTERM, SIGHUP, a key or the live view: the arm is braked, the state
-//! is kept, and the exit code names the signal.
+//! Stop requests by Ctrl-C, SIGTERM, SIGHUP, a key or the live view: what moves is braked, the
+//! state is kept, and the exit code names the signal.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -19,10 +19,16 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Installs the handlers of the signals. The first Ctrl-C requests a stop, even if a key, the
+    /// Installs the handlers of the signals for a command that moves a Qube. The first Ctrl-C requests a stop, even if a key, the
     /// live view or another signal has already done so. A second Ctrl-C ends the program at once;
     /// the device's watchdog then switches the motor off.
     pub fn on_signals() -> Result<Self, Failure> {
+        Self::saying("stopping: the arm is braked and the state is kept")
+    }
+
+    /// Installs the handlers of the signals, as [`on_signals`](Self::on_signals) does, for a
+    /// command that moves nothing. `answer` is printed after the first Ctrl-C.
+    pub fn saying(answer: &'static str) -> Result<Self, Failure> {
         let flag = Arc::new(AtomicBool::new(false));
         let signal = Arc::new(AtomicUsize::new(0));
         let handlers =
@@ -38,7 +44,7 @@ impl Stop {
             if !interrupt.swap(true, Ordering::Relaxed) {
                 interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
             }
-            print_message("\nstopping: the arm is braked and the state is kept (Ctrl-C again ends the program at once)");
+            print_message(&format!("\n{answer} (Ctrl-C again ends the program at once)"));
         })
         .map_err(|error| handlers(error.to_string()))?;
         for kind in [SIGTERM, SIGHUP] {

@@ -212,7 +212,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let checkpointing =
         arguments.checkpoint.clone().map(|path| Checkpointing { path, every: CHECKPOINT_EVERY });
     Level::from(arguments.instruction_set).forbid_better();
-    let stop = Stop::on_signals()?;
+    let stop = Stop::saying("stopping: the training ends")?;
     let job = TrainingJob { distribution, settings, seed: arguments.seed };
     let title = format!("qube-hil train: {} for {}", origin.model, arguments.out.display());
     let screen = arguments.screen.open(&title, output, &stop);

@@ -54,7 +54,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     crate::elementary::Level::from(arguments.instruction_set).forbid_better();
-    let stop = Stop::on_signals()?;
+    let stop = Stop::saying("stopping: unfinished trainings are given back")?;
     let holder = Holder::this_process();
     let disk = Arc::new(MachineDisk);
     let worker = JobFolder::open(disk.clone(), &arguments.folder).and_then(|folder| {
