@@ -14,7 +14,8 @@ pub fn after_fault(fault: Fault) -> Option<&'static str> {
             Some("qube-hil doctor tests this computer's timing")
         }
         Fault::DeviceClock => Some(
-            "qube-hil doctor tests this computer's timing, and qube-hil check --conformance tests the board",
+            "qube-hil doctor tests this computer's timing, and qube-hil check --conformance --device PORT tests the \
+             board",
         ),
         Fault::WrongSignTheta | Fault::WrongSignAlpha | Fault::WrongSignMotor => {
             Some("qube-hil check --device PORT --write finds the signs")
@@ -40,7 +41,7 @@ pub fn remedy(result: &CheckResult) -> Option<String> {
             format!("qube-hil check --device PORT --write, or by hand {remedy}")
         }
         "watchdog" if remedy.contains("firmware") => {
-            format!("{remedy} with qube-hil check --conformance")
+            format!("{remedy} with qube-hil check --conformance --device PORT")
         }
         "latency" if remedy.contains("busy") => {
             format!("{remedy}. qube-hil doctor tests this computer's timing")

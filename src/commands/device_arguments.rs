@@ -187,7 +187,7 @@ impl QubeArguments {
         if let (ClockChoice::Virtual, Some(port)) = (clock, chosen.choice.name()) {
             return Err(failures::virtual_port(&RigError::VirtualPort { port }));
         }
-        chosen.announce();
+        self.announce(&chosen);
         Ok(chosen)
     }
 
@@ -198,8 +198,22 @@ impl QubeArguments {
     /// without `--device` and `--qube` nothing but the emulated Qube moves, even if that file exists.
     pub fn choose(&self, driven: &DrivenPlantArguments) -> Result<ChosenDevice, Failure> {
         let chosen = self.selected(driven)?;
-        chosen.announce();
+        self.announce(&chosen);
         Ok(chosen)
+    }
+
+    /// Says whose settings are used, and whether a file of a real Qube beside the program is not.
+    fn announce(&self, chosen: &ChosenDevice) {
+        if let Some(path) = &chosen.path {
+            print_message(&format!("this Qube's settings are those in {}", path.display()));
+        } else if self.device.is_none() && Path::new(QUBE_FILE).exists() {
+            print_message(&format!(
+                "note: the emulated Qube is driven. For the one that {QUBE_FILE} describes, give --qube {QUBE_FILE}"
+            ));
+        }
+        if let Some(notice) = chosen.homing_notice() {
+            print_message(&format!("note: {notice}"));
+        }
     }
 
     fn selected(&self, driven: &DrivenPlantArguments) -> Result<ChosenDevice, Failure> {
@@ -279,15 +293,6 @@ fn check_boards(path: &Path, file: &QubeFile, profile: &Profile) -> Result<(), F
 }
 
 impl ChosenDevice {
-    /// Says which file describes the Qube, and whether that file replaces homing at the stops.
-    fn announce(&self) {
-        let Some(path) = &self.path else { return };
-        print_message(&format!("this Qube's settings are those in {}", path.display()));
-        if let Some(notice) = self.homing_notice() {
-            print_message(&format!("note: {notice}"));
-        }
-    }
-
     /// The notice that a real Qube does not look for its stops, because its file says so; `None` for
     /// every other Qube, and where the arguments name the method.
     fn homing_notice(&self) -> Option<String> {
@@ -299,6 +304,14 @@ impl ChosenDevice {
              --home stops"
                 .to_owned(),
         )
+    }
+
+    /// The driven Qube in words: the emulated one, or the one at a port.
+    pub fn described(&self) -> String {
+        match self.choice.name() {
+            Some(port) => format!("the Qube at {port}"),
+            None => "the emulated Qube".to_owned(),
+        }
     }
 
     /// Homing settings: those of the Qube's file with the estimator of `default`, or else `default`;

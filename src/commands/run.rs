@@ -158,15 +158,19 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         print_message(&format!("warning: {warning}"));
     }
     if settings.checks() {
-        print_message(
-            "checking the Qube: before all else the arm is pushed a little (--skip-check leaves the check out)",
-        );
+        print_message(&format!(
+            "checking {}: before all else the arm is pushed a little (--skip-check leaves the check out)",
+            device.described()
+        ));
     }
     if settings.homing.method == HomingMethod::Stops {
-        print_message("homing: before the first rollout the arm looks for its stops");
+        print_message(&format!(
+            "homing: before the first rollout the arm of {} looks for its stops",
+            device.described()
+        ));
     }
     let plan = RolloutPlan { steps: controller.steps, policy: controller.name.clone(), ..plan };
-    let mut results = Results::new(arguments.excite.is_some());
+    let mut results = Results::new(arguments.excite.map(|_| device.described()));
     let mut series = Series {
         settings,
         plan,

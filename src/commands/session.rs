@@ -227,7 +227,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if !screen.progress().has_screen() {
         print_message(keyboard.hint());
     }
-    print_message(&format!("session in {}", folder.paths().root().display()));
+    print_message(&format!("session with {} in {root}", device.described()));
     for warning in warnings(&device, &rig_settings, &settings) {
         print_message(&format!("warning: {warning}"));
     }

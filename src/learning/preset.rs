@@ -36,7 +36,7 @@ impl Preset {
     pub fn description(self) -> &'static str {
         match self {
             Self::Robust => "Half a minute, with a real Qube's encoders and velocity filter",
-            Self::Quick => "A second or two, on true states in the thesis's box",
+            Self::Quick => "A few seconds, on true states in the thesis's box",
             Self::Thesis => {
                 "Published budget, on true states in the thesis's box: 100 updates of 48,000 \
                  transitions"

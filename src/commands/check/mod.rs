@@ -95,7 +95,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     // The file that --write replaces may belong to another board, so its board is not checked.
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };
-    print_message("checking the Qube: the arm is pushed a little, then homed");
+    print_message(&format!(
+        "checking {}: the arm is pushed a little, then homed",
+        device.described()
+    ));
     let failed = |error| failures::rig(error, &stop);
     let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
     warn_without_realtime(rig.realtime());

@@ -19,9 +19,9 @@ use crate::telemetry::{Ending, Fault};
 /// The results of the rollouts, read from their recordings.
 #[derive(Debug, Default)]
 pub struct Results {
-    /// Whether an excitation drove the Qube. The results then say whether `identify` can use the
-    /// recordings, and show no returns.
-    excited: bool,
+    /// The Qube in words, if an excitation drove it. The results then say whether `identify` can
+    /// use the recordings, and show no returns.
+    excited: Option<String>,
     /// Rollouts in order.
     pub rollouts: Vec<RolloutRow>,
     latencies: Latencies,
@@ -73,7 +73,7 @@ impl Results {
         let returns = self.rollouts.iter().filter_map(|row| row.return_);
         let successes = self.rollouts.iter().filter(|row| row.success).count();
         match returns.max_by(f64::total_cmp) {
-            Some(best) if !self.excited => format!(
+            Some(best) if self.excited.is_none() => format!(
                 "best return so far: {best:.0}; {successes} of {} rollouts balance",
                 self.rollouts.len()
             ),
@@ -81,8 +81,8 @@ impl Results {
         }
     }
 
-    /// Results without any rollout yet, of an excitation or else of a policy.
-    pub fn new(excited: bool) -> Self {
+    /// Results without any rollout yet: of an excitation of this Qube, or else of a policy.
+    pub fn new(excited: Option<String>) -> Self {
         Self { excited, ..Self::default() }
     }
 
@@ -113,7 +113,7 @@ impl Results {
                     _ => None,
                 };
                 let outcome = match &ended_early {
-                    _ if self.excited => fitness(&recording),
+                    _ if self.excited.is_some() => fitness(&recording),
                     Some(reason) => format!("{reason} after {} steps", outcome.steps),
                     None if success => "success".into(),
                     None => "not balancing at the end".into(),
@@ -164,7 +164,7 @@ impl Results {
         let directory = first.recording.parent().unwrap_or(Path::new(".")).display();
         let mut text = String::new();
         for (number, RolloutRow { return_, outcome, .. }) in self.rollouts.iter().enumerate() {
-            let _ = match return_.filter(|_| !self.excited) {
+            let _ = match return_.filter(|_| self.excited.is_none()) {
                 Some(return_) => {
                     writeln!(text, "rollout {number}: return {return_:6.1}  {outcome}")
                 }
@@ -183,9 +183,9 @@ impl Results {
         };
         text.push_str(&timing_lines(&self.latencies));
         let _ = write!(text, "recordings in {directory}");
-        if self.excited {
+        if let Some(qube) = &self.excited {
             let word = quoted(&directory.to_string());
-            let _ = write!(text, "\nqube-hil identify {word}/*.mcap identifies this Qube");
+            let _ = write!(text, "\nqube-hil identify {word}/*.mcap identifies {qube}");
         }
         text
     }
