@@ -9,6 +9,9 @@
 /* Time for which a contact must be closed to belong to a switch, us. */
 #define STOP_FITTED_US 100000ul
 
+/* Frames in a row without a Qube after which it counts as switched off. */
+#define ABSENT_FRAMES_OF_OFF 2u
+
 /* Bit of the clock that makes red blink at 2 Hz: it changes every 262 ms. */
 #define BLINK_BIT_US (1ul << 18)
 
@@ -213,6 +216,10 @@ static bool answer_sample(struct device *device, struct link_frame *reply)
 {
     if (!device->qube_present) {
         return refuse(reply, REQUEST_SAMPLE, REFUSAL_QUBE_ABSENT);
+    }
+    /* The Qube may have come back while the Sample waited. */
+    if (device->state == STATE_IDLE) {
+        return refuse(reply, REQUEST_SAMPLE, REFUSAL_NOT_GREETED);
     }
     const struct device_sample *sample = &device->sample;
     begin_reply(reply, REPLY_SAMPLE, 25);
@@ -451,6 +458,21 @@ static void take_readings(struct device *device, const struct qube_readings *rea
     device->sample = *begun;
 }
 
+/* Counts the frames without a Qube. A Qube that comes back was off, so its counters have begun
+ * anew: the host must greet again. A single odd frame may be noise on the wires. */
+static void follow_presence(struct device *device)
+{
+    if (device->qube_present) {
+        if (device->absent_frames >= ABSENT_FRAMES_OF_OFF) {
+            leave_armed(device, STATE_IDLE);
+            device->nonce = 0;
+        }
+        device->absent_frames = 0;
+    } else if (device->absent_frames < ABSENT_FRAMES_OF_OFF) {
+        device->absent_frames++;
+    }
+}
+
 void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_BYTES])
 {
     struct qube_readings readings;
@@ -460,6 +482,7 @@ void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_B
     device->module_id = readings.module_id;
     device->qube_present = readings.module_id == QUBE_MODULE_ID;
     device->qube_status = readings.status;
+    follow_presence(device);
 
     bool failed = !device->qube_present;
     if (device->qube_present) {

@@ -74,6 +74,7 @@ struct device {
     /* Whether a frame has ended since the start; until then nothing is known of the Qube. */
     bool qube_was_asked;
     bool qube_present;
+    uint8_t absent_frames;
     uint16_t module_id;
     uint8_t qube_status;
     /* Readings of the current frame, and of the last one that a Qube answered. */

@@ -209,11 +209,13 @@ impl RefusalReason {
     #[must_use]
     pub fn describe(self) -> &'static str {
         match self {
-            Self::NotGreeted => "no hello came before",
+            Self::NotGreeted => "no hello came before; start the command again",
             Self::NotArmed => "it is not armed",
-            Self::WatchdogTripped => "its watchdog tripped; greet and arm it again",
-            Self::Faulted => "a fault lasts or is latched; remove the cause, greet and arm again",
-            Self::WrongNonce => "the nonce is used or wrong; greet it again",
+            Self::WatchdogTripped => "its watchdog tripped; start the command again",
+            Self::Faulted => {
+                "a fault lasts or is latched; remove the cause, then start the command again"
+            }
+            Self::WrongNonce => "the nonce is used or wrong; start the command again",
             Self::AlreadyArmed => "it is armed already",
             Self::StaleSequence => "the command is not newer than the last",
             Self::VoltageOutOfRange => "the voltage is out of range",
@@ -222,7 +224,7 @@ impl RefusalReason {
             Self::UnknownType => "it does not know this message",
             Self::StaleSample => "the command does not answer a sample of the last 20 ms",
             Self::EmergencyStop => {
-                "its emergency-stop switch is open; close it when nobody is near the arm"
+                "its emergency-stop switch is or was open; close it when nobody is near the arm"
             }
         }
     }

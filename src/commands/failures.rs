@@ -32,7 +32,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         | RigError::Refused(_)
         | RigError::NotBegun { .. }
         | RigError::BoardChanged { .. }
-        | RigError::MiddleLost
+        | RigError::MiddleLost { .. }
         | RigError::Ended { .. } => Failure::fault(error),
         RigError::InDoubt(_) => {
             Failure::fault(format!("{error}. Then start again with --acknowledge"))
@@ -236,11 +236,12 @@ pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::RefusalReason;
 
     #[test]
     fn a_board_that_refuses_is_a_fault() {
         for action in ["arm", "disarm"] {
-            let (port, reason) = ("/dev/ttyACM0".into(), "busy".into());
+            let (port, reason) = ("/dev/ttyACM0".into(), RefusalReason::AlreadyArmed);
             let refused = DeviceError::Refused { port, action, reason };
             let failure = rig(RigError::Device(refused), &Stop::default());
             assert_eq!(failure.report(), 4);

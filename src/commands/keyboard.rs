@@ -17,6 +17,7 @@ use super::printable::print_message;
 use super::screen::Progress;
 use super::stop::Stop;
 use super::terminal;
+use crate::control::HomingMethod;
 use crate::rig::Doubt;
 
 /// Longest wait for a key before the thread checks whether the program was suspended.
@@ -79,11 +80,15 @@ impl Keyboard {
 
     /// Asks at a terminal whether the operator has looked at the Qube; returns whether the answer
     /// is `a` or `A`. False without a terminal or after a stop request.
-    pub fn acknowledges(&self, doubt: &Doubt, stop: &Stop) -> bool {
+    pub fn acknowledges(&self, doubt: &Doubt, homing: HomingMethod, stop: &Stop) -> bool {
         let Some(Watched { shared, keys, .. }) = &self.watched else { return false };
+        let middle = match homing {
+            HomingMethod::Stops => "",
+            HomingMethod::Hand => " Put the arm into its middle: its place then counts as that.",
+        };
         let question = format!(
-            "{doubt}\nThe motor is off. Look at the Qube; then press a: it is examined, and driven \
-             again. Any other key ends the command."
+            "{doubt}\nLook at the Qube.{middle} Then press a: it is examined, and driven again. \
+             Any other key ends the command."
         );
         print_message(&question);
         self.progress.ask(&question);

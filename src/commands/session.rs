@@ -237,6 +237,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
+    let homing = settings.homing.method;
     let mut session =
         Session::open(folder, settings, rig_settings, std::sync::Arc::clone(&stop.flag))
             .and_then(Session::on_the_same_boards)
@@ -253,7 +254,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             live.update(&event, progress.time_left());
         });
         match ended.as_ref().err().and_then(SessionError::doubt) {
-            Some(doubt) if keyboard.acknowledges(doubt, &stop) => session.acknowledge(),
+            Some(doubt) if keyboard.acknowledges(doubt, homing, &stop) => session.acknowledge(),
             _ => break ended.map_err(failed),
         }
     };

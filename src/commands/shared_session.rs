@@ -94,6 +94,7 @@ pub fn run(
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
+    let homing = settings.homing.method;
     let (first, profile) = rigs.remove(0);
     let mut session = Session::open(folder, settings, first, Arc::clone(&stop.flag))
         .map_err(failed)?
@@ -116,7 +117,7 @@ pub fn run(
             }
         });
         match ended.as_ref().err().and_then(SessionError::doubt) {
-            Some(doubt) if keyboard.acknowledges(doubt, &stop) => session.acknowledge(),
+            Some(doubt) if keyboard.acknowledges(doubt, homing, &stop) => session.acknowledge(),
             _ => break ended.map_err(failed),
         }
     };

@@ -68,6 +68,8 @@ pub(super) struct RestMonitor {
     /// Counts at which arm and pendulum came to rest after the last motion; `None` if they were not
     /// seen at rest, or if the arm's count jumped meanwhile.
     pub left_at: Option<RestingCounts>,
+    /// Whether the arm's count jumped as the arm came to rest after the last motion.
+    pub has_jumped: bool,
     /// Encoders of the plant that was homed.
     pub encoders: Encoders,
 }
@@ -83,17 +85,17 @@ impl RestMonitor {
         stop: &AtomicBool,
     ) {
         let mut watch = RestWatch::after(last, self.encoders);
-        self.left_at = match watch_rest(&mut watch, device, clock, stop) {
-            Ok(rest) if !watch.has_jumped() => rest,
-            Ok(_) | Err(_) => None,
-        };
+        let rest = watch_rest(&mut watch, device, clock, stop).ok().flatten();
+        self.has_jumped = watch.has_jumped();
+        self.left_at = rest.filter(|_| !self.has_jumped);
     }
 
     /// Checks before a rollout arms the device that arm and pendulum are where they were left.
     ///
     /// # Errors
     /// Arm or pendulum has moved, does not come to rest, or was not seen at rest after the last
-    /// motion; a stop is requested; the port is gone; or the board has restarted.
+    /// motion; a stop is requested; the port is gone; the Qube is off; or it or the board has
+    /// restarted.
     pub fn compare(
         &self,
         settings: &TickSettings,
@@ -111,6 +113,9 @@ impl RestMonitor {
             let stopped = stop.load(Ordering::Relaxed);
             return Err(if stopped { ControlError::Stopped } else { Moved::Unseen.into() });
         };
+        if self.has_jumped {
+            return Err(Moved::Jumped.into());
+        }
         let zero_counts = settings.calibration.alpha_zero_counts;
         Ok(rest.compare(self.left_at, zero_counts, self.encoders)?)
     }
@@ -120,7 +125,7 @@ impl RestMonitor {
 /// is set.
 ///
 /// # Errors
-/// The port is gone, or the board has restarted. Lost samples are tolerated.
+/// The port is gone, the Qube is off, or it or the board has restarted. Lost samples are tolerated.
 fn watch_rest(
     watch: &mut RestWatch,
     device: &mut dyn Device,
@@ -137,7 +142,9 @@ fn watch_rest(
                     return Ok(Some(rest));
                 }
             }
-            Err(fault @ (LinkFault::Gone | LinkFault::NotArmed)) => return Err(fault),
+            Err(fault @ (LinkFault::Gone | LinkFault::NotArmed | LinkFault::QubeOff)) => {
+                return Err(fault);
+            }
             Err(_) => {}
         }
         deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());

@@ -100,6 +100,7 @@ pub fn drive_warm(
             measurement: sample.ok(),
             link_gone: sample == Err(LinkFault::Gone),
             board_restarted: sample == Err(LinkFault::NotArmed),
+            qube_off: sample == Err(LinkFault::QubeOff),
             motor_overheated: heat.is_overheated(),
         };
 

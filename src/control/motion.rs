@@ -4,7 +4,7 @@ use crate::safety::Foreseen;
 use crate::telemetry::{Ending, Phase};
 
 /// Input of one tick. A recording determines every field, so that replay can decide the tick again:
-/// `link_gone` and `board_restarted` follow from the rollout's ending, `motor_overheated` from the
+/// `link_gone`, `board_restarted` and `qube_off` follow from the rollout's ending, `motor_overheated` from the
 /// motor's heat at the start and the recorded ticks; the other fields are recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TickInput {
@@ -22,6 +22,8 @@ pub struct TickInput {
     pub link_gone: bool,
     /// Whether the device has restarted; it then requires a new hello.
     pub board_restarted: bool,
+    /// Whether the board has said that its Qube no longer answers.
+    pub qube_off: bool,
     /// Whether the motor must cool down, by the heat computed from the samples and voltages before
     /// this tick.
     pub motor_overheated: bool,

@@ -1,7 +1,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::clock::{Clock, Nanoseconds};
-use crate::device::{Device, DeviceError, Identity};
+use crate::device::{Device, DeviceError, Identity, RefusalReason};
 
 const MS: Nanoseconds = 1_000_000;
 
@@ -24,8 +24,9 @@ pub struct Patience {
 /// before each further attempt.
 ///
 /// # Errors
-/// The error of the last hello. A version mismatch, which no waiting cures, ends the attempts at
-/// once; so does a request to stop.
+/// The error of the last hello. What no waiting cures ends the attempts at once: a version
+/// mismatch, a Qube that is off, which somebody may be about to touch, and an emergency stop. So
+/// does a request to stop.
 pub(super) fn greet_patiently(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -40,7 +41,7 @@ pub(super) fn greet_patiently(
             Ok(identity) => return Ok(identity),
             Err(error) => {
                 let is_over = clock.now_ns() >= end_ns || stop.load(Ordering::Relaxed);
-                if is_over || matches!(error, DeviceError::VersionMismatch { .. }) {
+                if is_over || !is_cured_by_waiting(&error) {
                     return Err(error);
                 }
             }
@@ -49,6 +50,15 @@ pub(super) fn greet_patiently(
         // If the port has not come back, the next hello reports it.
         let _ = device.reopen();
     }
+}
+
+fn is_cured_by_waiting(error: &DeviceError) -> bool {
+    !matches!(
+        error,
+        DeviceError::VersionMismatch { .. }
+            | DeviceError::QubeAbsent { .. }
+            | DeviceError::Refused { reason: RefusalReason::EmergencyStop, .. }
+    )
 }
 
 fn pause(clock: &dyn Clock, stop: &AtomicBool, pause_ns: Nanoseconds) {

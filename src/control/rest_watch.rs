@@ -51,8 +51,10 @@ pub enum Moved {
     /// The pendulum rests at a count at which it did not hang before, off by this angle, rad.
     #[error("the pendulum rests {0:.2} rad from where it hung (a hand, or its encoder's cable)")]
     Pendulum(f64),
-    /// Arm and pendulum were not seen at rest, either after the last motion or before this one, or
-    /// the arm's count jumped as they came to rest.
+    /// The arm's count jumped as the arm came to rest after the last motion.
+    #[error("the arm's count jumped as the arm came to rest (its encoder's cable?)")]
+    Jumped,
+    /// Arm and pendulum were not seen at rest, either after the last motion or before this one.
     #[error("arm and pendulum were not seen to come to rest since the last motion")]
     Unseen,
 }

@@ -324,7 +324,8 @@ fn allowed(state: &mut ControlState, wanted: ControlEvent) -> Result<(), Control
     }
 }
 
-/// Drives a motion and adopts the state of control in which the motion ends.
+/// Drives a motion and adopts the state of control in which the motion ends, or latches a fault if
+/// the device has not confirmed that its amplifier is off.
 ///
 /// # Errors
 /// The device could not be armed; the fault is latched.
@@ -342,6 +343,9 @@ fn driven(
     match driven {
         Ok(report) => {
             *state = motion.control_state();
+            if report.disarmed.is_err() {
+                state.take(ControlEvent::NoAnswer);
+            }
             Ok(report)
         }
         Err(error) => {

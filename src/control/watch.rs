@@ -103,18 +103,23 @@ impl Watch {
         if input.board_restarted {
             return Some(Alarm::Zero(Fault::BoardRestarted));
         }
+        if input.qube_off {
+            return Some(Alarm::Zero(Fault::QubeOff));
+        }
         let last_valid_ns = *self.last_valid_ns.get_or_insert(input.deadline_ns);
         let Some(measurement) = &input.measurement else {
             let blind_ns = input.deadline_ns.saturating_sub(last_valid_ns);
             return (blind_ns > MAX_BLIND_NS).then_some(Alarm::Zero(Fault::NoSample));
         };
         self.last_valid_ns = Some(input.deadline_ns);
+        // Before all else that may be wrong after a computer that slept: the program goes on by
+        // itself after a fault of the clock, and not after this one.
+        if measurement.status.emergency_stop {
+            return Some(Alarm::Zero(Fault::EmergencyStop));
+        }
         let asked_ns = input.deadline_ns + input.lateness_ns;
         if !self.ignores_clock && self.clock.is_wrong(asked_ns, measurement.device_time_us) {
             return Some(Alarm::Zero(Fault::DeviceClock));
-        }
-        if measurement.status.emergency_stop {
-            return Some(Alarm::Zero(Fault::EmergencyStop));
         }
         if measurement.status.watchdog_tripped {
             return Some(Alarm::Zero(Fault::WatchdogTripped));
@@ -211,6 +216,25 @@ mod tests {
         let measurement = Some(Measurement { status, ..Measurement::default() });
         let alarm = Watch::default().check(&TickInput { measurement, ..input(0) });
         assert_eq!(alarm, Some(Alarm::Zero(Fault::EmergencyStop)));
+    }
+
+    #[test]
+    fn an_emergency_stop_is_named_after_a_sleep_of_the_computer_too() {
+        let mut watch = Watch::default();
+        assert_eq!(watch.check(&input(0)), None);
+        let mut slept = input(1);
+        let sample = slept.measurement.as_mut().unwrap();
+        sample.device_time_us += 60_000_000;
+        let mut stopped = slept;
+        stopped.measurement.as_mut().unwrap().status.emergency_stop = true;
+        assert_eq!(watch.check(&stopped), Some(Alarm::Zero(Fault::EmergencyStop)));
+        assert_eq!(watch.check(&slept), Some(Alarm::Zero(Fault::DeviceClock)));
+    }
+
+    #[test]
+    fn a_qube_that_is_switched_off_is_named_at_once() {
+        let off = TickInput { measurement: None, qube_off: true, ..input(1) };
+        assert_eq!(Watch::default().check(&off), Some(Alarm::Zero(Fault::QubeOff)));
     }
 
     #[test]

@@ -25,6 +25,7 @@ mod serial_link;
 mod transport;
 mod tty;
 
+pub use firmware_protocol::RefusalReason;
 pub use hil::{HilAddress, HilError, HilLink, NotAnAddress, find_library};
 pub use in_process::InProcessWire;
 pub use port_name::{available_ports, stable_port_name};
@@ -173,6 +174,9 @@ pub enum LinkFault {
     /// The device is not armed.
     #[error("the device is not armed")]
     NotArmed,
+    /// The board answers, but the Qube behind it does not.
+    #[error("the Qube no longer answers its board (switched off?)")]
+    QubeOff,
     /// The watchdog of the device has switched the amplifier off.
     #[error("the device's watchdog switched the motor off")]
     WatchdogTripped,
@@ -257,14 +261,14 @@ pub enum DeviceError {
         ours: u16,
     },
     /// The device refused a request.
-    #[error("{port} refused to {action}: {reason}")]
+    #[error("{port} refused to {action}: {}", reason.describe())]
     Refused {
         /// The port.
         port: String,
         /// Name of the request.
         action: &'static str,
         /// Reason that the device gave.
-        reason: String,
+        reason: RefusalReason,
     },
     /// The link failed during an exchange.
     #[error("{port}: {fault}")]

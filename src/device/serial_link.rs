@@ -45,6 +45,8 @@ pub struct SerialLink<T: Transport> {
     boot_id: Option<u16>,
     /// Whether an arm or disarm has found that the device has restarted since that hello.
     has_restarted: bool,
+    /// Whether a sample has shown since the first hello that the emergency-stop switch was opened.
+    stop_was_opened: bool,
     motor: Motor,
     device_time: DeviceTime,
     /// Last sample since the last hello, the only one that an act may answer.
@@ -114,6 +116,7 @@ impl<T: Transport> SerialLink<T> {
             is_emulator: false,
             boot_id: None,
             has_restarted: false,
+            stop_was_opened: false,
             motor: Motor::Off,
             device_time: DeviceTime::default(),
             last_sample: None,
@@ -270,7 +273,7 @@ impl<T: Transport> SerialLink<T> {
     }
 
     fn refused(&self, action: &'static str, reason: RefusalReason) -> DeviceError {
-        DeviceError::Refused { port: self.name(), action, reason: reason.describe().into() }
+        DeviceError::Refused { port: self.name(), action, reason }
     }
 
     fn restarted(&self) -> DeviceError {
@@ -281,12 +284,31 @@ impl<T: Transport> SerialLink<T> {
     /// last hello. Its counts may then start at any value, so the caller must send a hello of its
     /// own.
     fn greet_same_start(&mut self) -> Result<(), DeviceError> {
+        self.check_stop()?;
         let reply = self.greet()?;
         let identity = self.accept(&reply)?;
         if self.boot_id != Some(identity.boot_id) {
             self.nonce = None;
             self.has_restarted = true;
             return Err(self.restarted());
+        }
+        Ok(())
+    }
+
+    /// Asks before every hello but the first whether the emergency-stop switch was opened, because
+    /// a hello clears the device's latch once the switch is closed again.
+    ///
+    /// # Errors
+    /// The switch is open, or was since the first hello. Only a new link moves this Qube again.
+    fn check_stop(&mut self) -> Result<(), DeviceError> {
+        if self.boot_id.is_some()
+            && !self.stop_was_opened
+            && let Ok(Reply::Sample(sample)) = self.exchange(Request::Sample, ANSWER_TIME_NS)
+        {
+            self.stop_was_opened = sample.status.has(StatusBits::EMERGENCY_STOP);
+        }
+        if self.stop_was_opened {
+            return Err(self.refused("go on", RefusalReason::EmergencyStop));
         }
         Ok(())
     }
@@ -325,6 +347,7 @@ impl<T: Transport> SerialLink<T> {
             emergency_stop: sample.status.has(StatusBits::EMERGENCY_STOP),
             stop_switch_fitted: sample.status.has(StatusBits::STOP_SWITCH_FITTED),
         };
+        self.stop_was_opened |= status.emergency_stop;
         if self.motor == Motor::Armed && !status.armed {
             self.motor = if status.watchdog_tripped { Motor::Tripped } else { Motor::Off };
         }
@@ -346,6 +369,7 @@ impl<T: Transport> SerialLink<T> {
 
 impl<T: Transport> Device for SerialLink<T> {
     fn hello(&mut self) -> Result<Identity, DeviceError> {
+        self.check_stop()?;
         let reply = self.greet()?;
         let identity = self.accept(&reply)?;
         self.boot_id = Some(identity.boot_id);
@@ -397,6 +421,10 @@ impl<T: Transport> Device for SerialLink<T> {
             Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => {
                 self.motor = Motor::Off;
                 Err(LinkFault::NotArmed)
+            }
+            Reply::Refusal { reason: RefusalReason::QubeAbsent, .. } => {
+                self.motor = Motor::Off;
+                Err(LinkFault::QubeOff)
             }
             _ => Err(LinkFault::Timeout),
         }

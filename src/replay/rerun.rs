@@ -113,8 +113,8 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
     let mut ending = None;
     let mut guard_approach: Option<GuardApproach> = None;
     for (index, recorded) in compared.iter().enumerate() {
-        // A recording has no fields for a link that is gone and a board that has restarted. They
-        // happen only in the last tick, which has no sample, because they end the rollout, and the
+        // A recording has no fields for a link that is gone, a board that has restarted and a Qube
+        // that is off. They happen only in the last tick, which has no sample, because they end the rollout, and the
         // outcome names them. The last tick of a recording whose end is missing may be an earlier
         // one.
         let may_be_the_end = index + 1 == recording.ticks.len() && recorded.measurement.is_none();
@@ -126,6 +126,7 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
             measurement: recorded.measurement,
             link_gone: may_be_the_end && ended_by(Fault::LinkGone),
             board_restarted: may_be_the_end && ended_by(Fault::BoardRestarted),
+            qube_off: may_be_the_end && ended_by(Fault::QubeOff),
             motor_overheated: heat.is_some_and(|heat| heat.is_overheated()),
         });
         if let Some(heat) = &mut heat {

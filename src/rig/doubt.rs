@@ -1,4 +1,5 @@
 use std::fmt;
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -21,13 +22,14 @@ pub struct Doubt {
 impl fmt::Display for Doubt {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { fault, board, .. } = self;
-        write!(
-            formatter,
-            "the last motion of board {board} left a doubt about a sensor or the motor"
-        )?;
         match fault {
-            Some(fault) => write!(formatter, ": {fault}. {}", fault.operator_step())?,
-            None => write!(formatter, ", and its record cannot be read. Look at the Qube.")?,
+            Some(fault) => {
+                write!(formatter, "board {board} is in doubt: {fault}. {}", fault.operator_step())?
+            }
+            None => write!(
+                formatter,
+                "board {board} is in doubt, and the record of the reason cannot be read. Look at the Qube."
+            )?,
         }
         write!(
             formatter,
@@ -56,11 +58,10 @@ impl DoubtStore {
     /// counts as none if its fault leaves no doubt by this release's table of faults.
     #[must_use]
     pub fn load(&self, board: &str) -> Option<Doubt> {
-        let path = self.path(board);
-        if !MachineDisk.exists(&path) {
-            return None;
-        }
-        let read = MachineDisk.read(&path, MAX_FILE_BYTES).ok();
+        let read = match MachineDisk.read(&self.path(board), MAX_FILE_BYTES) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return None,
+            read => read.ok(),
+        };
         let doubt: Doubt = read
             .and_then(|bytes| serde_json::from_slice(&bytes).ok())
             .unwrap_or_else(|| Doubt { fault: None, board: board.into(), unix_s: None });

@@ -2,7 +2,7 @@ use thiserror::Error;
 
 use super::Doubt;
 use crate::control::{ControlError, ThreadGone};
-use crate::device::{DeviceError, LinkFault};
+use crate::device::{DeviceError, LinkFault, RefusalReason};
 use crate::policy::{OtherPlant, PolicyFault};
 use crate::preflight::TooSlow;
 use crate::recording::RecordingError;
@@ -93,12 +93,16 @@ pub enum RigError {
         /// Serial number of the board that answers.
         found: String,
     },
-    /// The board has restarted, so the arm's middle, which a hand had shown, is lost.
+    /// The arm's count may have begun anew or jumped, so the arm's middle, which a hand had shown,
+    /// is lost. No stop that homing would touch could show the error.
     #[error(
-        "the board has restarted and counts from elsewhere now, so the arm's middle, which a hand has shown, \
-         is lost. The motor is off. Put the arm into the middle and start again"
+        "{fault}: the arm's middle, which a hand has shown, is lost. The motor is off. Put the arm into the \
+         middle and start again"
     )]
-    MiddleLost,
+    MiddleLost {
+        /// Fault of the count: the board has restarted, or the count moved while the motor was off.
+        fault: Fault,
+    },
     /// A motion left a sensor or the motor in doubt, and no operator has acknowledged this yet.
     #[error("{0}")]
     InDoubt(Box<Doubt>),
@@ -174,9 +178,7 @@ impl From<ControlError> for RigError {
 /// The operator's step after a lost link, as far as the error of the last attempt does not say it.
 fn lost_link_step(source: &DeviceError) -> &'static str {
     match source {
-        DeviceError::FellSilent { .. } | DeviceError::QubeAbsent { .. } => {
-            "Its motor may still have its last voltage."
-        }
+        DeviceError::FellSilent { .. } => "Its motor may still have its last voltage.",
         _ => Fault::LinkGone.operator_step(),
     }
 }
@@ -195,13 +197,13 @@ impl RigError {
     #[must_use]
     pub fn fault(&self) -> Option<Fault> {
         match self {
-            Self::Homing { fault, .. } | Self::NotBegun { fault, .. } | Self::Ended { fault } => {
-                Some(*fault)
-            }
+            Self::Homing { fault, .. }
+            | Self::NotBegun { fault, .. }
+            | Self::MiddleLost { fault }
+            | Self::Ended { fault } => Some(*fault),
             // Whatever ended the link, by now it is gone.
             Self::LinkLost { .. } => Some(Fault::LinkGone),
             Self::Device(error) => link_fault(error),
-            Self::MiddleLost => Some(Fault::BoardRestarted),
             Self::InDoubt(doubt) => doubt.fault,
             Self::Travel { .. } => Some(Fault::TravelWrong),
             _ => None,
@@ -221,7 +223,7 @@ impl RigError {
             | Self::NotBegun { .. }
             | Self::LinkLost { .. }
             | Self::BoardChanged { .. }
-            | Self::MiddleLost
+            | Self::MiddleLost { .. }
             | Self::WrongBoard { .. }
             | Self::InDoubt(_)
             | Self::Ended { .. }
@@ -263,11 +265,18 @@ impl RigError {
     }
 }
 
-/// The fault that corresponds to a failed link or a restarted board; `None` for other errors, which
-/// waiting does not remedy.
+/// The fault that corresponds to a failed link, a restarted board, or a board that refuses to drive
+/// its Qube; `None` for other errors.
 pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
     match error {
         DeviceError::Link { fault: LinkFault::Gone, .. } => Some(Fault::LinkGone),
+        DeviceError::Link { fault: LinkFault::QubeOff, .. } => Some(Fault::QubeOff),
+        DeviceError::Refused { reason, .. } => match reason {
+            RefusalReason::QubeAbsent => Some(Fault::QubeOff),
+            RefusalReason::EmergencyStop => Some(Fault::EmergencyStop),
+            RefusalReason::Faulted => Some(Fault::Amplifier),
+            _ => None,
+        },
         DeviceError::Link { .. } | DeviceError::FellSilent { .. } => Some(Fault::NoSample),
         DeviceError::Restarted { .. } => Some(Fault::BoardRestarted),
         DeviceError::Hil(error) if error.is_silence() => Some(Fault::NoSample),

@@ -7,6 +7,7 @@
 //! [`Rig::rollout`] records a rollout. The command `check` uses [`Rig::connect`] and
 //! [`Rig::check`].
 
+mod after_motion;
 mod connection;
 mod doubt;
 mod error;

@@ -3,7 +3,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use super::after_motion::fault_after;
 use super::connection::connect;
+use super::error::link_fault;
 use super::{ClockChoice, Doubt, DoubtStore, RigError, RigSettings};
 use crate::clock::RealtimeRefusals;
 use crate::control::{
@@ -11,7 +13,7 @@ use crate::control::{
     drive_warm,
 };
 use crate::device::emulator::EmulatedQube;
-use crate::device::{DeviceError, Identity};
+use crate::device::{DeviceError, Identity, LinkFault};
 use crate::estimation::MeasuredRig;
 use crate::preflight::{
     Examination, ExaminationSettings, admit_processor, examine, foresight_time_us, homed,
@@ -33,7 +35,7 @@ pub struct Rig {
     pub(super) identity: Identity,
     pub(super) measured: MeasuredRig,
     pub(super) plant: PlantModel,
-    homing: HomingSettings,
+    pub(super) homing: HomingSettings,
     pub(super) preflight: Preflight,
     /// Measured link; `None` before the measurement, and for the embedded emulator, unless it
     /// emulates a USB bridge.
@@ -53,8 +55,8 @@ pub struct Rig {
     pub(super) identified: Cell<Option<IdentifiedQube>>,
     /// Viewers that show rollouts while they are recorded.
     pub(super) viewers: Vec<Arc<dyn Viewer>>,
-    /// Fault that ended the last motion, or fault of the link that kept it from beginning, until
-    /// the Qube is homed again.
+    /// Fault of the last motion, or fault that kept it from beginning, until the Qube is homed
+    /// again.
     pub(super) last_fault: Cell<Option<Fault>>,
     /// Emulator, which serves the rig until it is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
@@ -217,21 +219,28 @@ impl Rig {
             }
             let mut press = StopPress::new(&plant, calibration, push_v, ticks, rehearsal);
             let report = drive_warm(device, clock, &mut press, heat, None, stop)?;
-            Ok(Pressed { ending: report.outcome.ending, outcome: press.outcome() })
-        })??;
-        self.latch(pressed.ending);
+            let pressed = Pressed { ending: report.outcome.ending, outcome: press.outcome() };
+            Ok((pressed, fault_after(&report)))
+        })?;
+        let (pressed, fault) = pressed.map_err(|error: DeviceError| self.in_doubt(error))?;
+        if let Some(fault) = fault {
+            self.latch(fault);
+        }
         Ok(pressed)
     }
 
-    /// Whether the Qube still answers a hello.
+    /// Whether the device's port is gone. A board that answers without its Qube, or is silent at
+    /// its port, still has one.
     ///
     /// # Errors
     /// The control thread has ended.
-    pub fn answers(&self) -> Result<bool, RigError> {
+    pub fn has_lost_port(&self) -> Result<bool, RigError> {
         match self.control.hello() {
-            Ok(_) => Ok(true),
             Err(ControlError::ThreadGone(gone)) => Err(gone.into()),
-            Err(_) => Ok(false),
+            Err(ControlError::Device(
+                DeviceError::NoSuchPort { .. } | DeviceError::Link { fault: LinkFault::Gone, .. },
+            )) => Ok(true),
+            Ok(_) | Err(_) => Ok(false),
         }
     }
 
@@ -245,7 +254,8 @@ impl Rig {
         };
         let examination = self
             .control
-            .lend(move |device, clock, heat, stop| examine(device, clock, heat, stop, &settings))??
+            .lend(move |device, clock, heat, stop| examine(device, clock, heat, stop, &settings))?
+            .map_err(|error| self.in_doubt(error))?
             .ok_or(RigError::Stopped { during: "the check" })?;
         self.homing.signs = examination.signs;
         self.homing.hand_counts = examination.start_theta_counts;
@@ -291,6 +301,14 @@ impl Rig {
             Err(ControlError::Device(_)) if self.stop.load(Ordering::Relaxed) => {
                 return Err(RigError::Stopped { during: "the wait for the link" });
             }
+            Err(ControlError::Device(DeviceError::QubeAbsent { .. })) => {
+                return Err(self.in_doubt_by(Fault::QubeOff));
+            }
+            Err(ControlError::Device(source))
+                if link_fault(&source).is_some_and(Fault::leaves_doubt) =>
+            {
+                return Err(self.in_doubt(source));
+            }
             Err(ControlError::Device(source)) => {
                 return Err(RigError::LinkLost {
                     patience_s: self.link_patience_s,
@@ -307,6 +325,12 @@ impl Rig {
                 found: identity.serial,
             });
         }
+        // The board wanted a new hello and has not restarted itself: its Qube was switched off and
+        // on (PROTOCOL.md, "No Qube").
+        let is_same_start = identity.boot_id == self.identity.boot_id;
+        if is_same_start && self.last_fault.get() == Some(Fault::BoardRestarted) {
+            return Err(self.in_doubt_by(Fault::QubeOff));
+        }
         self.accept_restart(identity)
     }
 
@@ -321,7 +345,7 @@ impl Rig {
         }
         self.homing.hand_counts = None;
         if self.homing.method == HomingMethod::Hand {
-            return Err(RigError::MiddleLost);
+            return Err(RigError::MiddleLost { fault: Fault::BoardRestarted });
         }
         tracing::warn!("the board has restarted: its counters restart, and the arm is homed");
         Ok(())
@@ -336,10 +360,22 @@ impl Rig {
         }
     }
 
-    /// Remembers the fault that ended a motion; a doubt is also stored so that it outlives the
-    /// program.
-    pub(super) fn latch(&self, ending: Ending) {
-        let Ending::Fault(fault) = ending else { return };
+    /// The error of a device that refuses to drive its Qube or whose Qube is off: the fault is
+    /// latched as a doubt. Any other error of the device stays as it is.
+    pub(super) fn in_doubt(&self, error: DeviceError) -> RigError {
+        match link_fault(&error).filter(|fault| fault.leaves_doubt()) {
+            Some(fault) => self.in_doubt_by(fault),
+            None => error.into(),
+        }
+    }
+
+    fn in_doubt_by(&self, fault: Fault) -> RigError {
+        self.latch(fault);
+        RigError::InDoubt(Box::new(self.doubt(fault)))
+    }
+
+    /// Remembers the fault of a motion; a doubt is also stored so that it outlives the program.
+    pub(super) fn latch(&self, fault: Fault) {
         self.last_fault.set(Some(fault));
         if let Some(memory) = self.memory.as_ref().filter(|_| fault.leaves_doubt()) {
             memory.store(&self.doubt(fault));
@@ -362,10 +398,16 @@ impl Rig {
     }
 
     fn home_once(&mut self) -> Result<(), RigError> {
-        let (report, found) = self.control.home(self.homing)?;
-        self.latch(report.outcome.ending);
-        match (report.outcome.ending, found.rig) {
-            (_, Some(measured)) => {
+        let (report, found) = self.control.home(self.homing).map_err(|error| match error {
+            ControlError::Device(source) => self.in_doubt(source),
+            error => error.into(),
+        })?;
+        let fault = fault_after(&report);
+        if let Some(fault) = fault {
+            self.latch(fault);
+        }
+        match (fault, found.rig) {
+            (None, Some(measured)) => {
                 self.measured = measured;
                 let calibration = measured.calibration;
                 // From here on the middle is known, wherever a fault may leave the arm.
@@ -374,14 +416,12 @@ impl Rig {
                 self.last_fault.set(None);
                 Ok(())
             }
-            (Ending::Fault(Fault::TravelWrong), None) => Err(RigError::Travel {
+            (Some(Fault::TravelWrong), _) => Err(RigError::Travel {
                 travel_rad: found.travel_rad.unwrap_or_default(),
                 expected_rad: self.homing.expected_travel_rad(),
             }),
-            (Ending::Fault(fault), None) => {
-                Err(RigError::Homing { fault, last_ticks: report.last_ticks })
-            }
-            (_, None) => Err(RigError::Stopped { during: "homing" }),
+            (Some(fault), _) => Err(RigError::Homing { fault, last_ticks: report.last_ticks }),
+            (None, None) => Err(RigError::Stopped { during: "homing" }),
         }
     }
 

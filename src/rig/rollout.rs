@@ -3,9 +3,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::after_motion::fault_after;
 use super::error::link_fault;
 use super::{Rig, RigError};
-use crate::control::{ControlError, DriveReport, RING_CAPACITY};
+use crate::control::{ControlError, DriveReport, HomingMethod, Moved, RING_CAPACITY};
 use crate::estimation::MeasuredStops;
 use crate::policy::{Controller, External, Policy};
 use crate::preflight::admit_processor;
@@ -13,7 +14,7 @@ use crate::qube::State;
 use crate::recording::Recorder;
 use crate::safety::{ForesightSettings, Guard, Limit, SafetyBox};
 use crate::storage::Disk;
-use crate::telemetry::{Ending, MeasuredLink, RolloutHeader, RolloutOutcome, TickSettings};
+use crate::telemetry::{Ending, Fault, MeasuredLink, RolloutHeader, RolloutOutcome, TickSettings};
 
 /// A rollout whose recording is complete on disk.
 #[derive(Debug)]
@@ -178,7 +179,9 @@ impl Rig {
                 return Err(self.not_begun(error));
             }
         };
-        self.latch(report.outcome.ending);
+        if let Some(fault) = fault_after(&report) {
+            self.latch(fault);
+        }
         if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
             tracing::warn!(
                 "the Qube does not move as its profile predicts, so it is guarded as an unknown one. Is the pendulum \
@@ -193,12 +196,25 @@ impl Rig {
     fn not_begun(&self, error: ControlError) -> RigError {
         match error {
             ControlError::Device(source) => match link_fault(&source) {
+                Some(fault) if fault.leaves_doubt() => self.in_doubt(source),
                 Some(fault) => {
                     self.last_fault.set(Some(fault));
                     RigError::NotBegun { fault, source: ControlError::Device(source) }
                 }
                 None => RigError::Device(source),
             },
+            // The motion before this rollout has latched a fault although it came to its end.
+            refused @ ControlError::Refused { .. } => match self.last_fault.get() {
+                Some(fault) => RigError::NotBegun { fault, source: refused },
+                None => refused.into(),
+            },
+            // A count that moved may be the arm or its encoder, and no stop that homing would touch
+            // could show which.
+            ControlError::Moved(Moved::Arm(_) | Moved::Jumped)
+                if self.homing.method == HomingMethod::Hand =>
+            {
+                RigError::MiddleLost { fault: Fault::CountsMoved }
+            }
             ControlError::Moved(moved) => {
                 tracing::warn!("{moved}: the rollout does not begin, and the arm is homed again");
                 ControlError::from(moved).into()

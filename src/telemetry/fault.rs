@@ -93,6 +93,9 @@ faults! {
     BoardRestarted: Reconnect,
         "the board has restarted (a loss of power?)",
         "Switch the Qube off: its motor may still have had its last voltage. Check the board's supply and its USB cable.";
+    OffUnconfirmed: Reconnect,
+        "the device has not confirmed that the motor is off",
+        "Switch the Qube off: its motor may still have its last voltage. Check the board's supply and its USB cable.";
     WatchdogTripped: TryAgain,
         "the device's watchdog switched the motor off",
         "Close programs that keep this computer busy.";
@@ -102,9 +105,15 @@ faults! {
     EmergencyStop: Examine,
         "the emergency-stop switch was opened",
         "Make sure that nobody is near the arm, then close the switch. If nobody has opened it, check its wires.";
+    QubeOff: Examine,
+        "the Qube no longer answers its board (switched off, or its supply gone?)",
+        "Make sure that nobody is near the arm, then switch the Qube on. If nobody has switched it off, check its supply and its wires to the board.";
     DeviceClock: TryAgain,
         "the device's clock disagrees with the computer's, or the same sample came twice",
         "Close programs that keep this computer busy. If the fault persists: flash the firmware of this release, then check that the board conforms to the protocol.";
+    ComputerSlept: End,
+        "the computer stood still for 2 s or more in the middle of a motion (asleep, or the program was stopped?)",
+        "Make sure that nobody is near the arm, then start again. Switch the computer's sleep off while it drives a Qube.";
     CountsMoved: TryAgain,
         "a count of arm or pendulum moved while the motor was off (a hand, or an encoder's cable)",
         "Keep hands off during a run. If nobody touched the Qube: check the cables of both encoders.";

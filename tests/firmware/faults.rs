@@ -3,7 +3,8 @@
 
 use firmware_protocol::{QUBE_MODULE_ID, WATCHDOG_MS, WATCHDOG_POLL_MS};
 use qube_hil::clock::MonotonicClock;
-use qube_hil::device::{Device, DeviceError, SerialLink};
+use qube_hil::device::{Device, DeviceError, LinkFault, SerialLink};
+use qube_hil::qube::Measurement;
 
 use crate::host::{Disturbed, scenario};
 use crate::qube::{Command, Qube};
@@ -159,9 +160,15 @@ fn the_firmware_knows_a_qube_by_its_module_id() {
         host.board.wait_us(300_000);
         let off_us = off_for_good(&host.commands_since(gone_us - 50_000));
         assert!(off_us <= gone_us + 2 * TWO_PERIODS_US, "off after {} us", off_us - gone_us);
-        assert!(host.sample().is_err(), "there is nothing to sample");
+        let refused = |sampled: Result<_, LinkFault>| match sampled.map(|_: Measurement| ()) {
+            Err(LinkFault::Timeout) => Err(Disturbed),
+            refused => Ok(refused),
+        };
+        assert_eq!(refused(host.sample())?, Err(LinkFault::QubeOff));
         host.board.qube().module_id = QUBE_MODULE_ID;
         host.board.wait_us(10_000);
+        // Its counters have begun anew, so nothing goes on without a new hello.
+        assert_eq!(refused(host.sample())?, Err(LinkFault::NotArmed));
         host.link.hello().unwrap();
         host.arm_and_drive()
     });

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use qube_hil::clock::MonotonicClock;
-use qube_hil::device::{Device, DeviceError, SerialLink};
+use qube_hil::clock::{MonotonicClock, Nanoseconds};
+use qube_hil::device::{Device, DeviceError, LinkFault, RefusalReason, SerialLink, Transport, Tty};
 
 use crate::host::{Disturbed, Host, scenario_on};
 use crate::qube::Qube;
@@ -20,6 +20,40 @@ fn close(host: &mut Host) {
     host.board.order(Order::CloseStop);
     host.board.wait_us(150_000);
     host.link.hello().unwrap();
+}
+
+/// The wire of a link, for the link of the next program.
+struct SameWire<'a>(&'a mut Tty);
+
+impl Transport for SameWire<'_> {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        self.0.read(buffer, deadline_ns)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        self.0.write(bytes)
+    }
+
+    fn name(&self) -> &str {
+        self.0.name()
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        self.0.boot_time_ns()
+    }
+
+    fn reopen(&mut self) -> Result<(), DeviceError> {
+        self.0.reopen()
+    }
+}
+
+/// A link over the same wire that has seen nothing yet.
+fn next_link(host: &mut Host) -> SerialLink<SameWire<'_>> {
+    SerialLink::new(SameWire(host.link.transport()), Arc::new(MonotonicClock))
+}
+
+fn is_stop(error: &DeviceError) -> bool {
+    matches!(error, DeviceError::Refused { reason: RefusalReason::EmergencyStop, .. })
 }
 
 fn stops(chip: Chip) {
@@ -46,16 +80,21 @@ fn stops(chip: Chip) {
         let [red, green, blue] = off.last().unwrap().leds;
         assert!(red > 0 && green == 0 && red == blue, "magenta: {:?}", off.last());
 
-        // Open: refused. Closed again: still latched until a hello.
-        host.link.hello().unwrap();
-        let refused = host.link.arm().unwrap_err();
-        assert!(matches!(refused, DeviceError::Refused { .. }), "{refused}");
-        assert!(refused.to_string().contains("emergency-stop"), "{refused}");
+        // Open: refused. Closed again: still latched until a hello, which a link that has seen the
+        // stop does not send.
+        let mut next = next_link(host);
+        next.hello().unwrap();
+        let refused = next.arm().unwrap_err();
+        assert!(is_stop(&refused) && refused.to_string().contains("emergency-stop"), "{refused}");
+        drop(next);
         host.board.order(Order::CloseStop);
         host.board.wait_us(20_000);
         assert!(host.sample().map_err(|_| Disturbed)?.status.emergency_stop);
-        host.link.hello().unwrap();
-        host.arm_and_drive()
+        assert!(is_stop(&host.link.hello().unwrap_err()));
+        let mut next = next_link(host);
+        next.hello().unwrap();
+        next.arm().unwrap();
+        Ok(())
     });
 }
 

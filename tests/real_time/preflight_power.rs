@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings, Finger};
+use qube_hil::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Finger};
 use qube_hil::qube::State;
 use qube_hil::session::{QubeFile, UsbLost, power_warning};
 use rustix::process::{Pid, Signal, kill_process};
@@ -23,10 +23,13 @@ const AT_STOP_S: u64 = 20;
 /// Delay of the operator's hand: the motor presses by then.
 const AN_OPERATOR_TAKES: Duration = Duration::from_millis(500);
 
-/// An emulated Qube with or without an operator's finger at its arm, at the port `link`.
-fn qube(link: &Path, finger: Option<Finger>) -> EmulatedQube {
+/// An emulated Qube with or without an operator's finger at its arm, at the port `link`; with
+/// `restarts`, its board begins with another start than the first one's.
+fn qube(link: &Path, finger: Option<Finger>, restarts: bool) -> EmulatedQube {
     let start = Some(State::default());
-    let settings = EmulatorSettings { seed: 5, start, finger, ..EmulatorSettings::default() };
+    let fault = restarts.then_some(EmulatorFault::BoardRestart { after_s: 0.0 });
+    let settings =
+        EmulatorSettings { seed: 5, start, finger, fault, ..EmulatorSettings::default() };
     let mut qube = EmulatedQube::spawn(settings).unwrap();
     qube.link_as(link).unwrap();
     qube
@@ -36,6 +39,8 @@ fn qube(link: &Path, finger: Option<Finger>) -> EmulatedQube {
 enum AtThePlug {
     /// Pulls the plug and answers this.
     Pulled(&'static str),
+    /// Pulls the plug of a board that another supply keeps alive, and answers this.
+    OnAnotherSupply(&'static str),
     /// Leaves the plug in, while the program is stopped for a moment.
     Stopped,
 }
@@ -53,7 +58,7 @@ struct Told {
 fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
     let link = directory.join("qube");
     let finger = Finger { from_us: AT_STOP_S * 1_000_000, every_us: 2_500_000, counts: 40 };
-    let mut connected = Some(qube(&link, Some(finger)));
+    let mut connected = Some(qube(&link, Some(finger), false));
     let started = Instant::now();
     let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test", "--json"];
     let mut child = program(directory, &arguments)
@@ -72,7 +77,7 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
             writeln!(operator).unwrap();
         } else if line.contains("Now pull the USB plug") {
             match at_the_plug {
-                AtThePlug::Pulled(_) => {
+                AtThePlug::Pulled(_) | AtThePlug::OnAnotherSupply(_) => {
                     std::thread::sleep(AN_OPERATOR_TAKES);
                     connected = None;
                 }
@@ -85,10 +90,15 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
                 }
             }
         } else if line.contains("The board is gone") {
-            let AtThePlug::Pulled(answer) = at_the_plug else { panic!("the plug is in: {line}") };
-            writeln!(operator, "{answer}").unwrap();
+            match at_the_plug {
+                AtThePlug::Pulled(answer) | AtThePlug::OnAnotherSupply(answer) => {
+                    writeln!(operator, "{answer}").unwrap();
+                }
+                AtThePlug::Stopped => panic!("the plug is in: {line}"),
+            }
         } else if line.contains("Plug the USB cable in again") {
-            connected = Some(qube(&link, None));
+            let restarts = !matches!(at_the_plug, AtThePlug::OnAnotherSupply(_));
+            connected = Some(qube(&link, None, restarts));
             writeln!(operator).unwrap();
         }
         told.push(line);
@@ -161,6 +171,19 @@ fn the_power_test_is_done_once_a_rig_and_its_result_ends_the_warning() {
 }
 
 #[test]
+fn a_board_that_another_supply_keeps_alive_shows_nothing() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let pulled = AtThePlug::OnAnotherSupply("n");
+        let Told { code, told, text, .. } = tested(directory.path(), &pulled);
+        assert_eq!(code, Some(1), "{told}\n{text}");
+        assert!(told.contains("it never lost its power"), "{told}");
+        assert!(told.contains("switch the Qube off"), "{told}");
+        assert!(!directory.path().join("qube.toml").exists());
+    });
+}
+
+#[test]
 fn a_computer_that_stands_still_is_not_taken_for_a_pulled_plug() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
@@ -184,7 +207,7 @@ fn nobody_at_the_terminal_means_no_test_and_no_file() {
         let refused = program(directory.path(), &["check", "--power-test"]).output().unwrap();
         assert_eq!(refused.status.code(), Some(2), "{refused:?}");
         let link = directory.path().join("qube");
-        let _qube = qube(&link, None);
+        let _qube = qube(&link, None, false);
         let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test"];
         let output = program(directory.path(), &arguments).stdin(Stdio::null()).output().unwrap();
         assert_eq!(output.status.code(), Some(1), "{output:?}");

@@ -39,6 +39,7 @@ mod report_page;
 mod rig_link_faults;
 mod rig_measured;
 mod rig_other_plant;
+mod rig_switched_off;
 mod safety_adversary;
 mod safety_by_type;
 mod safety_limits;

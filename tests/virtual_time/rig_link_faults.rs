@@ -262,7 +262,7 @@ fn a_middle_that_a_hand_has_shown_ends_with_a_restart_of_the_board() {
     let directory = tempfile::tempdir().unwrap();
     let mut rig = after_a_restart(HomingMethod::Hand, directory.path());
     let error = rig.start_again().unwrap_err();
-    assert!(matches!(error, RigError::MiddleLost), "{error}");
+    assert!(matches!(error, RigError::MiddleLost { .. }), "{error}");
     assert!(error.to_string().contains("Put the arm into the middle"), "{error}");
 }
 

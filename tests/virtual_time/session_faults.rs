@@ -58,10 +58,7 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
     // The fault comes 16.5 s after the Qube's start, during a rollout: each rollout has a new
     // emulated Qube, which is homed within 16 s; an untrained policy is braked soon after that, and
     // braking takes some seconds.
-    for (fault, warned) in [
-        ("silent@16.5", None),
-        ("unplug@16.5", Some("Switch the Qube off: its motor may still have its last voltage")),
-    ] {
+    for fault in ["silent@16.5", "unplug@16.5"] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("session");
         let fault: EmulatorFault = fault.parse().unwrap();
@@ -71,9 +68,8 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
         assert!(matches!(error, SessionError::NotStartedAgain { .. }), "{fault}: {error}");
         // The program warns the operator before it waits for the board to come back.
         let logged = log.text();
-        let is_warned = logged.contains("Switch the Qube off");
-        assert_eq!(is_warned, warned.is_some(), "{fault}: {logged}");
-        assert!(warned.is_none_or(|words| logged.contains(words)), "{fault}: {logged}");
+        let warning = "Switch the Qube off: its motor may still have its last voltage";
+        assert!(logged.contains(warning), "{fault}: {logged}");
 
         let folder = SessionFolder::open(&root).unwrap();
         let entries =

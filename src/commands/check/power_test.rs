@@ -18,6 +18,7 @@ use crate::commands::failures;
 use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
 use crate::control::PressOutcome;
+use crate::device::Identity;
 use crate::rig::{Rig, RigError, RigSettings};
 use crate::session::{PowerTest, QubeFile, UsbLost};
 use crate::telemetry::{Ending, Fault};
@@ -33,6 +34,10 @@ const MOST_V: f64 = 1.5;
 const STEP_TICKS: u32 = 6000;
 /// Time within which the Qube must answer again after the operator has plugged the cable in.
 const REPLUG: Duration = Duration::from_secs(120);
+
+/// Sentence after each failure while the board is or was without power.
+const MAY_HAVE_VOLTAGE: &str =
+    "If the USB plug is still out, switch the Qube off: its motor may still have its voltage";
 
 /// Largest number of repetitions in a rehearsal after a late computer or link ended the push.
 const MAX_REPETITIONS: u32 = 2;
@@ -52,7 +57,7 @@ pub fn run(
     stop: &Stop,
 ) -> Result<Tested, Failure> {
     let failed = |error| failures::rig(error, stop);
-    let board = rig.identity().serial.clone();
+    let before = rig.identity().clone();
     ask(
         "The test of the motor without its board. Hands off the pendulum; one person stays at the \
          Qube's own switch.\nTurn the arm by hand to one of its stops and let go. Then press Enter: \
@@ -63,27 +68,47 @@ pub fn run(
 
     print_message(
         "Now pull the USB plug out of the computer, within 60 s. Leave the Qube's own power on and \
-         the arm alone.",
+         the arm alone. The board must have no other supply: no power plug, and no hub with its own.",
     );
     let pressed = rig.press(push_v, STEP_TICKS, false).map_err(failed)?;
     match pressed.ending {
         Ending::Stopped => return Err(failed(RigError::Stopped { during: "the power test" })),
-        // A computer that was late for a moment loses samples, too, but then the board still
-        // answers. In that case the board has switched the motor off, which shows nothing about a
+        // A computer that was late for a moment loses samples, too, but then its port is still
+        // there. In that case the board has switched the motor off, which shows nothing about a
         // motor without its board.
         Ending::Fault(Fault::LinkGone | Fault::NoSample | Fault::BoardRestarted)
-            if !rig.answers().map_err(failed)? => {}
+            if rig.has_lost_port().map_err(failed)? => {}
         Ending::Fault(fault) => return Err(failed(RigError::Ended { fault })),
         _ => {
-            return Err(Failure::failed(
-                "the plug was not pulled, so the test has no result: the motor is off, begin again",
-            ));
+            let cause = match pressed.outcome {
+                PressOutcome::NotAtStop | PressOutcome::StayedAway => {
+                    "the arm left its stop before the plug was pulled"
+                }
+                PressOutcome::Stayed | PressOutcome::CameBack => "the plug was not pulled",
+            };
+            return Err(Failure::failed(format!(
+                "{cause}, so the test has no result: the motor is off, begin again"
+            )));
         }
     }
     // The port is closed before the operator answers, because the port of a dead board is useless.
     drop(rig);
+    without_board(settings, path, file, push_v, &before, stop)
+        .map_err(|failure| failure.followed_by(MAY_HAVE_VOLTAGE))
+}
+
+/// The second half of the test, from the pulled plug on, in which nobody knows whether the motor is
+/// off.
+fn without_board(
+    settings: &RigSettings,
+    path: &Path,
+    file: QubeFile,
+    push_v: f64,
+    before: &Identity,
+    stop: &Stop,
+) -> Result<Tested, Failure> {
     let answer = ask(
-        "The board is gone. With one finger push the arm a finger's breadth (1 cm) off its stop, as \
+        "The board is gone, and its light is out. With one finger push the arm a finger's breadth (1 cm) off its stop, as \
          before, and let go. Does it go back to its stop by itself, or press against the finger? \
          [y/n, or Enter if you cannot tell]",
         stop,
@@ -93,17 +118,33 @@ pub fn run(
         Some('n' | 'N') => UsbLost::MotorOff,
         _ => UsbLost::Unknown,
     };
-    ask("Plug the USB cable in again and press Enter.", stop)?;
+    ask(
+        match usb_lost {
+            UsbLost::MotorOff => "Plug the USB cable in again and press Enter.",
+            UsbLost::KeepsVoltage | UsbLost::Unknown => {
+                "Switch the Qube off at its own switch. Plug the USB cable in again, switch the Qube \
+                 on, and press Enter."
+            }
+        },
+        stop,
+    )?;
     let rig = reconnected(settings, stop)?;
-    if rig.identity().serial != board {
+    let after = rig.identity();
+    if after.serial != before.serial {
         return Err(Failure::failed(format!(
-            "another board answers now ({}, not {board}), so no result was written",
-            rig.identity().serial
+            "another board answers now ({}, not {}), so no result was written",
+            after.serial, before.serial
         )));
+    }
+    if after.boot_id == before.boot_id {
+        return Err(Failure::failed(
+            "the board has not restarted, so it never lost its power, and no result was written: take every other \
+             supply from it (a power plug, a hub with its own supply) and begin again",
+        ));
     }
 
     let date = jiff::Zoned::now().date().to_string();
-    let power = PowerTest { usb_lost, date, board };
+    let power = PowerTest { usb_lost, date, board: before.serial.clone() };
     let file = QubeFile { power: Some(power.clone()), ..file };
     file.save(path, super::WRITER).map_err(Failure::failed)?;
     let text = format!("{}\nwritten: {}\n", power.sentence(), path.display());
@@ -165,7 +206,11 @@ fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
     loop {
         match Rig::connect(settings, &stop.flag) {
             Ok(rig) => return Ok(rig),
-            Err(error) if Instant::now() >= end => return Err(failures::rig(error, stop)),
+            // The Qube did not come back, which is no bad usage, whatever the port says.
+            Err(error) if Instant::now() >= end => {
+                let failure = failures::rig(error, stop);
+                return Err(Failure::fault(failure.cause()).caused_by(Some(Fault::LinkGone)));
+            }
             Err(_) if stop.requested() => {
                 return Err(stop.failure("stopped; no result was written"));
             }

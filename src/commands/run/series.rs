@@ -10,7 +10,7 @@ use crate::commands::printable::print_message;
 use crate::commands::screen::{Progress, time_left};
 use crate::commands::stop::Stop;
 use crate::commands::{command_hints, failures, warn_without_realtime};
-use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
+use crate::rig::{Doubt, MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
 use crate::session::RolloutPlan;
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};
@@ -94,7 +94,7 @@ impl Series<'_> {
     /// Opens the rig. The operator may acknowledge a remembered doubt at a terminal.
     fn open(&mut self) -> Result<Rig, Failure> {
         let opened = match Rig::open(&self.settings, &self.stop.flag) {
-            Err(RigError::InDoubt(doubt)) if self.keyboard.acknowledges(&doubt, self.stop) => {
+            Err(RigError::InDoubt(doubt)) if self.acknowledges(&doubt) => {
                 self.settings.recovery.acknowledged = true;
                 Rig::open(&self.settings, &self.stop.flag)
             }
@@ -102,6 +102,10 @@ impl Series<'_> {
         };
         self.settings.recovery.acknowledged = false;
         opened.map_err(|error| failures::rig(error, self.stop))
+    }
+
+    fn acknowledges(&self, doubt: &Doubt) -> bool {
+        self.keyboard.acknowledges(doubt, self.settings.homing.method, self.stop)
     }
 
     fn rollout(&self, rig: &mut Rig, rollout: u32) -> Result<Recorded, Failure> {
@@ -126,7 +130,7 @@ impl Series<'_> {
     fn after_fault(&mut self, mut rig: Rig, fault: Fault) -> Result<Rig, Failure> {
         match rig.start_again() {
             Ok(()) => Ok(rig),
-            Err(RigError::InDoubt(doubt)) if self.keyboard.acknowledges(&doubt, self.stop) => {
+            Err(RigError::InDoubt(doubt)) if self.acknowledges(&doubt) => {
                 drop(rig);
                 self.settings.recovery.acknowledged = true;
                 self.settings.recovery.doubt = Some(*doubt);

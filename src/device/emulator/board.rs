@@ -57,7 +57,9 @@ pub struct Board {
     /// Latched state of the emergency stop.
     emergency_stop: bool,
     frozen_alpha_counts: Option<i32>,
-    /// Shifts that the last restart added to the counts.
+    /// Time at which a Qube that is switched off is switched on again, us.
+    qube_returns_us: Option<u64>,
+    /// Shifts that the last start of board or Qube added to the counts.
     theta_shift: i32,
     alpha_shift: i32,
     watchdog_fed_us: u64,
@@ -103,6 +105,7 @@ impl Board {
             frozen_theta_counts: None,
             emergency_stop: false,
             frozen_alpha_counts: None,
+            qube_returns_us: None,
             theta_shift: 0,
             alpha_shift: 0,
             watchdog_fed_us: 0,
@@ -129,6 +132,8 @@ impl Board {
                 self.leave_armed(DeviceState::Tripped);
             } else if self.dark_until_us == Some(event_us) {
                 self.boot();
+            } else if self.qube_returns_us == Some(event_us) {
+                self.switch_on();
             } else {
                 self.begin_fault();
             }
@@ -136,15 +141,16 @@ impl Board {
         self.now_us = self.now_us.max(now_us);
     }
 
-    /// Time at which the watchdog trips, the fault begins or the program starts again, whichever is
-    /// next, us; `None` if none is due. At that time the owner calls
+    /// Time at which the watchdog trips, the fault begins, or board or Qube start again, whichever
+    /// is next, us; `None` if none is due. At that time the owner calls
     /// [`advance_to`](Self::advance_to), even without traffic.
     #[must_use]
     pub fn next_event_us(&self) -> Option<u64> {
         let fault_us =
             self.settings.fault.filter(|_| !self.fault_began).map(|fault| fault.onset_us());
         let boot_us = self.dark_until_us.filter(|until_us| *until_us < u64::MAX);
-        [self.watchdog_deadline_us(), fault_us, boot_us].into_iter().flatten().min()
+        let switched_on_us = self.qube_returns_us;
+        [self.watchdog_deadline_us(), fault_us, boot_us, switched_on_us].into_iter().flatten().min()
     }
 
     fn watchdog_deadline_us(&self) -> Option<u64> {

@@ -61,6 +61,14 @@ pub enum EmulatorFault {
         /// Onset, s.
         after_s: f64,
     },
+    /// The Qube is switched off, and on again. Its counters then begin at 0, and the board must be
+    /// greeted again.
+    SwitchedOffAndOn {
+        /// Onset, s.
+        after_s: f64,
+        /// Time for which the Qube is off, s.
+        off_s: f64,
+    },
     /// The USB cable is pulled from a board with its own supply: the port is gone, but the board
     /// runs on, and its watchdog switches the motor off. A board that is fed by USB loses its power
     /// instead: [`PowerLoss`](Self::PowerLoss).
@@ -197,7 +205,7 @@ const FORMS: [(&str, &str); 24] = [
     ("held-pendulum@S+D", "a hand holds the pendulum"),
     ("amplifier@S", "the amplifier reports a fault"),
     ("stall@S", "the Qube reports a stall"),
-    ("qube-absent@S", "the Qube does not answer its board"),
+    ("qube-absent@S[+D]", "the Qube does not answer its board [is off for D]"),
     ("unplug@S[+D]", "the USB cable is pulled [for D]"),
     ("power-loss@S, brown-out@S, board-restart@S", "the board loses power for good, or restarts"),
     ("emergency-stop@S", "the stop switch is pressed for 2 s"),
@@ -244,6 +252,7 @@ impl EmulatorFault {
             | Self::AmplifierFault { after_s }
             | Self::StallError { after_s }
             | Self::QubeAbsent { after_s }
+            | Self::SwitchedOffAndOn { after_s, .. }
             | Self::Replugged { after_s, .. }
             | Self::Unplugged { after_s }
             | Self::PowerLoss { after_s }
@@ -276,6 +285,9 @@ impl fmt::Display for EmulatorFault {
             Self::AmplifierFault { after_s } => write!(formatter, "amplifier@{after_s}"),
             Self::StallError { after_s } => write!(formatter, "stall@{after_s}"),
             Self::QubeAbsent { after_s } => write!(formatter, "qube-absent@{after_s}"),
+            Self::SwitchedOffAndOn { after_s, off_s } => {
+                write!(formatter, "qube-absent@{after_s}+{off_s}")
+            }
             Self::Unplugged { after_s } => write!(formatter, "unplug@{after_s}"),
             Self::PowerLoss { after_s } => write!(formatter, "power-loss@{after_s}"),
             Self::BrownOut { after_s } => write!(formatter, "brown-out@{after_s}"),
@@ -413,7 +425,10 @@ impl FromStr for EmulatorFault {
             "blocked-arm" => Self::BlockedArm { after_s: seconds()? },
             "amplifier" => Self::AmplifierFault { after_s: seconds()? },
             "stall" => Self::StallError { after_s: seconds()? },
-            "qube-absent" => Self::QubeAbsent { after_s: seconds()? },
+            "qube-absent" => match lapse() {
+                Some((after_s, off_s)) => Self::SwitchedOffAndOn { after_s, off_s },
+                None => Self::QubeAbsent { after_s: seconds()? },
+            },
             "unplug" if value.is_some_and(|value| value.contains('+')) => {
                 let (after, away) =
                     value.and_then(|value| value.split_once('+')).unwrap_or_default();
@@ -437,6 +452,7 @@ mod tests {
     fn every_fault_is_read_as_it_is_written() {
         for text in [
             "silent@2",
+            "qube-absent@2+0.5",
             "garble@10",
             "wrong-version",
             "frozen-alpha@0.5",

@@ -271,13 +271,20 @@ fn a_device_that_falls_silent_is_not_called_another_device() {
     }
     let error = link.hello().unwrap_err();
     let DeviceError::FellSilent { silent_s, .. } = error else { panic!("{error}") };
-    // One second of unanswered samples, then 25 hellos at intervals of 0.1 s.
-    assert!((3.4..3.6).contains(&silent_s), "{error}");
+    // One second of unanswered samples, one more before the hello, then 25 hellos at intervals of
+    // 0.1 s.
+    assert!((3.5..3.7).contains(&silent_s), "{error}");
     assert!(error.to_string().contains("no answer to 25 hellos"), "{error}");
 }
 
 #[test]
-fn an_emergency_stop_is_told_and_latched_until_a_hello_finds_it_closed() {
+fn an_emergency_stop_is_told_and_latched_until_a_new_link_finds_it_closed() {
+    let is_stop = |error: &DeviceError| {
+        matches!(error, DeviceError::Refused { reason: RefusalReason::EmergencyStop, .. })
+    };
+    let renew = |link: &mut SerialLink<InProcessWire>| {
+        (link.boot_id, link.stop_was_opened) = (None, false);
+    };
     let (mut link, clock) = armed(Some(EmulatorFault::EmergencyStop { after_s: 0.1 }));
     let before = sample(&mut link, &clock);
     assert!(before.status.stop_switch_fitted && !before.status.emergency_stop);
@@ -286,11 +293,15 @@ fn an_emergency_stop_is_told_and_latched_until_a_hello_finds_it_closed() {
     let stopped = sample(&mut link, &clock);
     assert!(stopped.status.emergency_stop && !stopped.status.armed);
     assert_eq!(stopped.applied_mv, 0);
+    renew(&mut link);
     link.hello().unwrap();
-    let refused = link.arm().unwrap_err().to_string();
-    assert!(refused.contains("emergency-stop"), "{refused}");
+    let refused = link.arm().unwrap_err();
+    assert!(is_stop(&refused) && refused.to_string().contains("emergency-stop"), "{refused}");
     clock.sleep_until(2200 * MS);
     assert!(sample(&mut link, &clock).status.emergency_stop, "closing alone does not clear it");
+    let refused = link.hello().unwrap_err();
+    assert!(is_stop(&refused), "{refused}");
+    renew(&mut link);
     link.hello().unwrap();
     link.arm().unwrap();
     assert!(!sample(&mut link, &clock).status.emergency_stop);
@@ -339,4 +350,37 @@ fn a_device_that_refuses_hellos_gets_one_every_tenth_of_a_second() {
     let refuser = Refuser { clock: clock.clone(), decoder: Decoder::new(), answers: Vec::new() };
     let refused = SerialLink::new(refuser, Arc::new(clock)).hello().unwrap_err();
     assert!(refused.to_string().contains("only refusals as answer to 10 hellos"), "{refused}");
+}
+
+#[test]
+fn a_qube_that_was_switched_off_and_on_needs_a_new_hello() {
+    let fault = EmulatorFault::SwitchedOffAndOn { after_s: 0.5, off_s: 1.0 };
+    let (mut link, clock) = link(Some(fault));
+    let identity = link.hello().unwrap();
+    let mut sample_at = |time_ms: Nanoseconds| {
+        clock.sleep_until(time_ms * MS);
+        link.sample(clock.now_ns() + 10 * MS)
+    };
+    sample_at(400).unwrap();
+    assert_eq!(sample_at(600), Err(LinkFault::QubeOff));
+    assert_eq!(sample_at(1600), Err(LinkFault::NotArmed), "its counters have begun anew");
+    let again = link.hello().unwrap();
+    assert_eq!(again.boot_id, identity.boot_id, "the board itself ran on");
+    let sample = sample(&mut link, &clock);
+    assert_eq!((sample.theta_counts, sample.alpha_counts), (0, 0));
+}
+
+#[test]
+fn no_hello_clears_an_emergency_stop_that_was_opened_since_the_first() {
+    // Pressed for 2 s with the motor off, and seen by nobody.
+    let (mut link, clock) = link(Some(EmulatorFault::EmergencyStop { after_s: 0.5 }));
+    link.hello().unwrap();
+    clock.sleep_until(10_000 * MS);
+    for _ in 0..2 {
+        let refused = link.hello().unwrap_err();
+        assert!(
+            matches!(refused, DeviceError::Refused { reason: RefusalReason::EmergencyStop, .. }),
+            "{refused}"
+        );
+    }
 }

@@ -60,12 +60,12 @@ pub(super) fn check(
         match device.arm() {
             Ok(()) => {}
             Err(DeviceError::Refused { reason, .. }) => {
-                let remedy = if reason == RefusalReason::EmergencyStop.describe() {
+                let remedy = if reason == RefusalReason::EmergencyStop {
                     "make sure that nobody is near the arm and close the switch, then check again"
                 } else {
                     "switch the Qube's power off and on, then check again"
                 };
-                let value = format!("the device refuses to be armed: {reason}");
+                let value = format!("the device refuses to be armed: {}", reason.describe());
                 return Ok((CheckResult::fail(NAME, value, remedy), None));
             }
             Err(error) => return Err(error.into()),

@@ -76,6 +76,10 @@ impl Board {
                 true
             }
             Some(EmulatorFault::AmplifierFault { .. } | EmulatorFault::QubeAbsent { .. }) => true,
+            Some(EmulatorFault::SwitchedOffAndOn { off_s, .. }) => {
+                self.qube_returns_us = Some(self.now_us + (off_s * 1e6) as u64);
+                true
+            }
             Some(EmulatorFault::EmergencyStop { .. }) => {
                 self.emergency_stop = true;
                 true
@@ -106,7 +110,18 @@ impl Board {
 
     /// Whether the board no longer finds its Qube.
     pub(super) fn qube_absent(&self) -> bool {
-        self.has_begun(|fault| matches!(fault, EmulatorFault::QubeAbsent { .. }))
+        self.qube_returns_us.is_some()
+            || self.has_begun(|fault| matches!(fault, EmulatorFault::QubeAbsent { .. }))
+    }
+
+    /// The Qube is switched on again: its counters begin at 0, and the board wants a new hello.
+    pub(super) fn switch_on(&mut self) {
+        self.qube_returns_us = None;
+        self.plant.advance_to(self.now_us);
+        self.theta_shift = -self.plant.theta_counts();
+        self.alpha_shift = -self.plant.alpha_counts();
+        self.leave_armed(DeviceState::Idle);
+        self.nonce = 0;
     }
 
     /// Whether the amplifier reports a fault.

@@ -1,0 +1,115 @@
+use crate::control::DriveReport;
+use crate::qube::CONTROL_PERIOD_NS;
+use crate::telemetry::{Consequence, Ending, Fault, TickRecord};
+
+/// Time between two ticks of a motion from which the computer counts as having slept, us. Nobody
+/// at the Qube then expects that the program goes on by itself.
+const SLEEP_US: u64 = 2_000_000;
+
+/// The fault to which the rig reacts after a motion: that of its ending, or one that only the whole
+/// report shows; `None` after a motion without any.
+pub(super) fn fault_after(report: &DriveReport) -> Option<Fault> {
+    let fault = match report.outcome.ending {
+        Ending::Fault(fault) => Some(fault),
+        _ => None,
+    };
+    let ends =
+        |fault: Fault| matches!(fault.consequence(), Consequence::Examine | Consequence::End);
+    if fault.is_some_and(ends) {
+        return fault;
+    }
+    if fault.is_some_and(|fault| fault.consequence() == Consequence::Reconnect) {
+        return fault;
+    }
+    if let Err(error) = &report.disarmed {
+        let fault = Fault::OffUnconfirmed;
+        tracing::warn!("{fault}: {error}. {}", fault.operator_step());
+        return Some(fault);
+    }
+    if has_slept(&report.last_ticks) {
+        return Some(Fault::ComputerSlept);
+    }
+    fault
+}
+
+/// Whether the computer slept between two of these ticks: whole periods were skipped because the
+/// program stood still, or the device's clock went on while the computer's stood still, too.
+fn has_slept(ticks: &[TickRecord]) -> bool {
+    let is_long = |us: u64| us >= SLEEP_US;
+    let skipped = |tick: &TickRecord| u64::from(tick.skipped_periods) * CONTROL_PERIOD_NS / 1000;
+    let late = |tick: &TickRecord| tick.lateness_ns / 1000;
+    let sampled: Vec<u64> = ticks
+        .iter()
+        .filter_map(|tick| tick.measurement.map(|sample| sample.device_time_us))
+        .collect();
+    ticks.iter().any(|tick| is_long(skipped(tick)) || is_long(late(tick)))
+        || sampled.windows(2).any(|pair| is_long(pair[1].saturating_sub(pair[0])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{DeviceError, LinkFault};
+    use crate::qube::Measurement;
+    use crate::telemetry::{LatencySummary, Phase, RolloutOutcome};
+
+    fn report(ending: Ending) -> DriveReport {
+        let outcome = RolloutOutcome {
+            ending,
+            phase: Phase::Running,
+            steps: 0,
+            missed_deadlines: 0,
+            records_lost: 0,
+            observer_resets: 0,
+            foreseen: None,
+            largest_motor_load: None,
+            last_answer_v: None,
+            lateness_us: LatencySummary::default(),
+            sample_to_act_us: LatencySummary::default(),
+        };
+        let ticks = (0..3).map(|tick| TickRecord {
+            measurement: Some(Measurement {
+                device_time_us: 10_000 * tick,
+                ..Measurement::default()
+            }),
+            ..TickRecord::default()
+        });
+        DriveReport {
+            outcome,
+            last_measurement: None,
+            last_ticks: ticks.collect(),
+            disarmed: Ok(()),
+        }
+    }
+
+    fn unconfirmed(ending: Ending) -> DriveReport {
+        let silent = DeviceError::Link { port: "/dev/qube".into(), fault: LinkFault::Timeout };
+        DriveReport { disarmed: Err(silent), ..report(ending) }
+    }
+
+    #[test]
+    fn a_motor_that_nobody_confirmed_to_be_off_is_a_fault_whatever_ended_the_motion() {
+        assert_eq!(fault_after(&report(Ending::Completed)), None);
+        for ending in [Ending::Completed, Ending::Stopped, Ending::Fault(Fault::NoSample)] {
+            assert_eq!(fault_after(&unconfirmed(ending)), Some(Fault::OffUnconfirmed));
+        }
+        for fault in [Fault::LinkGone, Fault::EmergencyStop, Fault::NotANumber] {
+            assert_eq!(fault_after(&unconfirmed(Ending::Fault(fault))), Some(fault));
+        }
+    }
+
+    #[test]
+    fn a_computer_that_slept_ends_the_run_and_a_late_one_does_not() {
+        let clock = report(Ending::Fault(Fault::DeviceClock));
+        assert_eq!(fault_after(&clock), Some(Fault::DeviceClock));
+        let mut suspended = report(Ending::Fault(Fault::DeviceClock));
+        suspended.last_ticks[2].measurement.as_mut().unwrap().device_time_us += 60_000_000;
+        assert_eq!(fault_after(&suspended), Some(Fault::ComputerSlept));
+        let mut stopped = report(Ending::Fault(Fault::WatchdogTripped));
+        stopped.last_ticks[2].skipped_periods = 300;
+        assert_eq!(fault_after(&stopped), Some(Fault::ComputerSlept));
+        let mut late = report(Ending::Fault(Fault::WatchdogTripped));
+        late.last_ticks[2].skipped_periods = 30;
+        assert_eq!(fault_after(&late), Some(Fault::WatchdogTripped));
+    }
+}

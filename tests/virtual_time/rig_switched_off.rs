@@ -1,0 +1,235 @@
+//! Tests that a Qube that was switched off, or whose emergency stop was opened, moves no more before
+//! somebody has acknowledged it, whenever that happened; and that a middle that a hand has shown
+//! ends with the count that it was given in.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
+use qube_hil::control::{HomingMethod, HomingSettings};
+use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
+use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::qube::Measurement;
+use qube_hil::recording;
+use qube_hil::replay::rerun;
+use qube_hil::rig::{
+    Connect, DeviceChoice, DoubtStore, Recovery, Rig, RigError, RigSettings, TimedDevice,
+};
+use qube_hil::safety::SafetyBox;
+use qube_hil::session::RolloutPlan;
+use qube_hil::storage::MachineDisk;
+use qube_hil::telemetry::{Ending, Fault};
+
+const SECOND_NS: Nanoseconds = 1_000_000_000;
+
+/// An emulated Qube in the test's own virtual time.
+#[derive(Clone, Debug)]
+struct Timed {
+    clock: VirtualClock,
+    /// Time from which the device confirms no disarm, ns.
+    off_unconfirmed_from_ns: Nanoseconds,
+}
+
+struct Unconfirming {
+    link: Box<dyn Device>,
+    clock: VirtualClock,
+    from_ns: Nanoseconds,
+}
+
+impl Device for Unconfirming {
+    fn hello(&mut self) -> Result<Identity, DeviceError> {
+        self.link.hello()
+    }
+
+    fn arm(&mut self) -> Result<(), DeviceError> {
+        self.link.arm()
+    }
+
+    fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+        self.link.sample(deadline_ns)
+    }
+
+    fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+        self.link.act(voltage_mv, sampled_at_us)
+    }
+
+    fn disarm(&mut self) -> Result<(), DeviceError> {
+        self.link.disarm()?;
+        if self.clock.now_ns() >= self.from_ns {
+            return Err(DeviceError::Link { port: "test".into(), fault: LinkFault::Timeout });
+        }
+        Ok(())
+    }
+
+    fn is_hardware(&self) -> bool {
+        false
+    }
+}
+
+impl Connect for Timed {
+    fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError> {
+        let clock = self.clock.clone();
+        let link = Box::new(SerialLink::in_process(*emulator, clock.clone()));
+        let from_ns = self.off_unconfirmed_from_ns;
+        let device = Unconfirming { link, clock: clock.clone(), from_ns };
+        Ok((Box::new(device), Arc::new(clock)))
+    }
+
+    fn is_hardware(&self) -> bool {
+        false
+    }
+}
+
+/// A rig in a folder of its own, and its clock.
+struct Bench {
+    folder: tempfile::TempDir,
+    clock: VirtualClock,
+    rig: Rig,
+}
+
+impl Bench {
+    fn open(fault: Option<EmulatorFault>, method: HomingMethod) -> Self {
+        Self::open_unconfirmed(fault, method, Nanoseconds::MAX)
+    }
+
+    fn open_unconfirmed(
+        fault: Option<EmulatorFault>,
+        method: HomingMethod,
+        off_unconfirmed_from_ns: Nanoseconds,
+    ) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let clock = VirtualClock::default();
+        let device = Timed { clock: clock.clone(), off_unconfirmed_from_ns };
+        let memory = Some(DoubtStore::new(folder.path().join("doubts")));
+        let settings = RigSettings {
+            emulator: EmulatorSettings { fault, seed: 3, ..EmulatorSettings::default() },
+            homing: HomingSettings { method, ..HomingSettings::default() },
+            recovery: Recovery { memory, ..Recovery::default() },
+            ..RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(device)))
+        };
+        let rig = Rig::open(&settings, &Arc::default()).unwrap();
+        Self { folder, clock, rig }
+    }
+
+    fn rollout(&self, name: &str) -> Result<Ending, RigError> {
+        let plan = RolloutPlan {
+            seed: 1,
+            safety_box: SafetyBox::THESIS,
+            ..RolloutPlan::single("test", "classical")
+        };
+        let policy =
+            Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
+        let path = self.path(name);
+        let recorded = self.rig.rollout(&MachineDisk, &path, plan.header(), &policy)?;
+        Ok(recorded.outcome.ending)
+    }
+
+    fn path(&self, name: &str) -> std::path::PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn has_stored_doubt(&self) -> bool {
+        let doubts = self.folder.path().join("doubts");
+        doubts.read_dir().is_ok_and(|mut files| files.next().is_some())
+    }
+}
+
+/// Panics unless the error is a doubt about this fault.
+fn is_doubt(error: &RigError, fault: Fault) {
+    assert!(matches!(error, RigError::InDoubt(_)), "{error}");
+    assert_eq!(error.fault(), Some(fault), "{error}");
+}
+
+/// Whether a rollout comes out of its recording as it went in.
+fn replays(path: &Path) {
+    let recording = recording::read(path).unwrap();
+    let rerun = rerun(&recording, Policy::from_bytes(&recording.policy).unwrap());
+    assert_eq!(rerun.ending, recording.outcome.as_ref().map(|outcome| outcome.ending));
+}
+
+#[test]
+fn a_qube_that_is_switched_off_in_a_rollout_waits_for_the_operator() {
+    // The middle of the second rollout by the board's clock, s.
+    let healthy = Bench::open(None, HomingMethod::Hand);
+    healthy.rollout("a.mcap").unwrap();
+    healthy.rollout("b.mcap").unwrap();
+    let ticks = recording::read(&healthy.path("b.mcap")).unwrap().ticks;
+    let after_s = ticks[ticks.len() / 2].measurement.unwrap().device_time_us as f64 * 1e-6;
+
+    for off_s in [0.004, 0.03, 0.2, 5.0, 1e6] {
+        let fault = EmulatorFault::SwitchedOffAndOn { after_s, off_s };
+        let mut bench = Bench::open(Some(fault), HomingMethod::Hand);
+        bench.rollout("a.mcap").unwrap();
+        let ended = bench.rollout("b.mcap").unwrap();
+        let Ending::Fault(fault) = ended else { panic!("off for {off_s} s: {ended:?}") };
+        assert!(matches!(fault, Fault::QubeOff | Fault::BoardRestarted), "{fault:?}");
+        replays(&bench.path("b.mcap"));
+        let asked_ns = bench.clock.now_ns();
+        let error = bench.rig.start_again().unwrap_err();
+        is_doubt(&error, Fault::QubeOff);
+        assert!(bench.clock.now_ns() - asked_ns < 3 * SECOND_NS, "it waited for the Qube");
+        assert!(bench.has_stored_doubt(), "the next program would drive it at once");
+    }
+}
+
+#[test]
+fn a_qube_that_was_switched_off_between_two_rollouts_waits_for_the_operator() {
+    for method in [HomingMethod::Stops, HomingMethod::Hand] {
+        for (after_s, off_s) in [(60.0, 1.0), (60.0, 1e6), (75.0, 20.0)] {
+            let fault = EmulatorFault::SwitchedOffAndOn { after_s, off_s };
+            let mut bench = Bench::open(Some(fault), method);
+            bench.rollout("a.mcap").unwrap();
+            assert!(bench.clock.now_ns() < 59 * SECOND_NS);
+            bench.clock.sleep_until(80 * SECOND_NS);
+            let error = match bench.rollout("b.mcap").unwrap_err() {
+                doubt @ RigError::InDoubt(_) => doubt,
+                not_begun => {
+                    assert_eq!(not_begun.fault(), Some(Fault::BoardRestarted), "{not_begun}");
+                    bench.rig.start_again().unwrap_err()
+                }
+            };
+            is_doubt(&error, Fault::QubeOff);
+            assert!(bench.has_stored_doubt());
+        }
+    }
+}
+
+#[test]
+fn an_emergency_stop_between_two_rollouts_is_no_less_than_one_in_a_rollout() {
+    for released in [true, false] {
+        let after_s = if released { 60.0 } else { 79.5 };
+        let fault = EmulatorFault::EmergencyStop { after_s };
+        let mut bench = Bench::open(Some(fault), HomingMethod::Stops);
+        bench.rollout("a.mcap").unwrap();
+        assert!(bench.clock.now_ns() < 59 * SECOND_NS);
+        bench.clock.sleep_until(80 * SECOND_NS);
+        is_doubt(&bench.rollout("b.mcap").unwrap_err(), Fault::EmergencyStop);
+        is_doubt(&bench.rig.start_again().unwrap_err(), Fault::EmergencyStop);
+        assert!(bench.has_stored_doubt());
+    }
+}
+
+#[test]
+fn a_count_that_jumps_between_two_rollouts_ends_a_middle_that_a_hand_has_shown() {
+    let fault = EmulatorFault::JumpTheta { after_s: 60.0, counts: 300 };
+    let bench = Bench::open(Some(fault), HomingMethod::Hand);
+    bench.rollout("a.mcap").unwrap();
+    bench.clock.sleep_until(80 * SECOND_NS);
+    let error = bench.rollout("b.mcap").unwrap_err();
+    assert!(matches!(error, RigError::MiddleLost { fault: Fault::CountsMoved }), "{error}");
+    assert!(error.to_string().contains("Put the arm into the middle"), "{error}");
+}
+
+#[test]
+fn a_motor_that_nobody_confirmed_to_be_off_keeps_the_next_rollout_from_beginning() {
+    let mut bench = Bench::open_unconfirmed(None, HomingMethod::Hand, 10 * SECOND_NS);
+    assert!(bench.clock.now_ns() < 10 * SECOND_NS);
+    bench.rollout("a.mcap").unwrap();
+    let error = bench.rollout("b.mcap").unwrap_err();
+    let is_unconfirmed = matches!(error, RigError::NotBegun { fault: Fault::OffUnconfirmed, .. });
+    assert!(is_unconfirmed, "{error}");
+    // Homing ends in the same way.
+    let error = bench.rig.start_again().unwrap_err();
+    assert_eq!(error.fault(), Some(Fault::OffUnconfirmed), "{error}");
+}
