@@ -32,7 +32,7 @@ mod writer;
 
 pub use channels::{Channel, ChannelSchema, encode_ending, encode_scene, encode_tick};
 pub use error::{RecordingError, Unreadable};
-pub use reader::{Completeness, Recording, parse, read, read_on};
+pub use reader::{Completeness, Recording, is_recording, parse, read, read_on};
 pub use recorder::Recorder;
 pub use recover::{Recovered, recover};
 pub use table::{COLUMNS, Field, csv_table, table_rows};

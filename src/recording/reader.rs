@@ -1,9 +1,10 @@
+use std::io::{self, Read};
 use std::path::Path;
 
 use super::scan::{Damage, Scan, scan};
 use super::wire_format::MAGIC;
 use super::{FORMAT_VERSION, RecordingError, Unreadable, metadata};
-use crate::storage::{Disk, MachineDisk};
+use crate::storage::{Disk, MachineDisk, open_regular};
 use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 
 /// Largest file that is read, bytes: 256 MiB. A rollout of 20 s has about half a megabyte.
@@ -92,6 +93,16 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
         }
         _ => Ok(recording),
     }
+}
+
+/// Whether a file begins as every recording does.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn is_recording(path: &Path) -> io::Result<bool> {
+    let mut start = Vec::new();
+    open_regular(path)?.take(MAGIC.len() as u64).read_to_end(&mut start)?;
+    Ok(start == MAGIC)
 }
 
 /// Whether the bytes end with the mark that only a finished recording has at its end.

@@ -1,5 +1,4 @@
 use std::f64::consts::PI;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
@@ -7,9 +6,9 @@ use thiserror::Error;
 use super::MotionSample;
 use super::csv::{CsvError, parse_csv};
 use crate::qube::{PlantModel, State, applied_voltage_mv};
-use crate::recording::{self, Recording, RecordingError};
+use crate::recording::{self, Recording, RecordingError, is_recording};
 use crate::safety::Limit;
-use crate::storage::{open_regular, read_text};
+use crate::storage::read_text;
 use crate::telemetry::{Ending, Fault, Phase};
 
 /// Largest text file that is read, bytes: 256 MiB.
@@ -124,12 +123,14 @@ impl MotionLog {
     /// # Errors
     /// The file cannot be read or holds no motion.
     pub fn read_of(path: &Path, plant: &PlantModel) -> Result<RecordedMotion, MotionLogError> {
-        if is_mcap(path).map_err(|source| read_error(path, source))? {
+        // A file of this name that is cut off in its first bytes is no table of numbers either.
+        let is_named_so = path.extension().is_some_and(|ending| ending == "mcap");
+        if is_recording(path).map_err(|source| read_error(path, source))? || is_named_so {
             let recording = recording::read(path)?;
             let log = Self::of_recording(&recording)
                 .ok_or_else(|| MotionLogError::NeverRan { path: path.to_owned() })?;
             let incomplete = Incomplete::of(&recording);
-            let board = recording.header.device.get("serial").cloned();
+            let board = recording.header.board().map(str::to_owned);
             return Ok(RecordedMotion { log, incomplete, board });
         }
         let text = read_text(path, MAX_FILE_BYTES).map_err(|source| read_error(path, source))?;
@@ -180,12 +181,6 @@ impl MotionLog {
 ///
 /// # Errors
 /// The file cannot be read.
-fn is_mcap(path: &Path) -> std::io::Result<bool> {
-    let mut start = Vec::new();
-    open_regular(path)?.take(mcap::MAGIC.len() as u64).read_to_end(&mut start)?;
-    Ok(start == mcap::MAGIC)
-}
-
 fn read_error(path: &Path, source: std::io::Error) -> MotionLogError {
     MotionLogError::Read { path: path.to_owned(), source }
 }

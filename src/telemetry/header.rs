@@ -123,6 +123,14 @@ pub struct RolloutHeader {
     pub reward: RewardWeights,
 }
 
+impl RolloutHeader {
+    /// Serial number of the board that the device named; `None` for a device that names none.
+    #[must_use]
+    pub fn board(&self) -> Option<&str> {
+        self.device.get("serial").map(String::as_str)
+    }
+}
+
 /// The ending of a rollout. Rollouts that end with `Completed` or `LeftBox` have a result; the
 /// others are stopped or void.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

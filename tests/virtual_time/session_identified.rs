@@ -49,6 +49,7 @@ fn a_qube_is_identified_and_the_search_varies_the_errors_of_its_profile() {
     let profile = Profile::parse(&text).unwrap();
     let delay_s = profile.nonidealities.command_delay_s;
     assert!((0.008..0.014).contains(&delay_s), "{delay_s}");
+    assert!(!profile.may_be_of_board("0123456789abcdef"), "it is of an emulated board");
 
     // The first candidate is trained at psi = 0, the Qube as it was identified, the second at
     // another psi.

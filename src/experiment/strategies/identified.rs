@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+
 use super::StrategySettings;
 use super::recordings::{Recorded, Recordings, excitation, read};
 use super::run::{MethodRun, Recommendation, Recommendations, Recommended};
@@ -5,7 +7,7 @@ use crate::experiment::folder::make;
 use crate::experiment::{ExperimentError, Recipe};
 use crate::identification::{ModelVerdict, Unknown, check_recording, identify};
 use crate::policy::Policy;
-use crate::qube::Profile;
+use crate::qube::{PlantModel, Profile};
 use crate::replay::{MotionLog, MotionLogError};
 use crate::session::SessionSettings;
 use crate::simulation::{Model, ProfileSettings};
@@ -93,16 +95,19 @@ impl<'a> FromRecordings<'a> {
 
     /// Identifies the Qube from the first `recordings` recordings.
     fn fit(&self, recordings: u32) -> Result<Fit, ExperimentError> {
-        let mut logs = Vec::new();
+        let (mut logs, mut boards) = (Vec::new(), BTreeSet::new());
         for number in 0..recordings {
             let Some(path) = self.recordings.path(number) else {
                 return Ok(Fit::Refused(format!("recording {number} is missing")));
             };
-            match MotionLog::read(&path) {
+            match MotionLog::read_of(&path, &PlantModel::QUBE) {
                 // A rollout that ended early may show too little to be fitted; the other recordings
                 // still count.
-                Ok(log) if number > 0 && check_recording(&log).is_err() => {}
-                Ok(log) => logs.push(log),
+                Ok(motion) if number > 0 && check_recording(&motion.log).is_err() => {}
+                Ok(motion) => {
+                    logs.push(motion.log);
+                    boards.extend(motion.board);
+                }
                 Err(MotionLogError::Recording(error)) => return Err(error.into()),
                 Err(unfit) => return Ok(Fit::Refused(unfit.to_string())),
             }
@@ -117,7 +122,8 @@ impl<'a> FromRecordings<'a> {
         }
         // The name counts the fitted recordings alone.
         let name = format!("{} from {} recordings", self.run.name, logs.len());
-        Ok(Fit::Found(toml::to_string_pretty(&found.profile(&name, Vec::new(), Vec::new()))?))
+        let profile = found.profile(&name, Vec::new(), boards.into_iter().collect());
+        Ok(Fit::Found(toml::to_string_pretty(&profile)?))
     }
 
     /// The fit to the first `recordings` recordings. The fit is stored on disk, because it takes

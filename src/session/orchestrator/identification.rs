@@ -1,6 +1,7 @@
 //! Identifies the Qube from the session's recordings and decides whether the search around it
 //! continues.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use super::Session;
@@ -209,13 +210,16 @@ impl Session {
     /// Fits a profile to the recordings so far that identify the Qube.
     fn fitted(&mut self) -> Result<Fitted, SessionError> {
         let recordings = self.recordings()?;
-        let logs: Vec<MotionLog> = recordings.iter().filter_map(MotionLog::of_recording).collect();
         let unknowns: Vec<Unknown> = Unknown::all().collect();
         let mut unfit = "no recording shows a motion".to_owned();
-        let mut usable = Vec::new();
-        for log in logs {
+        let (mut usable, mut boards) = (Vec::new(), BTreeSet::new());
+        for recording in &recordings {
+            let Some(log) = MotionLog::of_recording(recording) else { continue };
             match check_recording(&log) {
-                Ok(()) => usable.push(log),
+                Ok(()) => {
+                    usable.push(log);
+                    boards.extend(recording.header.board().map(str::to_owned));
+                }
                 Err(reason) => unfit = format!("the recording cannot be fitted: {reason}"),
             }
         }
@@ -235,7 +239,7 @@ impl Session {
             1 => "identified from 1 recording".to_owned(),
             _ => format!("identified from {count} recordings"),
         };
-        let profile = found.profile(&name, Vec::new(), Vec::new());
+        let profile = found.profile(&name, Vec::new(), boards.into_iter().collect());
         Ok(Fitted::Found(Box::new(Found { recordings: count, profile, found, doubts })))
     }
 

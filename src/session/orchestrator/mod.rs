@@ -433,7 +433,7 @@ fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError>
 /// The doubt that the ending of a recorded rollout leaves, if it leaves one.
 fn doubt_of(recording: &Recording) -> Option<Doubt> {
     let Ending::Fault(fault) = recording.outcome.as_ref()?.ending else { return None };
-    let board = recording.header.device.get("serial").cloned().unwrap_or_default();
+    let board = recording.header.board().unwrap_or_default().to_owned();
     let unix_s = recording.header.started_unix_ns.map(|time_ns| time_ns / 1_000_000_000);
     fault.leaves_doubt().then_some(Doubt { fault: Some(fault), board, unix_s })
 }
