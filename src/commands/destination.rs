@@ -10,6 +10,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::exit::Failure;
 use super::failures;
 use super::printable::print_message;
+use crate::recording::is_recording;
 use crate::session::FolderError;
 use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 
@@ -43,6 +44,12 @@ impl OutputFile {
             Ok(_) if !replace => {
                 return Err(Failure::usage(format!(
                     "{option} {shown} exists already: name another file, or replace it with --force"
+                )));
+            }
+            Ok(_) if is_log(path) => {
+                return Err(Failure::usage(format!(
+                    "{option} {shown} is a recording, or the record of a session or an experiment, which no \
+                     command replaces: name another file"
                 )));
             }
             _ => {}
@@ -86,6 +93,14 @@ impl OutputFile {
             }
         })
     }
+}
+
+/// Whether an existing file is a recording, or a file from which a session or an experiment goes on.
+/// Nothing can compute them again, so that `--force` does not replace them.
+fn is_log(path: &Path) -> bool {
+    const NAMES: [&str; 4] = ["ledger.jsonl", "session.toml", "experiment.toml", "rigs.toml"];
+    path.file_name().is_some_and(|name| NAMES.iter().any(|log| name == *log))
+        || is_recording(path).unwrap_or(false)
 }
 
 /// The folder that a command writes into during its work. Dropping it removes those of the folders
@@ -262,6 +277,23 @@ mod tests {
             fs::remove_file(kept).unwrap();
         }
         assert_eq!(fs::read(folder.join("p.safetensors")).unwrap(), b"of another");
+    }
+
+    #[test]
+    fn recordings_and_ledgers_are_replaced_by_no_command() {
+        let directory = tempfile::tempdir().unwrap();
+        let file = |name: &str, bytes: &[u8]| {
+            let path = directory.path().join(name);
+            fs::write(&path, bytes).unwrap();
+            path
+        };
+        let recording = file("named.svg", b"\x89MCAP0\r\nand the rest");
+        let ledger = file("ledger.jsonl", b"{}");
+        for path in [recording, ledger] {
+            let refused = OutputFile::prepare(&path, true).unwrap_err();
+            assert!(refused.is_usage() && refused.cause().contains("no command replaces"));
+        }
+        assert!(OutputFile::prepare(&file("old.svg", b"<svg/>"), true).is_ok());
     }
 
     #[test]
