@@ -12,14 +12,21 @@ pub fn available_ports() -> Vec<String> {
     ports.into_iter().map(|port| port.port_name).collect()
 }
 
-/// A name that stays with the device: the link in `/dev/serial/by-id` if there is one, otherwise
-/// the given name.
+/// A name that stays with the device: the given name if it is a link, otherwise the link in
+/// `/dev/serial/by-id` if there is one, otherwise the given name.
+///
+/// A given link (`/dev/serial/by-path`, or one of a udev rule) was chosen for this rig. Boards
+/// without a serial number of their own share one name in `by-id`, which may lead to another board
+/// after a reset of the hub.
 #[must_use]
 pub fn stable_port_name(port: &str) -> String {
     linked_name(Path::new(BY_ID), port).unwrap_or_else(|| port.to_owned())
 }
 
 fn linked_name(links: &Path, port: &str) -> Option<String> {
+    if Path::new(port).is_symlink() {
+        return None;
+    }
     let target = fs::canonicalize(port).ok()?;
     let mut names: Vec<_> = fs::read_dir(links)
         .ok()?
@@ -47,7 +54,9 @@ mod tests {
         std::os::unix::fs::symlink(&port, &link).unwrap();
         let name = |port: &Path| linked_name(&links, port.to_str().unwrap());
         assert_eq!(name(&port), Some(link.to_str().unwrap().to_owned()));
-        assert_eq!(name(&link), Some(link.to_str().unwrap().to_owned()));
+        let by_path = folder.path().join("by-path-usb-0:1.4");
+        std::os::unix::fs::symlink(&port, &by_path).unwrap();
+        assert_eq!((name(&link), name(&by_path)), (None, None), "links are kept as they are given");
         assert_eq!(name(&other), None);
         assert_eq!(linked_name(Path::new("/no/such/folder"), port.to_str().unwrap()), None);
     }
