@@ -1,4 +1,4 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::ExperimentError;
@@ -6,7 +6,9 @@ use super::folder::make;
 use crate::recording::{RecordingError, read};
 use crate::rig::Rig;
 use crate::scoring::{Behaviour, Quietness, Verdict, score_recording};
-use crate::session::{RolloutPlan, SessionError, put_aside, recording_in};
+use crate::session::{
+    PolicyPaths, RolloutPlan, SessionError, check_origin, check_policy, put_aside, recording_in,
+};
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
 
@@ -39,6 +41,11 @@ enum RolloutState {
     },
 }
 
+/// Path of the policy whose rollouts are in this folder. The folders of excitations have none.
+fn policy_beside(rollouts: &Path) -> PathBuf {
+    PolicyPaths::in_folder(rollouts.parent().unwrap_or(rollouts)).policy()
+}
+
 /// The state of a rollout that may be attempted `1 + repetitions` times: the next attempt follows
 /// if the one before is void. An attempt is due again if its recording is unfinished, or unreadable
 /// after a crash.
@@ -57,6 +64,9 @@ fn state_of(
             Err(RecordingError::Unreadable { .. }) => return Ok(RolloutState::Due { attempt }),
             Err(error) => return Err(error.into()),
         };
+        // A file in the wrong place would count a rollout twice, or for another policy.
+        check_origin(&recorded, &path, None, [rollout, attempt])?;
+        check_policy(&recorded, &MachineDisk, &policy_beside(rollouts))?;
         match (score_recording(&recorded), Behaviour::of(&recorded)) {
             (Verdict::Result { return_, .. }, Some(behaviour)) => {
                 let quietness = Quietness::of(&recorded.ticks, &recorded.header.settings.plant);

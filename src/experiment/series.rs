@@ -10,7 +10,7 @@ use crate::policy::Policy;
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::session::{EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed};
 use crate::simulation::{DomainDistribution, Psi, PsiError, SimulationSettings};
-use crate::storage::{Disk, MachineDisk, write_whole};
+use crate::storage::{MachineDisk, write_whole};
 use crate::telemetry::Ending;
 
 /// The policies of one recipe and one psi: each is trained with its own seed and run on plants.
@@ -59,8 +59,8 @@ impl Series<'_> {
     ) -> Result<Option<f64>, ExperimentError> {
         let paths = self.folders.policy(policy);
         let path = paths.policy();
-        // A policy file that exists is complete, because it is written atomically.
-        if MachineDisk.exists(&path) {
+        // A policy that is missing or damaged is trained again, with the same seed.
+        if Policy::load(&path).is_ok() {
             return Ok(None);
         }
         // The folder is made before the training: if it cannot be made, no training is lost.

@@ -49,7 +49,7 @@ pub use emulated_qube::EmulatedQubeSettings;
 pub use error::SessionError;
 pub use event::SessionEvent;
 pub use extent::Extent;
-pub use finished_rollout::finished_rollout;
+pub use finished_rollout::{check_origin, check_policy, finished_rollout};
 pub use folder::{FolderError, SessionFolder, put_aside};
 pub use header::RolloutPlan;
 pub use identification_settings::IdentificationSettings;

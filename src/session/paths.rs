@@ -77,6 +77,12 @@ impl PolicyPaths {
         Self { folder: policies.join(format!("{number:03}")) }
     }
 
+    /// The paths of the policy in this folder.
+    #[must_use]
+    pub fn in_folder(folder: &Path) -> Self {
+        Self { folder: folder.to_owned() }
+    }
+
     /// Path of the folder.
     #[must_use]
     pub fn folder(&self) -> &Path {

@@ -131,6 +131,29 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     succeeded(&experiment(whole.path(), &arguments).output().unwrap());
     assert!(expected.ends_with(&std::fs::read_to_string(&foreign).unwrap()));
 
+    // A recording in the place of another, and another policy beside recordings, do not count.
+    let policies = whole.path().join("one/policies/tiny-nominal");
+    for (from, to) in [
+        ("000/lab/rollout-0-attempt-0.mcap", "000/lab/rollout-1-attempt-0.mcap"),
+        ("000/lab/rollout-0-attempt-0.mcap", "001/lab/rollout-0-attempt-0.mcap"),
+        ("000/policy.safetensors", "001/policy.safetensors"),
+    ] {
+        let kept = std::fs::read(policies.join(to)).unwrap();
+        std::fs::copy(policies.join(from), policies.join(to)).unwrap();
+        for table in [&["--table"][..], &[]] {
+            let resume = [&["--resume", "one"], table].concat();
+            let output = experiment(whole.path(), &resume).output().unwrap();
+            let told = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(3), "{to}: {told}");
+            assert!(told.contains("policies/tiny-nominal/00"), "{told}");
+        }
+        std::fs::write(policies.join(to), kept).unwrap();
+    }
+    // A policy that is damaged is trained again, to the same bytes.
+    std::fs::write(policies.join("001/policy.safetensors"), "cut off").unwrap();
+    assert_eq!(table(whole.path()), expected);
+    assert!(files(&whole.path().join("one")) == expected_files, "the policy is another one now");
+
     // --table shows finished work without running anything; a resumed experiment makes missing
     // files again.
     let lost = "one/policies/tiny-nominal/002/lab/rollout-1-attempt-0.mcap";

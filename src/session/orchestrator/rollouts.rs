@@ -186,7 +186,7 @@ impl Session {
             put_aside(disk, &path)?;
             return Ok(false);
         }
-        check_origin(&recording, &path, [turn.candidate, turn.rollout, turn.attempt])?;
+        check_origin(&recording, &path, Some(turn.candidate), [turn.rollout, turn.attempt])?;
         check_policy(&recording, disk, &self.policy_path(turn.candidate))?;
         Ok(true)
     }
