@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::exit::Failure;
+use super::export::data_lost;
 use super::output::Output;
 use super::replay::recording_failure;
-use crate::recording::{RecordingError, Recovered, recover};
+use crate::recording::{RecordingError, Recovered, read, recover};
 use crate::storage::MachineDisk;
 
 /// Recover a truncated recording: save every intact tick into a new file
@@ -49,10 +50,14 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     match recovered {
         Recovered::WasWhole => {
             output.print(
-                &format!("{path} is complete; nothing was written"),
+                &format!("every byte of {path} can be read; nothing was written"),
                 &json!({ "path": arguments.file.to_string_lossy(), "was_whole": true, "recovered": null }),
             );
-            Ok(())
+            // Ticks may have been lost before the file was written.
+            match read(&arguments.file).ok().and_then(|recording| recording.loss()) {
+                Some(loss) => Err(data_lost(&arguments.file, &loss)),
+                None => Ok(()),
+            }
         }
         Recovered::Saved { ticks, lost_bytes, has_outcome } => {
             output.print(

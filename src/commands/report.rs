@@ -6,6 +6,7 @@ use serde_json::json;
 use super::destination::OutputFile;
 use super::exit::Failure;
 use super::experiment_report::ExperimentReport;
+use super::export::data_lost;
 use super::output::Output;
 use super::printable::one_line;
 use super::profile;
@@ -59,6 +60,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         None => None,
     };
     let folders = arguments.paths.iter().filter(|path| path.is_dir()).count();
+    let mut lost = None;
     let (page, default) = match &arguments.paths[..] {
         [folder] if folders == 1 => {
             if arguments.profile.is_some() {
@@ -83,7 +85,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             return Err(Failure::usage("give either one folder, or recordings"));
         }
         files => {
-            (of_recordings(files, arguments.profile.as_deref())?, files[0].with_extension("html"))
+            let (page, incomplete) = of_recordings(files, arguments.profile.as_deref())?;
+            lost = incomplete;
+            (page, files[0].with_extension("html"))
         }
     };
     let path = match asked {
@@ -103,7 +107,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let kilobytes = page.len().div_ceil(1000);
     let text = format!("report in {shown} ({kilobytes} kB); open it in a browser");
     output.print(&text, &json!({ "report": shown, "bytes": page.len() }));
-    Ok(())
+    lost.map_or(Ok(()), Err)
 }
 
 /// Checks that a page at this path would replace nothing but a report.
@@ -188,7 +192,11 @@ fn of_session(folder: &Path) -> Result<String, Failure> {
     session_page(&source, &name.to_string_lossy(), &commands).map_err(failure)
 }
 
-fn of_recordings(files: &[PathBuf], profile: Option<&str>) -> Result<String, Failure> {
+/// The page of some recordings, and the failure to report if one of them lacks a part.
+fn of_recordings(
+    files: &[PathBuf],
+    profile: Option<&str>,
+) -> Result<(String, Option<Failure>), Failure> {
     let known = match profile {
         Some(name) => profile::named_of_any_plant(name)?.map(|known| (name, known)),
         None => None,
@@ -208,7 +216,10 @@ fn of_recordings(files: &[PathBuf], profile: Option<&str>) -> Result<String, Fai
         format!("qube-hil replay {}", shown.join(" ")),
     )];
     let model = known.map(|(_, known)| known.model());
-    recordings_page(&recordings, model.as_ref(), &commands).map_err(failure)
+    let page = recordings_page(&recordings, model.as_ref(), &commands).map_err(failure)?;
+    let losses = files.iter().zip(&recordings).map(|(file, (_, it))| (file, it.loss()));
+    let lost = losses.filter_map(|(file, loss)| Some(data_lost(file, &loss?))).next();
+    Ok((page, lost))
 }
 
 /// The commands that use and repeat a session, each with its purpose.

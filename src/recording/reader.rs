@@ -51,6 +51,23 @@ impl Recording {
         self.ticks.windows(2).any(|pair| pair[1].tick != pair[0].tick.wrapping_add(1))
             || self.ticks.first().is_some_and(|first| first.tick != 0)
     }
+
+    /// What is missing in the file, in words after "the recording"; `None` if it holds every tick
+    /// and its outcome.
+    #[must_use]
+    pub fn loss(&self) -> Option<String> {
+        let ticks = self.ticks.len();
+        if let Completeness::CutOff { reason, .. } = &self.completeness {
+            return Some(format!("is cut off after {ticks} ticks ({reason})"));
+        }
+        if self.has_gaps() {
+            let before = self.ticks.last().map_or(0, |last| last.tick as usize + 1);
+            let missing = before.saturating_sub(ticks);
+            return Some(format!("lacks {missing} of the first {before} ticks of its rollout"));
+        }
+        let unended = self.outcome.is_none();
+        unended.then(|| format!("ends after {ticks} ticks, and how its rollout ended is not known"))
+    }
 }
 
 /// Reads a recording from this computer's disk and checks every byte. A truncated recording gives

@@ -52,14 +52,12 @@ impl RolloutView {
             simulation_error: simulated.as_ref().map(|(_, open_loop)| open_loop.rmse),
             nearest,
             guard,
-            defect: match &recording.completeness {
-                Completeness::Whole => None,
-                Completeness::CutOff { lost_bytes, reason } => {
-                    Some(format!("the recording is cut off, {lost_bytes} bytes are lost: {reason}"))
-                }
-                Completeness::Recovered => {
+            defect: match (recording.loss(), &recording.completeness) {
+                (Some(loss), _) => Some(format!("the recording {loss}")),
+                (None, Completeness::Recovered) => {
                     Some("the recording was recovered after it had been cut off".into())
                 }
+                (None, _) => None,
             },
         }
     }

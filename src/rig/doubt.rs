@@ -1,6 +1,6 @@
 use std::fmt;
-use std::io::ErrorKind;
-use std::path::PathBuf;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -59,7 +59,11 @@ impl DoubtStore {
     #[must_use]
     pub fn load(&self, board: &str) -> Option<Doubt> {
         let read = match MachineDisk.read(&self.path(board), MAX_FILE_BYTES) {
-            Err(error) if error.kind() == ErrorKind::NotFound => return None,
+            Err(error)
+                if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) =>
+            {
+                return None;
+            }
             read => read.ok(),
         };
         let doubt: Doubt = read
@@ -68,19 +72,34 @@ impl DoubtStore {
         doubt.fault.is_none_or(Fault::leaves_doubt).then_some(doubt)
     }
 
+    /// Warns if no doubt can be stored, before there is one.
+    pub fn warn_if_unwritable(&self) {
+        let path = self.folder.join("writable");
+        if let Err(error) = self.write(&path, b"").and_then(|()| MachineDisk.remove(&path)) {
+            tracing::warn!(
+                "{}: no doubt about this Qube can be stored there ({error}): after a fault of a sensor or the \
+                 motor the next program would drive it unasked. Let XDG_STATE_HOME name a folder that you may write",
+                self.folder.display()
+            );
+        }
+    }
+
     /// Stores a doubt. If that fails, the doubt lasts until the program ends.
     pub fn store(&self, doubt: &Doubt) {
         let path = self.path(&doubt.board);
         let bytes = serde_json::to_vec(doubt).unwrap_or_default();
-        let kept =
-            MachineDisk.create_folder(&self.folder).map_err(|error| error.to_string()).and_then(
-                |()| write_whole(&MachineDisk, &path, &bytes).map_err(|error| error.to_string()),
-            );
-        if let Err(error) = kept {
+        if let Err(error) = self.write(&path, &bytes) {
             tracing::warn!(
-                "the doubt about this Qube cannot be stored and ends with this program: {error}"
+                "{}: the doubt about this Qube cannot be stored and ends with this program ({error}): drive it no \
+                 more before somebody has looked at it",
+                path.display()
             );
         }
+    }
+
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        MachineDisk.create_folder(&self.folder)?;
+        write_whole(&MachineDisk, path, bytes).map_err(|error| error.source)
     }
 
     /// Removes the doubt about a board.

@@ -86,6 +86,9 @@ impl Rig {
             return Err(RigError::InDoubt(Box::new(doubt)));
         }
         let is_hardware = settings.is_hardware() || rig.is_hardware();
+        if let Some(memory) = rig.memory.as_ref().filter(|_| is_hardware) {
+            memory.warn_if_unwritable();
+        }
         if is_hardware && settings.limits.needs_foresight() {
             admit_processor(rig.foresight_time_us)?;
         }

@@ -169,6 +169,29 @@ fn a_changed_byte_is_bad_input_and_a_cut_off_file_is_lost_data() {
     assert!(saved["ticks"].as_u64().unwrap() > 100, "{saved}");
     let output = qube_hil(&["replay", "--json", saved["recovered"].as_str().unwrap()]);
     assert_eq!(json(&output)["recordings"][0]["actions_compared"], saved["ticks"]);
+    // Whatever shows a recording says that a part of it is missing.
+    let saved = saved["recovered"].as_str().unwrap();
+    for file in [&cut[..], saved] {
+        let exports = folder.path().join("exports");
+        let exports = exports.to_str().unwrap();
+        for command in [
+            &["report", "--force", "--out", "page.html"][..],
+            &["export", "--force", "--out", exports],
+        ] {
+            let mut command = command.to_vec();
+            let page = folder.path().join("page.html");
+            command
+                .iter_mut()
+                .filter(|it| **it == "page.html")
+                .for_each(|it| *it = page.to_str().unwrap());
+            command.push(file);
+            let output = qube_hil(&command);
+            assert_eq!(output.status.code(), Some(3), "{command:?}: {}", stderr(&output));
+            assert!(stderr(&output).contains("the recording "), "{}", stderr(&output));
+        }
+    }
+    let output = qube_hil(&["recover", saved]);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
 
     let before = files_of(folder.path());
     let output = qube_hil(&["recover", path.to_str().unwrap()]);
