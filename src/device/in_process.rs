@@ -7,6 +7,9 @@ use super::emulator::{Board, EmulatorSettings, UsbBridge};
 use super::{LinkFault, SerialLink, Transport};
 use crate::clock::{Clock, Nanoseconds, VirtualClock};
 
+/// Name of the port of an emulated Qube in virtual time.
+pub const IN_PROCESS: &str = "in-process";
+
 /// Time of one byte on the line, ns: 20 us.
 const BYTE_NS: Nanoseconds = 1_000_000_000 * BITS_PER_BYTE as u64 / BAUD_RATE as u64;
 
@@ -152,7 +155,7 @@ impl Transport for InProcessWire {
     }
 
     fn name(&self) -> &str {
-        "in-process"
+        IN_PROCESS
     }
 
     fn boot_time_ns(&self) -> Nanoseconds {

@@ -19,6 +19,10 @@ const GAPS_SHARE: f64 = 0.02;
 
 /// Voltage, of either sign, that a recording must reach at least once, V.
 const LEAST_VOLTAGE_V: f64 = 0.5;
+
+/// Largest voltage that can be meant in V, V: the supply of a motor several times as large as a
+/// Qube's.
+const LARGEST_VOLTAGE_V: f64 = 48.0;
 /// Smallest range of the motion of each angle in a recording, rad.
 const LEAST_MOTION_RAD: f64 = 0.1;
 
@@ -86,6 +90,15 @@ pub enum Unfit {
         "no excitation: the voltage never reached {LEAST_VOLTAGE_V} V; give a motion under larger voltages"
     )]
     NoVoltage,
+    /// A voltage is larger than any supply of a small motor.
+    #[error(
+        "the voltage reaches {voltage_v:.0} V, and the motor of a plant like this takes {LARGEST_VOLTAGE_V} V at most: give \
+         voltages in V, not in mV"
+    )]
+    NotVolts {
+        /// The largest voltage, V.
+        voltage_v: f64,
+    },
     /// An angle moved by less than 0.1 rad.
     #[error(
         "no excitation: {angle} moved by {moved_rad:.3} rad; at least {LEAST_MOTION_RAD} rad are needed"
@@ -194,6 +207,10 @@ pub(super) fn check_motion(log: &MotionLog, shortest_s: f64) -> Result<(), Unfit
     check_times(samples)?;
     if samples.iter().all(|sample| sample.voltage_v.abs() < LEAST_VOLTAGE_V) {
         return Err(Unfit::NoVoltage);
+    }
+    let voltage_v = samples.iter().map(|sample| sample.voltage_v.abs()).fold(0.0, f64::max);
+    if voltage_v > LARGEST_VOLTAGE_V {
+        return Err(Unfit::NotVolts { voltage_v });
     }
     let hard_stop_rad = log.plant.limits.hard_stop_rad;
     let at_stop = |s: &&MotionSample| s.state.theta.abs() > hard_stop_rad - STOP_MARGIN_RAD;

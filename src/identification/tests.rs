@@ -187,6 +187,8 @@ fn recordings_that_say_nothing_or_something_wrong_are_named() {
     let slow = changed(&|index, sample| sample.time_s = index as f64 / 40.0);
     assert!(matches!(slow, Unfit::Gap { .. }));
     assert_eq!(changed(&|_, sample| sample.voltage_v *= 0.1), Unfit::NoVoltage);
+    let in_mv = changed(&|_, sample| sample.voltage_v *= 1000.0);
+    assert!(matches!(in_mv, Unfit::NotVolts { .. }), "{in_mv}");
     let still = changed(&|_, sample| {
         (sample.state.theta, sample.state.alpha) = (0.0, 0.0);
         sample.voltage_v = 0.9 * sample.voltage_v.signum();

@@ -78,14 +78,16 @@ pub enum SessionError {
         /// Board that is named now.
         now: String,
     },
-    /// The rig is an emulated Qube, and a real one made the recordings so far.
+    /// The rig is the embedded emulated Qube, and one at a port made the recordings so far.
     #[error(
-        "this session began on board {before}, and an emulated Qube cannot take its place: resume it with the port of \
-         that board"
+        "this session began on board {before} at {port}, and the embedded emulated Qube cannot take its place: resume \
+         it with the port of that board"
     )]
     EmulatedInPlace {
         /// Board that made the recordings so far.
         before: String,
+        /// Port of that board at the time.
+        port: String,
     },
     /// The file of a profile that the session identified is missing, was changed or is damaged.
     #[error(

@@ -376,6 +376,6 @@ fn a_session_of_a_real_qube_is_not_resumed_on_an_emulated_one() {
     let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(2), "{told}");
     assert!(told.contains(&format!("began on board {board}")), "{told}");
-    assert!(told.contains("an emulated Qube cannot take its place"), "{told}");
+    assert!(told.contains("the embedded emulated Qube cannot take its place"), "{told}");
     assert_eq!(ledger(directory.path(), "mine"), before);
 }

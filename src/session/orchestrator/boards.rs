@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::Session;
-use crate::device::EMULATOR_KIND;
+use crate::device::{EMULATOR_KIND, IN_PROCESS};
 use crate::recording::read_on;
 use crate::rig::{DeviceChoice, RigSettings};
 use crate::session::SessionError;
@@ -24,6 +24,15 @@ pub fn keep_on_board(settings: &mut RigSettings, before: String) -> Result<(), S
     Ok(())
 }
 
+/// Whether the embedded emulated Qube may have made a recording whose header describes its device
+/// so. A Qube that `emulate` serves at a port with a name of its own is another one; at a port
+/// without one, `/dev/pts/N`, it cannot be told from the embedded one of real time.
+fn may_be_embedded(device: &BTreeMap<String, String>) -> bool {
+    let is_emulator = device.get("kind").is_none_or(|kind| kind == EMULATOR_KIND);
+    let is_unnamed = |port: &String| port == IN_PROCESS || port.starts_with("/dev/pts/");
+    is_emulator && device.get("port").is_none_or(is_unnamed)
+}
+
 impl Session {
     /// Binds each real rig to the board that made its first recording in this session, so that no
     /// other board is driven, and no emulated Qube in its place.
@@ -38,8 +47,9 @@ impl Session {
             let settings = &mut self.rigs[index].settings;
             if !settings.is_hardware() {
                 let is_emulator = matches!(settings.device, DeviceChoice::Emulated);
-                if is_emulator && device.get("kind").is_some_and(|kind| kind != EMULATOR_KIND) {
-                    return Err(SessionError::EmulatedInPlace { before });
+                if is_emulator && !may_be_embedded(&device) {
+                    let port = device.get("port").cloned().unwrap_or_default();
+                    return Err(SessionError::EmulatedInPlace { before, port });
                 }
                 continue;
             }
@@ -100,8 +110,8 @@ mod tests {
         Session::open(folder, settings, rig, Arc::default()).unwrap()
     }
 
-    /// Enters a rollout on the board `one` into a new session.
-    fn record(session: &mut Session) {
+    /// Enters a rollout on the board `one` at this port into a new session.
+    fn record(session: &mut Session, port: &str) {
         let psi = session.settings.psi.lower();
         session.folder.make_candidate(0).unwrap();
         for entry in [
@@ -118,7 +128,9 @@ mod tests {
             session.ledger.append(entry).unwrap();
         }
         let mut header = samples::header();
-        header.device.insert("serial".into(), "one".into());
+        for (name, value) in [("serial", "one"), ("port", port), ("kind", EMULATOR_KIND)] {
+            header.device.insert(name.into(), value.into());
+        }
         let path = session.recording(0, 0, 0);
         let writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
         writer.finish(&samples::outcome()).unwrap();
@@ -128,7 +140,7 @@ mod tests {
     fn a_resumed_session_keeps_its_board_and_trusts_no_profile_that_named_none() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("session");
-        record(&mut session(&root, None));
+        record(&mut session(&root, None), "/dev/qube");
         let resumed = |board| {
             let session = session(&root, board).on_the_same_boards()?;
             let rig = &session.rigs[0].settings;
@@ -137,5 +149,19 @@ mod tests {
         assert_eq!(resumed(None).unwrap(), (Some("one".into()), false));
         assert_eq!(resumed(Some("one")).unwrap(), (Some("one".into()), true));
         assert!(matches!(resumed(Some("two")), Err(SessionError::OtherBoard { .. })));
+    }
+
+    #[test]
+    fn the_embedded_qube_takes_no_place_of_one_at_a_port() {
+        for (port, is_other) in [("/tmp/qube", true), (IN_PROCESS, false), ("/dev/pts/3", false)] {
+            let folder = tempfile::tempdir().unwrap();
+            let root = folder.path().join("session");
+            record(&mut session(&root, None), port);
+            let mut resumed = session(&root, None);
+            resumed.rigs[0].settings.device = DeviceChoice::Emulated;
+            let refused = resumed.on_the_same_boards().err();
+            let is_refused = matches!(refused, Some(SessionError::EmulatedInPlace { .. }));
+            assert_eq!(is_refused, is_other, "{port}: {refused:?}");
+        }
     }
 }
