@@ -34,7 +34,7 @@ use super::strategy_arguments::StrategyArguments;
 use crate::experiment::{Experiment, ExperimentFolder};
 use crate::jobs::starter::quoted;
 use crate::learning::Preset;
-use crate::rig::RigSettings;
+use crate::rig::{Rig, RigSettings};
 use crate::simulation::Model;
 
 /// Compare recipes: train several policies with each, run them all on the Qube, print the table
@@ -292,6 +292,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             Err(failure) => return Err(refused(folder, failure)),
         },
     };
+    // A Qube that cannot be driven is found before the first training and not after it.
+    if is_hardware
+        && !arguments.table
+        && let Err(error) = Rig::reach(&rig, &stop.flag)
+    {
+        return Err(refused(folder, failures::rig(error, &stop)));
+    }
     let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag))
         .trained_by(executor);
     let mut ended = Ok(());

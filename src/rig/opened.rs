@@ -79,19 +79,8 @@ impl Rig {
     /// A doubt is not acknowledged, the processor is too slow for foresight, or a step fails; the
     /// motor is off after any error.
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
-        let mut rig = Self::connect(settings, stop)?;
-        let remembered = rig.memory.as_ref().and_then(|memory| memory.load(&rig.identity.serial));
-        let doubt = remembered.or_else(|| settings.recovery.doubt.clone());
-        if let Some(doubt) = doubt.clone().filter(|_| !settings.recovery.acknowledged) {
-            return Err(RigError::InDoubt(Box::new(doubt)));
-        }
+        let (mut rig, doubt) = Self::reach(settings, stop)?;
         let is_hardware = settings.is_hardware() || rig.is_hardware();
-        if let Some(memory) = rig.memory.as_ref().filter(|_| is_hardware) {
-            memory.warn_if_unwritable();
-        }
-        if is_hardware && settings.limits.needs_foresight() {
-            admit_processor(rig.foresight_time_us)?;
-        }
         // After a doubt no flag skips the examination.
         if doubt.is_some() || (is_hardware && !settings.skip_check) {
             let mut results = rig.examine(false)?.results;
@@ -113,6 +102,32 @@ impl Rig {
             memory.remove(&rig.identity.serial);
         }
         Ok(rig)
+    }
+
+    /// Opens the device without moving the motor, as far as the Qube may be driven at all. Returns
+    /// the rig and its acknowledged doubt, if there is one.
+    ///
+    /// # Errors
+    /// The errors of [`connect`](Self::connect); a doubt is not acknowledged, or the processor is
+    /// too slow for foresight.
+    pub fn reach(
+        settings: &RigSettings,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<(Self, Option<Doubt>), RigError> {
+        let rig = Self::connect(settings, stop)?;
+        let remembered = rig.memory.as_ref().and_then(|memory| memory.load(&rig.identity.serial));
+        let doubt = remembered.or_else(|| settings.recovery.doubt.clone());
+        if let Some(doubt) = doubt.clone().filter(|_| !settings.recovery.acknowledged) {
+            return Err(RigError::InDoubt(Box::new(doubt)));
+        }
+        let is_hardware = settings.is_hardware() || rig.is_hardware();
+        if let Some(memory) = rig.memory.as_ref().filter(|_| is_hardware) {
+            memory.warn_if_unwritable();
+        }
+        if is_hardware && settings.limits.needs_foresight() {
+            admit_processor(rig.foresight_time_us)?;
+        }
+        Ok((rig, doubt))
     }
 
     /// Opens the device and reads its identity without moving the motor.

@@ -92,10 +92,12 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let refused = |port: &str, words: &[&str]| {
-            for command in [&["check"][..], &["run", "--policy", "classical"]] {
+            let experiment = ["experiment", "--models", "nominal", "--out", "begun"];
+            for command in [&["check"][..], &["run", "--policy", "classical"], &experiment] {
                 let output = qube_hil(directory.path(), &[command, &["--device", port]].concat());
                 assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
                 assert!(output.stdout.is_empty());
+                assert!(!directory.path().join("begun").exists(), "nothing was begun");
                 for word in words {
                     let stderr = stderr(&output);
                     assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
