@@ -164,6 +164,14 @@ fn a_file_operation_of_a_worker_that_fails_once_costs_no_training() {
 }
 
 #[test]
+fn a_job_that_a_worker_cannot_read_for_a_while_is_not_given_up() {
+    let once_a_try = vec![("read", "jobs"); Terms::default().tries as usize];
+    let disk = Hiccups::new(&once_a_try);
+    assert_eq!(trained_on(Hiccups::new(&[]), disk.clone()).unwrap().curve.len(), 1);
+    assert!(disk.to_come.lock().unwrap().is_empty(), "{disk:?}");
+}
+
+#[test]
 fn a_worker_stores_its_result_while_the_folder_seems_to_be_empty() {
     let disk = Hiccups::new(&[("exists", "jobs")]);
     assert_eq!(trained_on(Hiccups::new(&[]), disk).unwrap().curve.len(), 1);

@@ -20,7 +20,8 @@ const MAX_BYTES: u64 = 1 << 24;
 pub enum ClaimEnding {
     /// The work is done.
     Done,
-    /// The process was asked to stop, by a scheduler or a person; this counts as no failure.
+    /// The process was asked to stop, by a scheduler or a person, or could not read the job from
+    /// the disk; this counts as no failure.
     Stopped,
     /// The work failed.
     Failed(String),

@@ -11,7 +11,7 @@ pub struct Tries {
     /// Whether the last try is under way: it has no ending, and its worker is not known to be dead.
     pub is_under_way: bool,
     /// One text for each failed try: the worker, and how the try ended. A try whose worker vanished
-    /// counts as failed, a try that was stopped on request does not.
+    /// counts as failed; a try that was stopped on request, or could not read the job, does not.
     pub failures: Vec<String>,
 }
 

@@ -69,7 +69,7 @@ pub enum WorkerEvent<'a> {
         /// Wall time of the training.
         took: Duration,
     },
-    /// A job file cannot be read.
+    /// A job file is damaged.
     Unreadable {
         /// Fingerprint of the job.
         job: &'a str,
@@ -291,9 +291,20 @@ impl Worker {
             }
             match self.claim(job, &mut seen, watch, begun.elapsed()) {
                 Ok(Claim::Taken(number, claim)) => {
+                    let (claim, read) = match self.read_claimed(job, number, claim, on_event) {
+                        Ok(Some(claimed)) => claimed,
+                        Ok(None) => {
+                            pass.has_claimed = true;
+                            continue;
+                        }
+                        Err(error) => {
+                            pass.failure = Some(error);
+                            break;
+                        }
+                    };
                     pass.has_claimed = true;
                     pass.has_finished |=
-                        self.do_job(job, number, claim, alive, halt, report, on_event)?;
+                        self.do_job(job, number, read, claim, alive, halt, report, on_event)?;
                 }
                 Ok(Claim::UnderWay) => pass.others_work = true,
                 Ok(Claim::Over) => {}
@@ -360,32 +371,49 @@ impl Worker {
         jobs.iter().skip(from).chain(jobs.iter().take(from))
     }
 
+    /// Reads a claimed job; `None` if it is no longer open or its file is damaged.
+    ///
+    /// # Errors
+    /// A file operation fails. The claim is given back and counts as no failure of the job.
+    fn read_claimed(
+        &self,
+        job: &str,
+        number: u32,
+        claim: Heartbeat,
+        on_event: &mut dyn FnMut(WorkerEvent),
+    ) -> Result<Option<(Heartbeat, TrainingJob)>, JobFolderError> {
+        match self.folder.read_job(job) {
+            Ok(Some(read)) => return Ok(Some((claim, read))),
+            Ok(None) => {
+                // The coordinator has removed the job since this worker listed it.
+                let _ = self.folder.disk().remove(&self.folder.claim(job, number));
+            }
+            Err(error @ JobFolderError::Damaged { .. }) => {
+                let reason = error.to_string();
+                let _ = claim.end(&ClaimEnding::Failed(reason.clone()));
+                on_event(WorkerEvent::Unreadable { job, reason });
+            }
+            Err(error) => {
+                let _ = claim.end(&ClaimEnding::Stopped);
+                return Err(error);
+            }
+        }
+        Ok(None)
+    }
+
     /// Carries out a claimed job. Returns whether the job was finished, with or without success.
     #[allow(clippy::too_many_arguments)]
     fn do_job(
         &self,
         job: &str,
         number: u32,
+        read: TrainingJob,
         claim: Heartbeat,
         alive: &Mutex<Option<Alive>>,
         halt: &AtomicBool,
         report: &mut WorkReport,
         on_event: &mut dyn FnMut(WorkerEvent),
     ) -> Result<bool, JobFolderError> {
-        let read = match self.folder.read_job(job) {
-            Ok(Some(read)) => read,
-            Ok(None) => {
-                // The coordinator has removed the job since this worker listed it.
-                let _ = self.folder.disk().remove(&self.folder.claim(job, number));
-                return Ok(false);
-            }
-            Err(error) => {
-                let reason = error.to_string();
-                let _ = claim.end(&ClaimEnding::Failed(reason.clone()));
-                on_event(WorkerEvent::Unreadable { job, reason });
-                return Ok(false);
-            }
-        };
         if let Some(alive) = lock(alive).as_mut() {
             alive.claim = Some(claim);
         }
