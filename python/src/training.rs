@@ -138,15 +138,18 @@ fn follow(
     }
 }
 
-/// Replaces the settings that `changes`, a JSON object, names.
+/// Replaces the settings that `changes`, a JSON object, names. A name that no setting has is refused
+/// where the settings are read again.
 fn changed(settings: &TrainSettings, changes: &str) -> PyResult<TrainSettings> {
     let changes: Map<String, Value> = serde_json::from_str(changes).map_err(bad_settings)?;
+    if changes.contains_key("simulation") {
+        return Err(bad_settings("a training has no setting \"simulation\""));
+    }
     let mut all = serde_json::to_value(settings).map_err(bad_settings)?;
+    // The preset's settings lack those that are left out at their defaults, so a name that is not
+    // there may be a setting's all the same.
     for (name, value) in changes {
-        match all.get_mut(&name) {
-            Some(entry) if name != "simulation" => *entry = value,
-            _ => return Err(bad_settings(format!("a training has no setting {name:?}"))),
-        }
+        all[name] = value;
     }
     let named = |error| bad_settings(format!("the training's settings: {error}"));
     serde_json::from_value(all).map_err(named)

@@ -130,6 +130,18 @@ def test_settings_and_distributions_are_taken_and_recorded():
     for wrong in [{"updates": 0}, {"epoch": 1}, {"updates": "many"}, {"preset": "none"}, {"seed": -1}]:
         with pytest.raises(qube_hil.SettingsError):
             qube_hil.train(**wrong)
+    with pytest.raises(qube_hil.SettingsError, match="unknown field `epoch`.*`epochs`"):
+        qube_hil.train(epoch=1)
+
+
+def test_settings_that_a_record_leaves_out_at_their_defaults_can_be_changed():
+    plain = qube_hil.train(**SMALL)
+    for change in [{"worst_share": 0.25}, {"adam_epsilon_beside_root": True}]:
+        changed = qube_hil.train(**SMALL, **change)
+        assert changed.policy.training["preset"] == "custom"
+        assert changed.policy.to_bytes() != plain.policy.to_bytes()
+    with pytest.raises(qube_hil.SettingsError, match="worst_share"):
+        qube_hil.train(worst_share=0.0)
 
 
 def test_a_training_goes_on_from_a_policy_as_the_command_does(tmp_path):
