@@ -1,3 +1,4 @@
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crc::{CRC_32_ISO_HDLC, CRC_64_XZ, Crc};
@@ -233,11 +234,11 @@ struct Line<'a> {
 /// # Errors
 /// The file is not accessible or too long.
 pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, LedgerError> {
-    if !disk.exists(path) {
-        return Ok(Vec::new());
-    }
-    let io = |source| LedgerError::Io { path: path.to_owned(), source };
-    let bytes = disk.read(path, MAX_FILE_BYTES).map_err(io)?;
+    let bytes = match disk.read(path, MAX_FILE_BYTES) {
+        Ok(bytes) => bytes,
+        Err(source) if source.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(source) => return Err(LedgerError::Io { path: path.to_owned(), source }),
+    };
     // The rest of a longer file was not read, so its last line is not torn and must not be cut.
     if bytes.len() as u64 > MAX_FILE_BYTES {
         return Err(LedgerError::TooLong { path: path.to_owned() });
@@ -451,6 +452,16 @@ mod tests {
                 assert_eq!(std::fs::read(&path).unwrap(), bytes, "cut at {length}");
             }
         }
+    }
+
+    #[test]
+    fn a_ledger_that_cannot_be_looked_at_does_not_count_as_none() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("ledger.jsonl");
+        assert_eq!(read_bytes(&MachineDisk, &path).unwrap(), b"");
+        std::os::unix::fs::symlink(&path, &path).unwrap();
+        let error = read_bytes(&MachineDisk, &path).unwrap_err();
+        assert!(matches!(error, LedgerError::Io { .. }), "{error}");
     }
 
     #[test]
