@@ -4,7 +4,7 @@ use super::{Experiment, ExperimentError};
 use crate::recording::{RecordingError, read};
 use crate::rig::RigSettings;
 use crate::session::{SessionPaths, SessionView, keep_on_board, recording_in};
-use crate::storage::{Disk, MachineDisk};
+use crate::storage::MachineDisk;
 
 impl Experiment {
     /// The settings of the rig. A real Qube is bound to the board that made the experiment's first
@@ -42,11 +42,12 @@ impl Experiment {
             let folder = |policy| folders.rollouts(policy, &settings.plants[0].name);
             paths.extend((0..settings.policies).map(|policy| recording_in(&folder(policy), 0, 0)));
         }
-        for path in paths.iter().filter(|path| MachineDisk.exists(path)) {
+        for path in &paths {
             match read(path) {
                 Ok(recording) => return Ok(recording.header.device.get("serial").cloned()),
                 // A crash may have left a recording that will be made again.
                 Err(RecordingError::Unreadable { .. }) => {}
+                Err(error) if error.is_absence() => {}
                 Err(error) => return Err(error.into()),
             }
         }
@@ -120,6 +121,17 @@ mod tests {
         assert_eq!(bound(port(), Some("one")).unwrap(), (Some("one".into()), true));
         let told = bound(port(), Some("two")).unwrap_err().to_string();
         assert!(told.contains("board two is named in the place of board one"), "{told}");
+        // Who made a recording that cannot be read is not known, and no other board is driven.
+        {
+            let begun = experiment(root.path(), port(), None);
+            let folder = begun.folder().policies("nominal").rollouts(0, "device");
+            let path = recording_in(&folder, 0, 0);
+            let aside = path.with_extension("aside");
+            std::fs::rename(&path, &aside).unwrap();
+            std::os::unix::fs::symlink(&path, &path).unwrap();
+            assert!(begun.rig_on_the_same_board().is_err());
+            std::fs::rename(&aside, &path).unwrap();
+        }
         // Each rollout on an emulated Qube has a board of its own.
         assert_eq!(bound(DeviceChoice::Emulated, None).unwrap(), (None, true));
     }

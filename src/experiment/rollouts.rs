@@ -56,12 +56,10 @@ fn state_of(
 ) -> Result<RolloutState, ExperimentError> {
     for attempt in 0..=repetitions {
         let path = recording_in(rollouts, rollout, attempt);
-        if !MachineDisk.exists(&path) {
-            return Ok(RolloutState::Due { attempt });
-        }
         let recorded = match read(&path) {
             Ok(recorded) => recorded,
             Err(RecordingError::Unreadable { .. }) => return Ok(RolloutState::Due { attempt }),
+            Err(error) if error.is_absence() => return Ok(RolloutState::Due { attempt }),
             Err(error) => return Err(error.into()),
         };
         // A file in the wrong place would count a rollout twice, or for another policy.
@@ -155,5 +153,19 @@ impl Repeated<'_> {
                 Ok(recorded.outcome.ending)
             })?;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_that_cannot_be_looked_at_is_not_made_again() {
+        let directory = tempfile::tempdir().unwrap();
+        assert!(!is_complete(directory.path(), 0, 0).unwrap());
+        let path = recording_in(directory.path(), 0, 0);
+        std::os::unix::fs::symlink(&path, &path).unwrap();
+        assert!(is_complete(directory.path(), 0, 0).is_err());
     }
 }

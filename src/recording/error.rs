@@ -80,6 +80,14 @@ pub enum RecordingError {
     },
 }
 
+impl RecordingError {
+    /// Whether the file could not be read because it does not exist.
+    #[must_use]
+    pub fn is_absence(&self) -> bool {
+        matches!(self, Self::Read { source, .. } if source.kind() == io::ErrorKind::NotFound)
+    }
+}
+
 /// The reason why bytes cannot be read as a recording.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum Unreadable {
