@@ -1,5 +1,5 @@
 use std::fmt;
-use std::io::{self, ErrorKind};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -59,14 +59,11 @@ impl DoubtStore {
     #[must_use]
     pub fn load(&self, board: &str) -> Option<Doubt> {
         let read = match MachineDisk.read(&self.path(board), MAX_FILE_BYTES) {
-            Err(error)
-                if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) =>
-            {
-                return None;
-            }
-            read => read.ok(),
+            Err(error) if is_absence(&error) => return None,
+            read => read,
         };
         let doubt: Doubt = read
+            .ok()
             .and_then(|bytes| serde_json::from_slice(&bytes).ok())
             .unwrap_or_else(|| Doubt { fault: None, board: board.into(), unix_s: None });
         doubt.fault.is_none_or(Fault::leaves_doubt).then_some(doubt)
@@ -105,8 +102,8 @@ impl DoubtStore {
     /// Removes the doubt about a board.
     pub fn remove(&self, board: &str) {
         let path = self.path(board);
-        if MachineDisk.exists(&path)
-            && let Err(error) = MachineDisk.remove(&path)
+        if let Err(error) = MachineDisk.remove(&path)
+            && !is_absence(&error)
         {
             tracing::warn!("the doubt in {} cannot be removed and stays: {error}", path.display());
         }
@@ -123,6 +120,11 @@ impl DoubtStore {
         let name: String = board.bytes().map(character).collect();
         self.folder.join(format!("doubt-{name}.json"))
     }
+}
+
+/// Whether an operation failed because neither the file nor, perhaps, its folder exists.
+fn is_absence(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
 #[cfg(test)]
@@ -153,6 +155,9 @@ mod tests {
             std::fs::write(memory.path("a"), bytes).unwrap();
             assert_eq!(memory.load("a").unwrap().fault, None);
         }
+        // Nothing can be found out about this file, not even whether it exists.
+        std::os::unix::fs::symlink(memory.path("b"), memory.path("b")).unwrap();
+        assert_eq!(memory.load("b").unwrap().fault, None);
         assert_eq!(memory.path("../../a").parent(), Some(directory.path()));
         for (one, other) in [("../a", "a"), ("hil:1-2", "hil:12"), ("a_2e", "a.")] {
             assert_ne!(memory.path(one), memory.path(other));
