@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use super::ExperimentError;
 use super::seal::sealed;
 use crate::session::{FolderError, PolicyPaths};
-use crate::storage::{Disk, Hold, MachineDisk, is_unfinished_of, remove_unfinished, write_whole};
+use crate::storage::{
+    Disk, Hold, MachineDisk, file_exists, is_unfinished_of, remove_unfinished, write_whole,
+};
 
 /// The folder of an experiment; one process at a time holds it. The files in the folder are the
 /// only record of finished work.
@@ -51,7 +53,8 @@ impl ExperimentFolder {
         make(root)?;
         let folder = Self::hold(root)?;
         // Another process may have begun an experiment there before this process held the folder.
-        if MachineDisk.exists(&folder.settings_path()) {
+        let io = |source| FolderError::Io { path: folder.settings_path(), source };
+        if file_exists(&MachineDisk, &folder.settings_path()).map_err(io)? {
             return Err(exists().into());
         }
         remove_unfinished(&MachineDisk, &settings_path);

@@ -7,7 +7,8 @@ use thiserror::Error;
 
 use super::SessionPaths;
 use crate::storage::{
-    Disk, Hold, MachineDisk, WriteError, is_unfinished_of, remove_unfinished, write_whole,
+    Disk, Hold, MachineDisk, WriteError, file_exists, is_unfinished_of, remove_unfinished,
+    write_whole,
 };
 
 /// An error of a session's folder.
@@ -85,7 +86,7 @@ impl SessionFolder {
         let folder = Self { is_new: true, ..Self::hold(disk, paths)? };
         let settings = folder.paths.configuration();
         // Another process may have begun a session in the folder before this one held it.
-        if folder.disk().exists(&settings) {
+        if file_exists(folder.disk(), &settings).map_err(io(&settings))? {
             return Err(FolderError::Exists { path: root.to_owned() });
         }
         remove_unfinished(folder.disk(), &settings);
@@ -158,8 +159,9 @@ impl SessionFolder {
     pub fn withdraw(self) {
         // The configuration is last: without it, a ledger could neither be resumed nor begun anew.
         for file in [self.paths.ledger(), self.paths.configuration()] {
-            if self.disk.exists(&file) && self.disk.remove(&file).is_err() {
-                return;
+            match self.disk.remove(&file) {
+                Err(error) if error.kind() != ErrorKind::NotFound => return,
+                _ => {}
             }
         }
         let _ = std::fs::remove_dir(self.paths.candidates());
@@ -211,10 +213,15 @@ fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
 /// repeated under its own name. The file is kept because it may show the cause of a crash.
 ///
 /// # Errors
-/// The file cannot be renamed.
+/// The folder cannot be read, or the file cannot be renamed.
 pub fn put_aside(disk: &dyn Disk, recording: &Path) -> Result<(), FolderError> {
-    let free = (1..).map(|number| recording.with_extension(format!("unfinished-{number}.mcap")));
-    let aside = free.into_iter().find(|path| !disk.exists(path)).unwrap_or_default();
+    let named = recording.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = named.unwrap_or(Path::new("."));
+    let names = disk.names(folder).map_err(io(folder))?;
+    let mut asides =
+        (1..).map(|number| recording.with_extension(format!("unfinished-{number}.mcap")));
+    let is_free = |path: &PathBuf| !names.iter().any(|name| path.file_name() == Some(name));
+    let aside = asides.find(is_free).unwrap_or_default();
     disk.rename(recording, &aside).map_err(io(recording))
 }
 
@@ -255,6 +262,22 @@ mod tests {
         std::fs::create_dir(folder.paths().ledger()).unwrap();
         folder.withdraw();
         SessionFolder::open(&root).unwrap();
+    }
+
+    #[test]
+    fn a_recording_that_is_put_aside_replaces_no_other() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        for (name, bytes) in [("rollout-0.mcap", "new"), ("rollout-0.unfinished-1.mcap", "old")] {
+            std::fs::write(at(name), bytes).unwrap();
+        }
+        // This name is taken too, although nothing can be found out about its file.
+        let taken = at("rollout-0.unfinished-2.mcap");
+        std::os::unix::fs::symlink(&taken, &taken).unwrap();
+        put_aside(&MachineDisk, &at("rollout-0.mcap")).unwrap();
+        assert_eq!(std::fs::read(at("rollout-0.unfinished-1.mcap")).unwrap(), b"old");
+        assert!(taken.is_symlink());
+        assert_eq!(std::fs::read(at("rollout-0.unfinished-3.mcap")).unwrap(), b"new");
     }
 
     #[test]

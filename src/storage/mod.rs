@@ -50,7 +50,7 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The file does not exist or is not a regular file, or the operating system refuses.
     fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>>;
 
-    /// Whether a file or folder of this name exists.
+    /// Whether a file or folder of this name exists; false also if the storage failed.
     fn exists(&self, path: &Path) -> bool;
 
     /// Whether this name is a symbolic link; false on a disk without such links.
@@ -140,6 +140,17 @@ pub fn sync_name(disk: &dyn Disk, path: &Path) -> io::Result<()> {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => disk.sync_folder(parent),
         _ => disk.sync_folder(Path::new(".")),
+    }
+}
+
+/// Whether a file exists. Unlike with [`Disk::exists`], a disk that fails is an error.
+///
+/// # Errors
+/// The storage failed, or the name is not that of a regular file.
+pub fn file_exists(disk: &dyn Disk, path: &Path) -> io::Result<bool> {
+    match disk.read(path, 0) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        read => read.map(|_| true),
     }
 }
 
@@ -254,6 +265,18 @@ mod tests {
             }
         });
         assert_eq!(MachineDisk.names(directory.path()).unwrap().len(), 4);
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_looked_at_is_not_absent() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("file");
+        assert!(!file_exists(&MachineDisk, &path).unwrap());
+        std::fs::write(&path, "").unwrap();
+        assert!(file_exists(&MachineDisk, &path).unwrap());
+        let link = directory.path().join("link");
+        std::os::unix::fs::symlink(&link, &link).unwrap();
+        assert!(!MachineDisk.exists(&link) && file_exists(&MachineDisk, &link).is_err());
     }
 
     #[test]

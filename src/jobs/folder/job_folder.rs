@@ -12,7 +12,7 @@ use super::{Heartbeat, HeartbeatState, HeartbeatWatch, Holder};
 use crate::elementary::Level;
 use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::Trained;
-use crate::storage::{Disk, is_unfinished, write_whole};
+use crate::storage::{Disk, file_exists, is_unfinished, write_whole};
 
 /// Largest job file that is read, bytes. A job has some kB.
 const MAX_JOB_BYTES: u64 = 16 << 20;
@@ -104,7 +104,8 @@ impl JobFolder {
             let path = root.join(name);
             folder.disk.create_folder(&path).map_err(|source| refused(&path, source))?;
         }
-        if !folder.disk.exists(&folder.terms_file()) {
+        let terms = folder.terms_file();
+        if !file_exists(folder.disk(), &terms).map_err(|source| refused(&terms, source))? {
             folder.write_terms()?;
         }
         Ok(folder)
