@@ -33,6 +33,16 @@ use thiserror::Error;
 type Panel<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type PlotError = DrawingAreaErrorKind<std::io::Error>;
 
+/// The largest value up to and including each one; a NaN is no value.
+fn best_so_far(values: &[f64]) -> Vec<f64> {
+    let mut best = f64::NEG_INFINITY;
+    let best_with = |value: &f64| {
+        best = best.max(*value);
+        best
+    };
+    values.iter().map(best_with).collect()
+}
+
 /// The error that a figure cannot be drawn, because the drawing library failed.
 #[derive(Debug, Error)]
 #[error("the figure could not be drawn: {reason}")]

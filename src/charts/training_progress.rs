@@ -1,7 +1,7 @@
 use plotters::prelude::*;
 
 use super::style::{BLUE, FAINT, FONT, GREEN, INK, Key, LINE, TEXT, TITLE, with_key};
-use super::{DrawingError, Panel, PlotError};
+use super::{DrawingError, Panel, PlotError, best_so_far};
 
 /// Draws figure 5.3 of the thesis: the mean return in simulation after each update, with one row
 /// for each model. A model is given by its name and, for each training, the returns after its
@@ -74,17 +74,6 @@ fn panel(
     let mean = points(&mean_by_update(trainings));
     chart.draw_series(LineSeries::new(mean, colour.stroke_width(LINE)))?;
     Ok(())
-}
-
-/// The largest return up to and including each update.
-fn best_so_far(returns: &[f64]) -> Vec<f64> {
-    returns
-        .iter()
-        .scan(f64::NEG_INFINITY, |best, return_| {
-            *best = best.max(*return_);
-            Some(*best)
-        })
-        .collect()
 }
 
 /// The mean return of all trainings after each update, up to the last update of the shortest.

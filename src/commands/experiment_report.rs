@@ -17,6 +17,7 @@ use crate::experiment::{
 use crate::qube::PlantModel;
 use crate::recording::read;
 use crate::report::{NamedRollouts, RolloutView, recipes_page, strategies_page};
+use crate::scoring::criterion::SUCCESS_RETURN;
 use crate::session::{FolderError, recording_in};
 use crate::simulation::DomainDistribution;
 use crate::storage::{Disk, MachineDisk, write_whole};
@@ -206,7 +207,7 @@ impl Figures<'_> {
                     drawn.push(("figure-5.3.svg", training_progress_svg(progress)?));
                 }
                 if !searches.is_empty() {
-                    drawn.push(("searches.svg", searches_svg(searches)?));
+                    drawn.push(("searches.svg", searches_svg(searches, SUCCESS_RETURN)?));
                 }
             }
         }
