@@ -136,8 +136,8 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     let residuals = check.residuals_rad();
     let [theta_count_rad, alpha_count_rad] = counts_rad(fit);
     let in_noise = |residual_rad: f64, count_rad: f64| residual_rad / (count_rad / 12.0_f64.sqrt());
-    let ResidualScale { theta_rad, alpha_rad } = scale_of(&residuals);
-    let short_rad = theta_rad.max(alpha_rad);
+    let scale = scale_of(&residuals);
+    let ResidualScale { theta_rad, alpha_rad } = scale;
     let noise_ratio =
         in_noise(theta_rad, theta_count_rad).max(in_noise(alpha_rad, alpha_count_rad));
     let correlation = |angle| correlation(&check, &residuals, angle);
@@ -157,7 +157,7 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     }
     let check = Fit { unknowns: fit.unknowns, ..check };
     doubts.extend(named(&check, 2.0 * samples, noise_ratio));
-    let verdict = if short_rad > UNFIT_RAD {
+    let verdict = if !scale.is_within(UNFIT_RAD) {
         ModelVerdict::DoesNotFit
     } else if doubts.is_empty() {
         ModelVerdict::Fits

@@ -224,9 +224,10 @@ pub fn identify(
     let [first_s, further_s @ ..] = STAGES_S;
     let mut fit = Fit::new(unknowns, plant, first_guess, windows(logs, first_s)).with_offsets();
     fit.run();
-    let ResidualScale { theta_rad, alpha_rad } = scale_of(&fit.residuals_rad());
+    let scale = scale_of(&fit.residuals_rad());
+    let ResidualScale { theta_rad, alpha_rad } = scale;
     let cause = || cause(logs, unknowns, &first_guess, theta_rad.max(alpha_rad));
-    if theta_rad.max(alpha_rad) > LARGEST_RESIDUAL_RAD {
+    if !scale.is_within(LARGEST_RESIDUAL_RAD) {
         return Err(IdentifyError::Unexplained { theta_rad, alpha_rad, cause: cause() });
     }
     if fit.stretches.iter().any(|stretch| stretch.regime == Regime::Hanging) {

@@ -29,6 +29,12 @@ impl ResidualScale {
         let of = |encoder: Encoder| SMALLEST_SCALE_RAD / encoder.counts_per_qube_count();
         Self { theta_rad: of(encoders.theta), alpha_rad: of(encoders.alpha) }
     }
+
+    /// Whether both standard deviations are at most `limit_rad`. A standard deviation that is no
+    /// number is within no limit.
+    pub(super) fn is_within(self, limit_rad: f64) -> bool {
+        self.theta_rad <= limit_rad && self.alpha_rad <= limit_rad
+    }
 }
 
 /// The distribution of the residuals of a regime.
@@ -156,4 +162,19 @@ fn correlated(residuals: &[&Vec<Residual>]) -> f64 {
         if weight == 0.0 { 1.0 } else { total / weight }
     };
     0.5 * (of_angle(0) + of_angle(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn residuals_that_are_no_numbers_are_within_no_limit() {
+        let scale = |residual: Residual| scale_of(&[vec![[0.01, 0.02], residual]]);
+        assert!(scale([0.01, 0.02]).is_within(0.02 + 1e-12));
+        assert!(!scale([0.01, 0.02]).is_within(0.015));
+        for residual in [[f64::NAN, 0.0], [0.0, f64::NAN], [f64::INFINITY, 0.0]] {
+            assert!(!scale(residual).is_within(1.0), "{residual:?}");
+        }
+    }
 }
