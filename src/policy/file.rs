@@ -14,13 +14,13 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::layer::{LayerWeights, bias_name, weight_name};
-use super::network::NetworkError;
+use super::network::{MAX_INPUTS, NetworkError};
 use super::network_metadata::{NetworkMetadata, OBSERVATION_LAYOUT, is_of_the_first_version};
 use super::{
     ClassicalController, ClassicalGains, Excitation, ExcitationShape, External, Network,
     NetworkPolicy, Policy,
 };
-use crate::qube::{MAX_VOLTAGE_V, ModelError};
+use crate::qube::{MAX_VOLTAGE_V, ModelError, OBSERVATION_SIZE};
 
 /// Newest version of the format; files of later versions are refused. A policy that version 1 can
 /// express is written in version 1, so that a later version of the format does not change its
@@ -85,7 +85,7 @@ pub enum PolicyFault {
     },
     /// This program does not read the file's version of the format.
     #[error(
-        "has format version {version}, this program reads versions 1 to {FORMAT_VERSION}. Train it again or use the program that wrote it"
+        "has format version {version}, this program reads versions 1 to {FORMAT_VERSION}. Train or import it again, or use the program that wrote it"
     )]
     Version {
         /// Version of the file.
@@ -93,7 +93,8 @@ pub enum PolicyFault {
     },
     /// The network expects an observation that this program does not have.
     #[error(
-        "was trained for the observation {layout:?}; this program has the first 6 to 10 of {OBSERVATION_LAYOUT:?}. Train it again"
+        "was trained for the observation {layout:?}; this program has the first {OBSERVATION_SIZE} to {MAX_INPUTS} of \
+         {OBSERVATION_LAYOUT:?}. Train or import it again"
     )]
     Observation {
         /// Observation that the file names.
@@ -101,7 +102,7 @@ pub enum PolicyFault {
     },
     /// The network's number of inputs differs from the number of entries of its observation.
     #[error(
-        "names {entries} entries of the observation for a network of sizes {sizes:?}. Train it again"
+        "names {entries} entries of the observation for a network of sizes {sizes:?}. Train or import it again"
     )]
     Inputs {
         /// Number of entries that the file names.
@@ -121,7 +122,7 @@ pub enum PolicyFault {
     },
     /// The activation function is not supported.
     #[error(
-        "has the activation `{activation}`; version 1 of the format has `{ACTIVATION}`, version 2 also relu, elu and silu. Train it again"
+        "has the activation `{activation}`; version 1 of the format has `{ACTIVATION}`, version 2 also relu, elu and silu. Train or import it again"
     )]
     Activation {
         /// Activation function that the file names.
@@ -158,7 +159,7 @@ pub enum PolicyFault {
     /// The weights do not form a network.
     #[error("holds an invalid network: {0}")]
     Network(#[from] NetworkError),
-    /// A number in the record of the training cannot be.
+    /// A number in the record of the training is out of range.
     #[error("says that the training had {name} = {value}: it must be {bound}")]
     Training {
         /// Name of the entry.
@@ -168,8 +169,8 @@ pub enum PolicyFault {
         /// Accepted values.
         bound: &'static str,
     },
-    /// The model of the observer in the record of the training cannot be.
-    #[error("says that the training had an observer whose model.{0}")]
+    /// The model of the observer in the record of the training describes no Qube.
+    #[error("names an observer model that describes no Qube: model.{0}")]
     ObserverModel(ModelError),
     /// The excitation's voltage exceeds the motor's range.
     #[error("excites with {voltage_v} V: give at most {MAX_VOLTAGE_V} V of either sign")]

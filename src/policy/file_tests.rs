@@ -305,7 +305,10 @@ fn a_training_that_cannot_be_is_refused() {
         ),
         (TrainingRecord { sensors: sensors(200.0, 0, None), ..fine.clone() }, "revolution = 0"),
         (TrainingRecord { sensors: sensors(9.0, 9, Some(noise)), ..fine.clone() }, "theta_noise"),
-        (TrainingRecord { sensors: sensors(9.0, 9, Some(massless)), ..fine.clone() }, "M_p = 0"),
+        (
+            TrainingRecord { sensors: sensors(9.0, 9, Some(massless)), ..fine.clone() },
+            "names an observer model that describes no Qube: model.parameters.M_p = 0",
+        ),
         (TrainingRecord { best_return: Some(1e308), ..fine.clone() }, "best_return"),
         (TrainingRecord { voltage_change_weight: -1.0, ..fine }, "voltage_change_weight = -1"),
     ] {

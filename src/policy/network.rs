@@ -12,12 +12,15 @@ pub const MAX_HIDDEN_LAYERS: usize = 4;
 /// Largest width of a hidden layer.
 pub const MAX_WIDTH: usize = 256;
 
+/// Largest number of inputs: the state and the longest history of commands.
+pub(super) const MAX_INPUTS: usize = OBSERVATION_SIZE + MAX_HISTORY;
+
 /// The reason why weights do not form a network.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum NetworkError {
     /// The layer sizes are outside the limits.
     #[error(
-        "the network's sizes are {sizes:?}: they must be 6 to 10 inputs, 1 to {MAX_HIDDEN_LAYERS} hidden layers of 1 to {MAX_WIDTH}, and 1 output"
+        "the network's sizes are {sizes:?}: they must be {OBSERVATION_SIZE} to {MAX_INPUTS} inputs, 1 to {MAX_HIDDEN_LAYERS} hidden layers of 1 to {MAX_WIDTH}, and 1 output"
     )]
     Sizes {
         /// Sizes given.
@@ -258,7 +261,7 @@ impl PartialEq for Network {
 /// Checks that a network may have these sizes.
 pub(super) fn check_sizes(sizes: &[usize]) -> Result<(), NetworkError> {
     if let [inputs, hidden @ .., 1] = sizes
-        && (OBSERVATION_SIZE..=OBSERVATION_SIZE + MAX_HISTORY).contains(inputs)
+        && (OBSERVATION_SIZE..=MAX_INPUTS).contains(inputs)
         && (1..=MAX_HIDDEN_LAYERS).contains(&hidden.len())
         && hidden.iter().all(|width| (1..=MAX_WIDTH).contains(width))
     {
