@@ -18,4 +18,4 @@ pub use behaviour::Behaviour;
 pub use latencies::Latencies;
 pub use quietness::{Quietness, QuietnessFigures};
 pub use return_of::return_of;
-pub use verdict::{Verdict, mean_return, read_finished, score, score_recording};
+pub use verdict::{Verdict, mean_of, mean_return, read_finished, score, score_recording};

@@ -52,6 +52,12 @@ impl Verdict {
 #[must_use]
 pub fn mean_return(verdicts: &[Verdict]) -> Option<f64> {
     let returns: Vec<f64> = verdicts.iter().filter_map(Verdict::return_).collect();
+    mean_of(&returns)
+}
+
+/// The mean of returns; `None` if there are none.
+#[must_use]
+pub fn mean_of(returns: &[f64]) -> Option<f64> {
     (!returns.is_empty()).then(|| returns.iter().sum::<f64>() / returns.len() as f64)
 }
 

@@ -5,7 +5,7 @@ use super::{
     Candidate, Entry, Finished, LedgerError, SessionError, SessionPaths, SessionState,
     finished_rollout, parse_ledger,
 };
-use crate::scoring::{Verdict, mean_return};
+use crate::scoring::{Verdict, mean_of, mean_return};
 use crate::search::Observation;
 use crate::storage::Disk;
 
@@ -80,8 +80,7 @@ impl RigResults {
     /// Mean return; `None` without a rollout.
     #[must_use]
     pub fn mean_return(&self) -> Option<f64> {
-        let count = self.returns.len();
-        (count > 0).then(|| self.returns.iter().sum::<f64>() / count as f64)
+        mean_of(&self.returns)
     }
 }
 
