@@ -38,12 +38,12 @@ const WORDS: [Words; 108] = [
     of(
         "psi.lower",
         "",
-        "Lower end of the quantity's range, in the quantity's unit; left out, its default",
+        "Lower end of the quantity's range, in the quantity's unit; the quantity's default if absent",
     ),
     of(
         "psi.upper",
         "",
-        "Upper end of the quantity's range, in the quantity's unit; left out, its default",
+        "Upper end of the quantity's range, in the quantity's unit; the quantity's default if absent",
     ),
     of("extent.initial_candidates", "", "Number of candidates before the search proposes its own"),
     of("extent.iterations", "", "Number of candidates that the search proposes"),
@@ -68,7 +68,7 @@ const WORDS: [Words; 108] = [
     of(
         "extent.pending",
         "",
-        "Largest number of candidates without returns when the search proposes another, which is trained meanwhile",
+        "Number of candidates that may still lack returns when the search proposes the next one; with 0, Qube and trainings wait for each other",
     ),
     of("identification.excitations", "", "Number of recordings under an excitation, of 10 s each"),
     of(
@@ -84,7 +84,7 @@ const WORDS: [Words; 108] = [
     ),
     of(
         "identification.spread",
-        "part of each value",
+        "fraction of each value",
         "Spread of the simulations in addition to the errors of the identification",
     ),
     of(
@@ -92,7 +92,7 @@ const WORDS: [Words; 108] = [
         "",
         "Number of trainings of each candidate, of which the best policy is kept",
     ),
-    of("profile.spread", "part of each value", "Spread of the simulations around the profile"),
+    of("profile.spread", "fraction of each value", "Spread of the simulations around the profile"),
     of(
         "directions.M_p",
         "kg",
@@ -165,13 +165,13 @@ const WORDS: [Words; 108] = [
         "rad",
         "Angle by which the arm's friction gives way like a spring before it slides",
     ),
-    of("effects.stribeck", "part", "Part of the friction that is added near standstill"),
+    of("effects.stribeck", "fraction", "Part of the friction that is added near standstill"),
     of(
         "effects.hysteresis_n_m",
         "N m",
         "Largest torque of the cable's hysteresis, against the arm's last motion",
     ),
-    of("effects.slack", "part", "Part of its stiffness that the cable lacks on one side"),
+    of("effects.slack", "fraction", "Part of its stiffness that the cable lacks on one side"),
     of(
         "effects.warming_per_w",
         "1/W",
