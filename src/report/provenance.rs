@@ -54,7 +54,7 @@ fn facts(header: &RolloutHeader) -> Vec<(String, String)> {
     facts.push((
         "safety box".into(),
         format!(
-            "|θ| up to {} rad, |α| up to {} rad, {} and {} rad/s; guard: {}",
+            "|θ| up to {} rad, |α| up to {} rad, arm up to {} rad/s, pendulum up to {} rad/s; guard: {}",
             significant(sandbox.theta),
             significant(sandbox.alpha),
             significant(sandbox.theta_dot),
@@ -81,7 +81,7 @@ fn add_preflight(page: &mut Page, preflight: &Preflight) {
         Preflight::Unknown => page.paragraph("The recording names no check of the device."),
         Preflight::NotNeeded => page.paragraph("The emulated Qube needs no check."),
         Preflight::SkippedByFlag => {
-            page.paragraph("The operator left out the check of the Qube before its first motion.");
+            page.paragraph("The operator skipped the check of the Qube before its first motion.");
         }
         Preflight::Done(checks) => {
             page.details("Check of the Qube before its first motion", |page| {

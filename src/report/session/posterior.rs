@@ -84,7 +84,8 @@ fn draw(page: &mut Page, surrogate: &SessionSurrogate) {
     let (data, best) = (data.as_slice(), best.as_slice());
     page.paragraph(
         "A Gaussian process is fitted to the mean returns. Each slice changes one entry of psi and keeps the others \
-         as recommended; the dots are the candidates, which lie off the slice in the other entries.",
+         as recommended; the dots are the candidates; their other entries of psi differ from the recommended ones, so they \
+         need not lie on the curve.",
     );
     let dimensions = settings.psi.dimensions();
     // A short lengthscale means that the return changes along that entry.
