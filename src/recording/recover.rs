@@ -1,9 +1,10 @@
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::path::Path;
 
 use super::reader::{checked_scan, read_bytes, recording};
 use super::{Recording, RecordingError, RolloutWriter};
-use crate::storage::Disk;
+use crate::storage::{Disk, WriteError, write_new};
 
 /// The result of a recovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,12 +22,12 @@ pub enum Recovered {
     },
 }
 
-/// Writes the intact part of `damaged` as a complete recording to the new file `saved`. The old
-/// file is never changed.
+/// Writes the intact part of `damaged` as a complete recording to the new file `saved`, which
+/// appears whole or not at all. The old file is never changed.
 ///
 /// # Errors
 /// The old file cannot be read, or its header or policy is missing or damaged; or the new file
-/// exists already and stays as it is; or the new file cannot be written and is removed.
+/// exists already and stays as it is; or the new file cannot be written, and nothing remains of it.
 pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
     let bytes = read_bytes(disk, damaged)?;
@@ -40,32 +41,29 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
         ("lost_bytes".to_owned(), lost_bytes.to_string()),
         ("reason".to_owned(), damage),
     ]);
-    match write(disk, saved, recording, last_ticks, lost) {
-        Ok(()) => Ok(Recovered::Saved { ticks, lost_bytes, has_outcome }),
-        Err(error @ RecordingError::Create { .. }) => Err(error),
-        Err(error) => {
-            // The removal may fail without harm: the old file still holds everything.
-            let _ = disk.remove(saved);
-            Err(error)
-        }
-    }
+    let bytes = whole(saved, recording, last_ticks, lost)?;
+    write_new(disk, saved, &bytes).map_err(|WriteError { path, source }| match source.kind() {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => RecordingError::DiskFull { path },
+        _ => RecordingError::Create { path, source },
+    })?;
+    Ok(Recovered::Saved { ticks, lost_bytes, has_outcome })
 }
 
-fn write(
-    disk: &dyn Disk,
+/// The bytes of a complete recording; `path` only appears in errors.
+fn whole(
     path: &Path,
     recording: Recording,
     last_ticks: Option<Vec<u8>>,
     lost: BTreeMap<String, String>,
-) -> Result<(), RecordingError> {
-    let mut writer = RolloutWriter::create(disk, path, recording.header, &recording.policy)?;
+) -> Result<Vec<u8>, RecordingError> {
+    let mut writer = RolloutWriter::begin(Vec::new(), path, recording.header, &recording.policy)?;
     for tick in &recording.ticks {
         writer.write(tick)?;
     }
     if let Some(lines) = last_ticks {
         writer.attach_last_lines(lines)?;
     }
-    writer.finish_recovered(recording.outcome.as_ref(), lost).map(drop)
+    writer.finish_recovered(recording.outcome.as_ref(), lost)
 }
 
 #[cfg(test)]

@@ -70,6 +70,18 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The operating system refuses.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
 
+    /// Renames a file; an existing file, folder or link of the new name is an error of the kind
+    /// [`io::ErrorKind::AlreadyExists`].
+    ///
+    /// # Errors
+    /// The operating system refuses.
+    fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
+        if is_taken(self, to) {
+            return Err(io::ErrorKind::AlreadyExists.into());
+        }
+        self.rename(from, to)
+    }
+
     /// Removes a file.
     ///
     /// # Errors
@@ -183,12 +195,33 @@ const MOST_NAMES: u32 = 1000;
 /// the call, and nothing else remains. If only the last operation fails, the sync of the folder,
 /// the file is new, but its name may not survive a loss of power.
 pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
-    write_and_rename(disk, path, bytes)
+    let rename = |unfinished: &Path| disk.rename(unfinished, path);
+    write_and(disk, path, bytes, &rename)
+        .and_then(|()| sync_name(disk, path))
         .map_err(|source| WriteError { path: path.to_owned(), source })
 }
 
-/// Whether a name is that of a file which [`write_whole`] has not renamed, because it still writes
-/// the file or its process was killed.
+/// Writes a new file atomically, as [`write_whole`] does. An existing file, folder or link of this
+/// name stays as it is and is an error of the kind [`io::ErrorKind::AlreadyExists`].
+///
+/// # Errors
+/// The operating system refuses, or the disk is full or failing. Nothing remains of the file.
+pub fn write_new(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
+    let failed = |source| WriteError { path: path.to_owned(), source };
+    // Another process may take the name during the work, so it is tested again in the end.
+    if is_taken(disk, path) {
+        return Err(failed(io::ErrorKind::AlreadyExists.into()));
+    }
+    let rename = |unfinished: &Path| disk.rename_new(unfinished, path);
+    write_and(disk, path, bytes, &rename).map_err(failed)?;
+    sync_name(disk, path).map_err(|source| {
+        let _ = disk.remove(path);
+        failed(source)
+    })
+}
+
+/// Whether a name is that of a file which [`write_whole`] or [`write_new`] has not renamed, because
+/// it still writes the file or its process was killed.
 #[must_use]
 pub fn is_unfinished(name: &OsStr) -> bool {
     name.as_encoded_bytes().ends_with(UNFINISHED.as_bytes())
@@ -219,15 +252,24 @@ pub fn remove_unfinished(disk: &dyn Disk, of: &Path) {
     }
 }
 
-fn write_and_rename(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> io::Result<()> {
+/// Whether a file, a folder or a link has this name.
+fn is_taken(disk: &(impl Disk + ?Sized), path: &Path) -> bool {
+    disk.exists(path) || disk.is_link(path)
+}
+
+/// Writes a file under an unfinished name and gives it to `rename`; if that fails, nothing remains.
+fn write_and(
+    disk: &dyn Disk,
+    path: &Path,
+    bytes: &[u8],
+    rename: &dyn Fn(&Path) -> io::Result<()>,
+) -> io::Result<()> {
     let (unfinished, mut file) = create_unfinished(disk, path)?;
     let written = file.write_all(bytes).and_then(|()| file.sync());
     drop(file);
-    if let Err(error) = written.and_then(|()| disk.rename(&unfinished, path)) {
+    written.and_then(|()| rename(&unfinished)).inspect_err(|_| {
         let _ = disk.remove(&unfinished);
-        return Err(error);
-    }
-    sync_name(disk, path)
+    })
 }
 
 /// Creates the file that becomes `path`. A name that exists is left alone, because the file may
@@ -277,6 +319,30 @@ mod tests {
         let link = directory.path().join("link");
         std::os::unix::fs::symlink(&link, &link).unwrap();
         assert!(!MachineDisk.exists(&link) && file_exists(&MachineDisk, &link).is_err());
+    }
+
+    #[test]
+    fn a_new_file_takes_no_name_that_exists() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        std::fs::write(at("file"), "precious").unwrap();
+        std::fs::create_dir(at("folder")).unwrap();
+        std::os::unix::fs::symlink(at("nothing"), at("link")).unwrap();
+        std::fs::write(at("from"), "new").unwrap();
+        for taken in ["file", "folder", "link"] {
+            let kind = |refused: io::Result<()>| refused.unwrap_err().kind();
+            let refused = MachineDisk.rename_new(&at("from"), &at(taken));
+            assert_eq!(kind(refused), io::ErrorKind::AlreadyExists, "{taken}");
+            let refused = write_new(&MachineDisk, &at(taken), b"new");
+            assert_eq!(kind(refused.map_err(|it| it.source)), io::ErrorKind::AlreadyExists);
+        }
+        assert!(write_new(&MachineDisk, &at("file/inside"), b"new").is_err());
+        assert_eq!(std::fs::read(at("file")).unwrap(), b"precious");
+        assert!(at("link").is_symlink() && !at("nothing").exists());
+        assert_eq!(MachineDisk.names(directory.path()).unwrap().len(), 4);
+        write_new(&MachineDisk, &at("new"), b"new").unwrap();
+        assert_eq!(std::fs::read(at("new")).unwrap(), b"new");
+        assert_eq!(MachineDisk.names(directory.path()).unwrap().len(), 5);
     }
 
     #[test]

@@ -74,7 +74,43 @@ fn a_recovery_that_a_failed_write_ends_leaves_nothing_and_can_be_repeated() {
         recover(&disk, &path, &saved).unwrap();
         failed += 1;
     }
-    assert!(failed > 3, "{failed}");
+    // The file is created, written and renamed.
+    assert_eq!(failed, 3);
+}
+
+#[test]
+fn a_recovery_that_is_killed_leaves_a_whole_file_or_none_and_can_be_repeated() {
+    let whole = Undisturbed::world(0);
+    let path = recordings(&whole.disk).remove(0);
+    let bytes = whole.disk.bytes(&path).unwrap();
+    let saved = path.with_extension("recovered.mcap");
+    let cut_off = |crash| {
+        let disk = SimulatedDisk::default();
+        disk.create_folder(path.parent().unwrap()).unwrap();
+        disk.put(&path, &bytes[..bytes.len() / 2]);
+        disk.plan(crash);
+        disk
+    };
+    let undisturbed = cut_off(None);
+    let before = undisturbed.operations();
+    recover(&undisturbed, &path, &saved).unwrap();
+    let expected = undisturbed.bytes(&saved);
+    let (mut absent, mut present) = (0, 0);
+    for operation in 0..undisturbed.operations() - before {
+        let disk = cut_off(Some((operation, DiskFault::Crash)));
+        assert!(recover(&disk, &path, &saved).is_err(), "operation {operation}");
+        for stopped in [Stopped::Killed, Stopped::PowerLost(1), Stopped::PowerLost(2)] {
+            let disk = disk.restarted(stopped);
+            if disk.bytes(&saved).is_some() {
+                present += 1;
+            } else {
+                absent += 1;
+                recover(&disk, &path, &saved).unwrap();
+            }
+            assert_eq!(disk.bytes(&saved), expected, "operation {operation}, {stopped:?}");
+        }
+    }
+    assert!(absent > 3 && present > 0, "{absent} {present}");
 }
 
 #[test]
