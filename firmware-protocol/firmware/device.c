@@ -241,10 +241,13 @@ static bool answer_sample(struct device *device, struct link_frame *reply)
 }
 
 /* Whether a Sample can be answered: the last reading shows the effect of all requests, or there is
- * no Qube whose reading it could wait for. */
+ * no Qube whose reading it could wait for. After a single odd frame it waits for the next one. */
 static bool sample_is_ready(const struct device *device)
 {
-    return !device->qube_present || device->sample.change == device->change;
+    if (!device->qube_present) {
+        return device->absent_frames >= ABSENT_FRAMES_OF_OFF;
+    }
+    return device->sample.change == device->change;
 }
 
 static bool sample(struct device *device, const struct link_frame *request,

@@ -46,7 +46,7 @@ impl OutputFile {
                     "{option} {shown} exists already: name another file, or replace it with --force"
                 )));
             }
-            Ok(_) if is_log(path) => {
+            Ok(_) if cannot_be_made_again(path) => {
                 return Err(Failure::usage(format!(
                     "{option} {shown} is a recording, or the record of a session or an experiment, which no \
                      command replaces: name another file"
@@ -97,9 +97,9 @@ impl OutputFile {
 
 /// Whether an existing file is a recording, or a file from which a session or an experiment goes on.
 /// Nothing can compute them again, so that `--force` does not replace them.
-fn is_log(path: &Path) -> bool {
+fn cannot_be_made_again(path: &Path) -> bool {
     const NAMES: [&str; 4] = ["ledger.jsonl", "session.toml", "experiment.toml", "rigs.toml"];
-    path.file_name().is_some_and(|name| NAMES.iter().any(|log| name == *log))
+    path.file_name().is_some_and(|name| NAMES.iter().any(|record| name == *record))
         || is_recording(path).unwrap_or(false)
 }
 

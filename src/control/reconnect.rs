@@ -1,7 +1,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::clock::{Clock, Nanoseconds};
-use crate::device::{Device, DeviceError, Identity, RefusalReason};
+use crate::device::{Device, DeviceError, Identity};
 
 const MS: Nanoseconds = 1_000_000;
 
@@ -25,8 +25,8 @@ pub struct Patience {
 ///
 /// # Errors
 /// The error of the last hello. What no waiting cures ends the attempts at once: a version
-/// mismatch, a Qube that is off, which somebody may be about to touch, and an emergency stop. So
-/// does a request to stop.
+/// mismatch, an emergency stop, and a Qube that was switched off, which somebody may be about to
+/// touch. So does a request to stop.
 pub(super) fn greet_patiently(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -56,8 +56,8 @@ fn is_cured_by_waiting(error: &DeviceError) -> bool {
     !matches!(
         error,
         DeviceError::VersionMismatch { .. }
-            | DeviceError::QubeAbsent { .. }
-            | DeviceError::Refused { reason: RefusalReason::EmergencyStop, .. }
+            | DeviceError::StopOpened { .. }
+            | DeviceError::SwitchedOff { .. }
     )
 }
 

@@ -112,8 +112,8 @@ impl Watch {
             return (blind_ns > MAX_BLIND_NS).then_some(Alarm::Zero(Fault::NoSample));
         };
         self.last_valid_ns = Some(input.deadline_ns);
-        // Before all else that may be wrong after a computer that slept: the program goes on by
-        // itself after a fault of the clock, and not after this one.
+        // Before all else that may be wrong, also after a sleep of the computer: no program goes on
+        // by itself after this.
         if measurement.status.emergency_stop {
             return Some(Alarm::Zero(Fault::EmergencyStop));
         }

@@ -260,6 +260,23 @@ pub enum DeviceError {
         /// This program's version.
         ours: u16,
     },
+    /// The emergency-stop switch was opened since this link has seen it closed.
+    #[error(
+        "the emergency-stop switch of {port} was opened since this program began: start again when nobody is near \
+         the arm"
+    )]
+    StopOpened {
+        /// The port.
+        port: String,
+    },
+    /// The Qube was switched off since the last hello, while its board ran on.
+    #[error(
+        "the Qube at {port} was switched off since this program began: start again when nobody is near the arm"
+    )]
+    SwitchedOff {
+        /// The port.
+        port: String,
+    },
     /// The device refused a request.
     #[error("{port} refused to {action}: {}", reason.describe())]
     Refused {

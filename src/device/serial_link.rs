@@ -45,8 +45,10 @@ pub struct SerialLink<T: Transport> {
     boot_id: Option<u16>,
     /// Whether an arm or disarm has found that the device has restarted since that hello.
     has_restarted: bool,
-    /// Whether a sample has shown since the first hello that the emergency-stop switch was opened.
-    stop_was_opened: bool,
+    /// What the operator has done since the first hello, as far as an answer has shown it.
+    seen: Seen,
+    /// Whether the port was opened again since the last answered hello.
+    was_reopened: bool,
     motor: Motor,
     device_time: DeviceTime,
     /// Last sample since the last hello, the only one that an act may answer.
@@ -64,6 +66,18 @@ enum Motor {
     Off,
     Armed,
     Tripped,
+}
+
+/// What the operator has done with the Qube's switches since the first hello. It lasts as long as
+/// the link.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seen {
+    /// The emergency-stop switch was closed, or there is none.
+    stop_closed: bool,
+    /// The emergency-stop switch was opened after it had been closed.
+    stop_opened: bool,
+    /// The Qube was off while its board ran on.
+    qube_off: bool,
 }
 
 /// The traffic since the last answer, from which an error message explains a silent or foreign
@@ -116,7 +130,8 @@ impl<T: Transport> SerialLink<T> {
             is_emulator: false,
             boot_id: None,
             has_restarted: false,
-            stop_was_opened: false,
+            seen: Seen::default(),
+            was_reopened: false,
             motor: Motor::Off,
             device_time: DeviceTime::default(),
             last_sample: None,
@@ -284,8 +299,7 @@ impl<T: Transport> SerialLink<T> {
     /// last hello. Its counts may then start at any value, so the caller must send a hello of its
     /// own.
     fn greet_same_start(&mut self) -> Result<(), DeviceError> {
-        self.check_stop()?;
-        let reply = self.greet()?;
+        let reply = self.greet_unless_stopped()?;
         let identity = self.accept(&reply)?;
         if self.boot_id != Some(identity.boot_id) {
             self.nonce = None;
@@ -295,22 +309,55 @@ impl<T: Transport> SerialLink<T> {
         Ok(())
     }
 
-    /// Asks before every hello but the first whether the emergency-stop switch was opened, because
-    /// a hello clears the device's latch once the switch is closed again.
+    /// Sends a hello. Every hello but the first is preceded by a sample, because a hello clears the
+    /// device's latch of an emergency-stop switch that is closed again, and the state of a device
+    /// whose Qube was off (PROTOCOL.md, "No Qube").
     ///
     /// # Errors
-    /// The switch is open, or was since the first hello. Only a new link moves this Qube again.
-    fn check_stop(&mut self) -> Result<(), DeviceError> {
-        if self.boot_id.is_some()
-            && !self.stop_was_opened
-            && let Ok(Reply::Sample(sample)) = self.exchange(Request::Sample, ANSWER_TIME_NS)
-        {
-            self.stop_was_opened = sample.status.has(StatusBits::EMERGENCY_STOP);
+    /// The errors of [`greet`](Self::greet); or the switch was opened, or the Qube switched off,
+    /// since the first hello: only a new link moves this Qube again. A Qube that was off while the
+    /// port was gone is not counted, since the operator is asked to switch it off then.
+    fn greet_unless_stopped(&mut self) -> Result<HelloReply, DeviceError> {
+        let Some(boot_id) = self.boot_id else { return self.greet() };
+        let mut wants_hello = false;
+        for _ in 0..ATTEMPTS {
+            // A delimiter ends the partial frame that a broken exchange may have left.
+            self.broken_frame = true;
+            match self.exchange(Request::Sample, ANSWER_TIME_NS) {
+                Ok(Reply::Sample(sample)) => {
+                    self.see_stop(sample.status.has(StatusBits::EMERGENCY_STOP));
+                    break;
+                }
+                Ok(Reply::Refusal { reason: RefusalReason::NotGreeted, .. }) => {
+                    wants_hello = true;
+                    break;
+                }
+                Ok(Reply::Refusal { reason: RefusalReason::QubeAbsent, .. }) => {
+                    self.seen.qube_off |= !self.was_reopened;
+                    break;
+                }
+                Err(LinkFault::Gone) => break,
+                Ok(_) | Err(_) => {}
+            }
         }
-        if self.stop_was_opened {
-            return Err(self.refused("go on", RefusalReason::EmergencyStop));
+        let port = self.name();
+        if self.seen.stop_opened {
+            return Err(DeviceError::StopOpened { port });
         }
-        Ok(())
+        if self.seen.qube_off {
+            return Err(DeviceError::SwitchedOff { port });
+        }
+        let reply = self.greet()?;
+        if wants_hello && !self.was_reopened && reply.boot_id == boot_id {
+            self.seen.qube_off = true;
+            return Err(DeviceError::SwitchedOff { port });
+        }
+        Ok(reply)
+    }
+
+    fn see_stop(&mut self, is_open: bool) {
+        self.seen.stop_closed |= !is_open;
+        self.seen.stop_opened |= is_open && self.seen.stop_closed;
     }
 
     fn accept(&mut self, reply: &HelloReply) -> Result<Identity, DeviceError> {
@@ -347,7 +394,7 @@ impl<T: Transport> SerialLink<T> {
             emergency_stop: sample.status.has(StatusBits::EMERGENCY_STOP),
             stop_switch_fitted: sample.status.has(StatusBits::STOP_SWITCH_FITTED),
         };
-        self.stop_was_opened |= status.emergency_stop;
+        self.see_stop(status.emergency_stop);
         if self.motor == Motor::Armed && !status.armed {
             self.motor = if status.watchdog_tripped { Motor::Tripped } else { Motor::Off };
         }
@@ -369,9 +416,9 @@ impl<T: Transport> SerialLink<T> {
 
 impl<T: Transport> Device for SerialLink<T> {
     fn hello(&mut self) -> Result<Identity, DeviceError> {
-        self.check_stop()?;
-        let reply = self.greet()?;
+        let reply = self.greet_unless_stopped()?;
         let identity = self.accept(&reply)?;
+        self.was_reopened = false;
         self.boot_id = Some(identity.boot_id);
         self.has_restarted = false;
         Ok(identity)
@@ -424,6 +471,7 @@ impl<T: Transport> Device for SerialLink<T> {
             }
             Reply::Refusal { reason: RefusalReason::QubeAbsent, .. } => {
                 self.motor = Motor::Off;
+                self.seen.qube_off |= !self.was_reopened;
                 Err(LinkFault::QubeOff)
             }
             _ => Err(LinkFault::Timeout),
@@ -481,6 +529,7 @@ impl<T: Transport> Device for SerialLink<T> {
     }
 
     fn reopen(&mut self) -> Result<(), DeviceError> {
+        self.was_reopened = true;
         self.motor = Motor::Off;
         self.nonce = None;
         self.last_sample = None;

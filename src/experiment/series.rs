@@ -1,3 +1,4 @@
+use std::io::ErrorKind;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -6,7 +7,7 @@ use super::rollouts::{Record, Repeated};
 use super::{ExperimentError, Made, Plant, Recipe, RolloutResult};
 use crate::jobs::{CHOSEN_OF_STARTS, Executor, ROUNDS, SUCCEEDED, TrainingJob, worst_return};
 use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_on_new_starts};
-use crate::policy::Policy;
+use crate::policy::{Policy, PolicyError, PolicyFault};
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
 use crate::session::{EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed};
 use crate::simulation::{DomainDistribution, Psi, PsiError, SimulationSettings};
@@ -59,9 +60,16 @@ impl Series<'_> {
     ) -> Result<Option<f64>, ExperimentError> {
         let paths = self.folders.policy(policy);
         let path = paths.policy();
-        // A policy that is missing or damaged is trained again, with the same seed.
-        if Policy::load(&path).is_ok() {
-            return Ok(None);
+        // A policy that is missing or damaged is trained again, with the same seed. What another
+        // version wrote, or a failing disk does not show, stays.
+        match Policy::load(&path) {
+            Ok(_) => return Ok(None),
+            Err(PolicyError::Unreadable { source, .. }) if source.kind() == ErrorKind::NotFound => {
+            }
+            Err(PolicyError::Bad { fault: PolicyFault::NotSafetensors { .. }, .. }) => {
+                tracing::warn!("{}: the policy is damaged and is trained again", path.display());
+            }
+            Err(error) => return Err(SessionError::from(error).into()),
         }
         // The folder is made before the training: if it cannot be made, no training is lost.
         make(paths.folder())?;

@@ -177,10 +177,6 @@ impl MotionLog {
     }
 }
 
-/// Whether a file starts like an MCAP file.
-///
-/// # Errors
-/// The file cannot be read.
 fn read_error(path: &Path, source: std::io::Error) -> MotionLogError {
     MotionLogError::Read { path: path.to_owned(), source }
 }

@@ -7,18 +7,13 @@ use crate::telemetry::{Consequence, Ending, Fault, TickRecord};
 const SLEEP_US: u64 = 2_000_000;
 
 /// The fault to which the rig reacts after a motion: that of its ending, or one that only the whole
-/// report shows; `None` after a motion without any.
-pub(super) fn fault_after(report: &DriveReport) -> Option<Fault> {
+/// report shows; `None` after a motion without any. At an emulated Qube a computer may sleep.
+pub(super) fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
     let fault = match report.outcome.ending {
         Ending::Fault(fault) => Some(fault),
         _ => None,
     };
-    let ends =
-        |fault: Fault| matches!(fault.consequence(), Consequence::Examine | Consequence::End);
-    if fault.is_some_and(ends) {
-        return fault;
-    }
-    if fault.is_some_and(|fault| fault.consequence() == Consequence::Reconnect) {
+    if fault.is_some_and(|fault| fault.consequence() != Consequence::TryAgain) {
         return fault;
     }
     if let Err(error) = &report.disarmed {
@@ -26,16 +21,17 @@ pub(super) fn fault_after(report: &DriveReport) -> Option<Fault> {
         tracing::warn!("{fault}: {error}. {}", fault.operator_step());
         return Some(fault);
     }
-    if has_slept(&report.last_ticks) {
+    if is_hardware && has_slept(&report.last_ticks) {
         return Some(Fault::ComputerSlept);
     }
     fault
 }
 
 /// Whether the computer slept between two of these ticks: whole periods were skipped because the
-/// program stood still, or the device's clock went on while the computer's stood still, too.
+/// program stood still, or the device's clock went on while the computer's stood still, too. A
+/// device's clock that went back shows a gap of more than half its range, which is no sleep.
 fn has_slept(ticks: &[TickRecord]) -> bool {
-    let is_long = |us: u64| us >= SLEEP_US;
+    let is_long = |us: u64| (SLEEP_US..1 << 31).contains(&us);
     let skipped = |tick: &TickRecord| u64::from(tick.skipped_periods) * CONTROL_PERIOD_NS / 1000;
     let late = |tick: &TickRecord| tick.lateness_ns / 1000;
     let sampled: Vec<u64> = ticks
@@ -89,27 +85,31 @@ mod tests {
 
     #[test]
     fn a_motor_that_nobody_confirmed_to_be_off_is_a_fault_whatever_ended_the_motion() {
-        assert_eq!(fault_after(&report(Ending::Completed)), None);
+        assert_eq!(fault_after(&report(Ending::Completed), true), None);
         for ending in [Ending::Completed, Ending::Stopped, Ending::Fault(Fault::NoSample)] {
-            assert_eq!(fault_after(&unconfirmed(ending)), Some(Fault::OffUnconfirmed));
+            assert_eq!(fault_after(&unconfirmed(ending), true), Some(Fault::OffUnconfirmed));
         }
         for fault in [Fault::LinkGone, Fault::EmergencyStop, Fault::NotANumber] {
-            assert_eq!(fault_after(&unconfirmed(Ending::Fault(fault))), Some(fault));
+            assert_eq!(fault_after(&unconfirmed(Ending::Fault(fault)), true), Some(fault));
         }
     }
 
     #[test]
     fn a_computer_that_slept_ends_the_run_and_a_late_one_does_not() {
         let clock = report(Ending::Fault(Fault::DeviceClock));
-        assert_eq!(fault_after(&clock), Some(Fault::DeviceClock));
+        assert_eq!(fault_after(&clock, true), Some(Fault::DeviceClock));
         let mut suspended = report(Ending::Fault(Fault::DeviceClock));
         suspended.last_ticks[2].measurement.as_mut().unwrap().device_time_us += 60_000_000;
-        assert_eq!(fault_after(&suspended), Some(Fault::ComputerSlept));
+        assert_eq!(fault_after(&suspended, true), Some(Fault::ComputerSlept));
         let mut stopped = report(Ending::Fault(Fault::WatchdogTripped));
         stopped.last_ticks[2].skipped_periods = 300;
-        assert_eq!(fault_after(&stopped), Some(Fault::ComputerSlept));
+        assert_eq!(fault_after(&stopped, true), Some(Fault::ComputerSlept));
+        assert_eq!(fault_after(&stopped, false), Some(Fault::WatchdogTripped), "an emulated Qube");
+        let mut went_back = report(Ending::Fault(Fault::DeviceClock));
+        went_back.last_ticks[2].measurement.as_mut().unwrap().device_time_us += (1 << 32) - 50_000;
+        assert_eq!(fault_after(&went_back, true), Some(Fault::DeviceClock));
         let mut late = report(Ending::Fault(Fault::WatchdogTripped));
         late.last_ticks[2].skipped_periods = 30;
-        assert_eq!(fault_after(&late), Some(Fault::WatchdogTripped));
+        assert_eq!(fault_after(&late, true), Some(Fault::WatchdogTripped));
     }
 }

@@ -7,8 +7,9 @@ use serde::{Deserialize, Serialize};
 use crate::storage::{Disk, MachineDisk, write_whole};
 use crate::telemetry::Fault;
 
-/// A doubt about a sensor or the motor of a Qube. It lasts until an operator has acknowledged it
-/// and an examination has passed.
+/// A reason why a Qube may not be driven unasked: a sensor or its motor is in doubt, or somebody has
+/// stopped it or switched it off. It lasts until an operator has acknowledged it and an examination
+/// has passed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Doubt {
     /// Fault that caused the doubt; `None` where its record cannot be read.
@@ -69,9 +70,9 @@ impl DoubtStore {
         doubt.fault.is_none_or(Fault::leaves_doubt).then_some(doubt)
     }
 
-    /// Warns if no doubt can be stored, before there is one.
-    pub fn warn_if_unwritable(&self) {
-        let path = self.folder.join("writable");
+    /// Warns if no doubt about a board can be stored, before there is one.
+    pub fn warn_if_unwritable(&self, board: &str) {
+        let path = self.path(board).with_extension("test");
         if let Err(error) = self.write(&path, b"").and_then(|()| MachineDisk.remove(&path)) {
             tracing::warn!(
                 "{}: no doubt about this Qube can be stored there ({error}): after a fault of a sensor or the \

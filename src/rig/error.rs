@@ -178,7 +178,10 @@ impl From<ControlError> for RigError {
 /// The operator's step after a lost link, as far as the error of the last attempt does not say it.
 fn lost_link_step(source: &DeviceError) -> &'static str {
     match source {
-        DeviceError::FellSilent { .. } => "Its motor may still have its last voltage.",
+        DeviceError::FellSilent { .. } | DeviceError::QubeAbsent { .. } => {
+            "Its motor may still have its last voltage."
+        }
+
         _ => Fault::LinkGone.operator_step(),
     }
 }
@@ -270,7 +273,10 @@ impl RigError {
 pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
     match error {
         DeviceError::Link { fault: LinkFault::Gone, .. } => Some(Fault::LinkGone),
-        DeviceError::Link { fault: LinkFault::QubeOff, .. } => Some(Fault::QubeOff),
+        DeviceError::Link { fault: LinkFault::QubeOff, .. } | DeviceError::SwitchedOff { .. } => {
+            Some(Fault::QubeOff)
+        }
+        DeviceError::StopOpened { .. } => Some(Fault::EmergencyStop),
         DeviceError::Refused { reason, .. } => match reason {
             RefusalReason::QubeAbsent => Some(Fault::QubeOff),
             RefusalReason::EmergencyStop => Some(Fault::EmergencyStop),

@@ -35,7 +35,7 @@ pub struct Rig {
     pub(super) identity: Identity,
     pub(super) measured: MeasuredRig,
     pub(super) plant: PlantModel,
-    pub(super) homing: HomingSettings,
+    pub(super) homing: Cell<HomingSettings>,
     pub(super) preflight: Preflight,
     /// Measured link; `None` before the measurement, and for the embedded emulator, unless it
     /// emulates a USB bridge.
@@ -104,8 +104,8 @@ impl Rig {
         Ok(rig)
     }
 
-    /// Opens the device without moving the motor, as far as the Qube may be driven at all. Returns
-    /// the rig and its acknowledged doubt, if there is one.
+    /// Opens the device and checks that the Qube may be driven; moves nothing. Returns the rig and
+    /// its acknowledged doubt, if there is one.
     ///
     /// # Errors
     /// The errors of [`connect`](Self::connect); a doubt is not acknowledged, or the processor is
@@ -122,7 +122,7 @@ impl Rig {
         }
         let is_hardware = settings.is_hardware() || rig.is_hardware();
         if let Some(memory) = rig.memory.as_ref().filter(|_| is_hardware) {
-            memory.warn_if_unwritable();
+            memory.warn_if_unwritable(&rig.identity.serial);
         }
         if is_hardware && settings.limits.needs_foresight() {
             admit_processor(rig.foresight_time_us)?;
@@ -160,7 +160,7 @@ impl Rig {
             identity,
             measured: MeasuredRig { calibration: homing.signs, stops: None },
             plant: settings.plant,
-            homing,
+            homing: Cell::new(homing),
             preflight: Preflight::Unknown,
             link: None,
             has_device_clock,
@@ -208,7 +208,8 @@ impl Rig {
         let port = self.identity.port.clone();
         let link = self
             .control
-            .lend(move |device, clock, _, stop| measure_link(device, clock, stop, &port))??;
+            .lend(move |device, clock, _, stop| measure_link(device, clock, stop, &port))?
+            .map_err(|error| self.in_doubt(error))?;
         self.link = Some(link.ok_or(RigError::Stopped { during: "the measurement of the link" })?);
         Ok(())
     }
@@ -229,6 +230,7 @@ impl Rig {
     /// zeros are void, or the device could not be armed.
     pub fn press(&mut self, push_v: f64, ticks: u32, rehearsal: bool) -> Result<Pressed, RigError> {
         let (plant, calibration) = (self.plant, self.measured.calibration);
+        let is_hardware = self.is_hardware();
         let boot_id = self.identity.boot_id;
         let pressed = self.control.lend(move |device, clock, heat, stop| {
             let identity = device.hello()?;
@@ -238,7 +240,7 @@ impl Rig {
             let mut press = StopPress::new(&plant, calibration, push_v, ticks, rehearsal);
             let report = drive_warm(device, clock, &mut press, heat, None, stop)?;
             let pressed = Pressed { ending: report.outcome.ending, outcome: press.outcome() };
-            Ok((pressed, fault_after(&report)))
+            Ok((pressed, fault_after(&report, is_hardware)))
         })?;
         let (pressed, fault) = pressed.map_err(|error: DeviceError| self.in_doubt(error))?;
         if let Some(fault) = fault {
@@ -265,7 +267,7 @@ impl Rig {
     /// Performs all checks of the examination except homing.
     fn examine(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
         let settings = ExaminationSettings {
-            signs: self.homing.signs,
+            signs: self.homing.get().signs,
             learn_signs,
             identity: self.identity.clone(),
             plant: self.plant,
@@ -275,8 +277,11 @@ impl Rig {
             .lend(move |device, clock, heat, stop| examine(device, clock, heat, stop, &settings))?
             .map_err(|error| self.in_doubt(error))?
             .ok_or(RigError::Stopped { during: "the check" })?;
-        self.homing.signs = examination.signs;
-        self.homing.hand_counts = examination.start_theta_counts;
+        self.homing.set(HomingSettings {
+            signs: examination.signs,
+            hand_counts: examination.start_theta_counts,
+            ..self.homing.get()
+        });
         self.link = examination.link;
         if examination.passed() {
             // The examination goes on after a restart of the board.
@@ -319,9 +324,6 @@ impl Rig {
             Err(ControlError::Device(_)) if self.stop.load(Ordering::Relaxed) => {
                 return Err(RigError::Stopped { during: "the wait for the link" });
             }
-            Err(ControlError::Device(DeviceError::QubeAbsent { .. })) => {
-                return Err(self.in_doubt_by(Fault::QubeOff));
-            }
             Err(ControlError::Device(source))
                 if link_fault(&source).is_some_and(Fault::leaves_doubt) =>
             {
@@ -343,12 +345,6 @@ impl Rig {
                 found: identity.serial,
             });
         }
-        // The board wanted a new hello and has not restarted itself: its Qube was switched off and
-        // on (PROTOCOL.md, "No Qube").
-        let is_same_start = identity.boot_id == self.identity.boot_id;
-        if is_same_start && self.last_fault.get() == Some(Fault::BoardRestarted) {
-            return Err(self.in_doubt_by(Fault::QubeOff));
-        }
         self.accept_restart(identity)
     }
 
@@ -361,12 +357,19 @@ impl Rig {
         if !restarted {
             return Ok(());
         }
-        self.homing.hand_counts = None;
-        if self.homing.method == HomingMethod::Hand {
+        self.forget_middle();
+        if self.homing.get().method == HomingMethod::Hand {
             return Err(RigError::MiddleLost { fault: Fault::BoardRestarted });
         }
         tracing::warn!("the board has restarted: its counters restart, and the arm is homed");
         Ok(())
+    }
+
+    /// Forgets the count at which a hand has put the arm: after this, homing by hand takes the place
+    /// where the arm then is.
+    pub(super) fn forget_middle(&self) {
+        let homing = self.homing.get();
+        self.homing.set(HomingSettings { hand_counts: None, ..homing });
     }
 
     /// The doubt about this Qube after a fault.
@@ -382,14 +385,12 @@ impl Rig {
     /// latched as a doubt. Any other error of the device stays as it is.
     pub(super) fn in_doubt(&self, error: DeviceError) -> RigError {
         match link_fault(&error).filter(|fault| fault.leaves_doubt()) {
-            Some(fault) => self.in_doubt_by(fault),
+            Some(fault) => {
+                self.latch(fault);
+                RigError::InDoubt(Box::new(self.doubt(fault)))
+            }
             None => error.into(),
         }
-    }
-
-    fn in_doubt_by(&self, fault: Fault) -> RigError {
-        self.latch(fault);
-        RigError::InDoubt(Box::new(self.doubt(fault)))
     }
 
     /// Remembers the fault of a motion; a doubt is also stored so that it outlives the program.
@@ -416,11 +417,12 @@ impl Rig {
     }
 
     fn home_once(&mut self) -> Result<(), RigError> {
-        let (report, found) = self.control.home(self.homing).map_err(|error| match error {
+        let homing = self.homing.get();
+        let (report, found) = self.control.home(homing).map_err(|error| match error {
             ControlError::Device(source) => self.in_doubt(source),
             error => error.into(),
         })?;
-        let fault = fault_after(&report);
+        let fault = fault_after(&report, self.is_hardware());
         if let Some(fault) = fault {
             self.latch(fault);
         }
@@ -429,14 +431,14 @@ impl Rig {
                 self.measured = measured;
                 let calibration = measured.calibration;
                 // From here on the middle is known, wherever a fault may leave the arm.
-                let middle_rad = -self.homing.theta_offset_rad;
-                self.homing.hand_counts = Some(calibration.theta_counts_at(middle_rad));
+                let hand_counts = Some(calibration.theta_counts_at(-homing.theta_offset_rad));
+                self.homing.set(HomingSettings { hand_counts, ..homing });
                 self.last_fault.set(None);
                 Ok(())
             }
             (Some(Fault::TravelWrong), _) => Err(RigError::Travel {
                 travel_rad: found.travel_rad.unwrap_or_default(),
-                expected_rad: self.homing.expected_travel_rad(),
+                expected_rad: homing.expected_travel_rad(),
             }),
             (Some(fault), _) => Err(RigError::Homing { fault, last_ticks: report.last_ticks }),
             (None, None) => Err(RigError::Stopped { during: "homing" }),

@@ -39,6 +39,20 @@ const LEAST_AGE_S: f64 = 0.002;
 /// Largest age that is assumed for a sample without a device time, s.
 const LONGEST_AGE_S: f64 = 0.01;
 
+/// Largest angle by which a cable is taken to pull a resting arm between two rollouts, rad. On `lab`
+/// it pulls by 0.1 rad in 10 s.
+const LARGEST_CREEP_RAD: f64 = 0.35;
+
+/// Whether a count that moved between two rollouts may be wrong: more than a cable pulls the arm. No
+/// stop that homing by hand touches could show the error.
+fn is_no_creep(moved: Moved) -> bool {
+    match moved {
+        Moved::Arm(angle_rad) => angle_rad.abs() > LARGEST_CREEP_RAD,
+        Moved::Jumped => true,
+        Moved::Pendulum(_) | Moved::Unseen => false,
+    }
+}
+
 /// Age that the guard assumes for a sample without a device time, s: the 99th percentile of the
 /// link's round trip plus [`BUFFERED_S`], from [`LEAST_AGE_S`] to [`LONGEST_AGE_S`]. Without a
 /// measured link it is [`LONGEST_AGE_S`].
@@ -179,7 +193,7 @@ impl Rig {
                 return Err(self.not_begun(error));
             }
         };
-        if let Some(fault) = fault_after(&report) {
+        if let Some(fault) = fault_after(&report, self.is_hardware()) {
             self.latch(fault);
         }
         if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
@@ -208,11 +222,10 @@ impl Rig {
                 Some(fault) => RigError::NotBegun { fault, source: refused },
                 None => refused.into(),
             },
-            // A count that moved may be the arm or its encoder, and no stop that homing would touch
-            // could show which.
-            ControlError::Moved(Moved::Arm(_) | Moved::Jumped)
-                if self.homing.method == HomingMethod::Hand =>
+            ControlError::Moved(moved)
+                if self.homing.get().method == HomingMethod::Hand && is_no_creep(moved) =>
             {
+                self.forget_middle();
                 RigError::MiddleLost { fault: Fault::CountsMoved }
             }
             ControlError::Moved(moved) => {

@@ -15,8 +15,9 @@ pub enum Consequence {
     /// and accepts only the same board. Then it continues as with [`TryAgain`](Self::TryAgain),
     /// with a new zero.
     Reconnect,
-    /// The run or session ends, because a sensor or the motor is in doubt. Nothing moves before an
-    /// operator has acknowledged the fault and an examination has passed.
+    /// The run or session ends, because a sensor or the motor is in doubt, or somebody has stopped
+    /// the Qube or switched it off. Nothing moves before an operator has acknowledged the fault and
+    /// an examination has passed.
     Examine,
     /// The run or session ends, because the same rollout would end the same way.
     End,

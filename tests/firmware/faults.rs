@@ -6,7 +6,7 @@ use qube_hil::clock::MonotonicClock;
 use qube_hil::device::{Device, DeviceError, LinkFault, SerialLink};
 use qube_hil::qube::Measurement;
 
-use crate::host::{Disturbed, scenario};
+use crate::host::{Disturbed, next_link, scenario};
 use crate::qube::{Command, Qube};
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
@@ -169,8 +169,12 @@ fn the_firmware_knows_a_qube_by_its_module_id() {
         host.board.wait_us(10_000);
         // Its counters have begun anew, so nothing goes on without a new hello.
         assert_eq!(refused(host.sample())?, Err(LinkFault::NotArmed));
-        host.link.hello().unwrap();
-        host.arm_and_drive()
+        let refused = host.link.hello().unwrap_err();
+        assert!(matches!(refused, DeviceError::SwitchedOff { .. }), "{refused}");
+        let mut next = next_link(host);
+        next.hello().unwrap();
+        next.arm().unwrap();
+        Ok(())
     });
 }
 

@@ -97,7 +97,8 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
                 let output = qube_hil(directory.path(), &[command, &["--device", port]].concat());
                 assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
                 assert!(output.stdout.is_empty());
-                assert!(!directory.path().join("begun").exists(), "nothing was begun");
+                let begun = directory.path().join("begun/experiment.toml");
+                assert!(!begun.exists(), "nothing was begun");
                 for word in words {
                     let stderr = stderr(&output);
                     assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");

@@ -39,7 +39,10 @@ fn qube(link: &Path, finger: Option<Finger>, restarts: bool) -> EmulatedQube {
 enum AtThePlug {
     /// Pulls the plug and answers this.
     Pulled(&'static str),
-    /// Pulls the plug of a board that another supply keeps alive, and answers this.
+    /// Pulls the plug of a board that another supply keeps alive, and sees its light.
+    LightOn,
+    /// Pulls the plug of a board that another supply keeps alive, does not see its light, and
+    /// answers this.
     OnAnotherSupply(&'static str),
     /// Leaves the plug in, while the program is stopped for a moment.
     Stopped,
@@ -77,7 +80,7 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
             writeln!(operator).unwrap();
         } else if line.contains("Now pull the USB plug") {
             match at_the_plug {
-                AtThePlug::Pulled(_) | AtThePlug::OnAnotherSupply(_) => {
+                AtThePlug::Pulled(_) | AtThePlug::OnAnotherSupply(_) | AtThePlug::LightOn => {
                     std::thread::sleep(AN_OPERATOR_TAKES);
                     connected = None;
                 }
@@ -89,12 +92,15 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
                     kill_process(process, Signal::CONT).unwrap();
                 }
             }
-        } else if line.contains("The board is gone") {
+        } else if line.contains("Is the light on the board out") {
+            let light = if matches!(at_the_plug, AtThePlug::LightOn) { "n" } else { "y" };
+            writeln!(operator, "{light}").unwrap();
+        } else if line.contains("The board is dead") {
             match at_the_plug {
                 AtThePlug::Pulled(answer) | AtThePlug::OnAnotherSupply(answer) => {
                     writeln!(operator, "{answer}").unwrap();
                 }
-                AtThePlug::Stopped => panic!("the plug is in: {line}"),
+                AtThePlug::LightOn | AtThePlug::Stopped => panic!("it is not: {line}"),
             }
         } else if line.contains("Plug the USB cable in again") {
             let restarts = !matches!(at_the_plug, AtThePlug::OnAnotherSupply(_));
@@ -173,13 +179,16 @@ fn the_power_test_is_done_once_a_rig_and_its_result_ends_the_warning() {
 #[test]
 fn a_board_that_another_supply_keeps_alive_shows_nothing() {
     in_real_time(|| {
-        let directory = tempfile::tempdir().unwrap();
-        let pulled = AtThePlug::OnAnotherSupply("n");
-        let Told { code, told, text, .. } = tested(directory.path(), &pulled);
-        assert_eq!(code, Some(1), "{told}\n{text}");
-        assert!(told.contains("it never lost its power"), "{told}");
-        assert!(told.contains("switch the Qube off"), "{told}");
-        assert!(!directory.path().join("qube.toml").exists());
+        for (pulled, words) in [
+            (AtThePlug::LightOn, "a board whose light is on"),
+            (AtThePlug::OnAnotherSupply("n"), "it never lost its power"),
+        ] {
+            let directory = tempfile::tempdir().unwrap();
+            let Told { code, told, text, .. } = tested(directory.path(), &pulled);
+            assert_eq!(code, Some(1), "{told}\n{text}");
+            assert!(told.contains(words) && told.contains("switch the Qube off"), "{told}");
+            assert!(!directory.path().join("qube.toml").exists());
+        }
     });
 }
 

@@ -107,8 +107,15 @@ fn without_board(
     before: &Identity,
     stop: &Stop,
 ) -> Result<Tested, Failure> {
+    let light = ask("The port is gone. Is the light on the board out, too? [y/n]", stop)?;
+    if !light.trim().starts_with(['y', 'Y']) {
+        return Err(Failure::failed(
+            "a board whose light is on has another supply, so no result was written: take that supply away (a power \
+             plug, a hub with its own) and begin again",
+        ));
+    }
     let answer = ask(
-        "The board is gone, and its light is out. With one finger push the arm a finger's breadth (1 cm) off its stop, as \
+        "The board is dead. With one finger push the arm a finger's breadth (1 cm) off its stop, as \
          before, and let go. Does it go back to its stop by itself, or press against the finger? \
          [y/n, or Enter if you cannot tell]",
         stop,

@@ -48,7 +48,8 @@ impl Series<'_> {
                 state.work = format!("rollout {rollout} ({} of {rollouts})", rollout + 1);
                 state.phase = "rollouts on the Qube".into();
             });
-            let recorded = self.rollout(&mut rig, rollout)?;
+            let recorded;
+            (rig, recorded) = self.rollout(rig, rollout)?;
             results.add(&recorded.path)?;
             self.live.returned(results.rollouts.last().and_then(|it| it.return_));
             if let Ending::LeftBox(limit) = recorded.outcome.ending
@@ -85,7 +86,8 @@ impl Series<'_> {
         if self.stop.requested() {
             return Err(self.stop.failure("stopped; the recordings are complete up to here"));
         }
-        match results.fault {
+        // Of a motor that nobody has confirmed to be off, the last rollout's recording knows nothing.
+        match results.fault.or(rig.last_fault()) {
             Some(fault) => Err(Failure::fault(fault_message(fault)).caused_by(Some(fault))),
             None => results.check_not_void(),
         }
@@ -108,19 +110,24 @@ impl Series<'_> {
         self.keyboard.acknowledges(doubt, self.settings.homing.method, self.stop)
     }
 
-    fn rollout(&self, rig: &mut Rig, rollout: u32) -> Result<Recorded, Failure> {
+    /// Runs a rollout, and homes again before it where the counts have moved. Returns the rig too,
+    /// which is another one after an acknowledged doubt.
+    fn rollout(&mut self, mut rig: Rig, rollout: u32) -> Result<(Rig, Recorded), Failure> {
         let plan = RolloutPlan { rollout, ..self.plan.clone() };
         let path = self.directory.join(format!("rollout-{rollout}.mcap"));
         let mut tries = 0;
         loop {
             match rig.rollout(&MachineDisk, &path, plan.header(), self.controller.file(rollout)) {
-                Ok(recorded) => return Ok(recorded),
+                Ok(recorded) => return Ok((rig, recorded)),
                 Err(error @ RigError::NotBegun { .. }) if tries < MAX_NOT_BEGUN => {
                     print_message(&format!("rollout {rollout} is repeated: {error}"));
-                    rig.start_again().map_err(|error| failures::rig(error, self.stop))?;
+                    rig = match rig.start_again() {
+                        Ok(()) => rig,
+                        Err(error) => self.reopened(rig, error)?,
+                    };
                     tries += 1;
                 }
-                Err(error) => return Err(failures::rig(error, self.stop)),
+                Err(error) => rig = self.reopened(rig, error)?,
             }
         }
     }
@@ -130,7 +137,21 @@ impl Series<'_> {
     fn after_fault(&mut self, mut rig: Rig, fault: Fault) -> Result<Rig, Failure> {
         match rig.start_again() {
             Ok(()) => Ok(rig),
-            Err(RigError::InDoubt(doubt)) if self.acknowledges(&doubt) => {
+            Err(error @ RigError::InDoubt(_)) => self.reopened(rig, error),
+            Err(error @ RigError::Ended { .. }) => Err(failures::rig(error, self.stop)),
+            Err(error) => {
+                let failure = failures::rig(error, self.stop);
+                Err(failure
+                    .preceded_by(&format!("a fault ended the last rollout ({fault}), and then")))
+            }
+        }
+    }
+
+    /// Opens the rig anew if the error is a doubt that the operator acknowledges; any other error is
+    /// the failure of the run.
+    fn reopened(&mut self, rig: Rig, error: RigError) -> Result<Rig, Failure> {
+        match error {
+            RigError::InDoubt(doubt) if self.acknowledges(&doubt) => {
                 drop(rig);
                 self.settings.recovery.acknowledged = true;
                 self.settings.recovery.doubt = Some(*doubt);
@@ -138,14 +159,7 @@ impl Series<'_> {
                 self.settings.recovery.doubt = None;
                 opened
             }
-            Err(error @ (RigError::InDoubt(_) | RigError::Ended { .. })) => {
-                Err(failures::rig(error, self.stop))
-            }
-            Err(error) => {
-                let failure = failures::rig(error, self.stop);
-                Err(failure
-                    .preceded_by(&format!("a fault ended the last rollout ({fault}), and then")))
-            }
+            error => Err(failures::rig(error, self.stop)),
         }
     }
 }

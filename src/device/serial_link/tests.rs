@@ -271,19 +271,16 @@ fn a_device_that_falls_silent_is_not_called_another_device() {
     }
     let error = link.hello().unwrap_err();
     let DeviceError::FellSilent { silent_s, .. } = error else { panic!("{error}") };
-    // One second of unanswered samples, one more before the hello, then 25 hellos at intervals of
-    // 0.1 s.
-    assert!((3.5..3.7).contains(&silent_s), "{error}");
+    // One second of unanswered samples, three more of 0.1 s before the hello, then 25 hellos at
+    // intervals of 0.1 s.
+    assert!((3.7..3.9).contains(&silent_s), "{error}");
     assert!(error.to_string().contains("no answer to 25 hellos"), "{error}");
 }
 
 #[test]
 fn an_emergency_stop_is_told_and_latched_until_a_new_link_finds_it_closed() {
-    let is_stop = |error: &DeviceError| {
-        matches!(error, DeviceError::Refused { reason: RefusalReason::EmergencyStop, .. })
-    };
     let renew = |link: &mut SerialLink<InProcessWire>| {
-        (link.boot_id, link.stop_was_opened) = (None, false);
+        (link.boot_id, link.seen) = (None, Seen::default());
     };
     let (mut link, clock) = armed(Some(EmulatorFault::EmergencyStop { after_s: 0.1 }));
     let before = sample(&mut link, &clock);
@@ -296,11 +293,13 @@ fn an_emergency_stop_is_told_and_latched_until_a_new_link_finds_it_closed() {
     renew(&mut link);
     link.hello().unwrap();
     let refused = link.arm().unwrap_err();
-    assert!(is_stop(&refused) && refused.to_string().contains("emergency-stop"), "{refused}");
+    assert!(refused.to_string().contains("emergency-stop switch is or was open"), "{refused}");
+    // This link has never seen the switch closed, so that it was not opened under its eyes.
+    link.hello().unwrap();
+    assert!(sample(&mut link, &clock).status.emergency_stop);
     clock.sleep_until(2200 * MS);
     assert!(sample(&mut link, &clock).status.emergency_stop, "closing alone does not clear it");
-    let refused = link.hello().unwrap_err();
-    assert!(is_stop(&refused), "{refused}");
+    link.hello().unwrap();
     renew(&mut link);
     link.hello().unwrap();
     link.arm().unwrap();
@@ -354,20 +353,30 @@ fn a_device_that_refuses_hellos_gets_one_every_tenth_of_a_second() {
 
 #[test]
 fn a_qube_that_was_switched_off_and_on_needs_a_new_hello() {
-    let fault = EmulatorFault::SwitchedOffAndOn { after_s: 0.5, off_s: 1.0 };
-    let (mut link, clock) = link(Some(fault));
-    let identity = link.hello().unwrap();
-    let mut sample_at = |time_ms: Nanoseconds| {
-        clock.sleep_until(time_ms * MS);
-        link.sample(clock.now_ns() + 10 * MS)
-    };
-    sample_at(400).unwrap();
-    assert_eq!(sample_at(600), Err(LinkFault::QubeOff));
-    assert_eq!(sample_at(1600), Err(LinkFault::NotArmed), "its counters have begun anew");
-    let again = link.hello().unwrap();
-    assert_eq!(again.boot_id, identity.boot_id, "the board itself ran on");
-    let sample = sample(&mut link, &clock);
-    assert_eq!((sample.theta_counts, sample.alpha_counts), (0, 0));
+    for looks_in_between in [true, false] {
+        let fault = EmulatorFault::SwitchedOffAndOn { after_s: 0.5, off_s: 1.0 };
+        let (mut link, clock) = link(Some(fault));
+        let identity = link.hello().unwrap();
+        let mut sample_at = |time_ms: Nanoseconds| {
+            clock.sleep_until(time_ms * MS);
+            link.sample(clock.now_ns() + 10 * MS)
+        };
+        sample_at(400).unwrap();
+        if looks_in_between {
+            assert_eq!(sample_at(600), Err(LinkFault::QubeOff));
+        }
+        assert_eq!(sample_at(1600), Err(LinkFault::NotArmed), "its counters have begun anew");
+        for _ in 0..2 {
+            let refused = link.hello().unwrap_err();
+            assert!(matches!(refused, DeviceError::SwitchedOff { .. }), "{refused}");
+        }
+        // The next program greets it.
+        link.boot_id = None;
+        let again = link.hello().unwrap();
+        assert_eq!(again.boot_id, identity.boot_id, "the board itself ran on");
+        let sample = sample(&mut link, &clock);
+        assert_eq!((sample.theta_counts, sample.alpha_counts), (0, 0));
+    }
 }
 
 #[test]
@@ -375,12 +384,10 @@ fn no_hello_clears_an_emergency_stop_that_was_opened_since_the_first() {
     // Pressed for 2 s with the motor off, and seen by nobody.
     let (mut link, clock) = link(Some(EmulatorFault::EmergencyStop { after_s: 0.5 }));
     link.hello().unwrap();
+    sample(&mut link, &clock);
     clock.sleep_until(10_000 * MS);
     for _ in 0..2 {
         let refused = link.hello().unwrap_err();
-        assert!(
-            matches!(refused, DeviceError::Refused { reason: RefusalReason::EmergencyStop, .. }),
-            "{refused}"
-        );
+        assert!(matches!(refused, DeviceError::StopOpened { .. }), "{refused}");
     }
 }

@@ -106,7 +106,7 @@ pub fn examine(
         library_watchdog_ms: None,
     };
     let outcome = look_at_everything(device, clock, heat, stop, settings, &mut found);
-    // In every case, a hello switches off a device that still answers.
+    // A hello switches off a device that still answers; one whose emergency stop was opened is off.
     let left_off = device.hello();
     match outcome {
         Err(Interruption::Stopped) => Ok(None),
