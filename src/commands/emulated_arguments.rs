@@ -1,5 +1,5 @@
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
@@ -17,7 +17,7 @@ pub struct EmulatedArguments {
     /// `ideal` (the thesis's equations), `lab` (a real Qube, from published recordings), or a file
     /// that `identify` wrote [default: ideal; lab for a `session` that identifies it]
     #[arg(long, value_name = "ideal|lab|FILE")]
-    profile: Option<String>,
+    profile: Option<PathBuf>,
 
     /// Distance from the nominal Qube, as a multiple of the profile's: 0 is nominal, 2 is twice as far as
     /// the profile [default: 1]
@@ -60,7 +60,7 @@ pub struct EmulatedArguments {
 pub struct PlantEntry {
     /// Name of the plant in tables.
     pub name: String,
-    profile: Option<String>,
+    profile: Option<PathBuf>,
     gap: Option<f64>,
     delay_ms: Option<f64>,
     jitter_ms: Option<f64>,
@@ -110,8 +110,8 @@ impl EmulatedArguments {
 
     /// A name for these settings that is valid for a folder, such as `lab+gap1.5+10ms`.
     pub fn name(&self) -> String {
-        let profile = self.profile.as_deref().unwrap_or("ideal");
-        let stem = Path::new(profile).file_stem().unwrap_or_default().to_string_lossy();
+        let profile = self.profile.as_deref().unwrap_or(Path::new(profile::IDEAL));
+        let stem = profile.file_stem().unwrap_or_default().to_string_lossy();
         let allowed = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
         let mut name: String =
             stem.chars().map(|letter| if allowed(letter) { letter } else { '-' }).collect();

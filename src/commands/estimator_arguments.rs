@@ -1,3 +1,5 @@
+use std::path::{Path, PathBuf};
+
 use clap::ValueEnum;
 
 use super::exit::Failure;
@@ -23,7 +25,7 @@ pub struct EstimatorArguments {
     /// The observer's model and delay: `ideal` (the thesis's equations, no delay), `lab`, or a file
     /// that `identify` wrote [default: ideal]
     #[arg(long, value_name = "ideal|lab|FILE")]
-    estimator_profile: Option<String>,
+    estimator_profile: Option<PathBuf>,
 
     /// Delay that the observer predicts over, ms: from a sample until the voltage that answers it acts at the
     /// motor [default: the delay in --estimator-profile]
@@ -58,7 +60,7 @@ impl EstimatorArguments {
             let default = EstimatorSettings::default().corner_rad_s;
             return Ok(asked.then(|| EstimatorSettings::filter(self.filter.unwrap_or(default))));
         }
-        let name = self.estimator_profile.as_deref().unwrap_or(profile::IDEAL);
+        let name = self.estimator_profile.as_deref().unwrap_or(Path::new(profile::IDEAL));
         let model = profile::named(name, plant)?;
         let mut observer = ObserverSettings::of(model);
         if let Some(milliseconds) = self.estimator_delay_ms {

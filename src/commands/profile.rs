@@ -8,27 +8,30 @@ use crate::storage::{SETTINGS_BYTES, read_text};
 /// Qube, of its name plate), and no friction, cable or delay.
 pub const IDEAL: &str = "ideal";
 
+/// Name of the profile of a real Qube that is part of the program.
+const LAB: &str = "lab";
+
 /// The model of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a profile file.
-pub fn named(name: &str, plant: &PlantModel) -> Result<QubeModel, Failure> {
+pub fn named(name: &Path, plant: &PlantModel) -> Result<QubeModel, Failure> {
     Ok(named_profile(name, plant)?.model())
 }
 
 /// The profile of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a profile
 /// file.
-pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure> {
-    Ok(match name {
-        IDEAL => Profile::exact(IDEAL, &plant.nominal()),
-        "lab" if !plant.name.is_qube() => {
+pub fn named_profile(name: &Path, plant: &PlantModel) -> Result<Profile, Failure> {
+    Ok(match name.to_str() {
+        Some(IDEAL) => Profile::exact(IDEAL, &plant.nominal()),
+        Some(LAB) if !plant.name.is_qube() => {
             return Err(Failure::usage(format!(
                 "lab is the profile of a Qube, and this is the plant {}: give ideal, or a profile that identify wrote \
                  for this plant",
                 plant.name
             )));
         }
-        "lab" => Profile::lab(),
-        path => {
-            let profile = read(Path::new(path), AND_NAMES)?;
-            check_plant(path, &profile, plant).map_err(Failure::usage)?;
+        Some(LAB) => Profile::lab(),
+        _ => {
+            let profile = read(name, AND_NAMES)?;
+            check_plant(name, &profile, plant).map_err(Failure::usage)?;
             profile
         }
     })
@@ -36,11 +39,11 @@ pub fn named_profile(name: &str, plant: &PlantModel) -> Result<Profile, Failure>
 
 /// The profile with this name, of a specimen of any plant: `lab`, or the path of a profile file.
 /// `None` for `ideal`, which means the nominal specimen of each plant.
-pub fn named_of_any_plant(name: &str) -> Result<Option<Profile>, Failure> {
-    match name {
-        IDEAL => Ok(None),
-        "lab" => named_profile(name, &PlantModel::QUBE).map(Some),
-        path => read(Path::new(path), AND_NAMES).map(Some),
+pub fn named_of_any_plant(name: &Path) -> Result<Option<Profile>, Failure> {
+    match name.to_str() {
+        Some(IDEAL) => Ok(None),
+        Some(LAB) => named_profile(name, &PlantModel::QUBE).map(Some),
+        _ => read(name, AND_NAMES).map(Some),
     }
 }
 
@@ -48,13 +51,15 @@ pub fn named_of_any_plant(name: &str) -> Result<Option<Profile>, Failure> {
 ///
 /// # Errors
 /// A sentence that begins with `name` and says which plant the profile describes.
-pub fn check_plant(name: &str, profile: &Profile, plant: &PlantModel) -> Result<(), String> {
+pub fn check_plant(name: &Path, profile: &Profile, plant: &PlantModel) -> Result<(), String> {
     if profile.plant == plant.name {
         return Ok(());
     }
     Err(format!(
-        "{name}: the profile is of the plant {}, but this is the plant {}: give a profile of this plant",
-        profile.plant, plant.name
+        "{}: the profile is of the plant {}, but this is the plant {}: give a profile of this plant",
+        name.display(),
+        profile.plant,
+        plant.name
     ))
 }
 
@@ -74,6 +79,6 @@ fn read(path: &Path, names: &str) -> Result<Profile, Failure> {
 /// Reads a profile file of a specimen of this plant.
 pub fn load(path: &Path, plant: &PlantModel) -> Result<Profile, Failure> {
     let profile = read(path, "")?;
-    check_plant(&path.display().to_string(), &profile, plant).map_err(Failure::usage)?;
+    check_plant(path, &profile, plant).map_err(Failure::usage)?;
     Ok(profile)
 }

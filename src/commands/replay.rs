@@ -48,7 +48,7 @@ pub struct Arguments {
     /// The Qube to simulate: `ideal`, `lab`, or a file that `identify` wrote [default: the nominal
     /// plant of each recording]
     #[arg(long, value_name = "ideal|lab|FILE", requires = "simulate")]
-    profile: Option<String>,
+    profile: Option<PathBuf>,
 
     /// File for a moving picture (.svg) of the recording, for pages and slides: the pendulum and its angles
     #[arg(long, value_name = "FILE")]

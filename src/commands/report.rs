@@ -50,7 +50,7 @@ pub struct Arguments {
     /// The Qube to simulate beside recordings: `ideal`, `lab`, or a file that `identify` wrote [default: the nominal
     /// plant of each recording; a session's identified Qube]
     #[arg(long, value_name = "ideal|lab|FILE")]
-    profile: Option<String>,
+    profile: Option<PathBuf>,
 }
 
 /// Writes the page and prints its path.
@@ -195,7 +195,7 @@ fn of_session(folder: &Path) -> Result<String, Failure> {
 /// The page of some recordings, and the failure to report if one of them lacks a part.
 fn of_recordings(
     files: &[PathBuf],
-    profile: Option<&str>,
+    profile: Option<&Path>,
 ) -> Result<(String, Option<Failure>), Failure> {
     let known = match profile {
         Some(name) => profile::named_of_any_plant(name)?.map(|known| (name, known)),

@@ -51,7 +51,7 @@ pub struct Arguments {
     /// Policy file, or `classical` for the built-in energy swing-up with balance; this or --excite is
     /// required
     #[arg(long, value_name = "FILE|classical", required_unless_present = "excite")]
-    policy: Option<String>,
+    policy: Option<PathBuf>,
 
     /// Instead of a policy, apply a voltage for 10 s that makes a recording for `identify`; consecutive
     /// rollouts start in opposite directions. Box and guard apply as for a policy

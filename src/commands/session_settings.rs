@@ -6,9 +6,8 @@ use std::path::Path;
 use super::device_arguments::ChosenDevice;
 use super::exit::Failure;
 use super::failures;
-use super::profile;
 use super::session::{Arguments, Method, Preset};
-use crate::qube::PlantModel;
+use crate::qube::Profile;
 use crate::safety::{Guard, GuardConsent};
 use crate::session::{
     EmulatedQubeSettings, IdentificationSettings, SessionFolder, SessionSettings,
@@ -60,7 +59,7 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
         // Where a session identifies its Qube, the emulated Qube differs from the nominal one, as a
         // real Qube does: it has the model `lab`. Another plant differs from its nominal model in
         // the same proportions.
-        let lab = profile::named("lab", &PlantModel::QUBE)?;
+        let lab = Profile::lab().model();
         settings.emulated =
             EmulatedQubeSettings { model: device.plant.in_proportion(&lab), ..settings.emulated };
     }

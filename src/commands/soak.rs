@@ -49,7 +49,7 @@ pub struct Arguments {
 
     /// Policy file, or `classical` for the built-in energy swing-up with balance, which is for a Qube only
     #[arg(long, value_name = "FILE|classical", default_value = "classical")]
-    policy: String,
+    policy: PathBuf,
 
     /// Seed of the arm's start angles and of the emulated Qube
     #[arg(long, default_value_t = 0)]
@@ -76,9 +76,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let policy = policy(&arguments.policy)?;
     let device = arguments.device.choose()?;
-    policy
-        .check_plant(&device.plant)
-        .map_err(|other| Failure::usage(format!("--policy {}: {other}", arguments.policy)))?;
+    policy.check_plant(&device.plant).map_err(|other| {
+        Failure::usage(format!("--policy {}: {other}", arguments.policy.display()))
+    })?;
     let folder = Folder::new(arguments.keep.clone())?;
     let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
     let started = Instant::now();
@@ -184,7 +184,7 @@ impl Soaked {
                 seed: arguments.seed,
                 estimator,
                 safety_box: device.safety_box(SafetyBox::default()),
-                ..RolloutPlan::single("soak", &arguments.policy)
+                ..RolloutPlan::single("soak", &arguments.policy.to_string_lossy())
             };
             match rig.rollout(&MachineDisk, &path, plan.header(), policy) {
                 Ok(_) => not_begun = 0,

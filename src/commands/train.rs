@@ -50,7 +50,7 @@ pub struct Arguments {
 
     /// Train around an identified Qube instead of a model: `lab`, or a file that `identify` wrote
     #[arg(long, value_name = "lab|FILE", conflicts_with_all = ["model", "psi"])]
-    profile: Option<String>,
+    profile: Option<PathBuf>,
 
     /// Standard deviation of each quantity around the profile, as a part of its value (0.1 is 10 %), in
     /// addition to the errors that the profile names
@@ -384,7 +384,7 @@ fn start(path: &Path) -> Result<NetworkPolicy, Failure> {
 
 fn origin(arguments: &Arguments, psi: Option<Psi>) -> Origin {
     let mut model = match &arguments.profile {
-        Some(profile) => format!("around {profile}"),
+        Some(profile) => format!("around {}", profile.display()),
         None => arguments.model.name().into(),
     };
     if let Some(from) = &arguments.from {
@@ -404,7 +404,7 @@ fn distribution(
             let around = ProfileSettings::of(&profile, plant, arguments.spread);
             Model::Profile
                 .distribution(plant, Family::Normal, Some(&around), None)
-                .map_err(|error| Failure::usage(format!("--profile {name}: {error}")))?
+                .map_err(|error| Failure::usage(format!("--profile {}: {error}", name.display())))?
         }
         None if psi.is_some() && !arguments.model.is_searched() => {
             return Err(Failure::usage("--psi goes with --model psi only"));

@@ -224,6 +224,53 @@ fn names_that_are_no_text_are_names() {
 }
 
 #[test]
+fn policies_and_profiles_may_have_names_that_are_no_text() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+    let directory = tempfile::tempdir().unwrap();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let (policy, profile) = (OsStr::from_bytes(b"p\xff"), OsStr::from_bytes(b"q\xff.toml"));
+    let place = |name: &OsStr| directory.path().join(name);
+    std::fs::copy(root.join("policies/robust.safetensors"), place(policy)).unwrap();
+    std::fs::copy(root.join("profiles/lab.toml"), place(profile)).unwrap();
+    let run = |arguments: &[&str], option: &str, name: &OsStr, more: &[&OsStr]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory.path()).args(arguments).arg(option).arg(name).args(more);
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+
+    let driven = ["run", "--clock", "virtual", "--out", "out"];
+    let with_profile = [OsStr::new("--profile"), profile];
+    let (code, stderr) = run(&driven, "--policy", policy, &with_profile);
+    assert_eq!(code, Some(0), "{stderr}");
+    for used in [
+        ["replay", "--simulate", "out/rollout-0.mcap"].as_slice(),
+        &["report", "out/rollout-0.mcap"],
+    ] {
+        let (code, stderr) = run(used, "--profile", profile, &[]);
+        assert_eq!(code, Some(0), "{used:?}: {stderr}");
+    }
+
+    // A file that is missing is refused by its name.
+    let missing = OsStr::from_bytes(b"no\xff");
+    let observed = ["run", "--policy", "classical", "--estimator", "observer"];
+    for (arguments, option) in [
+        (["train"].as_slice(), "--profile"),
+        (&["emulate"], "--profile"),
+        (&["soak"], "--policy"),
+        (&observed, "--estimator-profile"),
+    ] {
+        let (code, stderr) = run(arguments, option, missing, &[]);
+        assert_eq!(code, Some(2), "{arguments:?}: {stderr}");
+        assert!(
+            stderr.contains("no\u{fffd}") && !stderr.contains("UTF-8"),
+            "{arguments:?}: {stderr}"
+        );
+    }
+}
+
+#[test]
 fn a_simulator_is_laid_beside_a_recording_by_the_name_of_its_profile() {
     let directory = tempfile::tempdir().unwrap();
     for (name, missing) in

@@ -40,8 +40,9 @@ impl RunController {
                 policy: None,
             });
         }
-        let name = arguments.policy.clone().unwrap_or_default();
-        let policy = policy(&name)?;
+        let path = arguments.policy.as_deref().unwrap_or(Path::new(""));
+        let policy = policy(path)?;
+        let name = path.to_string_lossy().into_owned();
         let truth = trained_on_true_states(&policy).then(|| {
             format!(
                 "note: {name} was trained on true states, which no Qube measures: with encoders and estimator \
@@ -69,13 +70,14 @@ impl RunController {
 
 /// Loads the policy of this name: a file, or `classical`. Refuses a file that only names the
 /// controller of another program.
-pub fn policy(name: &str) -> Result<Policy, Failure> {
-    if name == "classical" {
+pub fn policy(name: &Path) -> Result<Policy, Failure> {
+    if name.as_os_str() == "classical" {
         return Ok(Policy::Classical(ClassicalController::new(ClassicalGains::default())));
     }
-    let policy = Policy::load(Path::new(name)).map_err(|error| failures::policy(&error))?;
+    let policy = Policy::load(name).map_err(|error| failures::policy(&error))?;
     if let Policy::External(external) = &policy {
         let controller = external.name().to_owned();
+        let name = name.display();
         return Err(Failure::usage(format!("{name}: {}", RigError::External { name: controller })));
     }
     Ok(policy)

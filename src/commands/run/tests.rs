@@ -34,7 +34,7 @@ fn run_within(
     rollouts: u32,
 ) -> (Result<(), Failure>, Results) {
     let plan = RolloutPlan { safety_box, ..RolloutPlan::single("run", "classical") };
-    let files = vec![policy("classical").unwrap().to_bytes()];
+    let files = vec![policy(Path::new("classical")).unwrap().to_bytes()];
     let controller = RunController {
         name: "classical".into(),
         files,
@@ -141,9 +141,9 @@ fn a_cable_that_stays_out_is_a_fault_with_what_was_measured() {
 
 #[test]
 fn a_policy_of_true_states_is_known_by_its_file() {
-    assert!(!trained_on_true_states(&policy("classical").unwrap()));
+    assert!(!trained_on_true_states(&policy(Path::new("classical")).unwrap()));
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
-    let robust = policy(shipped.to_str().unwrap()).unwrap();
+    let robust = policy(&shipped).unwrap();
     assert!(!trained_on_true_states(&robust));
     let Policy::Network(mut network) = robust else { panic!("it is a network") };
     network.training.sensors = SimulatedSensors::TrueState;
