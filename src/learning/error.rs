@@ -59,8 +59,8 @@ pub enum TrainError {
     },
     /// The checkpoint belongs to another training.
     #[error(
-        "checkpoint {path} was written by a training with another {property}. Give the same again, or name \
-         another file to train from the start"
+        "checkpoint {path} was written by a training that differs in its {property}. Give the same {property} again, \
+         or name another file to train from the start"
     )]
     CheckpointOfAnother {
         /// Path of the file.

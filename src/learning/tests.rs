@@ -91,10 +91,10 @@ fn a_checkpoint_of_another_training_or_a_damaged_one_is_refused() {
     assert!(matches!(other_seed, Err(TrainError::CheckpointOfAnother { property: "seed", .. })));
     let other_settings = TrainSettings { clip: 0.3, ..small() };
     let other_settings = train_small(&other_settings, 1, Some(&checkpointing), u32::MAX);
-    assert!(matches!(
-        other_settings,
-        Err(TrainError::CheckpointOfAnother { property: "settings", .. })
-    ));
+    let refused = other_settings.err().unwrap();
+    assert!(matches!(refused, TrainError::CheckpointOfAnother { property: "settings", .. }));
+    let words = "differs in its settings. Give the same settings again";
+    assert!(refused.to_string().contains(words), "{refused}");
 
     let bytes = std::fs::read(&path).unwrap();
     for damaged in [&bytes[..bytes.len() - 1], &bytes[..100], &[], b"{}"] {
