@@ -85,6 +85,9 @@ struct Report {
     problem: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rmse: Option<Rmse>,
+    /// File of the moving picture, once it is written.
+    #[serde(skip)]
+    picture: Option<PathBuf>,
 }
 
 impl Report {
@@ -101,6 +104,8 @@ impl Report {
         lines.extend(self.foreseen.as_ref().map(foreseen_text));
         lines.extend(self.note.map(str::to_owned));
         lines.extend(self.rmse.map(rmse_text));
+        let picture = self.picture.as_ref().map(|picture| picture.display());
+        lines.extend(picture.map(|picture| format!("its motion is drawn in {picture}")));
         lines.into_iter().map(|line| format!("{}: {line}\n", self.path.display())).collect()
     }
 }
@@ -240,6 +245,7 @@ fn draw_and_simulate(
     if let Some(picture) = &arguments.animate {
         let svg = animation_svg(name, log);
         write_whole(&MachineDisk, picture, svg.as_bytes()).map_err(Problem::failed)?;
+        report.picture = Some(picture.clone());
     }
     if !arguments.simulate {
         return Ok(());

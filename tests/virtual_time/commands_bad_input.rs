@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use crate::program::{has_refused, qube_hil, refused};
+use crate::program::{has_refused, qube_hil, refused, succeeds};
 
 #[test]
 fn ports_that_are_none() {
@@ -376,6 +376,17 @@ fn a_moving_picture_replaces_no_file_unasked() {
     assert!(qube_hil(directory.path(), &animate).status.success());
     refused(directory.path(), &animate, 2, &["exists already"]);
     assert!(qube_hil(directory.path(), &[&animate[..], &["--force"]].concat()).status.success());
+}
+
+#[test]
+fn a_replay_that_only_draws_names_its_picture() {
+    let directory = tempfile::tempdir().unwrap();
+    let table = "time_s,theta_rad,alpha_rad,theta_dot_rad_s,alpha_dot_rad_s,voltage_v\n\
+                 0,0,0,0,0,0\n0.01,0,0,0,0,0\n0.02,0,0,0,0,0\n";
+    std::fs::write(directory.path().join("mv.csv"), table).unwrap();
+    let told = succeeds(directory.path(), &["replay", "--animate", "mv.svg", "mv.csv"]);
+    assert_eq!(told.trim_end(), "mv.csv: its motion is drawn in mv.svg");
+    assert!(directory.path().join("mv.svg").exists());
 }
 
 #[test]
