@@ -156,6 +156,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     if let Some(picture) = &arguments.animate {
         OutputFile::of_option("--animate", picture, arguments.force)?;
+        if !has_ending(picture, "svg") {
+            return Err(Failure::usage(format!(
+                "--animate {}: the picture is an SVG file: name a file that ends with .svg",
+                picture.display()
+            )));
+        }
     }
     let mut reports = Vec::new();
     let mut problems = Vec::new();
@@ -266,7 +272,12 @@ fn draw_and_simulate(
 }
 
 fn is_csv(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv"))
+    has_ending(path, "csv")
+}
+
+/// Whether the name of a file ends with this extension, in letters of either case.
+fn has_ending(path: &Path, ending: &str) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(ending))
 }
 
 /// Feeds the measurements of a recording to the tick again, and enters the comparison into

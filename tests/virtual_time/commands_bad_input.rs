@@ -387,6 +387,11 @@ fn a_replay_that_only_draws_names_its_picture() {
     let told = succeeds(directory.path(), &["replay", "--animate", "mv.svg", "mv.csv"]);
     assert_eq!(told.trim_end(), "mv.csv: its motion is drawn in mv.svg");
     assert!(directory.path().join("mv.svg").exists());
+    for name in ["mv.gif", "mv"] {
+        let animate = ["replay", "--animate", name, "mv.csv"];
+        refused(directory.path(), &animate, 2, &[&format!("--animate {name}: "), ".svg"]);
+        assert!(!directory.path().join(name).exists());
+    }
 }
 
 #[test]
