@@ -17,7 +17,7 @@ use crate::jobs::{JobError, JobFolderError};
 use crate::policy::PolicyError;
 use crate::recording::RecordingError;
 use crate::rig::RigError;
-use crate::session::{FolderError, SessionError};
+use crate::session::{FolderError, RigSessions, SessionError, SessionPaths};
 
 /// The failure for an error of a rig.
 pub fn rig(error: RigError, stop: &Stop) -> Failure {
@@ -110,10 +110,13 @@ pub fn policy(error: &PolicyError) -> Failure {
 pub fn folder(error: &FolderError) -> Failure {
     let word = |path: &Path| quoted(&path.to_string_lossy());
     let advice = match error {
-        FolderError::Exists { path } => format!(
-            ". Choose another --out, or continue what is there with --resume {}",
-            word(path)
-        ),
+        FolderError::Exists { path } => match resuming_command(path) {
+            Some(command) => format!(
+                ". Choose another --out, or continue what is there with qube-hil {command} --resume {}",
+                word(path)
+            ),
+            None => ". Choose another --out".into(),
+        },
         FolderError::NotASession { .. } => ". Give the folder of a session to --resume".into(),
         FolderError::NotBegun { path } => format!(". Begin it with --out {}", word(path)),
         FolderError::InUse { .. } => String::new(),
@@ -121,6 +124,18 @@ pub fn folder(error: &FolderError) -> Failure {
         FolderError::Io { .. } => String::new(),
     };
     Failure::usage(format!("{error}{advice}"))
+}
+
+/// The command that resumes the work in a folder; `None` for a folder without a session or an
+/// experiment.
+fn resuming_command(folder: &Path) -> Option<&'static str> {
+    if SessionPaths::new(folder).configuration().exists() || RigSessions::are_in(folder) {
+        Some("session")
+    } else if folder.join("experiment.toml").exists() {
+        Some("experiment")
+    } else {
+        None
+    }
 }
 
 /// The failure for a file or folder that could not be written.
@@ -237,6 +252,26 @@ pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure 
 mod tests {
     use super::*;
     use crate::device::RefusalReason;
+
+    #[test]
+    fn only_a_folder_with_work_to_resume_is_advised_to_be_resumed() {
+        let directory = tempfile::tempdir().unwrap();
+        for (file, advised) in [
+            ("rollout-0.mcap", None),
+            ("session.toml", Some("qube-hil session --resume")),
+            ("rigs.toml", Some("qube-hil session --resume")),
+            ("experiment.toml", Some("qube-hil experiment --resume")),
+        ] {
+            let path = directory.path().join(file.replace('.', "-"));
+            std::fs::create_dir(&path).unwrap();
+            std::fs::write(path.join(file), "").unwrap();
+            let refused = folder(&FolderError::Exists { path });
+            let cause = refused.cause();
+            assert!(cause.contains("--out"), "{cause}");
+            assert_eq!(cause.contains("--resume"), advised.is_some(), "{cause}");
+            assert!(advised.is_none_or(|advised| cause.contains(advised)), "{cause}");
+        }
+    }
 
     #[test]
     fn a_board_that_refuses_is_a_fault() {

@@ -326,7 +326,7 @@ fn folders_that_cannot_be() {
     std::fs::create_dir(directory.path().join("taken")).unwrap();
     std::fs::write(directory.path().join("taken/notes.txt"), "").unwrap();
     let out = ["session", "--clock", "virtual", "--out", "taken"];
-    refused(directory.path(), &out, 2, &["taken", "exists", "--resume"]);
+    refused(directory.path(), &out, 2, &["taken", "exists", "another --out"]);
     let resume = ["session", "--clock", "virtual", "--resume", "taken"];
     refused(directory.path(), &resume, 2, &["taken", "no session"]);
     // A session that is killed before it has begun leaves such a folder.
