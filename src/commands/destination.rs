@@ -3,7 +3,7 @@
 
 use std::ffi::OsStr;
 use std::fs::{self, TryLockError};
-use std::io::{ErrorKind, Write};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -239,12 +239,23 @@ pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     let written = MachineDisk
         .create(&trial, true)
         .and_then(|mut file| file.write_all(&[0; ROOM_BYTES]).and_then(|()| file.sync()));
-    if let Err(error) = fs::remove_file(&trial)
-        && error.kind() != ErrorKind::NotFound
-    {
-        print_message(&format!("warning: {}: {error}", trial.display()));
+    let removed = fs::remove_file(&trial);
+    if let Some(warning) = removed.err().and_then(|error| trial_left(folder, &trial, &error)) {
+        print_message(&warning);
     }
     written.map_err(|error| failures::not_written(folder, &error))
+}
+
+/// The warning that a trial file stays in a folder because of this error; `None` without such a file,
+/// which a read-only disk never had.
+fn trial_left(folder: &Path, trial: &Path, error: &io::Error) -> Option<String> {
+    trial.symlink_metadata().is_ok().then(|| {
+        let (folder, trial) = (folder.display(), trial.display());
+        format!(
+            "warning: the folder {folder} keeps the file of a trial, which cannot be removed ({error}): remove \
+             {trial}"
+        )
+    })
 }
 
 #[cfg(test)]
@@ -294,6 +305,19 @@ mod tests {
             assert!(refused.is_usage() && refused.cause().contains("no command replaces"));
         }
         assert!(OutputFile::prepare(&file("old.svg", b"<svg/>"), true).is_ok());
+    }
+
+    #[test]
+    fn a_trial_file_is_told_of_only_where_it_stays() {
+        let directory = tempfile::tempdir().unwrap();
+        let folder = directory.path();
+        let trial = folder.join("trial");
+        let told = || trial_left(folder, &trial, &ErrorKind::ReadOnlyFilesystem.into());
+        assert_eq!(told(), None);
+        fs::write(&trial, "").unwrap();
+        let told = told().unwrap();
+        assert!(told.contains(&format!("the folder {} ", folder.display())), "{told}");
+        assert!(told.contains(&trial.display().to_string()), "{told}");
     }
 
     #[test]
