@@ -100,6 +100,21 @@ pub fn recording(error: &RecordingError) -> Failure {
     }
 }
 
+/// The failure for an error of a recording that a session made; `resume` is the command that repeats the
+/// rollout and continues the session.
+fn recording_of_session(error: &RecordingError, resume: &str) -> Failure {
+    match error {
+        RecordingError::DiskFull { path } => Failure::failed(format!(
+            "{}: the disk is full. Make room, then continue with {resume}",
+            path.display()
+        )),
+        RecordingError::Write { .. } => {
+            recording(error).followed_by(&format!("Continue with {resume}"))
+        }
+        _ => recording(error),
+    }
+}
+
 /// The failure for an error of a policy file. The file may come from anybody, so the message is
 /// kept on one line.
 pub fn policy(error: &PolicyError) -> Failure {
@@ -176,12 +191,14 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
             let message = message.trim_end_matches('.');
             Failure::fault(format!("{message}. Then continue with {resume}.{last_ticks}"))
         }
+        SessionError::Recording(error) | SessionError::Rig(RigError::Recording(error)) => {
+            recording_of_session(&error, resume)
+        }
         // `rig` adds the fault, and a command that helps.
         SessionError::Rig(error) => return rig(error, stop),
         SessionError::NotHomed { rig: number, source } => {
             return rig(*source, stop).preceded_by(&format!("rig {number}:"));
         }
-        SessionError::Recording(error) => recording(&error),
         SessionError::Folder(error) => folder(&error),
         SessionError::Training(error) => job(error, stop),
         SessionError::Ledger(_) | SessionError::Search(_) => Failure::failed(error),
@@ -270,6 +287,27 @@ mod tests {
             assert!(cause.contains("--out"), "{cause}");
             assert_eq!(cause.contains("--resume"), advised.is_some(), "{cause}");
             assert!(advised.is_none_or(|advised| cause.contains(advised)), "{cause}");
+        }
+    }
+
+    #[test]
+    fn a_session_whose_disk_is_full_is_continued_by_its_command() {
+        let full = || RecordingError::DiskFull { path: "s/rollout-0.mcap".into() };
+        let failing = || RecordingError::Write {
+            path: "s/rollout-0.mcap".into(),
+            source: ErrorKind::Other.into(),
+        };
+        let resume = "qube-hil session --resume s";
+        for error in [
+            SessionError::Recording(full()),
+            SessionError::Rig(full().into()),
+            SessionError::Recording(failing()),
+        ] {
+            let failure = session(error, &Stop::default(), resume);
+            let cause = failure.cause();
+            assert!(cause.contains("s/rollout-0.mcap: ") && cause.ends_with(resume), "{cause}");
+            assert!(!cause.contains("repeat"), "{cause}");
+            assert_eq!(failure.ended_by()["exit_code"], 1);
         }
     }
 
