@@ -28,6 +28,7 @@ mod tty;
 pub use firmware_protocol::RefusalReason;
 pub use hil::{HilAddress, HilError, HilLink, NotAnAddress, find_library};
 pub use in_process::{IN_PROCESS, InProcessWire};
+pub use port_holder::locker_of;
 pub use port_name::{available_ports, stable_port_name};
 pub use serial_link::SerialLink;
 pub use transport::Transport;

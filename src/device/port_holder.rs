@@ -6,9 +6,20 @@ use std::path::Path;
 /// where the name cannot be read, or `another program` where the process cannot be found.
 pub(super) fn holder_of(port: &str) -> String {
     let port = Path::new(port);
-    let Some(pid) = find_locker(port).or_else(|| find_opener(port)) else {
-        return "another program".to_owned();
-    };
+    let pid = find_locker(port).or_else(|| find_opener(port));
+    pid.map_or_else(|| "another program".to_owned(), described)
+}
+
+/// Describes the process that has locked a port, as `process 1234 (name)`; `None` if none has, or if it
+/// cannot be found. The port is not opened. A process that has the port open without a lock does not
+/// count: the emulated Qube has its own port open.
+#[must_use]
+pub fn locker_of(port: &str) -> Option<String> {
+    find_locker(Path::new(port)).map(described)
+}
+
+/// A process in words: its id, and its name where that can be read.
+fn described(pid: u32) -> String {
     match fs::read_to_string(format!("/proc/{pid}/comm")) {
         Ok(command) => format!("process {pid} ({})", command.trim()),
         Err(_) => format!("process {pid}"),

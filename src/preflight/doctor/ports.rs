@@ -5,7 +5,7 @@ use std::path::Path;
 use rustix::fs::{Access, access};
 
 use super::Diagnosis;
-use crate::device::available_ports;
+use crate::device::{available_ports, locker_of};
 use crate::preflight::latency_timer::{latency_timer_ms, latency_timer_remedy};
 
 /// Names of USB serial ports without their numbers. A Qube is at no other port.
@@ -46,6 +46,11 @@ fn permission(port: &str) -> Diagnosis {
         return Diagnosis::unfit(&name, "is no serial port", "name the Qube's port");
     }
     if access(port, Access::READ_OK | Access::WRITE_OK).is_ok() {
+        if let Some(holder) = locker_of(port) {
+            let remedy =
+                "end that program before you drive the Qube: a port serves one program at a time";
+            return Diagnosis::advice(&name, format!("in use by {holder}"), remedy);
+        }
         return Diagnosis::well(&name, "may be opened");
     }
     let groups = fs::read_to_string("/etc/group").unwrap_or_default();
@@ -107,8 +112,13 @@ fn timer(port: &str) -> Option<Diagnosis> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::super::Suitability;
     use super::*;
+    use crate::clock::MonotonicClock;
+    use crate::device::SerialLink;
+    use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 
     const GROUPS: &str = "root:x:0:\ndialout:x:20:ada,grace\nplugdev:x:46:\n";
 
@@ -121,6 +131,20 @@ mod tests {
         let of_root = remedy(0, "alan");
         assert!(!of_root.contains("usermod") && of_root.contains("udev rules"), "{of_root}");
         assert!(remedy(999, "alan").contains("999"));
+    }
+
+    #[test]
+    fn a_port_in_use_is_advised_of_with_its_holder() {
+        let qube = EmulatedQube::spawn(EmulatorSettings::default()).unwrap();
+        let port = qube.port().to_str().unwrap();
+        assert_eq!(permission(port).verdict, Suitability::Well);
+        let held = SerialLink::open(port, Arc::new(MonotonicClock)).unwrap();
+        let found = permission(port);
+        assert_eq!(found.verdict, Suitability::Advice);
+        let holder = format!("in use by process {} (", std::process::id());
+        assert!(found.value.contains(&holder), "{}", found.value);
+        drop(held);
+        assert_eq!(permission(port).verdict, Suitability::Well);
     }
 
     #[test]
