@@ -214,6 +214,9 @@ impl QubeArguments {
         if let Some(notice) = chosen.homing_notice() {
             print_message(&format!("note: {notice}"));
         }
+        if let Some(warning) = chosen.profile_warning() {
+            print_message(&format!("warning: {warning}"));
+        }
     }
 
     fn selected(&self, driven: &DrivenPlantArguments) -> Result<ChosenDevice, Failure> {
@@ -304,6 +307,22 @@ impl ChosenDevice {
              --home stops"
                 .to_owned(),
         )
+    }
+
+    /// The warning that the profile of a real Qube names no board, so that it cannot be compared with the
+    /// board in the Qube's file; `None` for every other Qube, and where one of the files names no board.
+    fn profile_warning(&self) -> Option<String> {
+        let file = self.file.as_ref()?;
+        let (named, board, profile) =
+            (file.profile.as_ref()?, file.board.as_ref()?, self.profile.as_ref()?);
+        let boards = profile.provenance.as_ref().map_or(&[][..], |provenance| &provenance.boards);
+        (boards.is_empty() && self.choice.is_hardware()).then(|| {
+            format!(
+                "the profile {} names no board (provenance.boards), so it is not known whether it was identified on \
+                 this one, {board}",
+                named.display()
+            )
+        })
     }
 
     /// The driven Qube in words: the emulated one, or the one at a port.
@@ -543,19 +562,21 @@ mod tests {
         let profile = Some(PathBuf::from("mine.toml"));
         let file = QubeFile { board: Some("B2".into()), profile, ..QubeFile::default() };
         file.save(&path, "a test").unwrap();
-        let chosen = |boards: &[&str]| {
+        let chosen_at = |device: &str, boards: &[&str]| {
             let mut profile = Profile::lab();
             profile.provenance.as_mut().unwrap().boards =
                 boards.iter().map(ToString::to_string).collect();
             let text = toml::to_string(&profile).unwrap();
             std::fs::write(directory.path().join("mine.toml"), text).unwrap();
             let treatment = TreatmentArguments { home: None, unidentified: false };
-            let device = Some("/dev/ttyACM0".to_owned());
-            QubeArguments::of_one(device, Some(path.clone()), treatment)
+            QubeArguments::of_one(Some(device.to_owned()), Some(path.clone()), treatment)
                 .choose_specimen(&PlantModel::QUBE)
         };
-        assert!(chosen(&[]).is_ok(), "the files named no board");
-        assert!(chosen(&["B2"]).is_ok());
+        let chosen = |boards: &[&str]| chosen_at("/dev/ttyACM0", boards);
+        let warning = chosen(&[]).unwrap().profile_warning().unwrap();
+        assert!(warning.contains("mine.toml") && warning.contains("B2"), "{warning}");
+        assert_eq!(chosen_at(EMULATED, &[]).unwrap().profile_warning(), None);
+        assert_eq!(chosen(&["B2"]).unwrap().profile_warning(), None);
         for boards in [&["0000000000000000"][..], &["B2", "C3"]] {
             let message = chosen(boards).err().unwrap().to_string();
             assert!(message.contains(&boards.join(", ")) && message.contains("B2"), "{message}");
