@@ -138,7 +138,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     folder.check_for_recordings(arguments.rollouts.into())?;
     device.check_port_exists()?;
     let directory = folder.path().to_owned();
-    controller.notes.iter().for_each(|note| print_message(note));
+    let estimator_note = controller.estimator_note(&plan.estimator);
+    controller.notes.iter().chain(&estimator_note).for_each(|note| print_message(note));
     let randomisation = controller.policy.as_ref().and_then(randomisation).map(|it| json!(it));
     let title = format!("qube-hil run: {} in {}", controller.name, directory.display());
     let screen = arguments.screen.open(&title, output, &stop);

@@ -3,6 +3,7 @@ use std::path::Path;
 use super::Arguments;
 use crate::commands::exit::Failure;
 use crate::commands::failures;
+use crate::estimation::EstimatorSettings;
 use crate::policy::{
     ClassicalController, ClassicalGains, EXCITATION_STEPS, Excitation, ExcitationShape, Policy,
     Randomisation, SimulatedSensors,
@@ -60,6 +61,30 @@ impl RunController {
     pub fn check_plant(&self, plant: &PlantModel) -> Result<(), Failure> {
         let checked = self.policy.as_ref().map_or(Ok(()), |policy| policy.check_plant(plant));
         checked.map_err(|other| Failure::usage(format!("{}: {other}", self.name)))
+    }
+
+    /// The note that the policy gets another estimator, or another velocity filter, than in its training;
+    /// `None` where its file names this one or none. The models of two observers are not compared,
+    /// because each describes its own Qube.
+    pub fn estimator_note(&self, used: &EstimatorSettings) -> Option<String> {
+        let Some(Policy::Network(network)) = &self.policy else { return None };
+        let SimulatedSensors::Encoders { corner_rad_s, observer, .. } = network.training.sensors
+        else {
+            return None;
+        };
+        let filter = |corner_rad_s: f64| format!("a velocity filter of {corner_rad_s} rad/s");
+        let (trained, option) = match (observer, used.observer) {
+            (Some(_), Some(_)) => return None,
+            (None, None) if corner_rad_s == used.corner_rad_s => return None,
+            (None, _) => (filter(corner_rad_s), format!("--filter {corner_rad_s}")),
+            (Some(_), None) => ("an observer".to_owned(), "--estimator observer".to_owned()),
+        };
+        let now = used.observer.map_or_else(|| filter(used.corner_rad_s), |_| "an observer".into());
+        Some(format!(
+            "note: {} was trained with {trained}, and here it runs with {now}; {option} selects the estimator of its \
+             training",
+            self.name
+        ))
     }
 
     /// Contents of the policy file for this rollout; rollouts count from 0.

@@ -8,7 +8,9 @@ use crate::commands::live::Live;
 use crate::commands::screen::Progress;
 use crate::control::HomingSettings;
 use crate::device::emulator::{EmulatorFault, EmulatorSettings};
-use crate::policy::{Policy, SimulatedSensors};
+use crate::estimation::{EstimatorSettings, ObserverSettings};
+use crate::policy::{Policy, SimulatedObserver, SimulatedSensors};
+use crate::qube::QubeModel;
 use crate::recording::read;
 use crate::rig::{DoubtStore, Recovery};
 use crate::telemetry::Preflight;
@@ -137,6 +139,51 @@ fn a_cable_that_stays_out_is_a_fault_with_what_was_measured() {
     let rollouts = &results.rollouts;
     assert!(rollouts.len() >= 2 && rollouts[0].return_.is_some(), "{rollouts:?}");
     assert_eq!(recordings(directory.path()), rollouts.len());
+}
+
+#[test]
+fn another_estimator_than_that_of_the_training_is_noted() {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
+    let Policy::Network(network) = policy(&shipped).unwrap() else { panic!("it is a network") };
+    let observer = EstimatorSettings::observer(ObserverSettings::of(QubeModel::NOMINAL));
+    let note = |sensors, used| {
+        let mut network = network.clone();
+        network.training.sensors = sensors;
+        let controller = RunController {
+            name: "mine".into(),
+            files: Vec::new(),
+            steps: 1,
+            notes: Vec::new(),
+            policy: Some(Policy::Network(network)),
+        };
+        controller.estimator_note(&used)
+    };
+    let own = network.training.sensors;
+    assert_eq!(note(own, EstimatorSettings::default()), None);
+    assert_eq!(note(SimulatedSensors::TrueState, EstimatorSettings::filter(20.0)), None);
+    for (used, words) in
+        [(EstimatorSettings::filter(20.0), "filter of 20 rad/s"), (observer, "an observer")]
+    {
+        let told = note(own, used).unwrap();
+        assert!(told.contains("mine") && told.contains("filter of 200 rad/s"), "{told}");
+        assert!(told.contains(words) && told.contains("--filter 200 "), "{told}");
+    }
+
+    let model = QubeModel::NOMINAL;
+    let simulated = SimulatedObserver {
+        model,
+        theta_noise_rad_s2: 1.0,
+        alpha_noise_rad_s2: 1.0,
+        reset_error_rad: 1.0,
+    };
+    let observed = SimulatedSensors::Encoders {
+        corner_rad_s: 200.0,
+        counts_per_revolution: 2048,
+        observer: Some(simulated),
+    };
+    assert_eq!(note(observed, observer), None);
+    let told = note(observed, EstimatorSettings::default()).unwrap();
+    assert!(told.contains("--estimator observer"), "{told}");
 }
 
 #[test]
