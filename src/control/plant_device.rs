@@ -99,6 +99,7 @@ impl Device for PlantDevice {
             firmware_version: String::new(),
             protocol_version: 0,
             boot_id: 0,
+            counts_anew: false,
             port: "none".into(),
         })
     }

@@ -140,6 +140,10 @@ pub struct Identity {
     /// hello reveals a restart.
     #[serde(default)]
     pub boot_id: u16,
+    /// Whether the counters have begun anew since the last hello although the board has not
+    /// restarted, because its Qube was off while the port was gone.
+    #[serde(skip)]
+    pub counts_anew: bool,
     /// Port under which the device was opened, or address of the card.
     pub port: String,
 }
@@ -151,11 +155,11 @@ impl Identity {
         self.kind == other.kind && self.serial == other.serial
     }
 
-    /// Whether both identities are of the same board without a restart in between, so that the
-    /// zeros of its counts still hold.
+    /// Whether the later identity `other` is of the same board without a restart of board or Qube in
+    /// between, so that the zeros of its counts still hold.
     #[must_use]
     pub fn is_same_start(&self, other: &Self) -> bool {
-        self.is_same_board(other) && self.boot_id == other.boot_id
+        self.is_same_board(other) && self.boot_id == other.boot_id && !other.counts_anew
     }
 }
 

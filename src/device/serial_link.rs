@@ -299,9 +299,9 @@ impl<T: Transport> SerialLink<T> {
     /// last hello. Its counts may then start at any value, so the caller must send a hello of its
     /// own.
     fn greet_same_start(&mut self) -> Result<(), DeviceError> {
-        let reply = self.greet_unless_stopped()?;
+        let (reply, counts_anew) = self.greet_unless_stopped()?;
         let identity = self.accept(&reply)?;
-        if self.boot_id != Some(identity.boot_id) {
+        if self.boot_id != Some(identity.boot_id) || counts_anew {
             self.nonce = None;
             self.has_restarted = true;
             return Err(self.restarted());
@@ -309,16 +309,17 @@ impl<T: Transport> SerialLink<T> {
         Ok(())
     }
 
-    /// Sends a hello. Every hello but the first is preceded by a sample, because a hello clears the
-    /// device's latch of an emergency-stop switch that is closed again, and the state of a device
-    /// whose Qube was off (PROTOCOL.md, "No Qube").
+    /// Sends a hello; returns its answer, and whether the Qube's counters have begun anew without a
+    /// restart of the board. Every hello but the first is preceded by a sample, because a hello
+    /// clears the device's latch of an emergency-stop switch that is closed again, and the state of
+    /// a device whose Qube was off (PROTOCOL.md, "No Qube").
     ///
     /// # Errors
     /// The errors of [`greet`](Self::greet); or the switch was opened, or the Qube switched off,
     /// since the first hello: only a new link moves this Qube again. A Qube that was off while the
     /// port was gone is not counted, since the operator is asked to switch it off then.
-    fn greet_unless_stopped(&mut self) -> Result<HelloReply, DeviceError> {
-        let Some(boot_id) = self.boot_id else { return self.greet() };
+    fn greet_unless_stopped(&mut self) -> Result<(HelloReply, bool), DeviceError> {
+        let Some(boot_id) = self.boot_id else { return Ok((self.greet()?, false)) };
         let mut wants_hello = false;
         for _ in 0..ATTEMPTS {
             // A delimiter ends the partial frame that a broken exchange may have left.
@@ -348,11 +349,12 @@ impl<T: Transport> SerialLink<T> {
             return Err(DeviceError::SwitchedOff { port });
         }
         let reply = self.greet()?;
-        if wants_hello && !self.was_reopened && reply.boot_id == boot_id {
+        let counts_anew = wants_hello && reply.boot_id == boot_id;
+        if counts_anew && !self.was_reopened {
             self.seen.qube_off = true;
             return Err(DeviceError::SwitchedOff { port });
         }
-        Ok(reply)
+        Ok((reply, counts_anew))
     }
 
     fn see_stop(&mut self, is_open: bool) {
@@ -380,6 +382,7 @@ impl<T: Transport> SerialLink<T> {
             firmware_version: format!("{major}.{minor}.{patch}"),
             protocol_version: reply.protocol_version,
             boot_id: reply.boot_id,
+            counts_anew: false,
             port: self.name(),
         })
     }
@@ -416,8 +419,8 @@ impl<T: Transport> SerialLink<T> {
 
 impl<T: Transport> Device for SerialLink<T> {
     fn hello(&mut self) -> Result<Identity, DeviceError> {
-        let reply = self.greet_unless_stopped()?;
-        let identity = self.accept(&reply)?;
+        let (reply, counts_anew) = self.greet_unless_stopped()?;
+        let identity = Identity { counts_anew, ..self.accept(&reply)? };
         self.was_reopened = false;
         self.boot_id = Some(identity.boot_id);
         self.has_restarted = false;

@@ -234,7 +234,7 @@ impl Rig {
         let boot_id = self.identity.boot_id;
         let pressed = self.control.lend(move |device, clock, heat, stop| {
             let identity = device.hello()?;
-            if identity.boot_id != boot_id {
+            if identity.boot_id != boot_id || identity.counts_anew {
                 return Err(DeviceError::Restarted { port: identity.port });
             }
             let mut press = StopPress::new(&plant, calibration, push_v, ticks, rehearsal);
@@ -348,20 +348,24 @@ impl Rig {
         self.accept_restart(identity)
     }
 
-    /// Takes over the identity of the same board, which may have restarted since. Its counters then
-    /// restart, so the count at which a hand has put the arm is void, and no stop that homing would
-    /// touch could show the error.
+    /// Takes over the identity of the same board, which may have restarted since, or its Qube. The
+    /// counters then restart, so the count at which a hand has put the arm is void, and no stop that
+    /// homing would touch could show the error.
     fn accept_restart(&mut self, identity: Identity) -> Result<(), RigError> {
-        let restarted = identity.boot_id != self.identity.boot_id;
+        let cause = if identity.boot_id != self.identity.boot_id {
+            Some("the board has restarted")
+        } else if identity.counts_anew {
+            Some("the Qube was switched off and on")
+        } else {
+            None
+        };
         self.identity = identity;
-        if !restarted {
-            return Ok(());
-        }
+        let Some(cause) = cause else { return Ok(()) };
         self.forget_middle();
         if self.homing.get().method == HomingMethod::Hand {
             return Err(RigError::MiddleLost { fault: Fault::BoardRestarted });
         }
-        tracing::warn!("the board has restarted: its counters restart, and the arm is homed");
+        tracing::warn!("{cause}: its counters restart, and the arm is homed");
         Ok(())
     }
 

@@ -140,6 +140,7 @@ impl Panel {
             firmware_version: firmware_version.map_or("unknown".into(), |version| short(&version)),
             protocol_version: 0,
             boot_id: self.boot_id,
+            counts_anew: false,
             port: self.address.to_string(),
         })
     }

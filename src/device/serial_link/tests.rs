@@ -391,3 +391,18 @@ fn no_hello_clears_an_emergency_stop_that_was_opened_since_the_first() {
         assert!(matches!(refused, DeviceError::StopOpened { .. }), "{refused}");
     }
 }
+
+#[test]
+fn a_qube_that_was_off_while_the_port_was_gone_counts_anew() {
+    let fault = EmulatorFault::SwitchedOffAndOn { after_s: 0.5, off_s: 1.0 };
+    let (mut link, clock) = link(Some(fault));
+    let before = link.hello().unwrap();
+    clock.sleep_until(600 * MS);
+    link.reopen().unwrap();
+    let absent = link.hello().unwrap_err();
+    assert!(matches!(absent, DeviceError::QubeAbsent { .. }), "{absent}");
+    clock.sleep_until(1600 * MS);
+    let after = link.hello().unwrap();
+    assert!(after.counts_anew && !before.is_same_start(&after), "{after:?}");
+    assert!(after.is_same_start(&link.hello().unwrap()));
+}
