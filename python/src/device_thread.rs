@@ -154,12 +154,15 @@ impl Server {
                 Ok(recorded) => break recorded,
             }
         };
-        self.is_homed = !matches!(outcome.ending, Ending::Fault(_));
+        // The rig knows more than the recording: whether the device has confirmed that the motor is
+        // off.
+        let ending = rig.last_fault().map_or(outcome.ending, Ending::Fault);
+        self.is_homed = !matches!(ending, Ending::Fault(_));
         let recording = read(&path)?;
         let running = recording.ticks.iter().rposition(|tick| tick.phase == Phase::Running);
         let last = running.and_then(|at| recording.ticks.get(at + 1).or(recording.ticks.get(at)));
         Ok(Episode {
-            ending: outcome.ending,
+            ending,
             return_: return_of(&recording.ticks, &recording.header.reward),
             last_state: last.map_or_else(QubeState::default, |tick| tick.state),
         })
