@@ -285,13 +285,12 @@ fn check_boards(path: &Path, file: &QubeFile, profile: &Profile) -> Result<(), F
     let Some(board) = file.board.as_ref().filter(|board| !profile.may_be_of_board(board)) else {
         return Ok(());
     };
-    let boards = profile.provenance.as_ref().map_or(&[][..], |provenance| &provenance.boards);
     Err(Failure::usage(format!(
         "{}: the profile {} was identified from recordings of the board {}, and this board is {board}. Record this \
          Qube with qube-hil run --excite chirp --device PORT, and identify it anew",
         path.display(),
         file.profile.as_deref().unwrap_or(Path::new("")).display(),
-        boards.join(", "),
+        profile.boards().join(", "),
     )))
 }
 
@@ -315,8 +314,7 @@ impl ChosenDevice {
         let file = self.file.as_ref()?;
         let (named, board, profile) =
             (file.profile.as_ref()?, file.board.as_ref()?, self.profile.as_ref()?);
-        let boards = profile.provenance.as_ref().map_or(&[][..], |provenance| &provenance.boards);
-        (boards.is_empty() && self.choice.is_hardware()).then(|| {
+        (profile.boards().is_empty() && self.choice.is_hardware()).then(|| {
             format!(
                 "the profile {} names no board (provenance.boards), so it is not known whether it was identified on \
                  this one, {board}",

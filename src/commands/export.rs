@@ -5,10 +5,10 @@ use serde_json::json;
 
 use super::destination::{OutputFile, OutputFolder};
 use super::exit::Failure;
+use super::failures;
 use super::onnx_model::onnx_model;
 use super::output::Output;
 use super::parquet_table::parquet_table;
-use super::printable::one_line;
 use super::replay::recording_failure;
 use crate::identification::duplicate;
 use crate::recording::{Recording, csv_table, read};
@@ -136,18 +136,13 @@ fn write_tables(arguments: &Arguments, tables: &[PathBuf], output: &Output) -> R
         place.write(&arguments.format.table(&recording)?)?;
         ticks += recording.ticks.len();
         if let (Some(loss), None) = (recording.loss(), &lost) {
-            lost = Some(data_lost(file, &loss));
+            lost = Some(failures::incomplete(file, &loss));
         }
     }
     let shown = shown(tables);
     let text = format!("{} with {ticks} ticks in all", shown.join("\n"));
     output.print(&text, &json!({ "tables": shown, "ticks": ticks }));
     lost.map_or(Ok(()), Err)
-}
-
-/// The failure of a command that has shown as much as a recording holds.
-pub fn data_lost(file: &Path, loss: &str) -> Failure {
-    Failure::data_lost(one_line(&format!("{}: the recording {loss}", file.display())))
 }
 
 /// The files of tables or models, in their order, as [`place`] checks them.

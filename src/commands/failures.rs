@@ -115,6 +115,12 @@ fn recording_of_session(error: &RecordingError, resume: &str) -> Failure {
     }
 }
 
+/// The failure of a command that has shown as much as a recording holds; `loss` says what is missing
+/// in it.
+pub fn incomplete(file: &Path, loss: &str) -> Failure {
+    Failure::data_lost(one_line(&format!("{}: the recording {loss}", file.display())))
+}
+
 /// The failure for an error of a policy file. The file may come from anybody, so the message is
 /// kept on one line.
 pub fn policy(error: &PolicyError) -> Failure {

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::exit::Failure;
-use super::export::data_lost;
+use super::failures;
 use super::output::Output;
 use super::replay::recording_failure;
-use crate::recording::{RecordingError, Recovered, read, recover};
+use crate::recording::{RecordingError, Recovered, recover};
 use crate::storage::MachineDisk;
 
 /// Recover a truncated recording: save every intact tick into a new file
@@ -48,16 +48,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         })?;
     let path = arguments.file.display();
     match recovered {
-        Recovered::WasWhole => {
+        Recovered::WasWhole { loss } => {
             output.print(
                 &format!("every byte of {path} can be read; nothing was written"),
                 &json!({ "path": arguments.file.to_string_lossy(), "was_whole": true, "recovered": null }),
             );
-            // Ticks may have been lost before the file was written.
-            match read(&arguments.file).ok().and_then(|recording| recording.loss()) {
-                Some(loss) => Err(data_lost(&arguments.file, &loss)),
-                None => Ok(()),
-            }
+            loss.map_or(Ok(()), |loss| Err(failures::incomplete(&arguments.file, &loss)))
         }
         Recovered::Saved { ticks, lost_bytes, has_outcome } => {
             output.print(

@@ -6,7 +6,7 @@ use serde_json::json;
 use super::destination::OutputFile;
 use super::exit::Failure;
 use super::experiment_report::ExperimentReport;
-use super::export::data_lost;
+use super::failures;
 use super::output::Output;
 use super::printable::one_line;
 use super::profile;
@@ -217,8 +217,8 @@ fn of_recordings(
     )];
     let model = known.map(|(_, known)| known.model());
     let page = recordings_page(&recordings, model.as_ref(), &commands).map_err(failure)?;
-    let losses = files.iter().zip(&recordings).map(|(file, (_, it))| (file, it.loss()));
-    let lost = losses.filter_map(|(file, loss)| Some(data_lost(file, &loss?))).next();
+    let mut read = files.iter().zip(&recordings);
+    let lost = read.find_map(|(file, (_, it))| Some(failures::incomplete(file, &it.loss()?)));
     Ok((page, lost))
 }
 

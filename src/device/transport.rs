@@ -32,3 +32,26 @@ pub trait Transport: Send {
     /// port may have restarted it.
     fn boot_time_ns(&self) -> Nanoseconds;
 }
+
+/// A wire that outlives its link: the next link may use it.
+impl<T: Transport> Transport for &mut T {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        (**self).read(buffer, deadline_ns)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        (**self).write(bytes)
+    }
+
+    fn reopen(&mut self) -> Result<(), DeviceError> {
+        (**self).reopen()
+    }
+
+    fn name(&self) -> &str {
+        (**self).name()
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        (**self).boot_time_ns()
+    }
+}

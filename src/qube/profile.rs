@@ -235,10 +235,16 @@ impl Profile {
         correlation * self.standard_error(one) * self.standard_error(other)
     }
 
+    /// Serial numbers of the boards that made the fitted recordings; empty where none is known.
+    #[must_use]
+    pub fn boards(&self) -> &[String] {
+        self.provenance.as_ref().map_or(&[], |provenance| &provenance.boards)
+    }
+
     /// Whether this board made each recording of which the maker is known.
     #[must_use]
     pub fn may_be_of_board(&self, board: &str) -> bool {
-        self.provenance.iter().flat_map(|provenance| &provenance.boards).all(|maker| maker == board)
+        self.boards().iter().all(|maker| maker == board)
     }
 
     /// The model of the Qube.

@@ -7,10 +7,13 @@ use super::{Recording, RecordingError, RolloutWriter};
 use crate::storage::{Disk, WriteError, write_new};
 
 /// The result of a recovery.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Recovered {
     /// The recording was complete, so nothing was written.
-    WasWhole,
+    WasWhole {
+        /// What is missing in it all the same, because it was lost before the file was written.
+        loss: Option<String>,
+    },
     /// The new file holds the intact part.
     Saved {
         /// Number of ticks saved.
@@ -35,7 +38,7 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
     let (damage, lost_bytes) = (scan.first_damage(), scan.lost_bytes);
     let last_ticks = scan.last_ticks.take();
     let recording = recording(scan).map_err(unreadable)?;
-    let Some(damage) = damage else { return Ok(Recovered::WasWhole) };
+    let Some(damage) = damage else { return Ok(Recovered::WasWhole { loss: recording.loss() }) };
     let (ticks, has_outcome) = (recording.ticks.len(), recording.outcome.is_some());
     let lost = BTreeMap::from([
         ("lost_bytes".to_owned(), lost_bytes.to_string()),
@@ -101,7 +104,7 @@ mod tests {
         assert_eq!(std::fs::read(&damaged).unwrap(), bytes, "the old file stays");
         assert_eq!(
             recover(&MachineDisk, &saved, &damaged.with_extension("c")).unwrap(),
-            Recovered::WasWhole
+            Recovered::WasWhole { loss: None }
         );
     }
 

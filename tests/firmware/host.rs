@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use qube_hil::clock::{Clock, MonotonicClock, Nanoseconds};
-use qube_hil::device::{Device, DeviceError, LinkFault, SerialLink, Transport, Tty};
+use qube_hil::clock::{Clock, MonotonicClock};
+use qube_hil::device::{Device, LinkFault, SerialLink, Tty};
 use qube_hil::qube::Measurement;
 
 use crate::qube::{Command, Qube};
@@ -117,32 +117,7 @@ pub fn scenario_on(chip: Chip, run: impl Fn(&mut Host) -> Result<(), Disturbed>)
     panic!("the computer was too slow for this test {ATTEMPTS} times");
 }
 
-/// The wire of a link, for the link of the next program.
-pub struct SameWire<'a>(&'a mut Tty);
-
-impl Transport for SameWire<'_> {
-    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
-        self.0.read(buffer, deadline_ns)
-    }
-
-    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
-        self.0.write(bytes)
-    }
-
-    fn name(&self) -> &str {
-        self.0.name()
-    }
-
-    fn boot_time_ns(&self) -> Nanoseconds {
-        self.0.boot_time_ns()
-    }
-
-    fn reopen(&mut self) -> Result<(), DeviceError> {
-        self.0.reopen()
-    }
-}
-
 /// A link over the same wire that has seen nothing yet.
-pub fn next_link(host: &mut Host) -> SerialLink<SameWire<'_>> {
-    SerialLink::new(SameWire(host.link.transport()), Arc::new(MonotonicClock))
+pub fn next_link(host: &mut Host) -> SerialLink<&mut Tty> {
+    SerialLink::new(host.link.transport(), Arc::new(MonotonicClock))
 }

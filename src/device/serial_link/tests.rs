@@ -176,32 +176,11 @@ fn an_unplugged_port_is_gone() {
     assert_eq!(link.sample(clock.now_ns() + MS), Err(LinkFault::Gone));
 }
 
-/// A wire that outlives its link.
-struct Lent<'a>(&'a mut InProcessWire);
-
-impl Transport for Lent<'_> {
-    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
-        self.0.read(buffer, deadline_ns)
-    }
-
-    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
-        self.0.write(bytes)
-    }
-
-    fn name(&self) -> &str {
-        self.0.name()
-    }
-
-    fn boot_time_ns(&self) -> Nanoseconds {
-        self.0.boot_time_ns()
-    }
-}
-
 #[test]
 fn a_dropped_link_leaves_the_motor_off() {
     let clock = VirtualClock::default();
     let mut wire = InProcessWire::new(EmulatorSettings::default(), clock.clone());
-    let mut link = SerialLink::new(Lent(&mut wire), Arc::new(clock.clone()));
+    let mut link = SerialLink::new(&mut wire, Arc::new(clock.clone()));
     link.hello().unwrap();
     link.arm().unwrap();
     let start = link.sample(clock.now_ns() + 10 * MS).unwrap();
