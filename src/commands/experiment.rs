@@ -11,8 +11,9 @@ use clap::builder::TypedValueParser;
 use serde_json::json;
 
 use self::opening::{Opened, begun, narrowed, resumed, withdraw};
+use super::check_arguments::CheckArguments;
 use super::command_hints::unidentified;
-use super::device_arguments::{CheckArguments, DrivenPlantArguments, QubeArguments};
+use super::device_arguments::{DrivenPlantArguments, QubeArguments};
 use super::estimator_arguments::EstimatorArguments;
 use super::executor_arguments::ExecutorArguments;
 use super::exit::Failure;

@@ -5,6 +5,7 @@
 
 mod benchmark;
 mod check;
+mod check_arguments;
 mod check_table;
 mod command_hints;
 mod command_line;

@@ -4,9 +4,10 @@ use std::time::Instant;
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
+use super::check_arguments::CheckArguments;
 use super::command_hints::unidentified;
 use super::destination::OutputFolder;
-use super::device_arguments::{CheckArguments, ChosenDevice};
+use super::device_arguments::ChosenDevice;
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
 use super::executor_arguments::ExecutorArguments;

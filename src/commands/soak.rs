@@ -3,8 +3,9 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
+use super::check_arguments::CheckArguments;
 use super::destination::OutputFolder;
-use super::device_arguments::{CheckArguments, ChosenDevice, DeviceArguments};
+use super::device_arguments::{ChosenDevice, DeviceArguments};
 use super::exit::Failure;
 use super::keyboard::Keyboard;
 use super::number_arguments::positive;
