@@ -104,7 +104,9 @@ mod tests {
         assert_eq!(std::fs::read(&damaged).unwrap(), bytes, "the old file stays");
         assert_eq!(
             recover(&MachineDisk, &saved, &damaged.with_extension("c")).unwrap(),
-            Recovered::WasWhole { loss: None }
+            Recovered::WasWhole {
+                loss: Some("lacks 10 of the first 40 ticks of its rollout".into())
+            }
         );
     }
 
