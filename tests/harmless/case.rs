@@ -41,12 +41,14 @@ pub enum Case {
     ThetaDouble,
     /// The motor turns in one direction only.
     MotorOneSided,
+    /// The encoders of arm and pendulum are plugged into each other's sockets.
+    EncodersExchanged,
     ArmPushed,
     PendulumHeld,
 }
 
 impl Case {
-    pub const ALL: [Self; 26] = [
+    pub const ALL: [Self; 27] = [
         Self::Healthy,
         Self::ThetaDeadFromTheStart,
         Self::ThetaFrozen,
@@ -71,6 +73,7 @@ impl Case {
         Self::ThetaHalf,
         Self::ThetaDouble,
         Self::MotorOneSided,
+        Self::EncodersExchanged,
         Self::ArmPushed,
         Self::PendulumHeld,
     ];
@@ -112,6 +115,8 @@ impl Case {
             Self::ArmHeld | Self::ArmHeldLater => matches!(fault, ArmHeld | Stall),
             Self::ThetaHalf | Self::ThetaDouble => fault == EncodersDisagree,
             Self::MotorOneSided => matches!(fault, MotorDead | MotorWeak),
+            // The count that stays is the pendulum's, in the place of the arm's.
+            Self::EncodersExchanged => matches!(fault, EncoderFrozen | PendulumFrozen),
             // An operator who is told of a wrong sign would change it.
             Self::ArmPushed | Self::PendulumHeld => {
                 !matches!(fault, WrongSignTheta | WrongSignAlpha | WrongSignMotor)
@@ -206,6 +211,7 @@ impl Start {
             Case::ThetaSign => Some(EmulatorFault::FlippedTheta),
             Case::AlphaSign => Some(EmulatorFault::FlippedAlpha),
             Case::MotorSign => Some(EmulatorFault::FlippedMotor),
+            Case::EncodersExchanged => Some(EmulatorFault::ExchangedEncoders),
             Case::MotorDead => {
                 onset_s = 0.0;
                 Some(EmulatorFault::DeadMotor { after_s: 0.0 })
@@ -234,6 +240,7 @@ impl Start {
                 | Case::MotorSign
                 | Case::MotorHalf
                 | Case::MotorWeak
+                | Case::EncodersExchanged
                 | Case::ThetaHalf
                 | Case::ThetaDouble
         ) {

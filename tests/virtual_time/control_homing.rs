@@ -39,6 +39,7 @@ fn most_misnamed(case: Case) -> usize {
         | Case::ThetaHalf
         | Case::ThetaDouble
         | Case::MotorOneSided
+        | Case::EncodersExchanged
         | Case::ArmPushed
         | Case::PendulumHeld => 0,
     }

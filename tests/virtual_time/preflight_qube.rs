@@ -99,13 +99,14 @@ fn a_defect_is_named_with_a_remedy_and_the_arm_is_not_homed() {
         ("flipped-theta", &["arm-sign"][..]),
         ("flipped-alpha", &["pendulum-sign"]),
         ("flipped-motor", &["motor-sign"]),
+        ("exchanged-encoders", &["pendulum"]),
         ("frozen-theta@0", &["arm"]),
         ("frozen-alpha@0", &["pendulum"]),
         ("dead-motor@0", &["motor"]),
         ("blocked-arm@0", &["stall"]),
         ("amplifier@0", &["watchdog"]),
-        // At 3 s the arm is pushed, after 2 s of samples and 0.6 s of rest.
-        ("stall@3", &["stall"]),
+        // At 3.6 s the arm is pushed, after 2 s of samples and 1.2 s of rest.
+        ("stall@3.6", &["stall"]),
         // Every seventh reply has a wrong bit.
         ("garble@7", &["latency"]),
     ] {

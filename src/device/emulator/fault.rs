@@ -180,11 +180,13 @@ pub enum EmulatorFault {
     FlippedAlpha,
     /// The motor is wired in reverse.
     FlippedMotor,
+    /// The encoders of arm and pendulum are plugged into each other's sockets.
+    ExchangedEncoders,
 }
 
 /// The text form of each fault, and its effect. S, D, N, F and V are numbers: S is a time after the
 /// start, s, D a duration, s, N a number of counts or replies, F a factor, V a voltage, V.
-const FORMS: [(&str, &str); 24] = [
+const FORMS: [(&str, &str); 25] = [
     ("silent@S", "answers nothing from S on"),
     ("garble@N", "a bit of each N-th reply is flipped"),
     ("wrong-version", "answers with the previous version of the protocol"),
@@ -197,6 +199,7 @@ const FORMS: [(&str, &str); 24] = [
     ("flipped-theta", "the arm's encoder is wired in reverse"),
     ("flipped-alpha", "the pendulum's encoder is wired in reverse"),
     ("flipped-motor", "the motor is wired in reverse"),
+    ("exchanged-encoders", "the encoders of arm and pendulum are exchanged"),
     ("dead-motor@S", "no current flows"),
     ("weak-motor@F", "only the fraction F of the current flows"),
     ("one-sided-motor@S:+|-", "only voltages of this sign drive"),
@@ -234,6 +237,7 @@ impl EmulatorFault {
             | Self::FlippedTheta
             | Self::FlippedAlpha
             | Self::FlippedMotor
+            | Self::ExchangedEncoders
             | Self::ScaledTheta { .. }
             | Self::WeakMotor { .. } => 0,
             Self::Silent { after_s }
@@ -297,6 +301,7 @@ impl fmt::Display for EmulatorFault {
             Self::FlippedTheta => write!(formatter, "flipped-theta"),
             Self::FlippedAlpha => write!(formatter, "flipped-alpha"),
             Self::FlippedMotor => write!(formatter, "flipped-motor"),
+            Self::ExchangedEncoders => write!(formatter, "exchanged-encoders"),
             Self::StuckTheta { after_s } => write!(formatter, "stuck-theta@{after_s}"),
             Self::LapsingTheta { after_s, lasts_s } => {
                 write!(formatter, "frozen-theta@{after_s}+{lasts_s}")
@@ -367,6 +372,7 @@ impl FromStr for EmulatorFault {
             "flipped-theta" if value.is_none() => Self::FlippedTheta,
             "flipped-alpha" if value.is_none() => Self::FlippedAlpha,
             "flipped-motor" if value.is_none() => Self::FlippedMotor,
+            "exchanged-encoders" if value.is_none() => Self::ExchangedEncoders,
             "frozen-alpha" => match lapse() {
                 Some((after_s, lasts_s)) => Self::LapsingAlpha { after_s, lasts_s },
                 None => Self::FrozenAlpha { after_s: seconds()? },
@@ -471,6 +477,7 @@ mod tests {
             "flipped-theta",
             "flipped-alpha",
             "flipped-motor",
+            "exchanged-encoders",
             "stuck-theta@2.5",
             "frozen-theta@2+0.5",
             "frozen-alpha@3+0.5",

@@ -16,6 +16,8 @@ pub struct TrueReadings {
     /// Register of the tachometer, as [`Plant::tachometer_raw`](super::Plant::tachometer_raw)
     /// describes it.
     pub tachometer_raw: u32,
+    /// Register of the tachometer if the pendulum's encoder were plugged in as the arm's.
+    pub pendulum_tachometer_raw: u32,
 }
 
 /// The progress of a fault of encoders, motor, arm or pendulum. Any other fault also passes through
@@ -41,7 +43,12 @@ enum Stage {
 impl FaultProgress {
     /// A fault before its onset.
     pub fn new(fault: Option<EmulatorFault>) -> Self {
-        let held = TrueReadings { theta_counts: 0, alpha_counts: 0, tachometer_raw: 0 };
+        let held = TrueReadings {
+            theta_counts: 0,
+            alpha_counts: 0,
+            tachometer_raw: 0,
+            pendulum_tachometer_raw: 0,
+        };
         Self { fault, stage: Stage::Before, held, theta_shift: 0, alpha_shift: 0 }
     }
 
@@ -118,6 +125,11 @@ impl FaultProgress {
                 seen.theta_counts = self.held.theta_counts.wrapping_add(counted);
                 seen.tachometer_raw = scaled_tachometer(truly.tachometer_raw, factor);
             }
+            Some(EmulatorFault::ExchangedEncoders) => {
+                seen.theta_counts = truly.alpha_counts;
+                seen.alpha_counts = truly.theta_counts;
+                seen.tachometer_raw = truly.pendulum_tachometer_raw;
+            }
             _ => {}
         }
         seen
@@ -168,8 +180,12 @@ fn scaled_tachometer(raw: u32, factor: f64) -> u32 {
 mod tests {
     use super::*;
 
-    const START: TrueReadings =
-        TrueReadings { theta_counts: 500, alpha_counts: 7, tachometer_raw: 1000 };
+    const START: TrueReadings = TrueReadings {
+        theta_counts: 500,
+        alpha_counts: 7,
+        tachometer_raw: 1000,
+        pendulum_tachometer_raw: 2000,
+    };
 
     #[test]
     fn an_encoder_of_half_or_twice_as_many_lines_counts_so_and_its_tachometer_too() {
@@ -184,6 +200,13 @@ mod tests {
             let back = TrueReadings { tachometer_raw: TACHOMETER_NEGATIVE | 1000, ..START };
             assert_eq!(fault_progress.readings(back).tachometer_raw, TACHOMETER_NEGATIVE | ticks);
         }
+    }
+
+    #[test]
+    fn exchanged_encoders_count_and_show_speed_in_each_others_place() {
+        let fault_progress = FaultProgress::new(Some(EmulatorFault::ExchangedEncoders));
+        let seen = fault_progress.readings(START);
+        assert_eq!((seen.theta_counts, seen.alpha_counts, seen.tachometer_raw), (7, 500, 2000));
     }
 
     #[test]

@@ -352,6 +352,7 @@ impl Plant {
             theta_counts: theta.counts(counted_rad).wrapping_add(self.theta_offset_counts),
             alpha_counts: alpha.counts(self.state.alpha).wrapping_add(self.alpha_offset_counts),
             tachometer_raw: tachometer_register(theta, self.state.theta_dot),
+            pendulum_tachometer_raw: tachometer_register(alpha, self.state.alpha_dot),
         }
     }
 
@@ -363,9 +364,9 @@ impl Plant {
     }
 }
 
-/// The tachometer's register at a velocity of the arm, rad/s.
-fn tachometer_register(encoder: Encoder, theta_dot: f64) -> u32 {
-    let counts_s = theta_dot / encoder.rad_per_count();
+/// The tachometer's register at a velocity of this encoder's axis, rad/s.
+fn tachometer_register(encoder: Encoder, rad_s: f64) -> u32 {
+    let counts_s = rad_s / encoder.rad_per_count();
     let ticks = f64::from(TACHOMETER_COUNTS_S_TICKS) / counts_s.abs();
     if ticks >= f64::from(TACHOMETER_STILL) {
         return TACHOMETER_STILL;

@@ -1,7 +1,9 @@
 //! Collects evidence from a series of pushes, and decides when it suffices for a verdict.
 
+use super::rest::Shift;
 use super::swing_fit::{Lag, fit};
 use crate::control::{AT_REST_COUNTS, ArmResponse, ProbeTrace, WEAK_A_V};
+use crate::qube::{Encoder, Encoders};
 
 /// Largest range of the count of a dead encoder, which may flicker, counts.
 const DEAD_COUNTS: f64 = 2.0;
@@ -35,6 +37,16 @@ const CURRENT_FROM_V: f64 = 1.0;
 /// current: about 1 rad/s at 0.25 V. The current of a motor that is held stays constant.
 const TURNING_DROP: f64 = 0.15;
 
+/// Least shift, from before some pushes to after them, that tells an arm from a pendulum, counts of
+/// a Qube, or of a coarser encoder: 0.03 rad. A free pendulum hangs where it hung; the middle of
+/// its swing, which decays, lies up to five counts from there.
+const SHIFTED_COUNTS: f64 = 10.0;
+
+/// Largest ratio of the arm's shift to the pendulum's with which the encoders count as exchanged:
+/// what counts as the arm has then come back, as a pendulum does. After a push from outside both
+/// may have shifted.
+const CAME_BACK_SHARE: f64 = 0.5;
+
 /// Number of pushes that must show a defect, because a hand may have disturbed one of them.
 const DEFECT_SEEN: u32 = 2;
 
@@ -45,6 +57,11 @@ pub(super) enum Pendulum {
     Unknown,
     Alive(Lag),
     Dead,
+    /// It counts the arm's motion, and the arm's encoder the pendulum's. `off_rad` is the angle
+    /// from where it hung before some pushes to where it hung after them, rad.
+    Exchanged {
+        off_rad: f64,
+    },
 }
 
 /// The effect of a push on the evidence.
@@ -80,6 +97,9 @@ pub(super) struct Evidence {
     dead_pendulum_seen: u32,
     no_current_seen: u32,
     unseen_turns: u32,
+    exchanged_seen: u32,
+    /// Whether what counts as the arm has come to rest where a push left it, as no pendulum does.
+    arm_stayed: bool,
     /// Whether an encoder has shown a motion.
     moved: bool,
 }
@@ -146,6 +166,30 @@ impl Evidence {
         }
     }
 
+    /// Adds the shifts of arm and pendulum from before the last equal pushes to after them. Says what the evidence is worth after them; `effect` is what it was worth without them.
+    pub(super) fn add_shifts(
+        &mut self,
+        (arm, pendulum): (Shift, Shift),
+        encoders: Encoders,
+        effect: PushEffect,
+    ) -> PushEffect {
+        let shifted_rad = |encoder: Encoder| {
+            SHIFTED_COUNTS * encoder.counts_per_qube_count().max(1.0) * encoder.rad_per_count()
+        };
+        let (arm_rad, pendulum_rad) = (arm.by_rad.abs(), pendulum.by_rad.abs());
+        self.arm_stayed |= arm_rad >= shifted_rad(encoders.theta).max(arm.width_rad);
+        let came_back = arm_rad <= CAME_BACK_SHARE * pendulum_rad;
+        if pendulum_rad < shifted_rad(encoders.alpha) || !came_back {
+            return effect;
+        }
+        self.exchanged_seen += 1;
+        if self.exchanged_seen < DEFECT_SEEN {
+            return PushEffect::SeeAgain;
+        }
+        self.pendulum = Pendulum::Exchanged { off_rad: pendulum.by_rad };
+        PushEffect::Enough
+    }
+
     /// Whether the arm turned in the direction of the voltage, in the assumed signs; `None` if it
     /// has not turned far enough.
     pub(super) fn arm_follows(&self) -> Option<bool> {
@@ -157,8 +201,14 @@ impl Evidence {
     pub(super) fn pendulum_lags(&self) -> Option<bool> {
         match self.pendulum {
             Pendulum::Alive(lag) => Some(lag.value > 0.0),
-            Pendulum::Dead | Pendulum::Unknown => None,
+            Pendulum::Dead | Pendulum::Exchanged { .. } | Pendulum::Unknown => None,
         }
+    }
+
+    /// Whether what counts as the arm has come to rest where a push left it. Until then the encoders
+    /// may be exchanged.
+    pub(super) fn arm_stayed(&self) -> bool {
+        self.arm_stayed
     }
 
     /// Whether the arm's count stayed the same in [`DEFECT_SEEN`] pushes that swung the pendulum,

@@ -26,6 +26,9 @@ const MAX_REPETITIONS: u32 = 2;
 /// next push follows.
 const MAX_EQUAL_PUSHES: u32 = 4;
 
+/// Largest number of further pushes while the encoders may be exchanged.
+const MAX_DOUBTFUL_PUSHES: u32 = 12;
+
 const MOTOR: &str = "motor";
 const STALL: &str = "stall";
 const ARM: &str = "arm";
@@ -114,12 +117,15 @@ fn probe(
     signs: Calibration,
     settings: &ExaminationSettings,
 ) -> Result<Probed, Interruption> {
-    let (port, encoder) = (&settings.identity.port, settings.plant.encoders.theta);
+    let (port, encoders) = (&settings.identity.port, settings.plant.encoders);
     let mut evidence = Evidence::default();
+    let mut doubtful_pushes = 0;
+    let mut after = rest::window(device, clock, stop, port)?;
     for step in 1..=STEPS {
         for direction in [1.0, -1.0] {
             let push_v = direction * STEP_V * f64::from(step);
             let (mut disturbed, mut pushes) = (0, 0);
+            let mut before = after;
             loop {
                 ensure_going(stop)?;
                 device.hello()?;
@@ -131,23 +137,42 @@ fn probe(
                         if fault.may_be_repeated() && disturbed < MAX_REPETITIONS =>
                     {
                         disturbed += 1;
-                        rest::wait_for_the_arm(device, clock, stop, port, encoder)?;
+                        rest::wait_for_the_arm(device, clock, stop, port, encoders.theta)?;
+                        before = rest::window(device, clock, stop, port)?;
                         continue;
                     }
                     Ending::Fault(fault) => return Ok(Probed::Ended(fault)),
                     Ending::Stopped => return Err(Interruption::Stopped),
                     Ending::Completed | Ending::LeftBox(_) => {}
                 }
-                let progress = evidence.add(probe.trace());
-                if progress == PushEffect::Enough {
+                let mut effect = evidence.add(probe.trace());
+                if effect != PushEffect::NothingMoved {
+                    after = rest::window(device, clock, stop, port)?;
+                    if let (Some(before), Some(after)) = (before, after) {
+                        let shifts = after.shifts_from(&before, encoders);
+                        effect = evidence.add_shifts(shifts, encoders, effect);
+                    }
+                }
+                // Exchanged encoders look like a wrong sign, so no sign is named as wrong before
+                // the arm has shown that it is one.
+                let is_doubtful = !evidence.arm_stayed()
+                    && right_signs(signs, &evidence).is_some_and(|right| right != signs);
+                if effect == PushEffect::Enough
+                    && is_doubtful
+                    && doubtful_pushes < MAX_DOUBTFUL_PUSHES
+                {
+                    doubtful_pushes += 1;
+                    effect = PushEffect::SeeAgain;
+                }
+                if effect == PushEffect::Enough {
                     return Ok(Probed::Evidence(evidence));
                 }
-                if progress != PushEffect::NothingMoved {
-                    rest::wait_for_the_arm(device, clock, stop, port, encoder)?;
+                if effect != PushEffect::NothingMoved {
+                    rest::wait_for_the_arm(device, clock, stop, port, encoders.theta)?;
                 }
                 // A defect must show twice before it counts, so the same push follows again.
                 pushes += 1;
-                if progress != PushEffect::SeeAgain || pushes == MAX_EQUAL_PUSHES {
+                if effect != PushEffect::SeeAgain || pushes == MAX_EQUAL_PUSHES {
                     break;
                 }
             }
@@ -261,6 +286,15 @@ fn pendulum(seen: &Evidence) -> CheckResult {
                  encoder's cable (encoder 1)",
             )
         }
+        Pendulum::Exchanged { off_rad } => CheckResult::fail(
+            PENDULUM,
+            format!(
+                "it hangs {off_rad:+.3} rad from where it hung before the pushes, and what counts as \
+                 the arm came back: the encoders are exchanged"
+            ),
+            "exchange the plugs of encoder 0 and encoder 1; if somebody touched the pendulum, \
+             check again",
+        ),
         Pendulum::Unknown if seen.arm_is_dead() => {
             CheckResult::pass(PENDULUM, "its encoder works: the push swung the pendulum")
         }

@@ -55,6 +55,89 @@ impl Span {
     fn width(self) -> u32 {
         self.highest.abs_diff(self.lowest)
     }
+
+    fn middle(self) -> f64 {
+        0.5 * (f64::from(self.lowest) + f64::from(self.highest))
+    }
+}
+
+/// The shift of an encoder's angle between two windows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shift {
+    /// Difference of the middles of the two ranges, rad: a pendulum swings around the middle.
+    pub(super) by_rad: f64,
+    /// Width of the later range, rad.
+    pub(super) width_rad: f64,
+}
+
+/// The ranges of both counts within a window.
+#[derive(Clone, Copy)]
+pub(super) struct Window {
+    arm: Span,
+    pendulum: Span,
+}
+
+impl Window {
+    /// Takes a sample each control period until the window is full; `None` if `end_ns` comes first.
+    fn sample(
+        device: &mut dyn Device,
+        clock: &dyn Clock,
+        stop: &AtomicBool,
+        port: &str,
+        end_ns: Nanoseconds,
+    ) -> Result<Option<Self>, Interruption> {
+        let mut deadline_ns = clock.now_ns();
+        let mut window: Option<Self> = None;
+        let mut samples = 0;
+        while samples < WINDOW_SAMPLES {
+            if clock.now_ns() > end_ns {
+                return Ok(None);
+            }
+            ensure_going(stop)?;
+            deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());
+            clock.sleep_until(deadline_ns);
+            match device.sample(deadline_ns + CONTROL_PERIOD_NS) {
+                Ok(sample) => {
+                    let (theta_counts, alpha_counts) = (sample.theta_counts, sample.alpha_counts);
+                    window = Some(match window {
+                        None => {
+                            Self { arm: Span::of(theta_counts), pendulum: Span::of(alpha_counts) }
+                        }
+                        Some(Self { arm, pendulum }) => Self {
+                            arm: arm.with(theta_counts),
+                            pendulum: pendulum.with(alpha_counts),
+                        },
+                    });
+                    samples += 1;
+                }
+                Err(LinkFault::Gone) => return Err(gone(port)),
+                Err(_) => {}
+            }
+        }
+        Ok(window)
+    }
+
+    /// Shifts of arm and pendulum from an earlier window to this one.
+    pub(super) fn shifts_from(&self, earlier: &Self, encoders: Encoders) -> (Shift, Shift) {
+        let shift = |now: Span, then: Span, encoder: Encoder| Shift {
+            by_rad: (now.middle() - then.middle()) * encoder.rad_per_count(),
+            width_rad: f64::from(now.width()) * encoder.rad_per_count(),
+        };
+        (
+            shift(self.arm, earlier.arm, encoders.theta),
+            shift(self.pendulum, earlier.pendulum, encoders.alpha),
+        )
+    }
+}
+
+/// Samples a window with the motor off; `None` if too few samples come.
+pub(super) fn window(
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+    port: &str,
+) -> Result<Option<Window>, Interruption> {
+    Window::sample(device, clock, stop, port, clock.now_ns() + LONGEST_NS)
 }
 
 /// Waits between two pushes, with the motor off, until the arm is at rest, but no longer than
@@ -70,27 +153,9 @@ pub(super) fn wait_for_the_arm(
 ) -> Result<(), Interruption> {
     let still_counts = of_qube(STILL_ARM_COUNTS, encoder);
     let end_ns = clock.now_ns() + LONGEST_NS;
-    let mut deadline_ns = clock.now_ns();
-    let mut span: Option<Span> = None;
-    let mut samples = 0;
-    while clock.now_ns() < end_ns {
-        ensure_going(stop)?;
-        deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());
-        clock.sleep_until(deadline_ns);
-        match device.sample(deadline_ns + CONTROL_PERIOD_NS) {
-            Ok(sample) => {
-                let count = sample.theta_counts;
-                span = Some(span.unwrap_or(Span::of(count)).with(count));
-                samples += 1;
-            }
-            Err(LinkFault::Gone) => return Err(gone(port)),
-            Err(_) => {}
-        }
-        if let Some(arm) = span.filter(|_| samples >= WINDOW_SAMPLES) {
-            if arm.width() <= still_counts {
-                return Ok(());
-            }
-            (span, samples) = (None, 0);
+    while let Some(Window { arm, .. }) = Window::sample(device, clock, stop, port, end_ns)? {
+        if arm.width() <= still_counts {
+            break;
         }
     }
     Ok(())
@@ -109,50 +174,30 @@ pub(super) fn wait(
     let [pendulum_counts, swinging_counts] =
         [PENDULUM_COUNTS, SWINGING_COUNTS].map(|counts| of_qube(counts, encoders.alpha));
     let start_ns = clock.now_ns();
-    let mut deadline_ns = start_ns;
-    let mut spans: Option<(Span, Span)> = None;
-    let mut samples = 0;
+    let end_ns = start_ns + LONGEST_NS;
     let mut width_rad = None;
-    loop {
-        ensure_going(stop)?;
-        deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());
-        clock.sleep_until(deadline_ns);
-        match device.sample(deadline_ns + CONTROL_PERIOD_NS) {
-            Ok(sample) => {
-                let (arm, pendulum) =
-                    spans.unwrap_or((Span::of(sample.theta_counts), Span::of(sample.alpha_counts)));
-                spans = Some((arm.with(sample.theta_counts), pendulum.with(sample.alpha_counts)));
-                samples += 1;
-            }
-            Err(LinkFault::Gone) => return Err(gone(port)),
-            Err(_) => {}
-        }
+    while let Some(Window { arm, pendulum }) = Window::sample(device, clock, stop, port, end_ns)? {
         let waited_ns = clock.now_ns() - start_ns;
-        if let Some((arm, pendulum)) = spans.filter(|_| samples >= WINDOW_SAMPLES) {
-            let waited_s = waited_ns as f64 * 1e-9;
-            if arm.width() <= arm_counts && pendulum.width() <= pendulum_counts {
-                return Ok(CheckResult::pass(NAME, format!("hangs still after {waited_s:.1} s")));
-            }
-            let is_little = pendulum.width() <= swinging_counts;
-            if arm.width() <= arm_counts && is_little && waited_ns >= PATIENCE_NS {
-                let value =
-                    format!("the arm rests, the pendulum swings a little after {waited_s:.1} s");
-                return Ok(CheckResult::pass(NAME, value));
-            }
-            width_rad = Some(f64::from(pendulum.width()) * encoders.alpha.rad_per_count());
-            (spans, samples) = (None, 0);
+        let waited_s = waited_ns as f64 * 1e-9;
+        if arm.width() <= arm_counts && pendulum.width() <= pendulum_counts {
+            return Ok(CheckResult::pass(NAME, format!("hangs still after {waited_s:.1} s")));
         }
-        if waited_ns > LONGEST_NS {
-            let value = match width_rad {
-                Some(width_rad) => {
-                    format!("arm or pendulum still moves, the pendulum by {width_rad:.2} rad")
-                }
-                None => "hardly any sample came".to_owned(),
-            };
-            let remedy = "hold the pendulum until it hangs still, then check again";
-            return Ok(CheckResult::fail(NAME, value, remedy));
+        let is_little = pendulum.width() <= swinging_counts;
+        if arm.width() <= arm_counts && is_little && waited_ns >= PATIENCE_NS {
+            let value =
+                format!("the arm rests, the pendulum swings a little after {waited_s:.1} s");
+            return Ok(CheckResult::pass(NAME, value));
         }
+        width_rad = Some(f64::from(pendulum.width()) * encoders.alpha.rad_per_count());
     }
+    let value = match width_rad {
+        Some(width_rad) => {
+            format!("arm or pendulum still moves, the pendulum by {width_rad:.2} rad")
+        }
+        None => "hardly any sample came".to_owned(),
+    };
+    let remedy = "hold the pendulum until it hangs still, then check again";
+    Ok(CheckResult::fail(NAME, value, remedy))
 }
 
 #[cfg(test)]

@@ -85,9 +85,10 @@ pub enum Defect {
     DeadMotor,
     NoPendulum,
     HeldPendulum,
+    ExchangedEncoders,
 }
 
-pub const DEFECTS: [Defect; 9] = [
+pub const DEFECTS: [Defect; 10] = [
     Defect::ThetaSign,
     Defect::AlphaSign,
     Defect::MotorSign,
@@ -97,6 +98,7 @@ pub const DEFECTS: [Defect; 9] = [
     Defect::DeadMotor,
     Defect::NoPendulum,
     Defect::HeldPendulum,
+    Defect::ExchangedEncoders,
 ];
 
 impl Defect {
@@ -107,7 +109,10 @@ impl Defect {
             Self::AlphaSign => "pendulum-sign",
             Self::MotorSign => "motor-sign",
             Self::DeadArmEncoder => "arm",
-            Self::DeadPendulumEncoder | Self::NoPendulum | Self::HeldPendulum => "pendulum",
+            Self::DeadPendulumEncoder
+            | Self::NoPendulum
+            | Self::HeldPendulum
+            | Self::ExchangedEncoders => "pendulum",
             Self::HeldArm => "stall",
             Self::DeadMotor => "motor",
         }
@@ -124,6 +129,7 @@ impl Defect {
             Self::DeadArmEncoder => rig.fault = Some(EmulatorFault::FrozenTheta { after_s }),
             Self::DeadPendulumEncoder => rig.fault = Some(EmulatorFault::FrozenAlpha { after_s }),
             Self::HeldArm => rig.fault = Some(EmulatorFault::BlockedArm { after_s }),
+            Self::ExchangedEncoders => rig.fault = Some(EmulatorFault::ExchangedEncoders),
             Self::DeadMotor => rig.fault = Some(EmulatorFault::DeadMotor { after_s }),
             Self::NoPendulum | Self::HeldPendulum => {
                 // The encoder's shaft does not turn against the arm. A pendulum that is fixed to
