@@ -40,6 +40,7 @@ mod rig_link_faults;
 mod rig_measured;
 mod rig_other_plant;
 mod rig_switched_off;
+mod rig_wrong_profile;
 mod safety_adversary;
 mod safety_by_type;
 mod safety_limits;

@@ -1,0 +1,51 @@
+//! Tests, in virtual time, what a wrong profile costs: a Qube that moves as its profile does not
+//! predict is guarded as an unknown one from the next rollout on.
+
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::qube::{DomainParameter, Profile};
+use qube_hil::recording::read;
+use qube_hil::rig::{Rig, RigSettings};
+use qube_hil::safety::Limit;
+use qube_hil::session::RolloutPlan;
+use qube_hil::storage::MachineDisk;
+use qube_hil::telemetry::Ending;
+
+/// The endings of three rollouts of a Qube that is `lab` with this factor on one parameter, under
+/// the profile `lab`; each with whether the guard still had the profile when it began.
+fn rollouts(parameter: DomainParameter, factor: f64) -> Vec<(Ending, bool)> {
+    let mut model = Profile::lab().model();
+    model.parameters.set(parameter, factor * model.parameters.get(parameter));
+    let emulator = EmulatorSettings { model, seed: 3, ..EmulatorSettings::default() };
+    let settings = RigSettings { profile: Some(Profile::lab()), ..RigSettings::emulated(emulator) };
+    let rig = Rig::open(&settings, &Default::default()).unwrap();
+    let controller = ClassicalController::new(ClassicalGains::default());
+    let policy = Policy::Classical(controller).to_bytes();
+    let folder = tempfile::tempdir().unwrap();
+    let rollout = |number| {
+        let path = folder.path().join(format!("{number}.mcap"));
+        let header = RolloutPlan::single("test", "test").header();
+        let outcome = rig.rollout(&MachineDisk, &path, header, &policy).unwrap().outcome;
+        let foresight = read(&path).unwrap().header.settings.foresight.unwrap();
+        (outcome.ending, foresight.identified.is_some())
+    };
+    (0..3).map(rollout).collect()
+}
+
+#[test]
+fn a_qube_that_moves_unlike_its_profile_is_guarded_as_an_unknown_one_from_then_on() {
+    let unpredicted = Ending::LeftBox(Limit::Unpredicted);
+    for (parameter, factor, ends_the_trust) in [
+        (DomainParameter::PendulumLength, 1.0, false),
+        (DomainParameter::PendulumLength, 1.3, true),
+        (DomainParameter::RotaryMass, 2.0, true),
+    ] {
+        let rollouts = rollouts(parameter, factor);
+        let because = format!("{parameter:?} times {factor}: {rollouts:?}");
+        let first = rollouts.iter().position(|(ending, _)| *ending == unpredicted);
+        assert_eq!(first.is_some(), ends_the_trust, "{because}");
+        for (number, (_, knows)) in rollouts.iter().enumerate() {
+            assert_eq!(*knows, first.is_none_or(|first| number <= first), "{because}");
+        }
+    }
+}
