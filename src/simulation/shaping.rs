@@ -69,8 +69,10 @@ impl DomainDistribution {
         self
     }
 
-    /// Multiplies every standard deviation and every direction by a factor.
-    fn widened(mut self, factor: f64, family: Family) -> Self {
+    /// Multiplies every standard deviation and every direction by a factor. A standard deviation that
+    /// becomes too large for its mean is reduced to the largest accepted one.
+    #[must_use]
+    pub fn widened(mut self, factor: f64, family: Family) -> Self {
         for quantity in Quantity::all() {
             let own = self.get(quantity);
             if own.standard_deviation() > 0.0 {

@@ -36,9 +36,23 @@ struct Competition {
     missing: u32,
     /// Best policy so far with its score and the Qubes that it was trained for, until it is
     /// written.
-    best: Option<(f64, Trained, TrainedFor)>,
+    best: Option<(Score, Trained, TrainedFor)>,
     /// Times of the candidate's trainings that have ended, also of earlier rounds.
     times: Vec<TrainingTime>,
+}
+
+/// Factor on the errors of an identification that is doubted, in the simulations by which its
+/// policies are compared: what the model lacks makes the Qube differ by more than the fit's errors.
+const DOUBTED_WIDTH: f64 = 2.0;
+
+/// The returns that all but the worst tenth of a policy's fresh simulations reach.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Score {
+    /// In simulations of the identified Qube; a policy above [`SUCCEEDED`] needs no other round.
+    as_identified: f64,
+    /// In the simulations by which policies are compared: those of the identified Qube, but with
+    /// [`DOUBTED_WIDTH`] times its errors if the identification is doubted.
+    compared: f64,
 }
 
 /// A training of a round.
@@ -201,16 +215,17 @@ impl Trainer {
     ) -> Result<Option<f64>, SessionError> {
         let competes = competition.missing > 1 || competition.best.is_some();
         let score = if competes {
-            worst_return(&self.simulated(candidate.number, &trained.network)?)
+            self.score(candidate.number, &trained.network)?
         } else {
             // A candidate's only policy has no competitor: it is written without an evaluation.
-            SUCCEEDED
+            Score { as_identified: SUCCEEDED, compared: SUCCEEDED }
         };
         competition.missing -= 1;
-        if competition.best.as_ref().is_none_or(|(best, ..)| score > *best) {
+        if competition.best.as_ref().is_none_or(|(best, ..)| score.compared > best.compared) {
             competition.best = Some((score, trained, trained_for));
         }
-        let decided = |best: &(f64, Trained, TrainedFor)| best.0 >= SUCCEEDED || is_last;
+        let decided =
+            |(best, ..): &(Score, Trained, TrainedFor)| best.as_identified >= SUCCEEDED || is_last;
         if competition.missing > 0 || !competition.best.as_ref().is_some_and(decided) {
             return Ok(None);
         }
@@ -303,17 +318,42 @@ impl Trainer {
         })
     }
 
+    /// The score of a policy of a candidate.
+    ///
+    /// # Errors
+    /// The base distribution cannot be simulated.
+    fn score(&self, candidate: u32, network: &Network) -> Result<Score, SessionError> {
+        let as_identified = worst_return(&self.simulated(candidate, network)?);
+        let Identification::Found { doubts, .. } = &self.identification else {
+            return Ok(Score { as_identified, compared: as_identified });
+        };
+        if doubts.is_empty() {
+            return Ok(Score { as_identified, compared: as_identified });
+        }
+        let base = self.settings.base_distribution()?;
+        let doubted = base.widened(DOUBTED_WIDTH, self.settings.family);
+        let compared = worst_return(&self.simulated_from(&doubted, candidate, network));
+        Ok(Score { as_identified, compared })
+    }
+
     /// Evaluates a policy of a candidate in fresh simulations from the search's base distribution.
     pub(super) fn simulated(
         &self,
         candidate: u32,
         network: &Network,
     ) -> Result<Evaluation, SessionError> {
-        let settings = &self.settings;
-        let seed = derived_seed(settings.seed, SeedFor::Evaluation { candidate });
-        let simulation = &settings.training.simulation;
-        let distribution = settings.base_distribution()?;
-        Ok(evaluate_on_new_starts(network, &distribution, simulation, seed, CHOSEN_OF_STARTS))
+        Ok(self.simulated_from(&self.settings.base_distribution()?, candidate, network))
+    }
+
+    fn simulated_from(
+        &self,
+        distribution: &DomainDistribution,
+        candidate: u32,
+        network: &Network,
+    ) -> Evaluation {
+        let seed = derived_seed(self.settings.seed, SeedFor::Evaluation { candidate });
+        let simulation = &self.settings.training.simulation;
+        evaluate_on_new_starts(network, distribution, simulation, seed, CHOSEN_OF_STARTS)
     }
 
     fn save(&self, candidate: u32, trained: Trained, origin: Origin) -> Result<(), SessionError> {
@@ -330,6 +370,7 @@ mod tests {
 
     use super::*;
     use crate::jobs::LocalExecutor;
+    use crate::policy::Policy;
     use crate::qube::Profile;
     use crate::session::IdentificationSettings;
     use crate::storage::MachineDisk;
@@ -345,18 +386,33 @@ mod tests {
         }
     }
 
+    /// What a session knows about the Qube of the profile `lab`, with these doubts.
+    fn found(doubts: Vec<String>) -> Identification {
+        let verdict = "fits but for".into();
+        Identification::Found { recordings: 1, verdict, doubts, profiles: Vec::new() }
+    }
+
+    #[test]
+    fn policies_around_a_doubted_fit_are_compared_in_wider_simulations() {
+        let plan = IdentificationSettings::default();
+        let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
+        let settings = settings.around(&plan, &Profile::lab(), &Profile::lab());
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
+        let Ok(Policy::Network(policy)) = Policy::load(&path) else { panic!("a network") };
+        let score = |doubts| trainer(settings.clone(), found(doubts)).score(1, &policy.network);
+        let (sure, doubted) = (score(Vec::new()).unwrap(), score(vec!["play".into()]).unwrap());
+        assert_eq!(sure.compared, sure.as_identified);
+        assert_eq!(doubted.as_identified, sure.as_identified);
+        assert!(doubted.compared < doubted.as_identified - 1.0, "{doubted:?}");
+    }
+
     #[test]
     fn trainings_that_begin_early_are_those_that_the_session_asks_for() {
         let plan = IdentificationSettings::default();
         let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
         let lab = Profile::lab();
         let around = settings.clone().around(&plan, &lab, &lab);
-        let doubted = Identification::Found {
-            recordings: 1,
-            verdict: "fits but for".into(),
-            doubts: vec!["play".into()],
-            profiles: Vec::new(),
-        };
+        let doubted = found(vec!["play".into()]);
         let candidate = |number, purpose, psi| Candidate {
             number,
             purpose,
