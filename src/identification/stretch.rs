@@ -13,6 +13,11 @@ const UPRIGHT_S: f64 = 0.25;
 /// Length of a window of a swing-up whose pendulum is not upright, s.
 const SWINGING_S: f64 = 0.5;
 
+/// Time from the beginning of a recording before which no window begins, s: the longest delay for
+/// which every command that acts in a window is known. A recording does not hold the commands that
+/// were on their way to the motor when it began.
+const UNKNOWN_COMMANDS_S: f64 = 0.04;
+
 /// Time on both sides of a sample over which velocities are differences of angles, s.
 const SLOPE_S: f64 = 0.012;
 
@@ -58,12 +63,13 @@ impl<'a> Stretch<'a> {
     /// Cuts a recording into windows. They last about `hanging_s` if the pendulum never comes
     /// upright, otherwise 0.5 s, or 0.25 s where the pendulum comes upright within 0.5 s.
     /// Neighbouring windows share a sample. A rest shorter than 0.125 s at the end of a recording
-    /// with an upright pendulum is left out.
+    /// with an upright pendulum is left out, and so is the beginning of every recording: see
+    /// [`UNKNOWN_COMMANDS_S`].
     pub fn windows(recording: &'a [MotionSample], hanging_s: f64) -> Vec<Self> {
         if !is_upright(recording) {
             return Self::cut(recording, hanging_s, |_| Regime::Hanging);
         }
-        let (mut windows, mut first) = (Vec::new(), 0);
+        let (mut windows, mut first) = (Vec::new(), first_of_windows(recording));
         while first + 1 < recording.len() {
             let mut end = end_after(recording, first, SWINGING_S);
             let mut regime = regime_in(&recording[first..end]);
@@ -85,8 +91,9 @@ impl<'a> Stretch<'a> {
         duration_s: f64,
         regime: impl Fn(&[MotionSample]) -> Regime,
     ) -> Vec<Self> {
+        let begin = first_of_windows(recording);
         let pieces = (duration_of(recording) / duration_s).round().max(1.0) as usize;
-        let edge = |piece: usize| (recording.len() - 1) * piece / pieces;
+        let edge = |piece: usize| begin + (recording.len() - 1 - begin) * piece / pieces;
         (0..pieces)
             .map(|piece| {
                 let (first, end) = (edge(piece), edge(piece + 1) + 1);
@@ -155,6 +162,16 @@ impl<'a> Stretch<'a> {
     }
 }
 
+/// Index of the sample at which the first window of a recording begins; 0 in a recording that is
+/// hardly longer than [`UNKNOWN_COMMANDS_S`].
+fn first_of_windows(recording: &[MotionSample]) -> usize {
+    if duration_of(recording) < 5.0 * UNKNOWN_COMMANDS_S {
+        return 0;
+    }
+    let known_s = recording[0].time_s + UNKNOWN_COMMANDS_S - 1e-9;
+    recording.partition_point(|sample| sample.time_s < known_s)
+}
+
 /// The regime of samples that belong to a recording whose pendulum comes upright.
 fn regime_in(samples: &[MotionSample]) -> Regime {
     if is_upright(samples) { Regime::Upright } else { Regime::Swinging }
@@ -184,5 +201,27 @@ pub fn duration_of(recording: &[MotionSample]) -> f64 {
     match recording {
         [first, .., last] => last.time_s - first.time_s,
         _ => 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_window_begins_before_the_commands_that_act_in_it_are_known() {
+        for alpha in [0.0, std::f64::consts::PI] {
+            let sample = |index: u32| MotionSample {
+                time_s: 3.0 + 0.01 * f64::from(index),
+                state: State { alpha, ..State::default() },
+                voltage_v: 0.0,
+            };
+            let recording: Vec<MotionSample> = (0..200).map(sample).collect();
+            let windows = Stretch::windows(&recording, 0.5);
+            assert_eq!(windows[0].first, 4);
+            assert!(windows.windows(2).all(|pair| pair[1].first == pair[0].end - 1));
+            // A short one is used whole.
+            assert_eq!(Stretch::windows(&recording[..19], 0.5)[0].first, 0);
+        }
     }
 }

@@ -62,6 +62,30 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
     assert!(told >= 6, "the recordings determine only {told} quantities");
 }
 
+/// A recording does not hold the commands that were on their way when it began, and a late Qube has
+/// two of them.
+#[test]
+fn a_late_qube_with_strong_friction_is_no_other_than_its_model() {
+    let directory = tempfile::tempdir().unwrap();
+    let policy = format!("{}/policies/robust.safetensors", env!("CARGO_MANIFEST_DIR"));
+    for plant in [["--delay-ms", "18"], ["--gap", "1.5"]] {
+        let on = |out: &str, driven: &[&str]| {
+            let where_to = ["--profile", "lab", "--clock", "virtual", "--out", out];
+            qube_hil(directory.path(), &[&["run"], driven, &plant, &where_to].concat());
+        };
+        let (excited, driven) = (format!("excited{}", plant[0]), format!("driven{}", plant[0]));
+        on(&excited, &["--excite", "chirp", "--unidentified"]);
+        on(&driven, &["--policy", &policy, "--guard", "box", "--rollouts", "3"]);
+        let files: Vec<String> = std::iter::once(format!("{excited}/rollout-0.mcap"))
+            .chain((0..3).map(|number| format!("{driven}/rollout-{number}.mcap")))
+            .collect();
+        let mut arguments = vec!["identify", "--json", "--force"];
+        arguments.extend(files.iter().map(String::as_str));
+        let found = json(&qube_hil(directory.path(), &arguments));
+        assert_eq!(found["verdict"], "fits", "{plant:?}: {found}");
+    }
+}
+
 #[test]
 fn an_identification_without_unknowns_is_refused() {
     let directory = tempfile::tempdir().unwrap();
