@@ -5,7 +5,7 @@ the recipe that docs/learning.md recommends. Prints a table for each plant. Need
 usage: scripts/identified-recipe.py [--plants lab,gap,delay,drawn] [--policies N] [--seed S] [--threads T] [--out FOLDER]
 
   lab     profiles/lab.toml, whose delay is 10 ms
-  gap     lab with 1.5 times its friction, dead zones, cable stiffness and delay
+  gap     lab with 1.5 times its friction, dead zones, cable and delay, and parameters 1.5 times as far from nominal
   delay   lab with a delay of 16 ms
   drawn   each number of lab within 10 per cent except gravity, with other numbers for each policy
 
@@ -32,9 +32,7 @@ def table(name, values):
 
 def plant(name, seed):
     parameters, gap = dict(LAB["parameters"]), dict(LAB["gap"])
-    if name == "gap":
-        gap = {key: value if key == "cable_rest_rad" else 1.5 * value for key, value in gap.items()}
-    elif name == "delay":
+    if name == "delay":
         gap["command_delay_s"] = 0.016
     elif name == "drawn":
         draw = random.Random(seed)
@@ -53,11 +51,12 @@ def study(folder, name, seed, policies, threads):
     folder.mkdir(parents=True, exist_ok=True)
     truth, found, qube, recipe = (folder / file for file in ("plant.toml", "found.toml", "qube.toml", "recipe.toml"))
     truth.write_text(plant(name, seed))
+    emulated = ["--profile", truth] + (["--gap", "1.5"] if name == "gap" else [])
     if not found.exists():
         # An earlier run may have left a recording that identifies no Qube, or a part of one.
         shutil.rmtree(folder / "chirp", ignore_errors=True)
-        run("run", "--excite", "chirp", "--unidentified", "--profile", truth, "--clock", "virtual", "--seed", seed,
-            "--out", folder / "chirp")
+        run("run", "--excite", "chirp", "--unidentified", *emulated, "--clock", "virtual", "--seed", seed, "--out",
+            folder / "chirp")
         told = subprocess.run([PROGRAM, "identify", str(folder / "chirp/rollout-0.mcap"), "--out", str(found)],
                               capture_output=True, text=True)
         if told.returncode != 0:
@@ -69,8 +68,7 @@ def study(folder, name, seed, policies, threads):
                       + table("settings.profile.model.gap", profile["gap"]))
     out = folder / "experiment"
     where = ["--resume", out] if out.exists() else [
-        "--out", out, "--recipe", recipe, "--preset", "robust", "--guard", "foresight", "--profile", truth,
-        "--policies", policies, "--rollouts", 5, "--seed", seed]
+        "--out", out, "--recipe", recipe, "--preset", "robust", "--guard", "foresight", *emulated, "--policies", policies, "--rollouts", 5, "--seed", seed]
     # An experiment does not store the profile by which the guard knows the Qube, so it is also given to one that continues.
     run("experiment", *where, "--device", "emulated", "--qube", qube, "--threads", threads)
     told = subprocess.run([PROGRAM, "experiment", "--resume", str(out), "--table", "--csv", str(folder / "policies.csv")],

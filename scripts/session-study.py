@@ -12,18 +12,22 @@ usage: scripts/session-study.py [--plants lab,gap,delay,drawn,play] [--seeds N] 
   play    lab with a backlash of 1 degree between motor and arm, which no simulation of the program has
 
 The columns: the sessions that ended with a verified policy, of all; then, of these, the number whose policy balanced in
-all of its verification rollouts, the mean return, the real rollouts (median and most), the number of sessions whose
-identification doubted the model or failed, and the mean return of the nominal policy in one rollout. A session whose
-result is in FOLDER is not run again; one that failed continues.
+all of its verification rollouts, the mean return, the real rollouts (median and most), the motion of the Qube from
+homed to policy chosen (s, median and most: settling, policy and braking of these real rollouts), the number of sessions
+whose identification doubted the model or failed, the change of the voltage while the policy balances (V a tick, median
+and most), its sign changes (1/s, median and most), and the mean return of the nominal policy in one rollout. A session
+whose result is in FOLDER is not run again; one that failed continues.
 Defaults: all plants, N = 10, S = 3000, M = identified, P = all processors, FOLDER session-study.
 """
 import argparse
+import csv
 import json
 import os
 import pathlib
 import random
 import statistics
 import subprocess
+import tempfile
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
 
@@ -61,6 +65,20 @@ def failure(told):
     return str(told.get("ended_by") or ("" if told.get("best") else "it has no verified policy"))
 
 
+def motion_s(session_folder, candidates):
+    """The time for which the Qube moved in the recordings of these candidates, s: the sum of their last ticks' times."""
+    total_s = 0.0
+    with tempfile.TemporaryDirectory() as tables:
+        for candidate in candidates:
+            recordings = sorted((session_folder / "candidates" / f"{candidate['candidate']:03}").glob("*.mcap"))
+            for recording in recordings:
+                subprocess.run([PROGRAM, "export", str(recording), "--out", tables, "--force"], check=True,
+                               capture_output=True)
+                with open(pathlib.Path(tables) / f"{recording.stem}.csv", newline="") as table:
+                    total_s += float(list(csv.DictReader(table))[-1]["time_s"])
+    return total_s
+
+
 def session(folder, name, method, seed):
     """Runs one session, or reads its result. The result of a session that failed is not stored."""
     result = folder / f"{method}-{name}-{seed}.json"
@@ -83,6 +101,9 @@ def session(folder, name, method, seed):
         "rollouts": len(returns),
         "mean": statistics.mean(returns),
         "real": told["real_rollouts"],
+        "motion_s": motion_s(folder / f"{method}-{name}-{seed}", told["excitations"] + told["candidates"]),
+        "change_v": best["balancing"]["change_v"],
+        "sign_changes_per_s": best["balancing"]["sign_changes_per_s"],
         "doubted": known is not None and known.get("verdict") != "fits",
         "nominal": (told["baseline"] or [{"returns": [float("nan")]}])[0]["returns"][0],
     }
@@ -98,7 +119,8 @@ def main():
     parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("session-study"))
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
-    print("plant  sessions  all balance  mean return  real rollouts: median, most  doubted  nominal", flush=True)
+    print("plant  sessions  all balance  mean return  real rollouts: median, most  motion, s: median, most  doubted  "
+          "V a tick: median, most  sign changes/s: median, most  nominal", flush=True)
     for name in asked.plants.split(","):
         seeds = range(asked.first, asked.first + asked.seeds)
         with ThreadPoolExecutor(asked.parallel) as pool:
@@ -109,11 +131,14 @@ def main():
         if not done:
             continue
         good = sum(it["successes"] == it["rollouts"] for it in done)
-        real = [it["real"] for it in done]
+        real, motion, change, signs = ([it[of] for it in done]
+                                       for of in ("real", "motion_s", "change_v", "sign_changes_per_s"))
         doubted = sum(it["doubted"] for it in done)
         sessions = f"{len(done)} of {len(results)}"
         print(f"{name:6} {sessions:>8}  {good:11}  {statistics.mean(it['mean'] for it in done):11.1f}  "
-              f"{statistics.median(real):21g}, {max(real):4}  {doubted:7}  "
+              f"{statistics.median(real):21g}, {max(real):4}  {statistics.median(motion):17.1f}, {max(motion):4.1f}  "
+              f"{doubted:7}  {statistics.median(change):16.2f}, {max(change):4.2f}  "
+              f"{statistics.median(signs):22.1f}, {max(signs):4.1f}  "
               f"{statistics.mean(it['nominal'] for it in done):7.1f}", flush=True)
 
 
