@@ -274,7 +274,11 @@ impl Default for SessionSettings {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
     use super::*;
+    use crate::learning::{curve_csv, train};
+    use crate::session::file_checksum;
 
     #[test]
     fn the_surrogate_takes_over_when_the_initial_candidates_are_known() {
@@ -290,5 +294,24 @@ mod tests {
             data.push(Observation { point, returns: vec![f64::from(i), f64::from(2 * i)] });
         }
         assert_ne!(next(&settings, &data), next(&random, &data));
+    }
+
+    /// Checksums of the settings' text, and of the policy and the curve of their first two updates.
+    /// Whoever changes them changes the reproduction of the thesis.
+    #[test]
+    fn the_reproduction_of_the_thesis_stays_byte_for_byte_what_it_is() {
+        let settings = SessionSettings::thesis();
+        let text = toml::to_string(&settings).unwrap();
+        let middle = settings.psi.lower().into_iter().zip(settings.psi.upper());
+        let middle: Vec<f64> = middle.map(|(lower, upper)| 0.5 * (lower + upper)).collect();
+        let psi = settings.psi.psi(&middle).unwrap();
+        let distribution = settings.distribution(&psi).unwrap();
+        let simulation = settings.simulation(&psi);
+        let training = TrainSettings { updates: 2, simulation, ..settings.training };
+        let going = AtomicBool::new(false);
+        let trained = train(&distribution, &training, 1, None, &going, |_| {}).unwrap();
+        let result = format!("{:?}{}", trained.final_network, curve_csv(&trained.curve));
+        let checksums = [text, result].map(|it| file_checksum(it.as_bytes()));
+        assert_eq!(checksums, ["4e4ea45622bbbab1", "a3a95b5a3e850a9d"]);
     }
 }
