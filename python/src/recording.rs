@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyString};
-use qube_hil::qube::{Measurement, RAD_PER_COUNT};
+use qube_hil::qube::Measurement;
 use qube_hil::recording::{Completeness, Recording, read};
 use qube_hil::scoring::return_of;
 use qube_hil::telemetry::{Phase, TickRecord};
@@ -66,8 +66,9 @@ fn columns<'py>(py: Python<'py>, recording: &Recording) -> PyResult<Bound<'py, P
     let angles = |tick: &TickRecord| tick.measurement.map(|sample| calibration.angles_rad(&sample));
     column!("measured_theta_rad", |tick| angles(tick).map_or(f64::NAN, |(theta, _)| theta));
     column!("measured_alpha_rad", |tick| angles(tick).map_or(f64::NAN, |(_, alpha)| alpha));
-    let rad_s = |sample: &Measurement| f64::from(sample.tachometer_counts_s) * RAD_PER_COUNT;
-    column!("tachometer_rad_s", sampled(rad_s));
+    let tachometer =
+        |tick: &TickRecord| tick.measurement.map(|sample| calibration.tachometer_rad_s(&sample));
+    column!("tachometer_rad_s", |tick| tachometer(tick).unwrap_or(f64::NAN));
     column!("current_a", sampled(|sample| sample.current_a.into()));
     column!("applied_v", sampled(|sample| f64::from(sample.applied_mv) / 1000.0));
     let sample_to_act = |sample: &Measurement| sample.sample_to_act_us.map_or(f64::NAN, f64::from);

@@ -48,6 +48,14 @@ impl Calibration {
         )
     }
 
+    /// The arm's velocity by the device's tachometer, rad/s.
+    #[must_use]
+    pub fn tachometer_rad_s(&self, measurement: &Measurement) -> f64 {
+        let rad_per_count = self.encoders.theta.rad_per_count();
+        let rad_per_count = if self.theta_inverted { -rad_per_count } else { rad_per_count };
+        f64::from(measurement.tachometer_counts_s) * rad_per_count
+    }
+
     /// The arm encoder's count that is nearest to an angle, rad.
     #[must_use]
     pub fn theta_counts_at(&self, theta_rad: f64) -> i32 {
@@ -70,7 +78,26 @@ impl Calibration {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::RAD_PER_COUNT;
+    use crate::qube::{PlantModel, RAD_PER_COUNT};
+
+    #[test]
+    fn the_tachometer_agrees_with_the_angles_of_any_encoder_either_way_round() {
+        let furuta = PlantModel::parse(include_str!("../../plants/furuta-130.toml")).unwrap();
+        for (theta_inverted, encoders) in
+            [false, true].into_iter().flat_map(|it| [(it, Encoders::QUBE), (it, furuta.encoders)])
+        {
+            let calibration = Calibration { theta_inverted, encoders, ..Calibration::IDENTITY };
+            // The arm moves by 500 counts within a second.
+            let sample = |theta_counts| Measurement {
+                theta_counts,
+                tachometer_counts_s: 500,
+                ..Measurement::default()
+            };
+            let (before, now) = (sample(700), sample(1200));
+            let moved_rad = calibration.angles_rad(&now).0 - calibration.angles_rad(&before).0;
+            assert!((calibration.tachometer_rad_s(&now) - moved_rad).abs() < 1e-12);
+        }
+    }
 
     #[test]
     fn counts_and_angles_of_the_arm_agree_either_way_round() {
