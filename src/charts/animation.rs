@@ -36,7 +36,7 @@ const STYLE: &str = "text{font:13px system-ui,'Noto Sans',Arial,sans-serif;fill:
 #[must_use]
 pub fn animation_svg(title: &str, log: &MotionLog) -> String {
     let frames = frames(log);
-    let duration_s = frames.len().max(2) as f64 / FRAMES_PER_S;
+    let duration_s = duration_s(&frames);
     let (width, height) = SIZE;
     let mut svg = String::new();
     let _ = write!(
@@ -68,6 +68,12 @@ fn frames(log: &MotionLog) -> Vec<State> {
             state
         })
         .collect()
+}
+
+/// Time from the first frame to the last, between which a browser spreads all values evenly; that of
+/// one frame where there is no more.
+fn duration_s(frames: &[State]) -> f64 {
+    (frames.len().max(2) - 1) as f64 / FRAMES_PER_S
 }
 
 fn draw_pendulum(svg: &mut String, log: &MotionLog, frames: &[State], duration_s: f64) {
@@ -155,12 +161,11 @@ fn draw_angles(svg: &mut String, frames: &[State], duration_s: f64) {
             points.trim_end()
         );
     }
-    let end_s = (frames.len().max(2) - 1) as f64 / FRAMES_PER_S;
     let bottom = top + height + 22.0;
     let _ = write!(
         svg,
         "<text x=\"{left}\" y=\"{:.0}\"><tspan class=\"dt\">θ, the arm</tspan> and <tspan class=\"d\">α, the pendulum</tspan> [rad]</text>\
-         <text x=\"{left}\" y=\"{bottom}\">0</text><text x=\"{:.0}\" y=\"{bottom}\" text-anchor=\"end\">{end_s:.0} s</text>\
+         <text x=\"{left}\" y=\"{bottom}\">0</text><text x=\"{:.0}\" y=\"{bottom}\" text-anchor=\"end\">{duration_s:.0} s</text>\
          <text x=\"{:.0}\" y=\"{bottom}\" text-anchor=\"middle\">time</text>",
         top - 18.0,
         left + width,
@@ -211,7 +216,7 @@ mod tests {
         let svg = animation_svg("a < b", &log(6.0));
         assert!(svg.starts_with("<svg") && svg.contains("a &lt; b"));
         assert!(svg.len() < 40_000, "{}", svg.len());
-        assert_eq!(svg.matches("dur=\"6.04s\"").count(), 10);
+        assert_eq!(svg.matches("dur=\"6s\"").count(), 10);
         let values = svg.split("attributeName=\"cy\"").nth(1).unwrap().split('"').nth(5).unwrap();
         assert_eq!(values.split(';').count(), 151);
         // The pendulum is upright, so its end is above the arm.
