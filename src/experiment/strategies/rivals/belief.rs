@@ -7,7 +7,7 @@ use super::space::Space;
 
 /// A rival's belief about a Qube after some recordings, in the coordinates of a [`Space`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(from = "Written", into = "Written")]
+#[serde(try_from = "Written", into = "Written")]
 pub enum Belief {
     /// Nothing has been learnt.
     Unknown,
@@ -43,6 +43,25 @@ impl Belief {
         }
     }
 
+    /// Returns the belief if it has as many coordinates as the space.
+    ///
+    /// # Errors
+    /// Names the two numbers if they differ.
+    pub fn within(self, space: &Space) -> Result<Self, String> {
+        let own = match &self {
+            Self::Unknown => None,
+            Self::Gaussian(gaussian) => Some(gaussian.mean.len()),
+            Self::Points(points) => points.first().map(DVector::len),
+        };
+        match own {
+            Some(own) if own != space.dimensions() => Err(format!(
+                "the belief has {own} coordinates, and the plant has {}: the file is damaged",
+                space.dimensions()
+            )),
+            _ => Ok(self),
+        }
+    }
+
     /// The normal distribution with the mean and covariance of the belief.
     pub fn gaussian(&self, space: &Space) -> Gaussian {
         match self {
@@ -68,28 +87,40 @@ impl From<Belief> for Written {
     }
 }
 
-impl From<Written> for Belief {
-    fn from(written: Written) -> Self {
-        match written {
+impl TryFrom<Written> for Belief {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Self, Self::Error> {
+        Ok(match written {
             Written::Unknown => Self::Unknown,
             Written::Gaussian { mean, covariance } => {
-                let size = mean.len();
-                let entry = |row: usize, column: usize| {
-                    covariance.get(column * size + row).copied().unwrap_or_default()
-                };
-                let covariance = DMatrix::from_fn(size, size, entry);
+                let (size, entries) = (mean.len(), covariance.len());
+                if size.checked_mul(size) != Some(entries) {
+                    return Err(format!(
+                        "the covariance has {entries} entries, and the mean has {size}: the file is damaged"
+                    ));
+                }
+                let covariance = DMatrix::from_vec(size, size, covariance);
                 Self::Gaussian(Gaussian { mean: DVector::from_vec(mean), covariance })
             }
             Written::Points(points) => {
+                if let Some(other) = points.iter().find(|point| point.len() != points[0].len()) {
+                    return Err(format!(
+                        "one point has {} entries, and another has {}: the file is damaged",
+                        points[0].len(),
+                        other.len()
+                    ));
+                }
                 Self::Points(points.into_iter().map(DVector::from_vec).collect())
             }
-        }
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::PlantModel;
 
     #[test]
     fn a_written_belief_reads_back_the_same() {
@@ -102,5 +133,23 @@ mod tests {
             let text = serde_json::to_string(&belief).unwrap();
             assert_eq!(serde_json::from_str::<Belief>(&text).unwrap(), belief);
         }
+    }
+
+    #[test]
+    fn a_belief_of_another_length_than_its_own_is_refused() {
+        for text in [
+            r#"{"gaussian":{"mean":[1.0,0.1],"covariance":[2.0,0.3,0.3]}}"#,
+            r#"{"gaussian":{"mean":[1.0,0.1],"covariance":[2.0,0.3,0.3,1.0,0.0]}}"#,
+            r#"{"gaussian":{"mean":[],"covariance":[1.0]}}"#,
+            r#"{"points":[[0.1,2.0],[0.1]]}"#,
+        ] {
+            let refused = serde_json::from_str::<Belief>(text).unwrap_err().to_string();
+            assert!(refused.contains("the file is damaged"), "{refused}");
+        }
+        let space = Space::of_unknown(&PlantModel::QUBE);
+        let own = Belief::Points(vec![DVector::zeros(space.dimensions())]);
+        assert_eq!(own.clone().within(&space), Ok(own));
+        let longer = Belief::Points(vec![DVector::zeros(space.dimensions() + 1)]);
+        assert!(longer.within(&space).unwrap_err().contains("the file is damaged"));
     }
 }

@@ -117,10 +117,12 @@ impl<'a> FromRival<'a> {
         }
         let path = self.run.folder.join(format!("belief-{recordings}.json"));
         if MachineDisk.exists(&path) {
-            let stored = serde_json::from_str(&read(&path)?);
+            let stored = serde_json::from_str::<Belief>(&read(&path)?);
+            let stored = stored.map_err(|error| error.to_string());
             return stored
+                .and_then(|belief| belief.within(&self.space))
                 .map(Some)
-                .map_err(|error| ExperimentError::Settings { path, reason: error.to_string() });
+                .map_err(|reason| ExperimentError::Settings { path, reason });
         }
         if !self.run.access.works() {
             return Ok(None);
