@@ -168,9 +168,13 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
     let path = directory.path().join("mine/session.toml");
     let whole = std::fs::read_to_string(&path).unwrap();
-    let other_seed = whole.replacen("seed = 0", "seed = 1", 1);
-    assert_ne!(other_seed, whole);
-    for changed in ["", &other_seed] {
+    // The session has the seed 5, and its emulated Qube the seed 0.
+    let with_other_seed = |seed: &str| {
+        let changed = whole.replacen(seed, "seed = 1", 1);
+        assert_ne!(changed, whole);
+        changed
+    };
+    for changed in ["", &with_other_seed("seed = 5"), &with_other_seed("seed = 0")] {
         std::fs::write(&path, changed).unwrap();
         let (code, told) = resume(directory.path(), "mine");
         assert_eq!(code, Some(2), "{told}");
