@@ -500,6 +500,24 @@ mod tests {
     }
 
     #[test]
+    fn the_names_in_place_of_a_misspelt_key_are_the_present_ones() {
+        for (text, present, earlier) in [
+            (
+                "[training]\nupdate = 8\n",
+                ["num_envs", "gae_lambda", "target_return"].as_slice(),
+                ["pendulums", "trace_decay", "enough"].as_slice(),
+            ),
+            ("[safety_box]\nbeta = 8\n", &["theta_rad", "alpha_dot_rad_s"], &["theta", "alpha"]),
+            ("[training.simulation.reward]\nbeta = 8\n", &["theta", "alpha_dot"], &[]),
+        ] {
+            let message = overridden(text).unwrap_err().to_string();
+            let lists = |name: &&str| message.contains(&format!("`{name}`"));
+            assert!(present.iter().all(lists), "{message}");
+            assert!(!earlier.iter().any(lists), "{message}");
+        }
+    }
+
+    #[test]
     fn a_new_session_has_its_rigs_from_the_command_line_alone() {
         let rig = SharedRig {
             device: "emulated".into(),
@@ -522,7 +540,7 @@ mod tests {
             ("[training]\nupdates = 0\n", 2, "training.updates = 0"),
             ("[training]\n\nlearning_rate = nan\n", 3, "training.learning_rate = NaN"),
             ("training.discount = 7.0\n", 1, "training.discount = 7"),
-            ("seed = 1\n[training]\npendulums = 0\n", 3, "training.num_envs = 0"),
+            ("seed = 1\n[training]\npendulums = 0\n", 3, "training.pendulums = 0"),
             ("[training]\nnum_envs = 20\n", 2, "training.num_envs"),
             ("seed = 1\nmodel = \"opt-profile\"\n", 2, "model = \"opt-profile\""),
             (
@@ -532,7 +550,7 @@ mod tests {
             ),
             ("[extent]\niterations = 4000000000\n", 2, "extent.iterations = 4000000000"),
             ("[extent]\nrepetitions = 4000000000\n", 2, "extent.repetitions = 4000000000"),
-            ("seed = 1\n[safety_box]\ntheta = 1e300\n", 3, "safety_box.theta_rad"),
+            ("seed = 1\n[safety_box]\ntheta = 1e300\n", 3, "safety_box.theta = "),
             ("[safety_box]\ntheta_dot_rad_s = 99.0\n", 2, "safety_box.theta_dot_rad_s = 99"),
             (
                 "training = { simulation = { sensors = { type = \"encoders\",\n\

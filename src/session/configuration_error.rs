@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-use super::retired::earlier_name;
+use super::retired::{earlier_name, with_present_names};
 use crate::qube::{key_of_message, line_of_key};
 use crate::storage::WriteError;
 
@@ -18,7 +18,7 @@ pub enum ConfigurationError {
         source: std::io::Error,
     },
     /// The file is not TOML, has an unknown key, or a value of the wrong type.
-    #[error("{path}: {}", source.to_string().trim_end())]
+    #[error("{path}: {}", with_present_names(source))]
     Invalid {
         /// Path of the file.
         path: PathBuf,
@@ -44,19 +44,31 @@ pub enum ConfigurationError {
 }
 
 impl ConfigurationError {
-    /// Adds the line of the wrong value to an error about a range; other errors stay as they are.
+    /// Adds the line of the wrong value to an error about a range, and names the value as the file
+    /// does, which may be by an earlier name or without a unit; other errors stay as they are.
     /// `text` is the content of the file, and `above` the prefix of the value's key in it, with the
     /// dot at its end.
     #[must_use]
     pub fn located(self, text: &str, above: &str) -> Self {
         match self {
             Self::OutOfRange { path, line, reason } => {
-                let key = format!("{above}{}", key_of_message(&reason));
-                // A file may name a limit without its unit, or a setting by its earlier name.
-                let is_named =
-                    |name: &str, part: &str| name == part || Some(name) == earlier_name(part);
-                let line = line.or_else(|| line_of_key(text, &key, is_named));
-                Self::OutOfRange { path, line, reason }
+                let key = key_of_message(&reason);
+                let line_of = |key: &str| {
+                    line_of_key(text, &format!("{above}{key}"), |name, part| name == part)
+                };
+                if let Some(line) = line.or_else(|| line_of(key)) {
+                    return Self::OutOfRange { path, line: Some(line), reason };
+                }
+                let earlier: Vec<&str> =
+                    key.split('.').map(|part| earlier_name(part).unwrap_or(part)).collect();
+                let earlier = earlier.join(".");
+                match line_of(&earlier) {
+                    Some(line) => {
+                        let reason = reason.replacen(key, &earlier, 1);
+                        Self::OutOfRange { path, line: Some(line), reason }
+                    }
+                    None => Self::OutOfRange { path, line: None, reason },
+                }
             }
             other => other,
         }

@@ -64,6 +64,7 @@ pub use power_test::{PowerTest, UsbLost, power_warning};
 pub use profiles::identified_profile;
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use report::{BestPolicy, SessionReport};
+pub(crate) use retired::with_present_names;
 pub use retired::{Retired, take_retired};
 pub use rig_sessions::{RigSessions, run_side_by_side};
 pub use rig_spread::rig_of_rollout;

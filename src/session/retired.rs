@@ -81,6 +81,23 @@ pub(super) fn rename_entries(settings: &mut DeTable<'_>) {
     }
 }
 
+/// The message of an error about TOML. Where it lists the names that are expected in place of an
+/// unknown one, the list has no earlier name beside the present one.
+pub(crate) fn with_present_names(error: &toml::de::Error) -> String {
+    let message = error.to_string().trim_end().to_owned();
+    let before = ", expected one of ";
+    let Some((above, list)) = message.rsplit_once(before) else { return message };
+    let listed: Vec<&str> = list.split(", ").collect();
+    let is_earlier = |name: &str| {
+        let mut names = RENAMED.into_iter().flat_map(|(_, names)| names);
+        names.any(|(earlier, present)| {
+            name == format!("`{earlier}`") && listed.contains(&format!("`{present}`").as_str())
+        })
+    };
+    let present: Vec<&str> = listed.iter().copied().filter(|name| !is_earlier(name)).collect();
+    format!("{above}{before}{}", present.join(", "))
+}
+
 /// The earlier name of an entry, if it has one.
 pub(super) fn earlier_name(present: &str) -> Option<&'static str> {
     let mut names = RENAMED.into_iter().flat_map(|(_, names)| names);

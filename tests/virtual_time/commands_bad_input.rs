@@ -61,7 +61,7 @@ fn configurations_that_are_none() {
     session("[training]\nupdates = \"many\"\n", &["my.toml", "line 2"]);
     session("[training]\nupdates = 0\n", &["my.toml, line 2: training.updates = 0"]);
     session("[extent]\niterations = 4000000000\n", &["my.toml, line 2: extent.iterations"]);
-    session("[safety_box]\ntheta = 1e300\n", &["my.toml, line 2: safety_box.theta_rad = 1e300: "]);
+    session("[safety_box]\ntheta = 1e300\n", &["my.toml, line 2: safety_box.theta = 1e300: "]);
     let recipe = "name = \"mine\"\nmodel = \"nominal\"\n[settings.training]\ndiscount = 7.0\n";
     std::fs::write(&path, recipe).unwrap();
     let arguments = ["experiment", "--recipe", "my.toml", "--out", "session"];
