@@ -58,6 +58,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
     match node.operator {
         "Identity" | "Flatten" | "Expand" | "Reshape" => Ok((None, first)),
         "Cast" if node.is_cast_to_float() => Ok((None, first)),
+        "Cast" => Err(refused("to another type than float and double")),
         "Gemm" => {
             let by_default = node.integer("transA", 0) == 0
                 && node.number("alpha", 1.0) == 1.0
@@ -120,6 +121,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
         "Elu" if node.number("alpha", 1.0) == 1.0 => {
             Ok((Some(Step::Activation(Activation::Elu)), first))
         }
+        "Elu" => Err(refused("with another alpha than 1")),
         // Since version 11 of the operators the bounds are inputs; before, they are attributes.
         "Clip" => {
             let bound = |index: usize, name: &str, open: f32| match node.inputs.get(index) {
@@ -147,6 +149,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
             };
             Ok((Some(Step::Clipped { lower, upper }), other))
         }
+        "Max" | "Min" => Err(refused("with another number of inputs than 2")),
         operator => Err(ImportError::Operator { operator: operator.to_owned() }),
     }
 }

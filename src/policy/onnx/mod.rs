@@ -67,8 +67,7 @@ pub enum ImportError {
         /// Number of outputs.
         outputs: usize,
     },
-    /// An operator is unknown, or has an alpha, a type or a number of inputs that this program does
-    /// not know.
+    /// An operator is unknown.
     #[error(
         "has the operator {operator}, which this program does not know: it knows Gemm and MatMul; Tanh, Relu, Elu with alpha 1 \
          and Sigmoid times its input (Silu) between layers, Tanh after the last one; Add, Sub, Mul, Div, Max, Min and Clip with \

@@ -213,6 +213,20 @@ fn what_this_program_does_not_know_is_refused_by_name() {
 }
 
 #[test]
+fn a_known_operator_with_another_attribute_is_refused_by_its_attribute() {
+    let (_, bytes) = MODELS[1];
+    // The name of the attribute, and the tag of its value.
+    let attribute = b"alpha\x15";
+    let at = bytes.windows(attribute.len()).position(|window| window == attribute).unwrap();
+    let value = at + attribute.len()..at + attribute.len() + 4;
+    let mut changed = bytes.to_vec();
+    assert_eq!(changed[value.clone()], 1.0_f32.to_le_bytes());
+    changed[value].copy_from_slice(&2.0_f32.to_le_bytes());
+    let refused = Layers::from_onnx(&changed).unwrap_err().to_string();
+    assert_eq!(refused, "has the operator Elu with another alpha than 1");
+}
+
+#[test]
 fn no_damage_of_a_file_panics() {
     let own = policies().nth(2).map(|policy| to_onnx(&policy)).unwrap();
     for bytes in MODELS.map(|(_, bytes)| bytes).into_iter().chain([own.as_slice()]) {
