@@ -4,7 +4,7 @@
 use crate::recording::{RecordingError, Unreadable};
 use crate::rig::RigSettings;
 use crate::safety::{Guard, HardwareRefusal, Limit};
-use crate::session::{Drift, PowerTest, UsbLost, power_warning};
+use crate::session::{Drift, PowerTest, PowerWarning, power_warning};
 use crate::telemetry::{CheckResult, Fault};
 
 /// The command that helps after a fault; `None` if there is none.
@@ -89,12 +89,15 @@ pub fn drift(drift: &Drift) -> String {
 /// The warning before the program drives a real Qube whose motor may keep its voltage when the
 /// board loses power; `None` if the motor is known to go off. If its reaction is unknown, the warning
 /// names the command that finds it out.
-pub fn before_driving(power: Option<&PowerTest>) -> Option<String> {
-    let warning = power_warning(power)?;
-    Some(match power.map(|power| power.usb_lost) {
-        Some(UsbLost::MotorOff | UsbLost::KeepsVoltage) => warning.into(),
-        Some(UsbLost::Unknown) | None => {
-            format!("{warning} with qube-hil check --device PORT --power-test")
+pub fn before_driving(power: Option<&PowerTest>) -> Option<&'static str> {
+    Some(match power_warning(power)? {
+        PowerWarning::KeepsVoltage => {
+            "this Qube's motor keeps its last voltage when the board loses power: keep a hand at the \
+             Qube's own switch"
+        }
+        PowerWarning::Unknown => {
+            "it is not known how this Qube's motor behaves when the board loses power: keep a hand at the \
+             Qube's own switch, and test it once with qube-hil check --device PORT --power-test"
         }
     })
 }

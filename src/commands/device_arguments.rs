@@ -454,7 +454,7 @@ impl ChosenDevice {
 
     /// The warning before driving a real Qube whose motor is not known to go off when its board
     /// loses power; `None` for every other Qube.
-    pub fn power_warning(&self) -> Option<String> {
+    pub fn power_warning(&self) -> Option<&'static str> {
         let power = self.file.as_ref().and_then(QubeFile::power);
         before_driving(power).filter(|_| self.choice.is_hardware())
     }

@@ -311,7 +311,8 @@ pub fn warnings(
     let needs_advice = settings.identification.is_none();
     let guard = settings.safety_box.guard;
     let advice = needs_advice.then(|| unidentified(rig, guard)).flatten();
-    device.power_warning().into_iter().chain(advice).collect()
+    let warning = device.power_warning().map(str::to_owned);
+    warning.into_iter().chain(advice).collect()
 }
 
 /// The results of a session as text and as JSON, and its outcome. Writes the report into the

@@ -60,7 +60,7 @@ pub use library_watchdog::LibraryWatchdog;
 pub use orchestrator::{Session, keep_on_board};
 pub use paths::{PolicyPaths, SessionPaths, recording_in};
 pub use plan::{CandidateCounts, Step, next_step, trains_ahead};
-pub use power_test::{PowerTest, UsbLost, power_warning};
+pub use power_test::{PowerTest, PowerWarning, UsbLost, power_warning};
 pub use profiles::identified_profile;
 pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
 pub use report::{BestPolicy, SessionReport};

@@ -23,7 +23,7 @@ pub enum UsbLost {
     #[serde(rename = "motor off")]
     MotorOff,
     /// The motor keeps its last voltage.
-    #[serde(rename = "motor keeps its word")]
+    #[serde(rename = "motor keeps its voltage", alias = "motor keeps its word")]
     KeepsVoltage,
     /// The operator could not tell.
     #[serde(rename = "unknown")]
@@ -47,21 +47,23 @@ impl PowerTest {
     }
 }
 
-/// The warning that is shown before a real Qube is driven, by the result of the Qube's power test.
-/// It is `None` if the motor is known to go off without its board. Without a known result it ends
-/// in "test it once", after which a command can name the test.
+/// The reason for a warning before a real Qube is driven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PowerWarning {
+    /// The motor keeps its last voltage when the board loses power.
+    KeepsVoltage,
+    /// It is not known how the motor behaves then.
+    Unknown,
+}
+
+/// The warning that the result of a Qube's power test calls for; `None` if the motor is known to go
+/// off without its board.
 #[must_use]
-pub fn power_warning(power: Option<&PowerTest>) -> Option<&'static str> {
+pub fn power_warning(power: Option<&PowerTest>) -> Option<PowerWarning> {
     match power.map(|power| power.usb_lost) {
         Some(UsbLost::MotorOff) => None,
-        Some(UsbLost::KeepsVoltage) => Some(
-            "this Qube's motor keeps its last voltage when the board loses power: keep a hand at the \
-             Qube's own switch",
-        ),
-        Some(UsbLost::Unknown) | None => Some(
-            "it is not known how this Qube's motor behaves when the board loses power: keep a hand at the \
-             Qube's own switch, and test it once",
-        ),
+        Some(UsbLost::KeepsVoltage) => Some(PowerWarning::KeepsVoltage),
+        Some(UsbLost::Unknown) | None => Some(PowerWarning::Unknown),
     }
 }
 
@@ -76,7 +78,18 @@ mod tests {
             power_warning(Some(&PowerTest { usb_lost, date, board }))
         };
         assert_eq!(known(UsbLost::MotorOff), None);
-        assert!(known(UsbLost::KeepsVoltage).unwrap().contains("keeps its last voltage"));
-        assert_eq!(known(UsbLost::Unknown), power_warning(None));
+        assert_eq!(known(UsbLost::KeepsVoltage), Some(PowerWarning::KeepsVoltage));
+        assert_eq!(known(UsbLost::Unknown), Some(PowerWarning::Unknown));
+        assert_eq!(power_warning(None), Some(PowerWarning::Unknown));
+    }
+
+    #[test]
+    fn a_result_is_read_in_its_earlier_words_too() {
+        for words in ["motor keeps its voltage", "motor keeps its word"] {
+            let read: UsbLost = serde_json::from_str(&format!("{words:?}")).unwrap();
+            assert_eq!(read, UsbLost::KeepsVoltage);
+        }
+        let written = serde_json::to_string(&UsbLost::KeepsVoltage).unwrap();
+        assert_eq!(written, "\"motor keeps its voltage\"");
     }
 }

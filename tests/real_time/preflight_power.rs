@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use qube_hil::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Finger};
 use qube_hil::qube::State;
-use qube_hil::session::{QubeFile, UsbLost, power_warning};
+use qube_hil::session::{PowerWarning, QubeFile, UsbLost, power_warning};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -128,12 +128,15 @@ fn a_board_that_dies_and_a_motor_that_goes_on_are_written_down_and_warned_of() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let (_connected, result) = pulled(directory.path(), "y");
-        assert_eq!(result["power_test"]["power"]["usb_lost"], "motor keeps its word", "{result}");
+        assert_eq!(
+            result["power_test"]["power"]["usb_lost"], "motor keeps its voltage",
+            "{result}"
+        );
         assert_eq!(result["passed"], true, "{result}");
         assert!(result["checks"].as_array().is_some_and(|checks| checks.len() > 10), "{result}");
         let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
         assert_eq!(file.power.as_ref().unwrap().usb_lost, UsbLost::KeepsVoltage);
-        assert!(power_warning(file.power.as_ref()).unwrap().contains("keeps its last voltage"));
+        assert_eq!(power_warning(file.power.as_ref()), Some(PowerWarning::KeepsVoltage));
     });
 }
 
