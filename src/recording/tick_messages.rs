@@ -21,7 +21,7 @@ pub(super) struct MeasurementMessage {
     alpha_counts: i32,
     /// Angle of the arm, rad.
     theta_rad: f64,
-    /// Angle of the pendulum, rad; 0 hangs, pi stands.
+    /// Angle of the pendulum, rad; 0 hanging, +-pi upright.
     alpha_rad: f64,
     /// The arm's velocity by the device's tachometer, counts/s.
     tachometer_counts_s: i32,
@@ -70,7 +70,7 @@ pub(super) struct StateMessage {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "f64")]
     theta_rad: Option<f64>,
-    /// Angle of the pendulum, rad; 0 hangs, pi stands.
+    /// Angle of the pendulum, rad; 0 hanging, +-pi upright.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "f64")]
     alpha_rad: Option<f64>,
@@ -88,17 +88,17 @@ pub(super) struct StateMessage {
     not_finite: Option<String>,
 }
 
-/// What the controller asked for and what was sent.
+/// Voltage that the controller requested, and the voltage that was sent.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[schemars(title = "qube.Command")]
 pub(super) struct CommandMessage {
-    /// What the controller asked for, V, before any limit; absent while the last one was held over.
+    /// Voltage that the controller requested, V, before any limit; absent while the last one was held over.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "f64")]
     wanted_v: Option<f64>,
-    /// What was sent, V.
+    /// Voltage that was sent, V.
     voltage_v: f64,
-    /// What was sent, mV, exactly.
+    /// Voltage that was sent, mV, exactly.
     voltage_mv: i16,
     /// Bits of the numbers that are not finite, by name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -106,7 +106,7 @@ pub(super) struct CommandMessage {
     not_finite: Option<String>,
 }
 
-/// What the tick was doing; once more at the end with how the rollout ended.
+/// Phase of the tick; the last message also has the ending.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[schemars(title = "qube.Safety")]
 pub(super) struct SafetyMessage {
