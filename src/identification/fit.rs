@@ -4,7 +4,7 @@ use std::thread;
 use nalgebra::{DMatrix, DVector, Matrix4, SVector};
 
 use super::Unknown;
-use super::offsets::{Local, Offset, Scatter, recordings};
+use super::offsets::{HomingOffset, Offset, Scatter, recordings};
 use super::residuals::{Noise, Residual, noise_of, robust_cost, robust_weight};
 use super::sensitivity::{STARTS, linearised};
 use super::stretch::{Regime, Stretch};
@@ -35,7 +35,7 @@ const LEAST_DETERMINED: f64 = 0.01;
 /// stretch has its own start state, and each regime its own scale and correlation in time of the
 /// residuals. A stretch that the model explains much worse than others of its regime loses weight.
 /// With [`Fit::with_offsets`], each recording has its own zero of the pendulum's angle, and may
-/// have its own rest angle of the cable ([`Fit::locals`]).
+/// have its own rest angle of the cable ([`Fit::quantities`]).
 #[derive(Clone, Debug)]
 pub(super) struct Fit<'a> {
     pub unknowns: &'a [Unknown],
@@ -83,7 +83,7 @@ impl<'a> Fit<'a> {
 
     /// Lets each recording have its own offsets, whose scatter begins at [`Scatter::likely`].
     pub fn with_offsets(self) -> Self {
-        Self { scatter: Some(Scatter::likely(self.plant.encoders)), ..self }
+        Self { scatter: Some(Scatter::prior(self.plant.encoders)), ..self }
     }
 
     /// A fit of other unknowns over other stretches, with the model, noise and offsets of this fit.
@@ -131,21 +131,23 @@ impl<'a> Fit<'a> {
     /// The quantities that are estimated for each recording. The rest angle of the cable is one of
     /// them only if it is an unknown and there are several recordings: the rest angle of a single
     /// recording is the unknown itself.
-    pub fn locals(&self) -> &'static [Local] {
+    pub fn homing_offsets(&self) -> &'static [HomingOffset] {
         let rest = Unknown::from(Nonideality::CableRest);
         match self.scatter {
             None => &[],
-            Some(_) if self.offsets.len() > 1 && self.unknowns.contains(&rest) => &Local::ALL,
-            Some(_) => &[Local::AlphaZero],
+            Some(_) if self.offsets.len() > 1 && self.unknowns.contains(&rest) => {
+                &HomingOffset::ALL
+            }
+            Some(_) => &[HomingOffset::AlphaZero],
         }
     }
 
     /// The scatter of the estimated offsets; 0 for other offsets and for a single recording.
     pub fn own_scatter(&self) -> Scatter {
         let mut own = Scatter::default();
-        for &local in self.locals() {
+        for &quantity in self.homing_offsets() {
             if let (Some(scatter), true) = (self.scatter, self.offsets.len() > 1) {
-                own.set(local, scatter.get(local));
+                own.set(quantity, scatter.get(quantity));
             }
         }
         own
@@ -154,8 +156,8 @@ impl<'a> Fit<'a> {
     /// The scatter of the offsets that makes the recordings most likely, with motions taken as
     /// linear in the unknowns (MacKay's update of a prior's width).
     fn scatter_of(&self, before: Scatter) -> Scatter {
-        let (locals, count) = (self.locals(), self.unknowns.len());
-        let total = count + self.offsets.len() * locals.len();
+        let (quantities, count) = (self.homing_offsets(), self.unknowns.len());
+        let total = count + self.offsets.len() * quantities.len();
         let mut information = DMatrix::zeros(total, total);
         let mut gradient = DVector::zeros(total);
         for ((own, pull), &recording) in self.reduced().iter().zip(&self.recording) {
@@ -167,14 +169,14 @@ impl<'a> Fit<'a> {
             let (prior, pull) = self.priors(scatter);
             let Some(covariance) = (&information + prior).try_inverse() else { break };
             let change = -(&covariance * (&gradient + pull));
-            for (place, &local) in locals.iter().enumerate() {
+            for (place, &quantity) in quantities.iter().enumerate() {
                 let (mut squares, mut determined) = (0.0, 0.0);
                 for (recording, offset) in self.offsets.iter().enumerate() {
-                    let index = count + recording * locals.len() + place;
-                    squares += (offset.get(local) + change[index]).powi(2);
-                    determined += 1.0 - covariance[(index, index)] / scatter.get(local).powi(2);
+                    let index = count + recording * quantities.len() + place;
+                    squares += (offset.get(quantity) + change[index]).powi(2);
+                    determined += 1.0 - covariance[(index, index)] / scatter.get(quantity).powi(2);
                 }
-                scatter.set(local, (squares / determined.max(LEAST_DETERMINED)).sqrt());
+                scatter.set(quantity, (squares / determined.max(LEAST_DETERMINED)).sqrt());
             }
         }
         scatter
@@ -194,15 +196,19 @@ impl<'a> Fit<'a> {
     /// Place, among the unknowns and the offsets of all recordings, of an entry of a stretch's
     /// block.
     fn place(&self, recording: usize, index: usize) -> usize {
-        if index < self.unknowns.len() { index } else { index + recording * self.locals().len() }
+        if index < self.unknowns.len() {
+            index
+        } else {
+            index + recording * self.homing_offsets().len()
+        }
     }
 
     /// Information and gradient of the priors: those of the unknowns, and those of all offsets for
     /// this scatter.
     fn priors(&self, scatter: Scatter) -> (DMatrix<f64>, DVector<f64>) {
-        let locals = self.locals();
+        let quantities = self.homing_offsets();
         let count = self.unknowns.len();
-        let total = count + self.offsets.len() * locals.len();
+        let total = count + self.offsets.len() * quantities.len();
         let mut matrix = DMatrix::<f64>::zeros(total, total);
         let mut gradient = DVector::<f64>::zeros(total);
         for (index, unknown) in self.unknowns.iter().enumerate() {
@@ -211,11 +217,11 @@ impl<'a> Fit<'a> {
             gradient[index] = (unknown.of(&self.model) - prior.mean) / prior.std.powi(2);
         }
         for (recording, offset) in self.offsets.iter().enumerate() {
-            for (place, &local) in locals.iter().enumerate() {
-                let index = count + recording * locals.len() + place;
-                let information = scatter.get(local).powi(-2);
+            for (place, &quantity) in quantities.iter().enumerate() {
+                let index = count + recording * quantities.len() + place;
+                let information = scatter.get(quantity).powi(-2);
                 matrix[(index, index)] = information;
-                gradient[index] = offset.get(local) * information;
+                gradient[index] = offset.get(quantity) * information;
             }
         }
         (matrix, gradient)
@@ -301,11 +307,12 @@ impl<'a> Fit<'a> {
             ((unknown.of(model) - prior.mean) / prior.std).powi(2)
         };
         let offset_cost = |scatter: Scatter| {
-            let one = |local: &Local| {
-                let square = |offset: &Offset| (offset.get(*local) / scatter.get(*local)).powi(2);
+            let one = |quantity: &HomingOffset| {
+                let square =
+                    |offset: &Offset| (offset.get(*quantity) / scatter.get(*quantity)).powi(2);
                 offsets.iter().map(square).sum::<f64>()
             };
-            self.locals().iter().map(one).sum::<f64>()
+            self.homing_offsets().iter().map(one).sum::<f64>()
         };
         costs.iter().sum::<f64>()
             + self.unknowns.iter().map(prior_cost).sum::<f64>()
@@ -325,7 +332,7 @@ impl<'a> Fit<'a> {
         let (mut here, slopes) =
             linearised(stretch, self.unknowns, self.plant, &model, start, scale);
         here.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad / scale[1]);
-        let slopes = self.with_locals(slopes, scale[1]);
+        let slopes = self.with_homing_offsets(slopes, scale[1]);
         let weight = robust_weight(here.norm_squared() / here.len() as f64) / noise.correlated;
         let count = slopes.ncols() - STARTS;
         let (square, gradient) = (weight * slopes.tr_mul(&slopes), weight * slopes.tr_mul(&here));
@@ -341,19 +348,19 @@ impl<'a> Fit<'a> {
 
     /// Inserts the derivatives by the recording's offsets between those by the unknowns and those
     /// by the start state.
-    fn with_locals(&self, slopes: DMatrix<f64>, alpha_scale: f64) -> DMatrix<f64> {
-        let (locals, count) = (self.locals(), self.unknowns.len());
+    fn with_homing_offsets(&self, slopes: DMatrix<f64>, alpha_scale: f64) -> DMatrix<f64> {
+        let (quantities, count) = (self.homing_offsets(), self.unknowns.len());
         let rest = Unknown::from(Nonideality::CableRest);
         let rest = self.unknowns.iter().position(|&unknown| unknown == rest);
-        let mut slopes = slopes.insert_columns(count, locals.len(), 0.0);
-        for (place, local) in locals.iter().enumerate() {
-            match (local, rest) {
-                (Local::CableRest, Some(rest)) => {
+        let mut slopes = slopes.insert_columns(count, quantities.len(), 0.0);
+        for (place, quantity) in quantities.iter().enumerate() {
+            match (quantity, rest) {
+                (HomingOffset::CableRest, Some(rest)) => {
                     let column = slopes.column(rest).into_owned();
                     slopes.set_column(count + place, &column);
                 }
-                (Local::CableRest, None) => {}
-                (Local::AlphaZero, _) => {
+                (HomingOffset::CableRest, None) => {}
+                (HomingOffset::AlphaZero, _) => {
                     let mut column = slopes.column_mut(count + place);
                     let alphas = column.iter_mut().skip(1).step_by(2);
                     alphas.for_each(|slope| *slope = 1.0 / alpha_scale);
@@ -388,12 +395,12 @@ impl<'a> Fit<'a> {
         for (unknown, change) in self.unknowns.iter().zip(&change) {
             unknown.set(&mut model, unknown.of(&self.model) + change);
         }
-        let (locals, count) = (self.locals(), self.unknowns.len());
+        let (quantities, count) = (self.homing_offsets(), self.unknowns.len());
         let mut offsets = self.offsets.clone();
         for (recording, offset) in offsets.iter_mut().enumerate() {
-            for (place, &local) in locals.iter().enumerate() {
-                let change = change[count + recording * locals.len() + place];
-                offset.set(local, offset.get(local) + change);
+            for (place, &quantity) in quantities.iter().enumerate() {
+                let change = change[count + recording * quantities.len() + place];
+                offset.set(quantity, offset.get(quantity) + change);
             }
         }
         let pieces = blocks.iter().zip(&inverses).zip(&self.starts).zip(&self.recording);

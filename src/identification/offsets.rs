@@ -5,14 +5,14 @@ use crate::qube::{Encoders, QubeModel};
 
 /// A quantity that homing sets anew, so that recordings differ in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Local {
+pub(super) enum HomingOffset {
     /// The cable's rest angle, relative to the typical one.
     CableRest,
     /// The pendulum's measured angle where it hangs.
     AlphaZero,
 }
 
-impl Local {
+impl HomingOffset {
     /// Both, in order.
     pub const ALL: [Self; 2] = [Self::CableRest, Self::AlphaZero];
 }
@@ -28,18 +28,18 @@ pub struct Offset {
 
 impl Offset {
     /// One of the offsets, rad.
-    pub(super) fn get(&self, local: Local) -> f64 {
-        match local {
-            Local::CableRest => self.cable_rest_rad,
-            Local::AlphaZero => self.alpha_zero_rad,
+    pub(super) fn get(&self, quantity: HomingOffset) -> f64 {
+        match quantity {
+            HomingOffset::CableRest => self.cable_rest_rad,
+            HomingOffset::AlphaZero => self.alpha_zero_rad,
         }
     }
 
     /// Sets one of the offsets, rad.
-    pub(super) fn set(&mut self, local: Local, value_rad: f64) {
-        match local {
-            Local::CableRest => self.cable_rest_rad = value_rad,
-            Local::AlphaZero => self.alpha_zero_rad = value_rad,
+    pub(super) fn set(&mut self, quantity: HomingOffset, value_rad: f64) {
+        match quantity {
+            HomingOffset::CableRest => self.cable_rest_rad = value_rad,
+            HomingOffset::AlphaZero => self.alpha_zero_rad = value_rad,
         }
     }
 
@@ -63,7 +63,7 @@ pub struct Scatter {
 impl Scatter {
     /// The scatter before any data: for the cable's rest angle the width of its prior, for the
     /// pendulum's zero one count of its encoder.
-    pub(super) fn likely(encoders: Encoders) -> Self {
+    pub(super) fn prior(encoders: Encoders) -> Self {
         Self { cable_rest_rad: 0.5, alpha_zero_rad: 3e-3 / encoders.alpha.counts_per_qube_count() }
     }
 
@@ -71,19 +71,19 @@ impl Scatter {
     const SMALLEST: Self = Self { cable_rest_rad: 1e-3, alpha_zero_rad: 1e-4 };
 
     /// Scatter of one of the offsets, rad.
-    pub(super) fn get(&self, local: Local) -> f64 {
-        match local {
-            Local::CableRest => self.cable_rest_rad,
-            Local::AlphaZero => self.alpha_zero_rad,
+    pub(super) fn get(&self, quantity: HomingOffset) -> f64 {
+        match quantity {
+            HomingOffset::CableRest => self.cable_rest_rad,
+            HomingOffset::AlphaZero => self.alpha_zero_rad,
         }
     }
 
     /// Sets the scatter of one of the offsets, rad; a smaller value becomes [`Self::SMALLEST`].
-    pub(super) fn set(&mut self, local: Local, value_rad: f64) {
-        let value_rad = value_rad.max(Self::SMALLEST.get(local));
-        match local {
-            Local::CableRest => self.cable_rest_rad = value_rad,
-            Local::AlphaZero => self.alpha_zero_rad = value_rad,
+    pub(super) fn set(&mut self, quantity: HomingOffset, value_rad: f64) {
+        let value_rad = value_rad.max(Self::SMALLEST.get(quantity));
+        match quantity {
+            HomingOffset::CableRest => self.cable_rest_rad = value_rad,
+            HomingOffset::AlphaZero => self.alpha_zero_rad = value_rad,
         }
     }
 }

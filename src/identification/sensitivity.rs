@@ -12,8 +12,14 @@ use crate::replay::simulate_stretch_in;
 /// Number of entries of a start state.
 pub(super) const STARTS: usize = 4;
 
+/// Number of unknowns of a Qube.
+const UNKNOWNS: usize = 14;
+
+/// Number of products in the equations, with the delay.
+const PRODUCTS: usize = 14;
+
 /// Number of inputs of a simulation that carries derivatives: all unknowns and the start state.
-const INPUTS: usize = 14 + STARTS;
+const INPUTS: usize = UNKNOWNS + STARTS;
 
 /// Step of the finite differences of the equations' products (such as M_p L_r^2), as a fraction of
 /// the standard deviation of an unknown's prior. Finite differences suffice, because the products
@@ -137,7 +143,7 @@ fn with_slopes<const N: usize>(
 }
 
 /// The products that the equations use, then the delay, s.
-fn numbers(model: &QubeModel) -> [f64; 14] {
+fn numbers(model: &QubeModel) -> [f64; PRODUCTS] {
     let dynamics = NonidealDynamics::<f64>::new(model);
     let ideal = &dynamics.ideal;
     [

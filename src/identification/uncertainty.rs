@@ -152,8 +152,8 @@ fn inflation(fit: &Fit<'_>, reduced: &[Reduced]) -> f64 {
 /// Each recording's information about the unknowns alone, and its gradient by them, with standard
 /// errors inflated by a factor. The recording's own offsets are eliminated.
 fn by_recording(fit: &Fit<'_>, reduced: &[Reduced], inflation: f64) -> Vec<Reduced> {
-    let (count, locals) = (fit.unknowns.len(), fit.locals().len());
-    let size = count + locals;
+    let (count, offsets) = (fit.unknowns.len(), fit.homing_offsets().len());
+    let size = count + offsets;
     let zero = (DMatrix::zeros(size, size), DVector::zeros(size));
     let mut sums: Vec<Reduced> = vec![zero; fit.offsets.len()];
     for ((information, gradient), &recording) in reduced.iter().zip(&fit.recording) {
@@ -162,14 +162,14 @@ fn by_recording(fit: &Fit<'_>, reduced: &[Reduced], inflation: f64) -> Vec<Reduc
     }
     let eliminated = |((information, gradient), offset): (Reduced, &Offset)| {
         let shared = information.view((0, 0), (count, count)).into_owned();
-        let cross = information.view((0, count), (count, locals)).into_owned();
-        let mut own = information.view((count, count), (locals, locals)).into_owned();
-        let mut pull = gradient.rows(count, locals).into_owned();
+        let cross = information.view((0, count), (count, offsets)).into_owned();
+        let mut own = information.view((count, count), (offsets, offsets)).into_owned();
+        let mut pull = gradient.rows(count, offsets).into_owned();
         if let Some(scatter) = fit.scatter {
-            for (place, &local) in fit.locals().iter().enumerate() {
-                let prior = scatter.get(local).powi(-2);
+            for (place, &quantity) in fit.homing_offsets().iter().enumerate() {
+                let prior = scatter.get(quantity).powi(-2);
                 own[(place, place)] += prior;
-                pull[place] += prior * offset.get(local);
+                pull[place] += prior * offset.get(quantity);
             }
         }
         let gradient = gradient.rows(0, count).into_owned();
