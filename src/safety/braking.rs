@@ -78,7 +78,7 @@ impl Brake {
     }
 
     fn new(law: Law, plant: &PlantModel) -> Self {
-        let ringing = RingingGain::limited_to(plant.limits.largest_voltage_v);
+        let ringing = RingingGain::full(plant.limits.largest_voltage_v);
         Self { law, periods: 0, ringing }
     }
 

@@ -3,8 +3,8 @@ use serde::{Deserialize, Serialize};
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, Measurement, MotorRating, PlantModel};
 
-/// [`MotorHeat::load`] from which on the operator is warned, and above which the motor cools before
-/// the next motion.
+/// [`MotorHeat::load`] at which the operator is warned. Above it the motor cools before the next
+/// motion.
 pub const WARNING_LOAD: f64 = 0.7;
 
 /// [`MotorHeat::load`] at which the arm is braked. It is below 1, so that the rated current of

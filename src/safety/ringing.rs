@@ -11,7 +11,7 @@ const RINGING_PERIODS: u32 = 9;
 const LEAST_V: f64 = 1.0;
 
 /// Factor by which each change of sign that counts as ringing multiplies the gain.
-const KEPT_SHARE: f64 = 0.8;
+const GAIN_FACTOR: f64 = 0.8;
 
 /// Smallest gain, as a fraction of the full one. With it the strongest motor on the lightest arm
 /// within 30 % of a nominal Qube's does not ring at 20 ms of delay.
@@ -36,7 +36,7 @@ pub(super) struct RingingGain {
 
 impl RingingGain {
     /// The full gain, for a plant with this largest voltage, V.
-    pub fn limited_to(largest_v: f64) -> Self {
+    pub fn full(largest_v: f64) -> Self {
         Self {
             largest_v,
             gain: 1.0,
@@ -56,7 +56,7 @@ impl RingingGain {
             let rings =
                 self.periods_since_change <= RINGING_PERIODS && self.largest_since_v >= LEAST_V;
             if rings && may_fall {
-                self.gain = (KEPT_SHARE * self.gain).max(LEAST_GAIN);
+                self.gain = (GAIN_FACTOR * self.gain).max(LEAST_GAIN);
             }
             (self.is_positive, self.periods_since_change) = (is_positive, 0);
             self.largest_since_v = 0.0;
@@ -74,7 +74,7 @@ mod tests {
     /// The gain after a second of a voltage that alternates with this period, in control periods,
     /// and this amplitude, V.
     fn gain_after(period: u32, amplitude_v: f64) -> f64 {
-        let mut ringing = RingingGain::limited_to(MAX_VOLTAGE_V);
+        let mut ringing = RingingGain::full(MAX_VOLTAGE_V);
         for tick in 0..100 {
             let positive = tick % period < period / 2;
             ringing.voltage_v(if positive { amplitude_v } else { -amplitude_v }, true);
@@ -91,7 +91,7 @@ mod tests {
 
     #[test]
     fn a_gain_that_may_not_fall_stays() {
-        let mut ringing = RingingGain::limited_to(MAX_VOLTAGE_V);
+        let mut ringing = RingingGain::full(MAX_VOLTAGE_V);
         for tick in 0..100 {
             let wanted_v = if tick % 8 < 4 { 9.0 } else { -9.0 };
             let voltage_v = ringing.voltage_v(wanted_v, false);
