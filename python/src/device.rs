@@ -15,7 +15,7 @@ use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, State as QubeState, observation
 use qube_hil::telemetry::{Ending, Fault};
 
 use crate::POLL_INTERVAL;
-use crate::device_thread::{DeviceThread, End, Episode, ErrorMessage, Order};
+use crate::device_thread::{DeviceThread, Episode, Order, Reply};
 use crate::errors::{
     ActionError, BusyError, ClosedError, DeviceError, EpisodeOverError, LateError, bad_settings,
 };
@@ -59,6 +59,13 @@ struct Requests {
     closed: AtomicBool,
 }
 
+/// The end of an episode.
+enum Ended {
+    Episode(Box<Episode>),
+    /// The episode failed: the message of an exception.
+    Failed(String),
+}
+
 /// A call that is under way, with the lock of the state.
 struct Turn<'a> {
     state: MutexGuard<'a, State>,
@@ -98,7 +105,7 @@ impl Device {
             DeviceThread::start(settings, plan, deadline_ms, exchange, stop).map_err(|error| {
                 DeviceError::new_err(format!("a thread cannot be started: {error}"))
             })?;
-        let opened = requests.end(py, &served);
+        let opened = requests.reply(py, &served);
         // An error closes the Qube by dropping this device.
         let mut device = Self {
             state: ManuallyDrop::new(Mutex::new(State {
@@ -113,12 +120,12 @@ impl Device {
             deadline_ms: None,
         };
         match opened? {
-            Ok(End::Opened { deadline_us }) => {
+            Reply::Opened { deadline_us } => {
                 device.deadline_ms = deadline_us.map(|us| 1e-3 * us);
                 Ok(device)
             }
-            Ok(End::Episode(_)) => Err(DeviceError::new_err("the Qube was not opened")),
-            Err(ErrorMessage(sentence)) => Err(DeviceError::new_err(sentence)),
+            Reply::Episode(_) => Err(DeviceError::new_err("the Qube was not opened")),
+            Reply::Failed(sentence) => Err(DeviceError::new_err(sentence)),
         }
     }
 
@@ -153,17 +160,17 @@ impl Device {
         let slot = self.next(py, state, 0)?;
         if slot.over {
             let is_closed = self.requests.is_closed();
-            return Err(match self.ended(py, state)?.map(|episode| episode.ending) {
-                Ok(Ending::Fault(fault)) => ended_by(fault),
-                Ok(_) if is_closed => self.closed_meanwhile(py, state, BRAKED),
-                Ok(ending) => DeviceError::new_err(format!(
-                    "the episode ended while arm and pendulum came to rest: {}",
-                    ending_text(ending)
-                )),
-                Err(ErrorMessage(sentence)) if is_closed => {
-                    self.closed_meanwhile(py, state, &sentence)
-                }
-                Err(ErrorMessage(sentence)) => DeviceError::new_err(sentence),
+            return Err(match self.ended(py, state)? {
+                Ended::Failed(sentence) if is_closed => self.closed_meanwhile(py, state, &sentence),
+                Ended::Failed(sentence) => DeviceError::new_err(sentence),
+                Ended::Episode(episode) => match episode.ending {
+                    Ending::Fault(fault) => ended_by(fault),
+                    _ if is_closed => self.closed_meanwhile(py, state, BRAKED),
+                    ending => DeviceError::new_err(format!(
+                        "the episode ended while arm and pendulum came to rest: {}",
+                        ending_text(ending)
+                    )),
+                },
             });
         }
         state.running = Some(slot.asked);
@@ -193,9 +200,7 @@ impl Device {
             let observed = self.observed(py, &slot.state, &slot);
             return Ok((observed, reward, false, false, slot.late, None));
         }
-        let Episode { ending, return_, last_state } = *self
-            .ended(py, state)?
-            .map_err(|ErrorMessage(sentence)| DeviceError::new_err(sentence))?;
+        let Episode { ending, return_, last_state } = *self.ended(py, state)?.episode()?;
         let (left, whole) = match ending {
             Ending::LeftBox(_) => (true, false),
             Ending::Completed => (false, true),
@@ -310,10 +315,7 @@ impl Device {
             return Ok(None);
         }
         self.requests.request_stop();
-        match self.ended(py, state)? {
-            Ok(episode) => Ok(Some(episode.ending)),
-            Err(ErrorMessage(sentence)) => Err(DeviceError::new_err(sentence)),
-        }
+        Ok(Some(self.ended(py, state)?.episode()?.ending))
     }
 
     /// Waits until the thread has closed the Qube, which was requested.
@@ -353,17 +355,13 @@ impl Device {
     }
 
     /// Waits for the end of the episode, which comes after the brake.
-    fn ended(
-        &self,
-        py: Python<'_>,
-        state: &mut State,
-    ) -> PyResult<Result<Box<Episode>, ErrorMessage>> {
+    fn ended(&self, py: Python<'_>, state: &mut State) -> PyResult<Ended> {
         state.running = None;
-        match self.requests.end(py, served(state)?)? {
-            Ok(End::Episode(episode)) => Ok(Ok(episode)),
-            Ok(End::Opened { .. }) => Ok(Err(ErrorMessage("the episode did not begin".into()))),
-            Err(trouble) => Ok(Err(trouble)),
-        }
+        Ok(match self.requests.reply(py, served(state)?)? {
+            Reply::Episode(episode) => Ended::Episode(episode),
+            Reply::Opened { .. } => Ended::Failed("the episode did not begin".into()),
+            Reply::Failed(sentence) => Ended::Failed(sentence),
+        })
     }
 
     fn observed<'py>(
@@ -440,15 +438,15 @@ impl Requests {
         is_allowed
     }
 
-    /// Waits until the thread reports an end. An exception of a signal's handler requests a stop,
-    /// and is raised only after the thread has reported the end.
-    fn end(&self, py: Python<'_>, served: &DeviceThread) -> PyResult<Result<End, ErrorMessage>> {
+    /// Waits for the thread's reply. An exception of a signal's handler requests a stop, and is
+    /// raised only after the thread has replied.
+    fn reply(&self, py: Python<'_>, served: &DeviceThread) -> PyResult<Reply> {
         let mut interrupt = None;
         loop {
-            let next = py.detach(|| lock(&served.ends).recv_timeout(POLL_INTERVAL));
+            let next = py.detach(|| lock(&served.replies).recv_timeout(POLL_INTERVAL));
             match (next, interrupt.take()) {
                 (Ok(_), Some(interrupt)) => return Err(interrupt),
-                (Ok(end), None) => return Ok(end),
+                (Ok(reply), None) => return Ok(reply),
                 (Err(RecvTimeoutError::Disconnected), _) => {
                     return Err(ClosedError::new_err("the Qube's thread has ended: open it again"));
                 }
@@ -458,6 +456,16 @@ impl Requests {
                 self.request_stop();
                 interrupt = Some(error);
             }
+        }
+    }
+}
+
+impl Ended {
+    /// The episode; an error if it failed.
+    fn episode(self) -> PyResult<Box<Episode>> {
+        match self {
+            Self::Episode(episode) => Ok(episode),
+            Self::Failed(sentence) => Err(DeviceError::new_err(sentence)),
         }
     }
 }

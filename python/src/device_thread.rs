@@ -25,16 +25,16 @@ const LONGEST_OWN_DEADLINE_US: f64 = 5000.0;
 /// Shortest deadline that is chosen from the measured link, us.
 const SHORTEST_DEADLINE_US: f64 = 500.0;
 
-/// Part of the tick that is kept for the control thread's own work and for the voltage's way to the
-/// motor, us.
-const KEPT_US: f64 = 1500.0;
+/// Part of the tick that is reserved for the control thread's own work and for the voltage's way to
+/// the motor, us.
+const RESERVED_US: f64 = 1500.0;
 
 /// The thread that owns the Qube, as Python's threads see it.
 pub struct DeviceThread {
     /// Episodes to run, one after the other.
     pub orders: Sender<Order>,
-    /// End of the opening, then of each episode.
-    pub ends: Mutex<Receiver<Result<End, ErrorMessage>>>,
+    /// Reply to the opening, then to each order.
+    pub replies: Mutex<Receiver<Reply>>,
     thread: JoinHandle<()>,
 }
 
@@ -48,10 +48,14 @@ pub struct Order {
     pub number: u32,
 }
 
-/// The end of an episode, or of the opening of the Qube.
-pub enum End {
-    Opened { deadline_us: Option<f64> },
+/// The thread's reply to the opening of the Qube, or to an order.
+pub enum Reply {
+    Opened {
+        deadline_us: Option<f64>,
+    },
     Episode(Box<Episode>),
+    /// The Qube was not opened, or the episode failed: the message of an exception.
+    Failed(String),
 }
 
 /// A finished episode.
@@ -61,9 +65,6 @@ pub struct Episode {
     /// State after the last voltage.
     pub last_state: QubeState,
 }
-
-/// The message of an exception.
-pub struct ErrorMessage(pub String);
 
 impl DeviceThread {
     /// Starts the thread, which opens the Qube and then runs the episodes that are ordered.
@@ -78,12 +79,12 @@ impl DeviceThread {
         stop: Arc<AtomicBool>,
     ) -> io::Result<Self> {
         let (orders, inbox) = channel();
-        let (outbox, ends) = channel();
+        let (outbox, replies) = channel();
         let server = Server { plan, exchange, stop, deadline: None, is_homed: true };
         let thread = std::thread::Builder::new()
             .name("qube".into())
             .spawn(move || server.run(&settings, deadline_ms, &inbox, &outbox))?;
-        Ok(Self { orders, ends: Mutex::new(ends), thread })
+        Ok(Self { orders, replies: Mutex::new(replies), thread })
     }
 
     /// Waits until the thread has closed the Qube. The caller has requested the stop.
@@ -109,26 +110,29 @@ impl Server {
         settings: &RigSettings,
         deadline_ms: Option<f64>,
         inbox: &Receiver<Order>,
-        outbox: &Sender<Result<End, ErrorMessage>>,
+        outbox: &Sender<Reply>,
     ) {
         let mut rig = match Rig::open(settings, &self.stop) {
             Ok(rig) => rig,
             Err(error) => {
-                let _ = outbox.send(Err(ErrorMessage(error.to_string())));
+                let _ = outbox.send(Reply::Failed(error.to_string()));
                 return;
             }
         };
         let deadline_us = (settings.clock == ClockChoice::Wall)
             .then(|| deadline_ms.map_or_else(|| own_deadline_us(&rig), |ms| 1e3 * ms));
         self.deadline = deadline_us.map(|us| Duration::from_nanos((1e3 * us) as u64));
-        if outbox.send(Ok(End::Opened { deadline_us })).is_err() {
+        if outbox.send(Reply::Opened { deadline_us }).is_err() {
             return;
         }
         for order in inbox {
-            let end = self.episode(&mut rig, &order);
+            let ended = self.episode(&mut rig, &order);
             self.exchange.end();
-            let message = end.map(|episode| End::Episode(Box::new(episode)));
-            if outbox.send(message.map_err(|error| ErrorMessage(error.to_string()))).is_err() {
+            let reply = match ended {
+                Ok(episode) => Reply::Episode(Box::new(episode)),
+                Err(error) => Reply::Failed(error.to_string()),
+            };
+            if outbox.send(reply).is_err() {
                 return;
             }
         }
@@ -188,12 +192,12 @@ impl Server {
     }
 }
 
-/// The deadline for an answer where the caller names none, us: the tick of 10 ms less `KEPT_US` and
-/// the 99th percentile of the link's round trip, but at least `SHORTEST_DEADLINE_US` and at most
+/// The deadline for an answer where the caller names none, us: the tick of 10 ms less `RESERVED_US`
+/// and the 99th percentile of the link's round trip, but at least `SHORTEST_DEADLINE_US` and at most
 /// `LONGEST_OWN_DEADLINE_US`. Without a measured link it is `LONGEST_OWN_DEADLINE_US`.
 fn own_deadline_us(rig: &Rig) -> f64 {
     let left = rig
         .link()
-        .map_or(LONGEST_OWN_DEADLINE_US, |link| 10_000.0 - KEPT_US - link.round_trip_us.p99);
+        .map_or(LONGEST_OWN_DEADLINE_US, |link| 10_000.0 - RESERVED_US - link.round_trip_us.p99);
     left.clamp(SHORTEST_DEADLINE_US, LONGEST_OWN_DEADLINE_US)
 }
