@@ -12,7 +12,6 @@
 //! adds two observers with this process noise, rad/s^2. `delays` and `plants`: each policy, with
 //! each estimator, drives the emulated Qube over its wire in virtual time.
 
-use std::f64::consts::PI;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -27,9 +26,10 @@ use qube_hil::estimation::{
 use qube_hil::policy::{Controller, Policy};
 use qube_hil::qube::{
     DomainParameter, Measurement, NonidealDynamics, Profile, QubeModel, RewardWeights, State,
-    counts, runge_kutta_4, wrap_angle,
+    counts, runge_kutta_4,
 };
 use qube_hil::safety::{Guard, SafetyBox};
+use qube_hil::scoring::criterion::{SUCCESS_RETURN, balanced_to_the_end};
 use qube_hil::scoring::return_of;
 use qube_hil::telemetry::{Ending, Phase, TickRecord, TickSettings};
 use rand::{RngExt, SeedableRng};
@@ -106,7 +106,7 @@ struct SwingUp {
 
 /// Runs the policy on a Qube. The policy sees the true state at the instant at which its command
 /// acts.
-fn swing_up(model: &QubeModel, policy: &Policy, start: State) -> SwingUp {
+fn swing_up_of(model: &QubeModel, policy: &Policy, start: State) -> SwingUp {
     let (dynamics, mut policy) = (NonidealDynamics::<f64>::new(model), policy.clone());
     policy.start();
     let mut sent = SentVoltages::new(model.nonidealities.command_delay_s, 0.0);
@@ -146,7 +146,7 @@ fn swing_up(model: &QubeModel, policy: &Policy, start: State) -> SwingUp {
 }
 
 /// The estimate at each sample of a swing-up, and the number of times that the observer was reset.
-fn watch(swing_up: &SwingUp, settings: EstimatorSettings) -> (Vec<State>, u32) {
+fn estimate(swing_up: &SwingUp, settings: EstimatorSettings) -> (Vec<State>, u32) {
     let mut estimator = Estimator::new(settings, Calibration::IDENTITY);
     let seen = swing_up
         .samples
@@ -172,7 +172,7 @@ struct Errors {
 }
 
 fn velocity_errors(
-    rides: &[(SwingUp, Vec<State>)],
+    swing_ups: &[(SwingUp, Vec<State>)],
     delay_s: f64,
     velocity: fn(&State) -> f64,
 ) -> Errors {
@@ -181,7 +181,7 @@ fn velocity_errors(
     // samples.
     let off = |shift: isize| {
         let (mut sum, mut count) = (0.0, 0.0);
-        for (swing_up, seen) in rides {
+        for (swing_up, seen) in swing_ups {
             for (tick, state) in seen.iter().enumerate().skip(10) {
                 let at = (tick * GRID) as isize + shift;
                 if let Some(truth) = usize::try_from(at).ok().and_then(|at| swing_up.truth.get(at))
@@ -223,17 +223,17 @@ fn errors(lab: &QubeModel, policy: &Policy, noises: &[f64]) {
     println!("| --- | --- | --- | --- | --- | --- | --- | --- |");
     for (name, settings) in rows {
         let mut resets = 0;
-        let rides: Vec<_> = (0..ROLLOUTS)
+        let swing_ups: Vec<_> = (0..ROLLOUTS)
             .map(|number| {
                 let theta = -0.1 + 0.05 * number as f64;
-                let ride = swing_up(lab, policy, State { theta, ..State::default() });
-                let (seen, times) = watch(&ride, settings);
+                let swing_up = swing_up_of(lab, policy, State { theta, ..State::default() });
+                let (seen, times) = estimate(&swing_up, settings);
                 resets += times;
-                (ride, seen)
+                (swing_up, seen)
             })
             .collect();
-        let theta = velocity_errors(&rides, delay_s, |state| state.theta_dot);
-        let alpha = velocity_errors(&rides, delay_s, |state| state.alpha_dot);
+        let theta = velocity_errors(&swing_ups, delay_s, |state| state.theta_dot);
+        let alpha = velocity_errors(&swing_ups, delay_s, |state| state.alpha_dot);
         println!(
             "| {name} | {:.2} | {:.1} | {:.2} | {:.2} | {:.1} | {:.2} | {resets} |",
             theta.at_command,
@@ -313,11 +313,11 @@ impl Tally {
     /// acts.
     fn add_exact(&mut self, model: &QubeModel, policy: &Policy, seed: u64) {
         let theta = 0.1 * (seed as f64).sin();
-        let ride = swing_up(model, policy, State { theta, ..State::default() });
-        let states: Vec<State> = ride.truth.iter().step_by(GRID).copied().collect();
+        let swing_up = swing_up_of(model, policy, State { theta, ..State::default() });
+        let states: Vec<State> = swing_up.truth.iter().step_by(GRID).copied().collect();
         let stays = |state: &&State| SafetyBox::THESIS.violation(state).is_none();
         let inside = states.iter().take_while(stays).count();
-        let earned = states.iter().zip(&ride.samples).take(inside);
+        let earned = states.iter().zip(&swing_up.samples).take(inside);
         let return_ = earned
             .map(|(state, (_, voltage_v))| RewardWeights::THESIS.reward(state, *voltage_v))
             .sum();
@@ -326,9 +326,8 @@ impl Tally {
     }
 
     fn count(&mut self, states: &[State], return_: f64, completed: bool) {
-        let balanced = states.len() == 600
-            && states[500..].iter().all(|state| wrap_angle(state.alpha - PI).abs() < 0.2);
-        self.successes += u32::from(completed && return_ >= 400.0 && balanced);
+        let succeeds = completed && return_ >= SUCCESS_RETURN && balanced_to_the_end(states.iter());
+        self.successes += u32::from(succeeds);
         self.return_sum += return_;
     }
 }
@@ -361,7 +360,7 @@ fn plants(lab: &QubeModel, policies: &[Policy]) {
     let columns =
         [column(vec![*lab], ROLLOUTS), column(around, 1), column(vec![lab.scaled(1.5)], ROLLOUTS)];
     println!(
-        "| estimator | lab | each parameter within 10 %, {PLANTS} Qubes | 1.5 times the gap |"
+        "| estimator | lab | each parameter within 10 %, {PLANTS} Qubes | nonidealities x 1.5 |"
     );
     println!("| --- | --- | --- | --- |");
     transfer(lab, &columns, policies);

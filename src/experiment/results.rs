@@ -83,7 +83,8 @@ impl PolicyResult {
         all
     }
 
-    /// Whether the mean return is at least 400 and at least four of five rollouts succeed.
+    /// Whether the mean return is at least [`SUCCESS_RETURN`](criterion::SUCCESS_RETURN) and the share
+    /// of rollouts that succeed at least [`POLICY_SHARE`](criterion::POLICY_SHARE).
     #[must_use]
     pub fn succeeds(&self) -> bool {
         self.mean_return().is_some_and(|it| it >= criterion::SUCCESS_RETURN)

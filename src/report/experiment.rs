@@ -13,7 +13,7 @@ use crate::experiment::{
 };
 use crate::qube::{MAX_STEPS, PlantModel, Quantity};
 use crate::scoring::Behaviour;
-use crate::scoring::criterion::SUCCESS_RETURN;
+use crate::scoring::criterion::{POLICY_SHARE, SUCCESS_RETURN};
 use crate::simulation::DomainDistribution;
 
 /// Rollouts of an experiment that a page shows, each under the name of its group.
@@ -50,7 +50,8 @@ pub fn recipes_page(
         ),
     });
     page.paragraph(&format!(
-        "A policy succeeds when its mean return is at least {SUCCESS_RETURN:.0} and at least four of five rollouts balance to the end."
+        "A policy succeeds when its mean return is at least {SUCCESS_RETURN:.0} and at least {:.0} % of its rollouts balance to the end.",
+        100.0 * POLICY_SHARE
     ));
     let mut plants: Vec<&str> = Vec::new();
     for recipe in &results.recipes {

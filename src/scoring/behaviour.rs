@@ -85,7 +85,8 @@ fn of_a_failure(running: &[&TickRecord]) -> Behaviour {
     let is_about_up = up.count() as f64 >= CHATTERING_SHARE * LAST_STEPS as f64;
     // The 100 changes of the voltage in the last second lie between 101 ticks.
     let chatters = chatters(last(UPRIGHT_STEPS + 1));
-    let holds = running.len() > UPRIGHT_STEPS && balanced_to_the_end(running);
+    let holds = running.len() > UPRIGHT_STEPS
+        && balanced_to_the_end(running.iter().map(|tick| &tick.state));
     match (holds, is_about_up) {
         (true, _) if !chatters => Behaviour::BalancedLate,
         (true, _) | (false, true) => Behaviour::Chattered,

@@ -36,10 +36,12 @@ pub(super) fn is_about_upright(state: &State) -> bool {
     from_upright_rad(state) < ABOUT_UPRIGHT_RAD
 }
 
-/// Whether the pendulum balanced in each of the last [`UPRIGHT_STEPS`] steps of the policy.
-pub(super) fn balanced_to_the_end(running: &[&TickRecord]) -> bool {
-    running.len() >= UPRIGHT_STEPS
-        && running[running.len() - UPRIGHT_STEPS..].iter().all(|tick| is_upright(&tick.state))
+/// Whether the pendulum balanced in each of the last 100 steps of the policy, whose states these
+/// are.
+pub fn balanced_to_the_end<'a>(
+    states: impl DoubleEndedIterator<Item = &'a State> + ExactSizeIterator,
+) -> bool {
+    states.len() >= UPRIGHT_STEPS && states.rev().take(UPRIGHT_STEPS).all(is_upright)
 }
 
 /// The ticks in which the policy had the motor.

@@ -101,7 +101,7 @@ pub fn score_recording(recording: &Recording) -> Verdict {
             let return_ = return_of(&recording.ticks, &recording.header.reward);
             let success = outcome.ending == Ending::Completed
                 && return_ >= SUCCESS_RETURN
-                && balanced_to_the_end(&running(&recording.ticks));
+                && balanced_to_the_end(running(&recording.ticks).iter().map(|tick| &tick.state));
             Verdict::Result { return_, success, outcome: outcome.clone() }
         }
     }
