@@ -143,9 +143,9 @@ impl Plant {
 
     /// The motor's torque without the back-EMF, which the arm's equation contains, N m.
     fn motor_torque(&self, voltage_v: f64) -> f64 {
-        let gap = &self.kind.model.nonidealities;
-        let above = (voltage_v - gap.positive_dead_zone_v).max(0.0);
-        let below = (voltage_v + gap.negative_dead_zone_v).min(0.0);
+        let nonidealities = &self.kind.model.nonidealities;
+        let above = (voltage_v - nonidealities.positive_dead_zone_v).max(0.0);
+        let below = (voltage_v + nonidealities.negative_dead_zone_v).min(0.0);
         self.dynamics.ideal.torque_per_volt * (above + below)
     }
 

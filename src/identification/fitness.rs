@@ -7,15 +7,16 @@ use crate::replay::{MotionLog, MotionSample};
 /// Shortest recording that is fitted, s.
 const SHORTEST_S: f64 = 2.0;
 
-/// Longest time between two samples that is no gap, s: two control periods, after one lost sample.
+/// Longest time between two samples that is no interruption, s: two control periods, after one lost
+/// sample.
 const LONGEST_STEP_S: f64 = 0.021;
 
-/// Longest gap, s: three lost samples in a row, as many as a rollout tolerates. The last voltage
-/// was held meanwhile, so a gap can be simulated like any other step.
-const LONGEST_GAP_S: f64 = 0.045;
+/// Longest interruption, s: three lost samples in a row, as many as a rollout tolerates. The last
+/// voltage was held meanwhile, so an interruption can be simulated like any other step.
+const LONGEST_INTERRUPTION_S: f64 = 0.045;
 
-/// Largest share of the steps that are gaps.
-const GAPS_SHARE: f64 = 0.02;
+/// Largest share of the steps that are interruptions.
+const INTERRUPTIONS_SHARE: f64 = 0.02;
 
 /// Voltage, of either sign, that a recording must reach at least once, V.
 const LEAST_VOLTAGE_V: f64 = 0.5;
@@ -74,15 +75,15 @@ pub enum Unfit {
         /// Smallest accepted duration, s.
         shortest_s: f64,
     },
-    /// Too many samples are missing, a gap is too long, or the sampling is too slow.
+    /// Too many samples are missing, an interruption is too long, or the sampling is too slow.
     #[error(
         "{step_s:.3} s without a sample at {at_s:.3} s: give at least 50 samples a second; at most 2 % of them \
-         may come more than {LONGEST_STEP_S} s after the one before, and none more than {LONGEST_GAP_S} s"
+         may come more than {LONGEST_STEP_S} s after the one before, and none more than {LONGEST_INTERRUPTION_S} s"
     )]
-    Gap {
-        /// Time since the start at which the longest gap begins, s.
+    Interrupted {
+        /// Time since the start at which the longest interruption begins, s.
         at_s: f64,
-        /// Length of the longest gap, from sample to sample, s.
+        /// Length of the longest interruption, from sample to sample, s.
         step_s: f64,
     },
     /// The voltage never reached 0.5 V.
@@ -234,15 +235,16 @@ pub(super) fn check_motion(log: &MotionLog, shortest_s: f64) -> Result<(), Unfit
     Ok(())
 }
 
-/// Checks that gaps are few and short; names the longest.
+/// Checks that interruptions are few and short; names the longest.
 fn check_times(samples: &[MotionSample]) -> Result<(), Unfit> {
     let steps = samples.windows(2).map(|pair| (pair[0].time_s, pair[1].time_s - pair[0].time_s));
-    let gaps: Vec<(f64, f64)> = steps.filter(|(_, step_s)| *step_s > LONGEST_STEP_S).collect();
-    let longest = gaps.iter().copied().max_by(|one, other| one.1.total_cmp(&other.1));
-    let few = gaps.len() as f64 <= GAPS_SHARE * samples.len() as f64;
+    let interruptions: Vec<(f64, f64)> =
+        steps.filter(|(_, step_s)| *step_s > LONGEST_STEP_S).collect();
+    let longest = interruptions.iter().copied().max_by(|one, other| one.1.total_cmp(&other.1));
+    let few = interruptions.len() as f64 <= INTERRUPTIONS_SHARE * samples.len() as f64;
     match longest {
-        Some((time_s, step_s)) if !few || step_s > LONGEST_GAP_S => {
-            Err(Unfit::Gap { at_s: time_s - samples[0].time_s, step_s })
+        Some((time_s, step_s)) if !few || step_s > LONGEST_INTERRUPTION_S => {
+            Err(Unfit::Interrupted { at_s: time_s - samples[0].time_s, step_s })
         }
         _ => Ok(()),
     }

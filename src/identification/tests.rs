@@ -149,7 +149,7 @@ fn what_is_fixed_stays() {
 
 /// A busy computer skips ticks now and then, and the device holds the last voltage.
 #[test]
-fn a_recording_with_a_few_short_gaps_is_fitted_as_well() {
+fn a_recording_with_a_few_short_interruptions_is_fitted_as_well() {
     let is_lost = |index: usize| [133, 410, 620].iter().any(|it| (*it..it + 9).contains(&index));
     let holed = chirp_of(&truth(), 1.0, 5.0, &|index| !is_lost(index));
     assert_eq!(holed.samples.len(), 1251 - 27);
@@ -179,13 +179,13 @@ fn recordings_that_say_nothing_or_something_wrong_are_named() {
     };
     let short = MotionLog { samples: good.samples[..250].to_vec(), ..good.clone() };
     assert!(matches!(check_recording(&short), Err(Unfit::Short { .. })));
-    let mut gap = good.clone();
-    gap.samples.drain(300..320);
-    assert!(matches!(check_recording(&gap), Err(Unfit::Gap { .. })));
+    let mut interrupted = good.clone();
+    interrupted.samples.drain(300..320);
+    assert!(matches!(check_recording(&interrupted), Err(Unfit::Interrupted { .. })));
     let holes = chirp_of(&truth(), 1.0, 4.0, &|index| index % 30 >= 9);
-    assert!(matches!(check_recording(&holes), Err(Unfit::Gap { .. })));
+    assert!(matches!(check_recording(&holes), Err(Unfit::Interrupted { .. })));
     let slow = changed(&|index, sample| sample.time_s = index as f64 / 40.0);
-    assert!(matches!(slow, Unfit::Gap { .. }));
+    assert!(matches!(slow, Unfit::Interrupted { .. }));
     assert_eq!(changed(&|_, sample| sample.voltage_v *= 0.1), Unfit::NoVoltage);
     let in_mv = changed(&|_, sample| sample.voltage_v *= 1000.0);
     assert!(matches!(in_mv, Unfit::NotVolts { .. }), "{in_mv}");
@@ -215,7 +215,7 @@ fn recordings_that_say_nothing_or_something_wrong_are_named() {
         }
     });
     assert!(matches!(unplugged, Unfit::FrozenPendulum { .. }), "{unplugged}");
-    // A single sample that was lost on the wire is no gap.
+    // A single sample that was lost on the wire is no interruption.
     let mut lost = good.clone();
     lost.samples.retain(|sample| (sample.time_s * 250.0).round() as u32 % 7 != 3);
     assert_eq!(check_recording(&lost), Ok(()));

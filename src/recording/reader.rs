@@ -47,7 +47,7 @@ impl Recording {
     /// Whether ticks are missing before or between the recorded ones, because the recorder lost
     /// them or a block is damaged.
     #[must_use]
-    pub fn has_gaps(&self) -> bool {
+    pub fn lacks_ticks(&self) -> bool {
         self.ticks.windows(2).any(|pair| pair[1].tick != pair[0].tick.wrapping_add(1))
             || self.ticks.first().is_some_and(|first| first.tick != 0)
     }
@@ -60,7 +60,7 @@ impl Recording {
         if let Completeness::CutOff { reason, .. } = &self.completeness {
             return Some(format!("is cut off after {ticks} ticks ({reason})"));
         }
-        if self.has_gaps() {
+        if self.lacks_ticks() {
             let before = self.ticks.last().map_or(0, |last| last.tick as usize + 1);
             let missing = before.saturating_sub(ticks);
             return Some(format!("lacks {missing} of the first {before} ticks of its rollout"));

@@ -99,7 +99,7 @@ mod tests {
         );
         let recording = read(&saved).unwrap();
         assert_eq!(recording.completeness, Completeness::Recovered);
-        assert!(recording.has_gaps());
+        assert!(recording.lacks_ticks());
         assert_eq!(recording.outcome, Some(outcome()));
         assert_eq!(std::fs::read(&damaged).unwrap(), bytes, "the old file stays");
         assert_eq!(

@@ -36,7 +36,7 @@ fn a_recording_reads_back_bit_for_bit() {
     assert_eq!(recording.outcome, Some(outcome()));
     assert_eq!(recording.policy, POLICY);
     assert_eq!(recording.completeness, Completeness::Whole);
-    assert!(!recording.has_gaps());
+    assert!(!recording.lacks_ticks());
 }
 
 fn any_tick() -> impl Strategy<Value = TickRecord> {

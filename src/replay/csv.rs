@@ -1,7 +1,7 @@
 use thiserror::Error;
 
 use super::MotionSample;
-use super::motion_sample::MAX_GAP_S;
+use super::motion_sample::MAX_INTERRUPTION_S;
 use crate::qube::State;
 
 /// Required columns, in the order of the numbers of a [`MotionSample`].
@@ -54,12 +54,12 @@ pub enum CsvError {
         time_s: f64,
     },
     /// Two rows are more than 1 s apart, so rows are missing.
-    #[error("line {line}: there is no row for {gap_s} s before it; split the file there")]
-    Gap {
+    #[error("line {line}: there is no row for {interruption_s} s before it; split the file there")]
+    Interrupted {
         /// Number of the line.
         line: usize,
-        /// Length of the gap, s.
-        gap_s: f64,
+        /// Length of the interruption, s.
+        interruption_s: f64,
     },
 }
 
@@ -90,8 +90,8 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
             if time_s <= before_s {
                 return Err(CsvError::TimeBackwards { line, before_s, time_s });
             }
-            if time_s - before_s > MAX_GAP_S {
-                return Err(CsvError::Gap { line, gap_s: time_s - before_s });
+            if time_s - before_s > MAX_INTERRUPTION_S {
+                return Err(CsvError::Interrupted { line, interruption_s: time_s - before_s });
             }
         }
         samples.push(sample);

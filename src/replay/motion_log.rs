@@ -42,7 +42,7 @@ pub enum Incomplete {
     Cut,
     /// The recorder lost ticks, or a block of the file is damaged.
     #[error("ticks are missing in it")]
-    Gaps,
+    LostTicks,
     /// The state left the box.
     #[error("its rollout left the box by {0}")]
     LeftBox(Limit),
@@ -62,10 +62,10 @@ impl Incomplete {
         let Some(outcome) = &recording.outcome else { return Some(Self::Cut) };
         let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);
         let lacks_ticks = outcome.records_lost > 0
-            || recording.has_gaps()
+            || recording.lacks_ticks()
             || running.count() < outcome.steps as usize;
         match outcome.ending {
-            _ if lacks_ticks => Some(Self::Gaps),
+            _ if lacks_ticks => Some(Self::LostTicks),
             Ending::Completed => None,
             Ending::LeftBox(limit) => Some(Self::LeftBox(limit)),
             Ending::Stopped => Some(Self::Stopped),
@@ -204,14 +204,14 @@ mod tests {
         assert_eq!(Incomplete::of(&Recording { completeness, ..whole.clone() }), None);
         let cut = Recording { outcome: None, completeness: Completeness::Recovered, ..whole };
         assert_eq!(Incomplete::of(&cut), Some(Incomplete::Cut));
-        assert_eq!(Incomplete::of(&recording(Ending::Completed, 3)), Some(Incomplete::Gaps));
-        let mut gap = recording(Ending::Completed, 0);
-        gap.ticks.remove(1);
-        assert_eq!(Incomplete::of(&gap), Some(Incomplete::Gaps));
+        assert_eq!(Incomplete::of(&recording(Ending::Completed, 3)), Some(Incomplete::LostTicks));
+        let mut lossy = recording(Ending::Completed, 0);
+        lossy.ticks.remove(1);
+        assert_eq!(Incomplete::of(&lossy), Some(Incomplete::LostTicks));
         // The last block of this file was damaged, so its last ticks could not be recovered.
         let mut end_lost = recording(Ending::Completed, 0);
         end_lost.ticks.truncate(20);
-        assert_eq!(Incomplete::of(&end_lost), Some(Incomplete::Gaps));
+        assert_eq!(Incomplete::of(&end_lost), Some(Incomplete::LostTicks));
         for (ending, words) in [
             (Ending::LeftBox(Limit::Theta), "left the box"),
             (Ending::Stopped, "was stopped"),

@@ -1,7 +1,8 @@
 use crate::qube::State;
 
-/// Longest time between two samples of a motion, s. Over a longer gap nobody knows the voltage.
-pub(super) const MAX_GAP_S: f64 = 1.0;
+/// Longest time between two samples of a motion, s. Over a longer interruption nobody knows the
+/// voltage.
+pub(super) const MAX_INTERRUPTION_S: f64 = 1.0;
 
 /// One sample of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,7 +2,7 @@ use std::ops::Range;
 
 use thiserror::Error;
 
-use super::motion_sample::MAX_GAP_S;
+use super::motion_sample::MAX_INTERRUPTION_S;
 use super::{MotionLog, MotionSample};
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, SUBSTEPS, State, runge_kutta_4};
@@ -31,14 +31,14 @@ pub struct AngleError {
 pub enum OpenLoopError {
     /// Two samples are more than 1 s apart.
     #[error(
-        "there is no sample for {gap_s:.1} s after {time_s:.2} s: nobody knows the voltage in so long a gap, so this motion \
-         cannot be simulated"
+        "there is no sample for {interruption_s:.1} s after {time_s:.2} s: nobody knows the voltage in so long a time, so this \
+         motion cannot be simulated"
     )]
-    Gap {
-        /// Time of the last sample before the gap, s.
+    Interrupted {
+        /// Time of the last sample before the interruption, s.
         time_s: f64,
-        /// Length of the gap, s.
-        gap_s: f64,
+        /// Length of the interruption, s.
+        interruption_s: f64,
     },
     /// A simulated state is no longer finite.
     #[error(
@@ -54,7 +54,7 @@ pub enum OpenLoopError {
 /// corrects the simulation, so every error of the model accumulates.
 ///
 /// # Errors
-/// The log has a long gap, or the motion diverges.
+/// The log has a long interruption, or the motion diverges.
 pub fn simulate_from_first_state(
     log: &MotionLog,
     model: &QubeModel,
@@ -66,7 +66,7 @@ pub fn simulate_from_first_state(
 /// Simulates a log's voltages in open loop from a given start state.
 ///
 /// # Errors
-/// The log has a long gap, or the motion diverges.
+/// The log has a long interruption, or the motion diverges.
 pub fn simulate_from(
     log: &MotionLog,
     model: &QubeModel,
@@ -75,8 +75,8 @@ pub fn simulate_from(
     let start_s = log.samples.first().map_or(0.0, |sample| sample.time_s);
     let mut steps =
         log.samples.windows(2).map(|pair| (pair[0].time_s, pair[1].time_s - pair[0].time_s));
-    if let Some((time_s, gap_s)) = steps.find(|(_, step_s)| *step_s > MAX_GAP_S) {
-        return Err(OpenLoopError::Gap { time_s: time_s - start_s, gap_s });
+    if let Some((time_s, interruption_s)) = steps.find(|(_, step_s)| *step_s > MAX_INTERRUPTION_S) {
+        return Err(OpenLoopError::Interrupted { time_s: time_s - start_s, interruption_s });
     }
     let mut simulated = Vec::with_capacity(log.samples.len());
     simulate_stretch(&log.samples, 0..log.samples.len(), model, start, |state| {
@@ -281,14 +281,14 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_with_a_long_gap_is_not_simulated_through_it() {
-        for (gap_s, is_simulated) in [(0.9, true), (1.2, false), (3.0 * 86_400.0, false)] {
+    fn a_motion_with_a_long_interruption_is_not_simulated_through_it() {
+        for (interruption_s, is_simulated) in [(0.9, true), (1.2, false), (3.0 * 86_400.0, false)] {
             let mut log = made_by(&DomainParameters::NOMINAL);
             for sample in &mut log.samples[200..] {
-                sample.time_s += gap_s;
+                sample.time_s += interruption_s;
             }
             let simulated = simulate_from_first_state(&log, &QubeModel::NOMINAL);
-            assert_eq!(simulated.is_ok(), is_simulated, "{gap_s} s");
+            assert_eq!(simulated.is_ok(), is_simulated, "{interruption_s} s");
             if let Err(why) = simulated {
                 let before_s = log.samples[199].time_s - log.samples[0].time_s;
                 let words = format!("after {before_s:.2} s: nobody knows the voltage");

@@ -20,7 +20,7 @@ pub enum Verdict {
         /// Outcome with its latencies.
         outcome: RolloutOutcome,
     },
-    /// A fault ended the rollout, or the recording has gaps. The recording is kept but not given to
+    /// A fault ended the rollout, or the recording lacks ticks. The recording is kept but not given to
     /// the surrogate, and the rollout is repeated a limited number of times.
     Void {
         /// Reason in words.
@@ -96,7 +96,7 @@ pub fn score_recording(recording: &Recording) -> Verdict {
     match outcome.ending {
         Ending::Stopped => Verdict::Unfinished,
         Ending::Fault(fault) => Verdict::Void { reason: fault.to_string() },
-        _ if recording.has_gaps() => Verdict::Void { reason: "the recorder lost ticks".into() },
+        _ if recording.lacks_ticks() => Verdict::Void { reason: "the recorder lost ticks".into() },
         Ending::Completed | Ending::LeftBox(_) => {
             let return_ = return_of(&recording.ticks, &recording.header.reward);
             let success = outcome.ending == Ending::Completed

@@ -90,7 +90,7 @@ fn rollout(rig: &Rig, disk: &SimulatedDisk) -> Outcome {
     // The recording must agree with the control thread's report.
     let recording = read_on(disk, path).unwrap();
     assert_eq!(recording.outcome.as_ref(), Some(&recorded.outcome));
-    assert!(!recording.has_gaps() && recorded.outcome.records_lost == 0);
+    assert!(!recording.lacks_ticks() && recorded.outcome.records_lost == 0);
     let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running).count();
     assert_eq!(running, recorded.outcome.steps as usize);
     let missed: u32 = recording

@@ -112,7 +112,10 @@ fn missing_after_kill(ticks: usize, pause: Duration) -> Vec<u32> {
     let recording = read(&path).unwrap();
     assert!(matches!(recording.completeness, Completeness::CutOff { .. }));
     assert_eq!(recording.policy, b"policy");
-    assert!(!recording.has_gaps(), "the recording does not begin with its first tick, or has gaps");
+    assert!(
+        !recording.lacks_ticks(),
+        "the recording does not begin with its first tick, or has gaps"
+    );
     let found = recording.ticks.len() as u32;
     let promised = pushed.iter().filter(|(_, time_ns)| time_ns + PROMISE_NS <= killed_ns);
     promised.map(|(number, _)| *number).filter(|number| *number >= found).collect()

@@ -13,25 +13,25 @@ const LARGEST_ROTOR_SHARE: f64 = 0.2;
 ///
 /// The motor's side has the rotor's inertia, the damping and the friction; the arm's side has the
 /// remaining inertia, the cable, and the encoder with its tachometer. While the motor touches
-/// either end of the gap, both sides move together, exactly like a Qube without backlash. Contact
+/// either end of the play, both sides move together, exactly like a Qube without backlash. Contact
 /// begins with an inelastic impact. The encoder is assumed to be on the arm's side: while the motor
-/// crosses the gap, the control loop sees an arm that rests or moves freely.
+/// crosses the play, the control loop sees an arm that rests or moves freely.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Play {
-    half_gap_rad: f64,
+    half_play_rad: f64,
     motor_rad: f64,
     motor_rad_s: f64,
-    /// End of the gap at which the motor touches the arm: 1 where it pushes towards positive theta,
-    /// -1 at the other end; `None` inside the gap.
+    /// End of the play at which the motor touches the arm: 1 where it pushes towards positive theta,
+    /// -1 at the other end; `None` inside the play.
     contact: Option<f64>,
 }
 
 impl Play {
-    /// Backlash of width `gap_rad`, rad, with the motor in the middle of the gap, at the arm's
+    /// Backlash of width `play_rad`, rad, with the motor in the middle of the play, at the arm's
     /// velocity.
-    pub(super) fn new(gap_rad: f64, arm: &State) -> Self {
+    pub(super) fn new(play_rad: f64, arm: &State) -> Self {
         let (motor_rad, motor_rad_s) = (arm.theta, arm.theta_dot);
-        Self { half_gap_rad: 0.5 * gap_rad, motor_rad, motor_rad_s, contact: None }
+        Self { half_play_rad: 0.5 * play_rad, motor_rad, motor_rad_s, contact: None }
     }
 
     /// Velocity of the motor, rad/s, which determines its back EMF.
@@ -65,16 +65,16 @@ impl Play {
         self.apply_impact(&arm, rotor_inertia, after)
     }
 
-    /// Places a motor in contact at its end of the gap, with the arm's velocity, for a new state of
-    /// the arm; a motor inside the gap stays where it is.
+    /// Places a motor in contact at its end of the play, with the arm's velocity, for a new state of
+    /// the arm; a motor inside the play stays where it is.
     pub(super) fn follow(&mut self, state: &State) {
         if let Some(side) = self.contact {
-            self.motor_rad = state.theta + side * self.half_gap_rad;
+            self.motor_rad = state.theta + side * self.half_play_rad;
             self.motor_rad_s = state.theta_dot;
         }
     }
 
-    /// Moves the motor inside the gap. Friction is applied last and never reverses the velocity; in
+    /// Moves the motor inside the play. Friction is applied last and never reverses the velocity; in
     /// an explicit step it would, because the rotor's inertia is so small.
     fn turn_motor(
         &mut self,
@@ -93,10 +93,10 @@ impl Play {
         self.motor_rad += step_s * self.motor_rad_s;
     }
 
-    /// Applies the impact when the motor has reached an end of the gap; returns the state after it.
+    /// Applies the impact when the motor has reached an end of the play; returns the state after it.
     fn apply_impact(&mut self, arm: &NonidealDynamics, rotor_inertia: f64, state: State) -> State {
         let ahead_rad = self.motor_rad - state.theta;
-        if ahead_rad.abs() < self.half_gap_rad {
+        if ahead_rad.abs() < self.half_play_rad {
             return state;
         }
         let side = ahead_rad.signum();
@@ -134,8 +134,8 @@ mod tests {
     use crate::device::emulator::{EmulatorSettings, Plant};
     use crate::qube::{HARD_STOP_RAD, Nonidealities, QubeModel, RAD_PER_COUNT};
 
-    fn plant(play_rad: f64, gap: Nonidealities) -> Plant {
-        let model = QubeModel { nonidealities: gap, ..QubeModel::NOMINAL };
+    fn plant(play_rad: f64, nonidealities: Nonidealities) -> Plant {
+        let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
         Plant::new(&EmulatorSettings { model, play_rad, ..EmulatorSettings::default() })
     }
 
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn the_arm_waits_until_the_motor_has_crossed_the_gap_and_then_follows() {
+    fn the_arm_waits_until_the_motor_has_crossed_the_play_and_then_follows() {
         let (mut with, mut without) = (plant(0.0175, friction()), plant(0.0, friction()));
         let start = with.state().theta;
         for plant in [&mut with, &mut without] {
@@ -161,14 +161,14 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_back_costs_the_gap() {
+    fn a_turn_back_costs_the_play() {
         let mut plant = plant(0.0175, friction());
         plant.set_voltage(0.4);
         plant.advance_to(300_000);
         plant.set_voltage(0.0);
         plant.advance_to(8_000_000);
         let rests = plant.state().theta;
-        // The push is so slow that nothing coasts: the motor crosses the gap and then takes the arm
+        // The push is so slow that nothing coasts: the motor crosses the play and then takes the arm
         // along.
         plant.set_voltage(-0.104);
         let mut first_us = None;
