@@ -67,7 +67,7 @@ pub struct Arguments {
     check: CheckArguments,
 }
 
-/// Parses a number of hours above 0, at most 10,000 (417 days).
+/// Parses a number of hours above 0, at most 10 000 (417 days).
 fn hours(text: &str) -> Result<f64, String> {
     positive(text, 10_000.0)
 }

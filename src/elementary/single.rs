@@ -7,7 +7,7 @@
 //! compiled for vectors (see [`super::VectorKernel`]).
 //!
 //! The coefficients of the polynomials are minimax fits of this project: iteratively reweighted
-//! least squares (Lawson's algorithm) in double precision on 4,000 Chebyshev-spaced points, the
+//! least squares (Lawson's algorithm) in double precision on 4000 Chebyshev-spaced points, the
 //! quotient linearised with the denominator of the previous round. The fitted coefficients are then
 //! rounded to `f32`; those of cos one after the other, with the remaining ones fitted again each
 //! time. The error bounds below include `f32` rounding and are tested on dense grids.

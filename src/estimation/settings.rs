@@ -6,7 +6,7 @@ use crate::qube::{ModelError, Nonidealities, QubeModel};
 /// Smallest corner of the guard's velocity filter, rad/s.
 pub const GUARD_CORNER_RAD_S: f64 = 200.0;
 
-/// Largest corner of a velocity filter that is accepted, rad/s. At 100 Hz a corner of 1,000 rad/s
+/// Largest corner of a velocity filter that is accepted, rad/s. At 100 Hz a corner of 1000 rad/s
 /// already filters nothing.
 pub const LARGEST_CORNER_RAD_S: f64 = 1e6;
 

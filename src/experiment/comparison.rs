@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn signs_of_many_differences_are_drawn() {
-        // All of 14, or 14 less one: 30 of 16,384 assignments are as extreme.
+        // All of 14, or 14 less one: 30 of 16 384 assignments are as extreme.
         let mut differences = [1.0; 14];
         differences[0] = -1.0;
         let p = sign_permutation(&differences);

@@ -19,12 +19,12 @@ pub struct ExperimentSettings {
     pub name: String,
     /// Seed from which every random number follows.
     pub seed: u64,
-    /// Number of policies for each recipe, 1 to 1,000, each trained with its own seed.
+    /// Number of policies for each recipe, 1 to 1000, each trained with its own seed.
     pub policies: u32,
-    /// Number of rollouts of each policy on each plant, 1 to 1,000.
+    /// Number of rollouts of each policy on each plant, 1 to 1000.
     pub rollouts: u32,
     /// Number of fresh starts from which a policy's return in simulation is evaluated, 1 to
-    /// 100,000.
+    /// 100 000.
     pub simulated_starts: u32,
     /// Checksum of the profile by which the guard knew the Qube when the experiment began, or
     /// `none` if the Qube's file named none; `None` in files that lack it.

@@ -7,7 +7,7 @@ use serde::Serialize;
 /// The quantile of the normal distribution that leaves 2.5 % above it.
 const NORMAL_975: f64 = 1.959_963_984_540_054;
 
-/// Number of random draws behind an interval of a mean. With 10,000, an end of the interval
+/// Number of random draws behind an interval of a mean. With 10 000, an end of the interval
 /// typically varies from seed to seed by less than a hundredth of the interval's width.
 const DRAWS: usize = 10_000;
 
@@ -190,7 +190,7 @@ mod tests {
             let value = |i| f64::from(u8::from(i < ones));
             (0..20).map(value).collect::<Vec<f64>>()
         };
-        // R: binom.test(x, 20)$conf.int. 10,000 draws leave the third digit to chance.
+        // R: binom.test(x, 20)$conf.int. 10 000 draws leave the third digit to chance.
         near(bounded_mean_interval(&sample(20), 1.0), 0.831_6, 1.0, 4e-3);
         near(bounded_mean_interval(&sample(10), 1.0), 0.272_0, 0.728_0, 4e-3);
         near(bounded_mean_interval(&sample(0), 1.0), 0.0, 0.168_4, 4e-3);

@@ -14,7 +14,7 @@ const LARGEST_NOISE_RATIO: f64 = 1.2;
 const LARGEST_WHITENESS: f64 = 0.02;
 
 /// Largest [`Assessment::whiteness`] of a model that fits, times the root of the number of samples.
-/// It replaces [`LARGEST_WHITENESS`] over recordings of fewer than 2,025 samples, where chance
+/// It replaces [`LARGEST_WHITENESS`] over recordings of fewer than 2025 samples, where chance
 /// alone exceeds that limit: it is about two standard deviations of the mean over [`LAGS`] lags of
 /// white residuals.
 const LARGEST_CHANCE: f64 = 0.9;

@@ -3,7 +3,7 @@ use crate::simulation::{DomainDistribution, Evaluation, SimulationSettings, eval
 
 /// Evaluates a policy in the form in which it is deployed, from `starts` starts that its training
 /// has not seen. The evaluations during training overestimate the best policy, so a published
-/// return needs such an evaluation, from 1,000 starts or more.
+/// return needs such an evaluation, from 1000 starts or more.
 ///
 /// # Panics
 /// Panics if the network's number of inputs differs from the length of the simulation's

@@ -38,7 +38,7 @@ impl Preset {
             Self::Robust => "Half a minute, with a real Qube's encoders and velocity filter",
             Self::Quick => "A few seconds, on true states in the thesis's box",
             Self::Thesis => {
-                "Published budget, on true states in the thesis's box: 100 updates of 48,000 \
+                "Published budget, on true states in the thesis's box: 100 updates of 48 000 \
                  transitions"
             }
             Self::Custom => "Settings of your own",

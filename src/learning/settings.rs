@@ -16,7 +16,7 @@ pub struct TrainSettings {
     pub updates: u32,
     /// Number of pendulums simulated in parallel, each for 600 steps in an update. A pendulum that
     /// leaves the safety box starts a new trajectory with new domain parameters, so there are at
-    /// least as many trajectories. A multiple of 16, at most 4,096.
+    /// least as many trajectories. A multiple of 16, at most 4096.
     #[serde(alias = "pendulums")]
     pub num_envs: u16,
     /// Passes over the transitions of an update.
@@ -72,13 +72,13 @@ pub struct TrainSettings {
     pub worst_share: f32,
     /// Sensors, observation, reward, safety box and plant of the simulation.
     pub simulation: SimulationSettings,
-    /// Number of threads, 1 to 1,024. Collecting uses all of them, optimising at most two. The
+    /// Number of threads, 1 to 1024. Collecting uses all of them, optimising at most two. The
     /// result does not depend on this number.
     pub threads: usize,
 }
 
 impl TrainSettings {
-    /// The published budget (Eilers 2019, section 5): 100 updates of 48,000 transitions and 7,500
+    /// The published budget (Eilers 2019, section 5): 100 updates of 48 000 transitions and 7500
     /// gradient steps of each network.
     #[must_use]
     pub fn thesis() -> Self {
@@ -175,7 +175,7 @@ impl TrainSettings {
     }
 
     /// The preset for a policy in seconds, for trials and for searches that train many policies: 60
-    /// updates of 9,600 transitions. A wider clip range lets each update move the policy farther.
+    /// updates of 9600 transitions. A wider clip range lets each update move the policy farther.
     /// The wider exploration at the start makes up for the few pendulums: without wider exploration
     /// one policy in ten settles for a slower swing-up.
     #[must_use]

@@ -134,7 +134,7 @@ impl StepSequence {
         self.level
     }
 
-    /// Draws one bit. The feedback polynomial x^15 + x^14 + 1 takes the register through all 32,767
+    /// Draws one bit. The feedback polynomial x^15 + x^14 + 1 takes the register through all 32 767
     /// nonzero states.
     fn bit(&mut self) -> u16 {
         let bit = (self.register >> 14 ^ self.register >> 13) & 1;

@@ -70,7 +70,7 @@ fn in_words(quantity: Quantity, distribution: &Distribution) -> String {
     format!("{name} {mean} ± {deviation} {unit} ({family})")
 }
 
-/// A number with three significant digits, or without decimals from 1,000 to 9,999.
+/// A number with three significant digits, or without decimals from 1000 to 9999.
 fn three_digits(value: f64) -> String {
     let places = if value == 0.0 { 0.0 } else { 2.0 - value.abs().log10().floor() };
     match places {

@@ -21,7 +21,7 @@ pub struct BayRnSettings {
     pub initial_design: InitialDesign,
     /// Acquisition function: the next point is its maximum.
     pub acquisition: AcquisitionKind,
-    /// Weight beta of the standard deviation in the upper confidence bound, 0 to 1,000; no other
+    /// Weight beta of the standard deviation in the upper confidence bound, 0 to 1000; no other
     /// acquisition function uses it.
     pub beta: f64,
     /// Rule for the incumbent: the value against which an improvement is measured.

@@ -46,7 +46,7 @@ impl Evaluation {
 /// the rewards of each. Two actors that are evaluated with one distribution and one seed meet the
 /// same Qubes and starts.
 ///
-/// 100 starts suffice to choose a policy during training. A figure for publication should use 1,000
+/// 100 starts suffice to choose a policy during training. A figure for publication should use 1000
 /// or more, with a seed that was not used to choose the policy.
 pub fn evaluate(
     actor: &mut impl Actor,

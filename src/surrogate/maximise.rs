@@ -107,7 +107,7 @@ fn raw_points(
 }
 
 /// The `index`-th point of an Owen-scrambled Sobol sequence on the unit cube (Burley 2020). The
-/// sequence has 65,536 points; larger indices take its points again with another scrambling.
+/// sequence has 65 536 points; larger indices take its points again with another scrambling.
 #[must_use]
 pub fn sobol_point(index: usize, dimensions: usize, seed: u32) -> Vec<f64> {
     let (round, index) = (index >> 16, index & 0xffff);

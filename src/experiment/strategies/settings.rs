@@ -9,18 +9,18 @@ pub struct StrategySettings {
     /// Methods that are compared.
     #[serde(alias = "contenders")]
     pub methods: Vec<Method>,
-    /// Number of repetitions of each method, 1 to 1,000. All methods of a repetition have the same
+    /// Number of repetitions of each method, 1 to 1000. All methods of a repetition have the same
     /// seed: a step that several methods share, such as an excitation, draws the same random
     /// numbers in each.
     pub repetitions: u32,
-    /// Largest number of recordings of a method that learns from recordings, 1 to 1,000, if there
+    /// Largest number of recordings of a method that learns from recordings, 1 to 1000, if there
     /// are no budgets; an excitation lasts 10 s.
     pub recordings: u32,
     /// Standard deviation of the training distribution around an identified Qube, as a fraction of
     /// each value; 0 to 1.
     pub spread: f64,
     /// Numbers of real rollouts after which each method's recommendation is scored, in rising order
-    /// and up to 1,000. If empty, recommendations are scored one after the other until the first
+    /// and up to 1000. If empty, recommendations are scored one after the other until the first
     /// success.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub budgets: Vec<u32>,

@@ -1,4 +1,4 @@
-//! The arithmetic of gradient steps, of which a training with the thesis's budget takes 750,000 for
+//! The arithmetic of gradient steps, of which a training with the thesis's budget takes 750 000 for
 //! each network.
 //!
 //! Activations are stored feature by feature, `[feature][64 samples]`, hidden weights as
