@@ -104,11 +104,11 @@ fn the_firmware_does_what_the_golden_file_says() {
     assert_eq!(ask(&questions), expected);
 }
 
-/// Tests the emergency stop by lists of events. A question says whether a switch is fitted (1 or 0)
-/// and lists events: a millisecond with closed (`c`) or open (`o`) contact, a Hello (`h`), an Arm
-/// (`a`). In the answers, a number is the state after an event (1 Greeted, 2 Armed, 4 Faulted), `!`
-/// is the latched emergency stop, `r` an Arm that the stop refuses, `?` a board that knows of no
-/// switch.
+/// Tests the emergency-stop switch by lists of events. A question says whether the switch is fitted
+/// (1 or 0) and lists events: a millisecond with closed (`c`) or open (`o`) contact, a Hello (`h`),
+/// an Arm (`a`). In the answers, a number is the state after an event (1 Greeted, 2 Armed, 4
+/// Faulted), `!` means that the switch is latched as open, `r` is an Arm that is refused for it, `?`
+/// a board that knows of no emergency-stop switch.
 #[test]
 fn the_firmware_latches_the_emergency_stop_until_hello() {
     let closed = "c".repeat(101);
@@ -120,9 +120,9 @@ fn the_firmware_latches_the_emergency_stop_until_hello() {
         ("1 caooooahachcca", " 1 2 2 2 2 4! 4! 1! r 1! 1 1 1 2"),
         // An opening of 2 ms does not count.
         ("1 caoocoocooc", " 1 2 2 2 2 2 2 2 2 2 2"),
-        // The switch opens and closes before the Arm: the stop is latched.
+        // The switch opens and closes before the Arm: it is latched as open.
         ("1 cooooccaha", " 1 1 1 1 1! 1! 1! r 1 2"),
-        // No switch was ever closed, so nothing stops and nothing is latched.
+        // The switch was never closed, so nothing stops and nothing is latched.
         ("0 ooooaoooo", " 1? 1? 1? 1? 2? 2? 2? 2? 2?"),
     ]
     .map(|(question, answer)| (format!("stop {question}"), format!("stop{answer}")))

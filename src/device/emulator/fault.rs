@@ -211,7 +211,7 @@ const FORMS: [(&str, &str); 25] = [
     ("qube-absent@S[+D]", "the Qube does not answer its board [is off for D]"),
     ("unplug@S[+D]", "the USB cable is pulled [for D]"),
     ("power-loss@S, brown-out@S, board-restart@S", "the board loses power for good, or restarts"),
-    ("emergency-stop@S", "the stop switch is pressed for 2 s"),
+    ("emergency-stop@S", "the emergency-stop switch is pressed for 2 s"),
 ];
 
 /// The error for a text that names no fault, or whose numbers are out of range.
