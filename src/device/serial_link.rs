@@ -45,7 +45,7 @@ pub struct SerialLink<T: Transport> {
     boot_id: Option<u16>,
     /// Whether an arm or disarm has found that the device has restarted since that hello.
     has_restarted: bool,
-    /// What the operator has done since the first hello, as far as an answer has shown it.
+    /// Operator actions seen since the first hello.
     seen: Seen,
     /// Whether the port was opened again since the last answered hello.
     was_reopened: bool,
@@ -68,8 +68,8 @@ enum Motor {
     Tripped,
 }
 
-/// What the operator has done with the Qube's switches since the first hello. It lasts as long as
-/// the link.
+/// The operator's actions at the Qube's switches since the first hello, as far as an answer has shown
+/// them. The record lasts as long as the link.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
     /// The emergency-stop switch was closed, or there is none.

@@ -52,8 +52,8 @@ impl Recording {
             || self.ticks.first().is_some_and(|first| first.tick != 0)
     }
 
-    /// What is missing in the file, in words after "the recording"; `None` if it holds every tick
-    /// and its outcome.
+    /// Missing part of the recording, in words that follow "the recording"; `None` if the file has
+    /// every tick and the outcome.
     #[must_use]
     pub fn loss(&self) -> Option<String> {
         let ticks = self.ticks.len();

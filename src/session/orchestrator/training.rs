@@ -84,8 +84,8 @@ pub(super) struct Trainer {
 
 impl Trainer {
     /// Trains the policies of these candidates; a training that is prepared is not done again. A
-    /// candidate whose competing policies all fail in
-    /// simulation is trained again with other seeds, in at most [`ROUNDS`] rounds in all.
+    /// candidate whose competing policies all fail in simulation is trained again with other seeds,
+    /// in at most [`ROUNDS`] rounds in all.
     pub(super) fn train(
         &self,
         candidates: Vec<Candidate>,

@@ -1,5 +1,5 @@
-//! What the fault of the settings does to the emulated board: when it begins, and what the board
-//! then reports or keeps from doing.
+//! Effects of the configured fault on the emulated board: when the fault begins, and what the board
+//! then reports or no longer does.
 
 use firmware_protocol::DeviceState;
 
