@@ -71,19 +71,19 @@ fn witnessed(test: &impl Fn()) -> (std::thread::Result<()>, Duration) {
             .map(|processor| {
                 scope.spawn({
                     let is_over = &is_over;
-                    move || longest_stand(processor, is_over)
+                    move || longest_stall(processor, is_over)
                 })
             })
             .collect();
         let ended = catch_unwind(AssertUnwindSafe(test));
         is_over.store(true, Ordering::Relaxed);
-        let stands = witnesses.into_iter().map(|witness| witness.join().unwrap_or_default());
-        (ended, stands.max().unwrap_or_default())
+        let stalls = witnesses.into_iter().map(|witness| witness.join().unwrap_or_default());
+        (ended, stalls.max().unwrap_or_default())
     })
 }
 
 /// Largest lateness of a thread on this processor until the test is over.
-fn longest_stand(processor: usize, is_over: &AtomicBool) -> Duration {
+fn longest_stall(processor: usize, is_over: &AtomicBool) -> Duration {
     let mut here = CpuSet::new();
     here.set(processor);
     let _ = sched_setaffinity(None, &here);

@@ -1,5 +1,4 @@
 //! A Qube with the USB panel behind the test library, for whole processes.
-#![allow(dead_code, reason = "each test uses its part")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
