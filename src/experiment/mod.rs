@@ -19,6 +19,7 @@
 mod board;
 mod comparison;
 mod error;
+mod event;
 mod folder;
 mod made;
 mod plant;
@@ -36,6 +37,7 @@ mod work;
 
 pub use comparison::Comparison;
 pub use error::ExperimentError;
+pub use event::ExperimentEvent;
 pub use folder::{ExperimentFolder, PolicyFolders};
 pub use made::Made;
 pub use plant::Plant;
@@ -47,4 +49,4 @@ pub use strategies::{
     ALL_PLANTS, Method, RecommendationResult, Repetition, Score, StrategyResult, StrategyResults,
     StrategySettings,
 };
-pub use work::{Experiment, ExperimentEvent, SearchReturns, TrainingProgress};
+pub use work::{Experiment, SearchReturns, TrainingProgress};

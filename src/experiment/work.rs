@@ -2,87 +2,19 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use super::event::{ExperimentEvent, OnEvent};
 use super::folder::make;
 use super::queue::Queue;
 use super::search::{RecipePsi, found_psi, open_search, searched};
 use super::series::Series;
 use super::strategies::{Access, Followed, Trial};
-use super::{
-    ExperimentError, ExperimentFolder, ExperimentSettings, Made, Method, Recipe,
-    RecommendationResult, Repetition, RolloutResult,
-};
+use super::{ExperimentError, ExperimentFolder, ExperimentSettings, Made, Method, Recipe};
 use crate::jobs::{Executor, LocalExecutor};
-use crate::learning::{CURVE_BYTES, TrainUpdate, parse_curve_csv};
+use crate::learning::{CURVE_BYTES, parse_curve_csv};
 use crate::rig::{ClockChoice, Rig, RigSettings};
 use crate::session::{SeedFor, SessionEvent, SessionSettings, derived_seed};
 use crate::simulation::{DomainDistribution, Psi};
 use crate::storage::read_text;
-
-/// An event of a running experiment, from any thread.
-pub enum ExperimentEvent<'a> {
-    /// An event of a session that searches for psi.
-    Search {
-        /// Name of the search: a recipe, or a method with the number of a repetition.
-        name: &'a str,
-        /// Event of the session.
-        progress: &'a SessionEvent<'a>,
-    },
-    /// A training of a policy has done one more update.
-    Training {
-        /// Name of the recipe.
-        recipe: &'a str,
-        /// Number of the policy.
-        policy: u32,
-        /// Number of this training among the competing trainings of the policy.
-        training: u32,
-        /// The update.
-        update: &'a TrainUpdate,
-    },
-    /// A policy is on disk.
-    Trained {
-        /// Name of the recipe.
-        recipe: &'a str,
-        /// Number of the policy.
-        policy: u32,
-        /// Best return in training; `None` if the policy was on disk.
-        best_return: Option<f64>,
-    },
-    /// A policy has completed all its rollouts on a plant.
-    Ran {
-        /// Name of the recipe; at fixed budgets the method and its budget, such as `posterior 2`.
-        recipe: &'a str,
-        /// Number of the policy; at fixed budgets the number of the repetition.
-        policy: u32,
-        /// Name of the plant.
-        plant: &'a str,
-        /// Results of the rollouts.
-        results: &'a [RolloutResult],
-        /// Time of the policy's training or of its last rollout.
-        made: Made,
-    },
-    /// A recommendation has been scored, or the method gave a reason for having none.
-    Scored {
-        /// Repetition of the method.
-        repetition: &'a Repetition,
-        /// Result of the scoring.
-        recommendation: &'a RecommendationResult,
-    },
-    /// Budgets have no score of their own: they allow no recommendation, or only the recommendation
-    /// that the budget before them had.
-    NotScored {
-        /// Number of these budgets.
-        budgets: usize,
-        /// Time of the score beside them, as in [`Self::Ran`].
-        made: Made,
-    },
-    /// A repetition of a method has ended.
-    Over {
-        /// Repetition with all its recommendations.
-        repetition: &'a Repetition,
-        /// Time of its last score.
-        made: Made,
-    },
-}
 
 /// An experiment in its folder. The files in the folder alone decide which work is finished and
 /// which follows.
@@ -131,9 +63,6 @@ pub type SearchReturns = Vec<(String, Vec<Vec<f64>>)>;
 /// The mean returns of the trainings of each recipe: the recipe's name, and for each policy one
 /// mean return an update.
 pub type TrainingProgress = Vec<(String, Vec<Vec<f64>>)>;
-
-/// Receives the events of an experiment.
-pub(super) type OnEvent<'a> = dyn Fn(ExperimentEvent) + Sync + 'a;
 
 impl Experiment {
     /// An experiment that begins or continues in its folder. `rig` selects the Qube; if it is

@@ -1,8 +1,8 @@
 use std::path::PathBuf;
 
+use crate::experiment::event::OnEvent;
 use crate::experiment::folder::PolicyFolders;
 use crate::experiment::series::Series;
-use crate::experiment::work::OnEvent;
 use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
 use crate::simulation::{DomainDistribution, Model, Psi};
 
