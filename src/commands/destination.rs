@@ -10,8 +10,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::exit::Failure;
 use super::failures;
 use super::printable::print_message;
+use crate::experiment::ExperimentFolder;
 use crate::recording::is_recording;
-use crate::session::FolderError;
+use crate::session::{FolderError, RigSessions, SessionPaths};
 use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 
 /// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
@@ -98,7 +99,12 @@ impl OutputFile {
 /// Whether an existing file is a recording, or a file from which a session or an experiment goes on.
 /// Nothing can compute them again, so that `--force` does not replace them.
 fn cannot_be_made_again(path: &Path) -> bool {
-    const NAMES: [&str; 4] = ["ledger.jsonl", "session.toml", "experiment.toml", "rigs.toml"];
+    const NAMES: [&str; 4] = [
+        SessionPaths::LEDGER,
+        SessionPaths::CONFIGURATION,
+        ExperimentFolder::SETTINGS,
+        RigSessions::FILE,
+    ];
     path.file_name().is_some_and(|name| NAMES.iter().any(|record| name == *record))
         || is_recording(path).unwrap_or(false)
 }

@@ -11,7 +11,7 @@ use super::exit::Failure;
 use super::printable::one_line;
 use super::stop::Stop;
 use crate::device::DeviceError;
-use crate::experiment::ExperimentError;
+use crate::experiment::{ExperimentError, ExperimentFolder};
 use crate::jobs::starter::{StartError, quoted};
 use crate::jobs::{JobError, JobFolderError};
 use crate::policy::PolicyError;
@@ -152,7 +152,7 @@ pub fn folder(error: &FolderError) -> Failure {
 fn resuming_command(folder: &Path) -> Option<&'static str> {
     if SessionPaths::new(folder).configuration().exists() || RigSessions::are_in(folder) {
         Some("session")
-    } else if folder.join("experiment.toml").exists() {
+    } else if ExperimentFolder::is_in(folder) {
         Some("experiment")
     } else {
         None

@@ -75,7 +75,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                     RigSessions::folder(folder, 1).display()
                 )));
             }
-            let page = match folder.join("experiment.toml").exists() {
+            let page = match ExperimentFolder::is_in(folder) {
                 true => of_experiment(folder)?,
                 false => of_session(folder)?,
             };
@@ -280,7 +280,7 @@ fn path_word(path: &Path) -> String {
 fn failure(error: ReportError) -> Failure {
     let message = one_line(&error.to_string()).into_owned();
     match error {
-        ReportError::NotASession { .. } => Failure::usage(format!(
+        ReportError::Folder(_) => Failure::usage(format!(
             "{message}. Give the folder of a session or experiment, or recordings"
         )),
         ReportError::Configuration(_) => Failure::usage(message),

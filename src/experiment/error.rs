@@ -2,6 +2,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+use super::ExperimentFolder;
 use crate::rig::RigError;
 use crate::session::{ConfigurationError, SessionError};
 
@@ -9,7 +10,7 @@ use crate::session::{ConfigurationError, SessionError};
 #[derive(Debug, Error)]
 pub enum ExperimentError {
     /// The folder to resume is not an experiment.
-    #[error("{path} is not an experiment: it has no experiment.toml")]
+    #[error("{path} is not an experiment: it has no {}", ExperimentFolder::SETTINGS)]
     NotAnExperiment {
         /// Path of the folder.
         path: PathBuf,

@@ -34,6 +34,15 @@ pub struct ExperimentFolder {
 }
 
 impl ExperimentFolder {
+    /// Name of the file with the settings.
+    pub(crate) const SETTINGS: &str = "experiment.toml";
+
+    /// Whether a folder is an experiment that has begun.
+    #[must_use]
+    pub fn is_in(root: &Path) -> bool {
+        MachineDisk.exists(&settings_in(root))
+    }
+
     /// Creates a new folder, or takes an empty one, and writes the experiment's settings into it. The
     /// partial settings of an experiment that was killed at its start are replaced.
     ///
@@ -67,7 +76,7 @@ impl ExperimentFolder {
     /// # Errors
     /// The folder is not an experiment, or another process holds it.
     pub fn open(root: &Path) -> Result<Self, ExperimentError> {
-        if !MachineDisk.exists(&settings_in(root)) {
+        if !Self::is_in(root) {
             return Err(ExperimentError::NotAnExperiment { path: root.to_owned() });
         }
         Self::hold(root)
@@ -127,7 +136,7 @@ impl ExperimentFolder {
 
 /// Path of the resolved settings of an experiment in this folder.
 fn settings_in(root: &Path) -> PathBuf {
-    root.join("experiment.toml")
+    root.join(ExperimentFolder::SETTINGS)
 }
 
 /// The folders of the policies of one recipe or one recommendation, by policy number.

@@ -1,18 +1,13 @@
-use std::path::PathBuf;
-
 use thiserror::Error;
 
-use crate::session::{ConfigurationError, LedgerError};
+use crate::session::{ConfigurationError, FolderError, LedgerError};
 
 /// The reason why no report on a session, an experiment or recordings can be made.
 #[derive(Debug, Error)]
 pub enum ReportError {
     /// The folder is not a session.
-    #[error("{path} is not a session: it has no session.toml")]
-    NotASession {
-        /// Path of the folder.
-        path: PathBuf,
-    },
+    #[error(transparent)]
+    Folder(#[from] FolderError),
     /// The settings cannot be read.
     #[error(transparent)]
     Configuration(#[from] ConfigurationError),

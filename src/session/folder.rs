@@ -21,7 +21,7 @@ pub enum FolderError {
         path: PathBuf,
     },
     /// The folder to resume is not a session.
-    #[error("{path} is not a session: it has no session.toml")]
+    #[error("{path} is not a session: it has no {}", SessionPaths::CONFIGURATION)]
     NotASession {
         /// Path of the folder.
         path: PathBuf,

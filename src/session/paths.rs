@@ -14,6 +14,12 @@ pub struct SessionPaths {
 }
 
 impl SessionPaths {
+    /// Name of the file with all settings.
+    pub(crate) const CONFIGURATION: &str = "session.toml";
+
+    /// Name of the ledger.
+    pub(crate) const LEDGER: &str = "ledger.jsonl";
+
     /// The paths of a session in this folder.
     #[must_use]
     pub fn new(root: &Path) -> Self {
@@ -29,13 +35,13 @@ impl SessionPaths {
     /// Path of the file with all settings, the defaults included.
     #[must_use]
     pub fn configuration(&self) -> PathBuf {
-        self.root.join("session.toml")
+        self.root.join(Self::CONFIGURATION)
     }
 
     /// Path of the ledger.
     #[must_use]
     pub fn ledger(&self) -> PathBuf {
-        self.root.join("ledger.jsonl")
+        self.root.join(Self::LEDGER)
     }
 
     /// Path of the profile that was fitted to this number of recordings.

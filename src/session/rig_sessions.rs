@@ -30,10 +30,13 @@ impl RigSessions {
     /// Largest number of Qubes whose sessions one folder holds.
     pub const MOST: u32 = 16;
 
+    /// Name of the file.
+    pub(crate) const FILE: &str = "rigs.toml";
+
     /// Path of `rigs.toml` in the folder `root`.
     #[must_use]
     pub fn path(root: &Path) -> PathBuf {
-        root.join("rigs.toml")
+        root.join(Self::FILE)
     }
 
     /// Folder of the session of a rig, which is numbered from 1.

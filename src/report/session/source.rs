@@ -10,8 +10,9 @@ use crate::report::ReportError;
 use crate::report::rollout::RolloutView;
 use crate::scoring::{Latencies, Verdict, score_recording};
 use crate::session::{
-    Candidate, Entry, Identification, Purpose, ScoredCandidate, SessionPaths, SessionSettings,
-    SessionState, SessionView, Step, TrainingTime, finished_rollout, identified_profile, next_step,
+    Candidate, Entry, FolderError, Identification, Purpose, ScoredCandidate, SessionPaths,
+    SessionSettings, SessionState, SessionView, Step, TrainingTime, finished_rollout,
+    identified_profile, next_step,
 };
 use crate::storage::Disk;
 
@@ -73,7 +74,7 @@ impl SessionSource {
     pub fn read(disk: &dyn Disk, folder: &Path) -> Result<Self, ReportError> {
         let paths = SessionPaths::new(folder);
         if !disk.exists(&paths.configuration()) {
-            return Err(ReportError::NotASession { path: folder.to_owned() });
+            return Err(FolderError::NotASession { path: folder.to_owned() }.into());
         }
         let settings = SessionSettings::load(&paths.configuration())?;
         let view = SessionView::read(disk, paths.clone())?;
