@@ -62,17 +62,17 @@ pub enum PolicyError {
 pub enum PolicyFault {
     /// The file is larger than any policy.
     #[error(
-        "is larger than {MAX_FILE_BYTES} bytes, more than any policy. Give a file that `train` wrote"
+        "is larger than {MAX_FILE_BYTES} bytes, more than any policy. Give a policy of qube-hil"
     )]
     TooLarge,
     /// The file is not in the safetensors format, or damaged.
-    #[error("is not a safetensors file, or is damaged ({source}). Give a file that `train` wrote")]
+    #[error("is not a safetensors file, or is damaged ({source}). Give a policy of qube-hil")]
     NotSafetensors {
         /// Cause of the failure.
         source: SafeTensorError,
     },
     /// The safetensors file is not a policy.
-    #[error("has no metadata `{METADATA_KEY}`. Give a file that `train` wrote")]
+    #[error("has no metadata `{METADATA_KEY}`. Give a policy of qube-hil")]
     NoMetadata,
     /// The metadata of a file of another format describes a controller that is no network.
     #[error("has the metadata of a controller that is not a network")]
