@@ -3,7 +3,9 @@
 //! A [`TrainingJob`] holds everything that its policy depends on, so the same job gives the same
 //! policy and learning curve wherever it runs. The command `train`, sessions and experiments hand
 //! jobs to an [`Executor`]; [`LocalExecutor`] trains on this computer's cores, [`FolderExecutor`]
-//! by workers on any computers that share a folder with this one ([`folder`]).
+//! by workers on any computers that share a folder with this one ([`folder`]). Three kinds of
+//! training are no jobs and run where they are asked for: one that goes on from a network
+//! (`train --from`), those of methods that train in a way of their own, and Python's.
 //!
 //! The room may import `learning`, `simulation`, `storage` and `elementary`.
 //!
