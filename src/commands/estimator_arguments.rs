@@ -8,6 +8,15 @@ use super::profile;
 use crate::estimation::{EstimatorSettings, LARGEST_CORNER_RAD_S, ObserverSettings};
 use crate::qube::PlantModel;
 
+/// Sensors of the simulations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Sensors {
+    /// True angles and velocities without error
+    True,
+    /// Encoder counts, and the estimator that runs on the Qube
+    Encoders,
+}
+
 /// The arguments of the estimator whose state the policy sees.
 #[derive(Clone, Debug, Default, clap::Args)]
 #[command(next_help_heading = "What the policy sees")]

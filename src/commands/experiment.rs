@@ -14,7 +14,7 @@ use self::opening::{Opened, begun, narrowed, resumed, withdraw};
 use super::check_arguments::CheckArguments;
 use super::command_hints::unidentified;
 use super::device_arguments::{DrivenPlantArguments, QubeArguments};
-use super::estimator_arguments::EstimatorArguments;
+use super::estimator_arguments::{EstimatorArguments, Sensors};
 use super::executor_arguments::ExecutorArguments;
 use super::exit::Failure;
 use super::experiment_progress::ExperimentProgress;
@@ -183,15 +183,6 @@ pub struct Arguments {
 enum FamilyArgument {
     Normal,
     Uniform,
-}
-
-/// Sensors of the simulations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Sensors {
-    /// Angles and velocities without error
-    True,
-    /// Encoder counts, and the estimator that runs on the Qube
-    Encoders,
 }
 
 /// The parser of model names. Models around an identified Qube are left out, because they need a

@@ -6,7 +6,7 @@ use clap::builder::TypedValueParser;
 use serde_json::json;
 
 use super::destination::{OutputFile, check_folder, folder_of};
-use super::estimator_arguments::EstimatorArguments;
+use super::estimator_arguments::{EstimatorArguments, Sensors};
 use super::exit::Failure;
 use super::failures;
 use super::keyboard::Keyboard;
@@ -135,15 +135,6 @@ impl Arguments {
     fn asks_for_nonidealities(&self) -> bool {
         self.profile.is_some() || self.delay_ms.is_some() || self.model == Model::Robust
     }
-}
-
-/// Sensors of the simulation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Sensors {
-    /// True angles and velocities without error
-    True,
-    /// Encoder counts, and the estimator that runs on the Qube
-    Encoders,
 }
 
 /// Number of updates between checkpoints.
