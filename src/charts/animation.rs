@@ -1,5 +1,6 @@
 use std::fmt::Write;
 
+use super::style::page_style;
 use crate::qube::State;
 use crate::replay::MotionLog;
 
@@ -24,12 +25,6 @@ const REACH: f64 = 100.0;
 /// Angle of the view above the arm's plane, rad.
 const TILT_RAD: f64 = 0.42;
 
-const STYLE: &str = "text{font:13px system-ui,'Noto Sans',Arial,sans-serif;fill:#5a6370}\
-    .p{fill:#fff}.g{stroke:#d6dae0}.a{stroke:#5a6370}.b{stroke:#0072b2;fill:none}.d{fill:#0072b2}\
-    .t{stroke:#d55e00;fill:none}.dt{fill:#d55e00}\
-    @media(prefers-color-scheme:dark){text{fill:#a2abb8}.p{fill:#14171b}.g{stroke:#3a414b}.a{stroke:#a2abb8}\
-    .b{stroke:#5ab4ee}.d{fill:#5ab4ee}.t{stroke:#ff9350}.dt{fill:#ff9350}}";
-
 /// Draws the first 20 s of a motion as an animated SVG that repeats at the motion's own speed: arm
 /// and pendulum on the left, their angles with a line at the present time on the right. The picture
 /// needs no script, so that pages and slides can show it.
@@ -38,11 +33,12 @@ pub fn animation_svg(title: &str, log: &MotionLog) -> String {
     let frames = frames(log);
     let duration_s = duration_s(&frames);
     let (width, height) = SIZE;
+    let style = page_style();
     let mut svg = String::new();
     let _ = write!(
         svg,
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
-         role=\"img\"><title>{}</title><style>{STYLE}</style><rect class=\"p\" width=\"{width}\" height=\"{height}\" rx=\"6\"/>",
+         role=\"img\"><title>{}</title><style>{style}</style><rect class=\"p\" width=\"{width}\" height=\"{height}\" rx=\"6\"/>",
         escaped(title)
     );
     draw_pendulum(&mut svg, log, &frames, duration_s);

@@ -30,6 +30,33 @@ const PALETTE: [RGBColor; 7] = [
     INK,
 ];
 
+/// Colours of a picture in a page.
+struct PageColours {
+    text: RGBColor,
+    grid: RGBColor,
+    ground: RGBColor,
+    blue: RGBColor,
+    vermilion: RGBColor,
+}
+
+/// Colours in a light page.
+const LIGHT_PAGE: PageColours = PageColours {
+    text: RGBColor(0x5a, 0x63, 0x70),
+    grid: RGBColor(0xd6, 0xda, 0xe0),
+    ground: WHITE,
+    blue: BLUE,
+    vermilion: VERMILION,
+};
+
+/// Colours in a dark page.
+const DARK_PAGE: PageColours = PageColours {
+    text: RGBColor(0xa2, 0xab, 0xb8),
+    grid: RGBColor(0x3a, 0x41, 0x4b),
+    ground: RGBColor(0x14, 0x17, 0x1b),
+    blue: RGBColor(0x5a, 0xb4, 0xee),
+    vermilion: RGBColor(0xff, 0x93, 0x50),
+};
+
 /// Font of all figures.
 pub const FONT: &str = "sans-serif";
 /// Size of the texts at axes and in keys, pixels.
@@ -42,6 +69,34 @@ pub const LINE: u32 = 2;
 /// The colour of the line with this index; after seven lines the colours repeat.
 pub fn colour(index: usize) -> RGBColor {
     PALETTE[index % PALETTE.len()]
+}
+
+/// The style sheet of a picture in a page, light or dark like the reader's: `p` is the ground, `g` a
+/// grid, `a` a grey line, `b` and `t` are blue and vermilion lines, `d` and `dt` areas and texts of
+/// these colours.
+pub fn page_style() -> String {
+    let PageColours { text, grid, ground, blue, vermilion } = LIGHT_PAGE;
+    let [text, grid, ground, blue, vermilion] = [text, grid, ground, blue, vermilion].map(css);
+    let light = format!(
+        "text{{font:13px system-ui,'Noto Sans',Arial,sans-serif;fill:{text}}}.p{{fill:{ground}}}.g{{stroke:{grid}}}\
+         .a{{stroke:{text}}}.b{{stroke:{blue};fill:none}}.d{{fill:{blue}}}.t{{stroke:{vermilion};fill:none}}\
+         .dt{{fill:{vermilion}}}"
+    );
+    let PageColours { text, grid, ground, blue, vermilion } = DARK_PAGE;
+    let [text, grid, ground, blue, vermilion] = [text, grid, ground, blue, vermilion].map(css);
+    let dark = format!(
+        "text{{fill:{text}}}.p{{fill:{ground}}}.g{{stroke:{grid}}}.a{{stroke:{text}}}.b{{stroke:{blue}}}\
+         .d{{fill:{blue}}}.t{{stroke:{vermilion}}}.dt{{fill:{vermilion}}}"
+    );
+    format!("{light}@media(prefers-color-scheme:dark){{{dark}}}")
+}
+
+/// A colour as style sheets write it.
+fn css(RGBColor(red, green, blue): RGBColor) -> String {
+    match (red, green, blue) {
+        (0xff, 0xff, 0xff) => "#fff".to_owned(),
+        _ => format!("#{red:02x}{green:02x}{blue:02x}"),
+    }
 }
 
 /// The mark of an entry in a key (legend).
