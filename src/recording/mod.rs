@@ -13,6 +13,21 @@
 //! truncated file is never taken for a complete one, and any changed byte is found.
 //!
 //! The room may import `telemetry`, `qube` and `storage`.
+//!
+//! ```
+//! use std::path::Path;
+//!
+//! use qube_hil::recording::{Completeness, read};
+//!
+//! let path = Path::new("tests/fixtures/left_the_speed_envelope.mcap");
+//! let recording = read(path)?;
+//! assert_eq!(recording.completeness, Completeness::Whole);
+//! assert!(!recording.lacks_ticks());
+//! for tick in recording.ticks.iter().take(3) {
+//!     println!("{}: {:.3} rad, {} mV", tick.tick, tick.state.alpha, tick.voltage_mv);
+//! }
+//! # Ok::<(), qube_hil::recording::RecordingError>(())
+//! ```
 
 mod channels;
 mod error;

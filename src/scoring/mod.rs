@@ -6,6 +6,20 @@
 //! gives its [`Verdict`].
 //!
 //! The room may import `recording`, `telemetry`, `qube` and `storage`.
+//!
+//! ```
+//! use std::path::Path;
+//!
+//! use qube_hil::scoring::score;
+//! use qube_hil::storage::MachineDisk;
+//!
+//! // The policy of this rollout left the box.
+//! let path = Path::new("tests/fixtures/left_the_speed_envelope.mcap");
+//! let verdict = score(&MachineDisk, path)?;
+//! assert!(!verdict.is_success());
+//! assert!(verdict.return_().is_some_and(|it| it < 400.0));
+//! # Ok::<(), qube_hil::recording::RecordingError>(())
+//! ```
 
 mod behaviour;
 pub mod criterion;
