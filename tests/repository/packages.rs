@@ -6,7 +6,7 @@ use std::fs;
 
 use toml::Value;
 
-use crate::tree::root;
+use crate::tree::{root, source_files};
 
 fn manifest() -> Value {
     fs::read_to_string(root().join("Cargo.toml")).unwrap().parse::<toml::Table>().unwrap().into()
@@ -30,6 +30,27 @@ fn everything_in_the_debian_package_exists_or_is_built_by_its_script() {
     }
     let scripts = manifest()["package"]["metadata"]["deb"]["maintainer-scripts"].clone();
     assert!(root().join(scripts.as_str().unwrap()).join("postinst").exists());
+}
+
+#[test]
+fn the_debian_package_holds_the_pages_that_help_texts_name() {
+    let packed: Vec<String> = assets().into_iter().map(|(source, _)| source).collect();
+    let mut named = BTreeSet::new();
+    for file in source_files(&root().join("src/commands")) {
+        let text = fs::read_to_string(&file).unwrap();
+        // clap makes the help of doc comments.
+        for comment in text.lines().filter(|line| line.trim_start().starts_with("///")) {
+            let words = comment
+                .split(|letter: char| !letter.is_ascii_alphanumeric() && !"/_-.".contains(letter));
+            let words = words.map(|word| word.trim_end_matches('.'));
+            let pages = words.filter(|word| word.starts_with("docs/") && word.ends_with(".md"));
+            named.extend(pages.map(str::to_owned));
+        }
+    }
+    assert!(named.len() >= 4, "{named:?}");
+    for page in named {
+        assert!(packed.contains(&page), "the package lacks {page}");
+    }
 }
 
 #[test]
