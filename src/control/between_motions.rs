@@ -61,17 +61,22 @@ impl Motor {
 }
 
 /// Knowledge about the encoder counts between motions.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct RestMonitor {
     /// Name of the port for errors.
     pub port: String,
-    /// Counts at which arm and pendulum came to rest after the last motion; `None` if they were not
-    /// seen at rest, or if the arm's count jumped meanwhile.
-    pub left_at: Option<RestingCounts>,
-    /// Whether the arm's count jumped as the arm came to rest after the last motion.
-    pub has_jumped: bool,
+    /// Counts at which arm and pendulum came to rest after the last motion, or the reason why they
+    /// are not known.
+    pub left_at: Result<RestingCounts, Moved>,
     /// Encoders of the plant that was homed.
     pub encoders: Encoders,
+}
+
+impl Default for RestMonitor {
+    fn default() -> Self {
+        let (port, encoders) = (String::new(), Encoders::default());
+        Self { port, left_at: Err(Moved::Unseen), encoders }
+    }
 }
 
 impl RestMonitor {
@@ -86,8 +91,8 @@ impl RestMonitor {
     ) {
         let mut watch = RestWatch::after(last, self.encoders);
         let rest = watch_rest(&mut watch, device, clock, stop).ok().flatten();
-        self.has_jumped = watch.has_jumped();
-        self.left_at = rest.filter(|_| !self.has_jumped);
+        self.left_at =
+            if watch.has_jumped() { Err(Moved::Jumped) } else { rest.ok_or(Moved::Unseen) };
     }
 
     /// Checks before a rollout arms the device that arm and pendulum are where they were left.
@@ -113,11 +118,9 @@ impl RestMonitor {
             let stopped = stop.load(Ordering::Relaxed);
             return Err(if stopped { ControlError::Stopped } else { Moved::Unseen.into() });
         };
-        if self.has_jumped {
-            return Err(Moved::Jumped.into());
-        }
+        let left_at = self.left_at?;
         let zero_counts = settings.calibration.alpha_zero_counts;
-        Ok(rest.compare(self.left_at, zero_counts, self.encoders)?)
+        Ok(rest.compare(left_at, zero_counts, self.encoders)?)
     }
 }
 

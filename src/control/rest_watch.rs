@@ -67,11 +67,10 @@ impl RestingCounts {
     /// The zeros do not hold, and homing must measure them again.
     pub fn compare(
         self,
-        before: Option<Self>,
+        before: Self,
         alpha_zero_counts: i32,
         encoders: Encoders,
     ) -> Result<(), Moved> {
-        let before = before.ok_or(Moved::Unseen)?;
         let arm = self.theta.wrapping_sub(before.theta);
         if arm.unsigned_abs() > of_qube(TOLERANCE, encoders.theta).unsigned_abs() {
             return Err(Moved::Arm(encoders.theta.angle_rad(arm)));
@@ -216,7 +215,7 @@ mod tests {
         let zero = 700;
         let left = RestingCounts { theta: -40, alpha: zero };
         let qube = Encoders::QUBE;
-        let now = |theta, alpha| RestingCounts { theta, alpha }.compare(Some(left), zero, qube);
+        let now = |theta, alpha| RestingCounts { theta, alpha }.compare(left, zero, qube);
         assert_eq!(now(-40, zero), Ok(()));
         assert_eq!(now(-56, zero + 16), Ok(()));
         // A pendulum that went over the top hangs whole turns away.
@@ -227,11 +226,10 @@ mod tests {
         assert!(matches!(now(260, zero), Err(Moved::Arm(rad)) if (rad - 0.92).abs() < 0.01));
         assert!(matches!(now(-57, zero), Err(Moved::Arm(_))));
         assert!(matches!(now(-40, zero - 17), Err(Moved::Pendulum(_))));
-        assert_eq!(left.compare(None, zero, qube), Err(Moved::Unseen));
         // Counters that wrap.
         let edge = RestingCounts { theta: i32::MAX, alpha: i32::MIN + 2 };
         let over = RestingCounts { theta: i32::MIN + 3, alpha: i32::MAX };
-        assert_eq!(over.compare(Some(edge), i32::MIN + 2, qube), Ok(()));
+        assert_eq!(over.compare(edge, i32::MIN + 2, qube), Ok(()));
     }
 
     #[test]
@@ -239,7 +237,7 @@ mod tests {
         let encoder = |counts: i32| Encoder::try_from(counts).unwrap();
         let fine = Encoders { theta: encoder(4096), alpha: encoder(5000) };
         let left = RestingCounts { theta: 0, alpha: 0 };
-        let now = |theta, alpha| RestingCounts { theta, alpha }.compare(Some(left), 0, fine);
+        let now = |theta, alpha| RestingCounts { theta, alpha }.compare(left, 0, fine);
         assert_eq!(now(32, 5000 + 39), Ok(()));
         assert_eq!(now(-32, -10_000), Ok(()));
         assert!(matches!(now(33, 0), Err(Moved::Arm(rad)) if (rad - 0.0506).abs() < 1e-3));

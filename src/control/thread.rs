@@ -8,7 +8,7 @@ use super::between_motions::{Motor, RestMonitor};
 use super::reconnect::{Patience, greet_patiently};
 use super::{
     ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
-    Motion, ThreadGone, Tick, drive_warm,
+    Motion, Moved, ThreadGone, Tick, drive_warm,
 };
 use crate::clock::{Clock, RealtimeRefusals, enter_realtime};
 use crate::device::{Device, DeviceError, Identity};
@@ -295,7 +295,7 @@ fn execute(
                 let mut tick = Tick::new(&settings, controller);
                 driven(state, motor, device, clock, &mut tick, Some(&mut records), stop)
             });
-            rest_monitor.left_at = None;
+            rest_monitor.left_at = Err(Moved::Unseen);
             if let (Ok(report), ControlState::Ready) = (&driven, *state) {
                 rest_monitor.keep(report.last_measurement.as_ref(), device, clock, stop);
             }
