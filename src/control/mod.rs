@@ -48,7 +48,7 @@ pub use latency::LatencyHistogram;
 pub use machine::{ControlAction, ControlEvent, ControlState, state_diagram};
 pub use motion::{Motion, TickInput, TickOutput};
 pub use push::ArmInput;
-pub use reconnect::Patience;
+pub use reconnect::HelloRetries;
 pub use rest_watch::{Moved, RestWatch, RestingCounts};
 pub use sensor_watch::SensorWatch;
 pub use sign_probe::{AT_REST_COUNTS, ArmResponse, ProbeSample, ProbeStage, ProbeTrace, SignProbe};

@@ -13,28 +13,28 @@ const STOP_POLL_NS: Nanoseconds = 50 * MS;
 
 /// Timing of the hellos to a device that has fallen silent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Patience {
+pub struct HelloRetries {
     /// Pause before the first hello, ns. A delayed link may stay delayed for seconds.
     pub pause_ns: Nanoseconds,
     /// Time after that pause for which hellos to a silent device are repeated, ns.
     pub limit_ns: Nanoseconds,
 }
 
-/// Sends hellos until the device answers or the time of `patience` is over, and reopens the port
+/// Sends hellos until the device answers or the time of `retries` is over, and reopens the port
 /// before each further attempt.
 ///
 /// # Errors
 /// The error of the last hello. What no waiting cures ends the attempts at once: a version
 /// mismatch, an emergency stop, and a Qube that was switched off, which somebody may be about to
 /// touch. So does a request to stop.
-pub(super) fn greet_patiently(
+pub(super) fn greet_until_answered(
     device: &mut dyn Device,
     clock: &dyn Clock,
     stop: &AtomicBool,
-    patience: Patience,
+    retries: HelloRetries,
 ) -> Result<Identity, DeviceError> {
-    let end_ns = clock.now_ns() + patience.pause_ns + patience.limit_ns;
-    pause(clock, stop, patience.pause_ns);
+    let end_ns = clock.now_ns() + retries.pause_ns + retries.limit_ns;
+    pause(clock, stop, retries.pause_ns);
     let mut pauses = PAUSES_NS.into_iter().chain(std::iter::repeat(PAUSES_NS[4]));
     loop {
         match device.hello() {
@@ -75,26 +75,26 @@ mod tests {
     use crate::qube::State;
 
     /// Times at which a device that never answers received hellos, s.
-    fn hellos(patience: Patience, stop: &AtomicBool) -> Vec<f64> {
+    fn hellos(retries: HelloRetries, stop: &AtomicBool) -> Vec<f64> {
         let mut device = PlantDevice::new(State::default());
         let clock = device.clock.clone();
         device.deaf_until_ns = Nanoseconds::MAX;
-        greet_patiently(&mut device, &clock, stop, patience).unwrap_err();
+        greet_until_answered(&mut device, &clock, stop, retries).unwrap_err();
         device.hellos_ns.iter().map(|time_ns| *time_ns as f64 * 1e-9).collect()
     }
 
     #[test]
     fn a_lost_link_is_tried_again_at_growing_intervals_for_a_set_time() {
         let stop = AtomicBool::new(false);
-        let tries = hellos(Patience { pause_ns: 0, limit_ns: 30_000 * MS }, &stop);
+        let tries = hellos(HelloRetries { pause_ns: 0, limit_ns: 30_000 * MS }, &stop);
         let first: Vec<f64> =
             tries[..7].iter().map(|time_s| (time_s * 10.0).round() / 10.0).collect();
         assert_eq!(first, [0.0, 0.1, 0.3, 0.8, 1.8, 3.8, 5.8]);
         assert!(tries.iter().all(|time_s| *time_s < 32.1), "{tries:?}");
         assert!(tries.last() > Some(&28.0), "{tries:?}");
-        assert_eq!(hellos(Patience::default(), &stop).len(), 1);
+        assert_eq!(hellos(HelloRetries::default(), &stop).len(), 1);
         stop.store(true, Ordering::Relaxed);
-        assert_eq!(hellos(Patience { pause_ns: 0, limit_ns: 30_000 * MS }, &stop).len(), 1);
+        assert_eq!(hellos(HelloRetries { pause_ns: 0, limit_ns: 30_000 * MS }, &stop).len(), 1);
     }
 
     #[test]
@@ -102,8 +102,8 @@ mod tests {
         let mut device = PlantDevice::new(State::default());
         let clock = device.clock.clone();
         device.deaf_until_ns = 5_000 * MS;
-        let patience = Patience { pause_ns: 0, limit_ns: 30_000 * MS };
-        greet_patiently(&mut device, &clock, &AtomicBool::new(false), patience).unwrap();
+        let retries = HelloRetries { pause_ns: 0, limit_ns: 30_000 * MS };
+        greet_until_answered(&mut device, &clock, &AtomicBool::new(false), retries).unwrap();
         assert!(clock.now_ns() < 8_000 * MS);
     }
 }

@@ -5,7 +5,7 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::between_motions::{Motor, RestMonitor};
-use super::reconnect::{Patience, greet_patiently};
+use super::reconnect::{HelloRetries, greet_until_answered};
 use super::{
     ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
     Motion, Moved, ThreadGone, Tick, drive_warm,
@@ -29,7 +29,7 @@ pub struct Homed {
 /// A command to the thread. It carries everything that the motion needs, so that the tick neither
 /// allocates nor loads a file.
 enum Command {
-    Hello(Patience),
+    Hello(HelloRetries),
     Cool,
     Motor(MotorHeat),
     Home(Box<HomingSettings>),
@@ -119,16 +119,16 @@ impl ControlThread {
     /// # Errors
     /// The thread is gone, or as for [`Device::hello`].
     pub fn hello(&self) -> Result<Identity, ControlError> {
-        self.hello_patiently(Patience::default())
+        self.hello_until_answered(HelloRetries::default())
     }
 
-    /// Sends hellos to the device until it answers, the time of `patience` is over, or `stop` is
+    /// Sends hellos to the device until it answers, the time of `retries` is over, or `stop` is
     /// set. A device that speaks another version of the protocol ends the attempts at once.
     ///
     /// # Errors
     /// As for [`hello`](Self::hello).
-    pub fn hello_patiently(&self, patience: Patience) -> Result<Identity, ControlError> {
-        match self.ask(Command::Hello(patience))? {
+    pub fn hello_until_answered(&self, retries: HelloRetries) -> Result<Identity, ControlError> {
+        match self.ask(Command::Hello(retries))? {
             Event::Identified(result, is_hardware) => {
                 self.is_hardware.store(is_hardware, Ordering::Relaxed);
                 Ok(result?)
@@ -249,8 +249,8 @@ fn execute(
     stop: &AtomicBool,
 ) -> Event {
     match command {
-        Command::Hello(patience) => {
-            let identified = greet_patiently(device, clock, stop, patience);
+        Command::Hello(retries) => {
+            let identified = greet_until_answered(device, clock, stop, retries);
             let answered = identified.is_ok();
             *rest_monitor = RestMonitor::default();
             if let Ok(identity) = &identified {

@@ -9,8 +9,8 @@ use super::error::link_fault;
 use super::{ClockChoice, Doubt, DoubtStore, RigError, RigSettings};
 use crate::clock::RealtimeRefusals;
 use crate::control::{
-    ControlError, ControlThread, HomingMethod, HomingSettings, Patience, PressOutcome, StopPress,
-    drive_warm,
+    ControlError, ControlThread, HelloRetries, HomingMethod, HomingSettings, PressOutcome,
+    StopPress, drive_warm,
 };
 use crate::device::emulator::EmulatedQube;
 use crate::device::{DeviceError, Identity, LinkFault};
@@ -319,7 +319,8 @@ impl Rig {
 
     fn greet_again(&mut self, pause_ns: u64) -> Result<(), RigError> {
         let limit_ns = (self.link_patience_s * 1e9) as u64;
-        let identity = match self.control.hello_patiently(Patience { pause_ns, limit_ns }) {
+        let identity = match self.control.hello_until_answered(HelloRetries { pause_ns, limit_ns })
+        {
             Ok(identity) => identity,
             Err(ControlError::Device(_)) if self.stop.load(Ordering::Relaxed) => {
                 return Err(RigError::Stopped { during: "the wait for the link" });
