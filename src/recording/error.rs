@@ -3,6 +3,8 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use crate::storage::is_absence;
+
 /// A failure to write or read a recording.
 #[derive(Debug, Error)]
 pub enum RecordingError {
@@ -84,7 +86,7 @@ impl RecordingError {
     /// Whether the file could not be read because it does not exist.
     #[must_use]
     pub fn is_absence(&self) -> bool {
-        matches!(self, Self::Read { source, .. } if source.kind() == io::ErrorKind::NotFound)
+        matches!(self, Self::Read { source, .. } if is_absence(source))
     }
 }
 

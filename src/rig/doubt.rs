@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::storage::{Disk, MachineDisk, write_whole};
+use crate::storage::{Disk, MachineDisk, is_absence, write_whole};
 use crate::telemetry::Fault;
 
 /// A reason why a Qube may not be driven unasked: a sensor or its motor is in doubt, or somebody has
@@ -121,11 +121,6 @@ impl DoubtStore {
         let name: String = board.bytes().map(character).collect();
         self.folder.join(format!("doubt-{name}.json"))
     }
-}
-
-/// Whether an operation failed because neither the file nor, perhaps, its folder exists.
-fn is_absence(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
 #[cfg(test)]

@@ -1,10 +1,9 @@
-use std::io::ErrorKind;
 use std::path::Path;
 
 use super::criterion::{SUCCESS_RETURN, balanced_to_the_end, running};
 use super::return_of;
 use crate::recording::{Completeness, Recording, RecordingError, read_on};
-use crate::storage::Disk;
+use crate::storage::{Disk, is_absence};
 use crate::telemetry::{Ending, RolloutOutcome};
 
 /// The verdict on a recording. It is stored nowhere, but computed from the ticks each time.
@@ -68,7 +67,7 @@ pub fn mean_of(returns: &[f64]) -> Option<f64> {
 /// of its bytes has changed.
 pub fn read_finished(disk: &dyn Disk, path: &Path) -> Result<(Recording, Verdict), RecordingError> {
     let recording = read_on(disk, path).map_err(|error| match error {
-        RecordingError::Read { path, source } if source.kind() == ErrorKind::NotFound => {
+        RecordingError::Read { path, source } if is_absence(&source) => {
             RecordingError::Missing { path }
         }
         error => error,

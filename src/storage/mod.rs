@@ -161,9 +161,15 @@ pub fn sync_name(disk: &dyn Disk, path: &Path) -> io::Result<()> {
 /// The storage failed, or the name is not that of a regular file.
 pub fn file_exists(disk: &dyn Disk, path: &Path) -> io::Result<bool> {
     match disk.read(path, 0) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) if is_absence(&error) => Ok(false),
         read => read.map(|_| true),
     }
+}
+
+/// Whether an operation failed because the file does not exist, or its folder does not.
+#[must_use]
+pub fn is_absence(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
 /// A file could not be written.
