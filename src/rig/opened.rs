@@ -305,11 +305,17 @@ impl Rig {
                 Consequence::End => return Err(RigError::Ended { fault }),
                 // The motor may still have its last voltage, so the operator is warned before the
                 // wait begins.
-                Consequence::Reconnect => tracing::warn!(
-                    "{fault}. {} The program waits up to {} s for the same board",
-                    fault.operator_step(),
-                    self.link_patience_s
-                ),
+                Consequence::Reconnect => {
+                    // The operator's step for a motor that may be on was shown when the motion ended.
+                    let step = match fault {
+                        Fault::OffUnconfirmed => String::new(),
+                        fault => format!(" {}", fault.operator_step()),
+                    };
+                    tracing::warn!(
+                        "{fault}.{step} The program waits up to {} s for the same board",
+                        self.link_patience_s
+                    );
+                }
                 Consequence::TryAgain => {}
             }
         }
