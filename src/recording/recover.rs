@@ -11,7 +11,8 @@ use crate::storage::{Disk, WriteError, write_new};
 pub enum Recovered {
     /// The recording was complete, so nothing was written.
     WasWhole {
-        /// What is missing in it all the same, because it was lost before the file was written.
+        /// Missing part of the recording, in words, where something was lost before the file was
+        /// written.
         loss: Option<String>,
     },
     /// The new file holds the intact part.
