@@ -11,6 +11,8 @@
 //! centred on the Qube of the row and has the standard errors and correlations of `lab`. Some Qubes
 //! have effects that no profile contains: play, and friction that yields before it slides.
 
+#[path = "../beyond_the_equations/mechanics.rs"]
+mod mechanics;
 mod plant;
 
 use std::path::Path;

@@ -11,6 +11,8 @@
 //! for each plant come tables of the counts. The limits of the verdict were chosen on seeds from
 //! 100.
 
+#[path = "../beyond_the_equations/mechanics.rs"]
+mod mechanics;
 mod plant;
 
 use std::collections::BTreeMap;
