@@ -1,28 +1,18 @@
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use clap::ValueEnum;
 
-use super::check_arguments::CheckArguments;
-use super::command_hints::{before_driving, too_wide};
+use super::chosen_device::{ChosenDevice, EMULATED};
 use super::exit::Failure;
 use super::failures;
 use super::plant_file::PlantArgument;
 use super::printable::print_message;
 use super::profile;
-use crate::clock::{Clock, MonotonicClock};
-use crate::control::{HomingMethod, HomingSettings};
-use crate::device::emulator::EmulatorSettings;
-use crate::device::{Device, HilLink, Tty};
-use crate::estimation::EstimatorSettings;
-use crate::jobs::starter::quoted;
-use crate::qube::{MotorRating, PlantModel, Profile};
-use crate::rig::{ClockChoice, DeviceChoice, RigError, RigSettings};
-use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
-use crate::session::{QUBE_FILE, QubeFile, file_checksum};
-
-/// Name of the embedded emulator in `--device`.
-pub(super) const EMULATED: &str = "emulated";
+use crate::control::HomingMethod;
+use crate::qube::{PlantModel, Profile};
+use crate::rig::{ClockChoice, DeviceChoice, RigError};
+use crate::safety::PlantConsent;
+use crate::session::{QUBE_FILE, QubeFile};
 
 /// The arguments that select a Qube and a clock.
 #[derive(Clone, Debug, clap::Args)]
@@ -112,49 +102,12 @@ enum HomeArgument {
 }
 
 impl HomeArgument {
-    fn of(method: HomingMethod) -> Self {
-        match method {
-            HomingMethod::Stops => Self::Stops,
-            HomingMethod::Hand => Self::Hand,
-        }
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Stops => "stops",
-            Self::Hand => "hand",
-        }
-    }
-
     fn method(self) -> HomingMethod {
         match self {
             Self::Stops => HomingMethod::Stops,
             Self::Hand => HomingMethod::Hand,
         }
     }
-}
-
-/// The Qube that the arguments select.
-#[derive(Clone, Debug)]
-pub struct ChosenDevice {
-    /// Connection to the Qube.
-    pub choice: DeviceChoice,
-    /// Clock of the Qube.
-    pub clock: ClockChoice,
-    /// Plant that is driven.
-    pub plant: PlantModel,
-    /// Whether the operator gave a file that describes the plant.
-    pub plant_is_given: bool,
-    plant_consent: Option<PlantConsent>,
-    /// Properties of the Qube, if a file describes it.
-    pub file: Option<QubeFile>,
-    /// Path of the file with the Qube's properties, if there is one.
-    pub path: Option<PathBuf>,
-    home: Option<HomingMethod>,
-    /// Profile that the file with the Qube's properties names, if any.
-    pub profile: Option<Profile>,
-    /// Whether the embedded emulated Qube counts as not identified.
-    unidentified: bool,
 }
 
 impl DeviceArguments {
@@ -292,210 +245,10 @@ fn check_boards(path: &Path, file: &QubeFile, profile: &Profile) -> Result<(), F
     )))
 }
 
-impl ChosenDevice {
-    /// The notice that a real Qube does not look for its stops, because its file says so; `None` for
-    /// every other Qube, and where the arguments name the method.
-    fn homing_notice(&self) -> Option<String> {
-        let method = self.file.as_ref().map(|file| file.homing.method)?;
-        let is_silent = self.home.is_none() && self.choice.is_hardware();
-        (is_silent && method == HomingMethod::Hand).then_some(
-            "the Qube's file says homing.method = \"hand\" (\"here\" in early files): the arm does not look \
-             for its stops, and its place at the start counts as the middle. Put it there before, or give \
-             --home stops"
-                .to_owned(),
-        )
-    }
-
-    /// The warning that the profile of a real Qube names no board, so that it cannot be compared with the
-    /// board in the Qube's file; `None` for every other Qube, and where one of the files names no board.
-    fn profile_warning(&self) -> Option<String> {
-        let file = self.file.as_ref()?;
-        let (named, board, profile) =
-            (file.profile.as_ref()?, file.board.as_ref()?, self.profile.as_ref()?);
-        (profile.boards().is_empty() && self.choice.is_hardware()).then(|| {
-            format!(
-                "the profile {} names no board (provenance.boards), so it is not known whether it was identified on \
-                 this one, {board}",
-                named.display()
-            )
-        })
-    }
-
-    /// The driven Qube in words: the emulated one, or the one at a port.
-    pub fn described(&self) -> String {
-        match self.choice.name() {
-            Some(port) => format!("the Qube at {port}"),
-            None => "the emulated Qube".to_owned(),
-        }
-    }
-
-    /// Homing settings: those of the Qube's file with the estimator of `default`, or else `default`;
-    /// a method that the arguments name replaces theirs.
-    pub fn homing(&self, default: HomingSettings) -> HomingSettings {
-        let homing = self.file.as_ref().map_or(default, |file| file.homing(default.estimator));
-        HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
-    }
-
-    /// The options that select this device again, each with a space before it; empty for an emulated
-    /// Qube without a file.
-    pub fn options(&self) -> String {
-        let mut options = match (self.choice.name(), &self.path) {
-            (Some(name), _) => format!(" --device {}", quoted(&name)),
-            (None, Some(_)) => format!(" --device {EMULATED}"),
-            (None, None) => String::new(),
-        };
-        if let Some(path) = &self.path {
-            options.push_str(&format!(" --qube {}", quoted(&path.to_string_lossy())));
-        }
-        options
-    }
-
-    /// The option that keeps the homing of this command line when the work is resumed, with a space
-    /// before it; empty where the resumed work homes in the same way without it.
-    pub fn home_option(&self) -> String {
-        // Without a file, resumed work keeps the method that it recorded.
-        match (self.home, &self.file) {
-            (Some(method), Some(_)) => format!(" --home {}", HomeArgument::of(method).name()),
-            _ => String::new(),
-        }
-    }
-
-    /// Checksum of the profile in the Qube's file, by which the guard knows the Qube; `none` without
-    /// one.
-    pub fn guard_profile(&self) -> String {
-        let text = self.profile.as_ref().and_then(|profile| serde_json::to_vec(profile).ok());
-        text.map_or_else(|| "none".to_owned(), |text| file_checksum(&text))
-    }
-
-    /// Whether the guard is to treat an emulated Qube as not identified.
-    pub fn is_unidentified(&self) -> bool {
-        self.unidentified
-    }
-
-    /// Checks that resumed work keeps the guard and the homing that it began with, because its
-    /// rollouts are compared. `work` is the name of the work, such as "a session";
-    /// `is_unidentified` and `homing` are the settings that the work recorded.
-    pub fn check_resumed(
-        &self,
-        work: &str,
-        is_unidentified: bool,
-        homing: HomingSettings,
-    ) -> Result<(), Failure> {
-        if self.unidentified && !is_unidentified {
-            return Err(Failure::usage(format!(
-                "{work} keeps the guard that it began with: leave --unidentified out"
-            )));
-        }
-        if self.homing(homing).method != homing.method {
-            return Err(Failure::usage(format!(
-                "{work} keeps the homing that it began with: give --home {}",
-                HomeArgument::of(homing.method).name()
-            )));
-        }
-        Ok(())
-    }
-
-    /// Checks that this device may be driven as this plant.
-    pub fn check_plant(&self, plant: &PlantModel) -> Result<(), Failure> {
-        if !self.choice.is_hardware() {
-            return Ok(());
-        }
-        let limits = HardwareLimits::default().with_plant_consent(self.plant_consent);
-        limits
-            .admit_plant(plant)
-            .map_err(|error| Failure::usage(format!("--plant: {}", too_wide(&error))))
-    }
-
-    /// Checks that a serial port exists, before a command says what it is going to do with it.
-    pub fn check_port_exists(&self) -> Result<(), Failure> {
-        match &self.choice {
-            DeviceChoice::Port(port) if !Path::new(port).exists() => self.check_port(),
-            _ => Ok(()),
-        }
-    }
-
-    /// Checks that a port can be opened, or that a card answers, before a command trains. Nothing moves. Any other
-    /// device passes.
-    pub fn check_port(&self) -> Result<(), Failure> {
-        let clock: Arc<dyn Clock> = Arc::new(MonotonicClock);
-        let opened = match &self.choice {
-            DeviceChoice::Port(port) => Tty::open(port, clock).map(drop),
-            DeviceChoice::Hil(address) => {
-                HilLink::open(address, clock).and_then(|mut link| link.hello()).map(drop)
-            }
-            DeviceChoice::Emulated | DeviceChoice::Other(_) => Ok(()),
-        };
-        opened.map_err(Failure::usage)
-    }
-
-    /// The task's box, narrowed to the limits in the Qube's file, if there is one.
-    pub fn safety_box(&self, of_the_task: SafetyBox) -> SafetyBox {
-        self.file.as_ref().map_or(of_the_task, |file| file.within_limits(&of_the_task))
-    }
-
-    /// The limits of a rig with this device: for hardware no box may be wider than `safety_box`, which
-    /// must itself be allowed; for an emulated Qube, which has no stop that could break, the limits
-    /// are the default ones. `origin` names the source of the box in the error.
-    pub fn limits(
-        &self,
-        origin: &str,
-        safety_box: &SafetyBox,
-        consent: Option<GuardConsent>,
-    ) -> Result<HardwareLimits, Failure> {
-        if !self.choice.is_hardware() {
-            return Ok(HardwareLimits::default()
-                .with_motor(self.motor())
-                .with_plant_consent(self.plant_consent));
-        }
-        HardwareLimits::of(*safety_box, consent)
-            .map(|limits| limits.with_motor(self.motor()).with_plant_consent(self.plant_consent))
-            .map_err(|error| Failure::usage(format!("{origin}: {}", too_wide(&error))))
-    }
-
-    /// The warning before driving a real Qube whose motor is not known to go off when its board
-    /// loses power; `None` for every other Qube.
-    pub fn power_warning(&self) -> Option<&'static str> {
-        let power = self.file.as_ref().and_then(QubeFile::power);
-        before_driving(power).filter(|_| self.choice.is_hardware())
-    }
-
-    /// Thermal rating of the motor: for current and time constant, the smaller value of the plant
-    /// and of the Qube's file, if there is one.
-    fn motor(&self) -> MotorRating {
-        let of_plant = self.plant.motor_rating();
-        self.file.as_ref().map_or(of_plant, |file| file.motor.lower(&of_plant))
-    }
-
-    /// The settings with which a rig is opened. The widest box is the task's; callers with a
-    /// narrower box replace the limits.
-    pub fn rig_settings(
-        &self,
-        emulator: EmulatorSettings,
-        estimator: EstimatorSettings,
-        check: CheckArguments,
-    ) -> RigSettings {
-        RigSettings {
-            device: self.choice.clone(),
-            clock: self.clock,
-            emulator: emulator.of_plant(&self.plant),
-            plant: self.plant,
-            homing: self.homing(HomingSettings { estimator, ..HomingSettings::default() }),
-            skip_check: check.skip_check,
-            board: self.file.as_ref().and_then(|file| file.board.clone()),
-            profile: self.profile.clone(),
-            unidentified: self.unidentified,
-            recovery: check.recovery(&self.choice),
-            limits: HardwareLimits::default()
-                .with_motor(self.motor())
-                .with_plant_consent(self.plant_consent),
-            viewers: Vec::new(),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::commands::chosen_device::method_name;
 
     #[test]
     fn a_profile_that_was_identified_on_another_board_is_refused() {
@@ -528,7 +281,7 @@ mod tests {
     #[test]
     fn a_hint_to_resume_keeps_a_homing_that_the_qubes_file_would_replace() {
         for home in HomeArgument::value_variants() {
-            assert_eq!(home.to_possible_value().unwrap().get_name(), home.name());
+            assert_eq!(home.to_possible_value().unwrap().get_name(), method_name(home.method()));
         }
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("qube.toml");

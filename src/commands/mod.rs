@@ -7,6 +7,7 @@ mod benchmark;
 mod check;
 mod check_arguments;
 mod check_table;
+mod chosen_device;
 mod command_hints;
 mod command_line;
 mod comparison_table;

@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 
-use super::device_arguments::{
-    ChosenDevice, EMULATED, QubeArguments, TimedPlantArguments, TreatmentArguments,
-};
+use super::chosen_device::{ChosenDevice, EMULATED};
+use super::device_arguments::{QubeArguments, TimedPlantArguments, TreatmentArguments};
 use super::exit::Failure;
 use super::number_arguments::between;
 use crate::rig::{ClockChoice, DeviceChoice};

@@ -8,8 +8,8 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
+use super::chosen_device::ChosenDevice;
 use super::destination::OutputFolder;
-use super::device_arguments::ChosenDevice;
 use super::exit::Failure;
 use super::failures;
 use super::keyboard::Keyboard;

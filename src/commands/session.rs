@@ -5,9 +5,9 @@ use clap::ValueEnum;
 use serde_json::{Value, json};
 
 use super::check_arguments::CheckArguments;
+use super::chosen_device::ChosenDevice;
 use super::command_hints::unidentified;
 use super::destination::OutputFolder;
-use super::device_arguments::ChosenDevice;
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
 use super::executor_arguments::ExecutorArguments;

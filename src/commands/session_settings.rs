@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::device_arguments::ChosenDevice;
+use super::chosen_device::ChosenDevice;
 use super::exit::Failure;
 use super::failures;
 use super::session::{Arguments, Method, Preset};
@@ -70,7 +70,7 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
     if let Some(estimator) = arguments.estimator.settings(&device.plant)? {
         settings = settings.seen_through(estimator);
     }
-    let unidentified = settings.emulated.unidentified || device.is_unidentified();
+    let unidentified = settings.emulated.unidentified || device.unidentified;
     let emulated = arguments.emulated.applied_to(settings.emulated, &device.plant)?;
     settings.emulated = EmulatedQubeSettings { unidentified, ..emulated };
     Ok(settings)

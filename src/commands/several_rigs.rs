@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::device_arguments::{ChosenDevice, EMULATED};
+use super::chosen_device::{ChosenDevice, EMULATED};
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;

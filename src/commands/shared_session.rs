@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use serde_json::json;
 
+use super::chosen_device::ChosenDevice;
 use super::destination::OutputFolder;
-use super::device_arguments::ChosenDevice;
 use super::exit::Failure;
 use super::failures;
 use super::keyboard::Keyboard;

@@ -4,8 +4,9 @@ use std::time::Instant;
 use serde_json::{Value, json};
 
 use super::check_arguments::CheckArguments;
+use super::chosen_device::ChosenDevice;
 use super::destination::OutputFolder;
-use super::device_arguments::{ChosenDevice, DeviceArguments};
+use super::device_arguments::DeviceArguments;
 use super::exit::Failure;
 use super::keyboard::Keyboard;
 use super::number_arguments::positive;

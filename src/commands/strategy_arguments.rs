@@ -1,4 +1,4 @@
-use super::device_arguments::ChosenDevice;
+use super::chosen_device::ChosenDevice;
 use super::exit::Failure;
 use crate::experiment::{Method, StrategySettings};
 

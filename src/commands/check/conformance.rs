@@ -4,7 +4,7 @@ use serde_json::json;
 
 use crate::clock::{Clock, MonotonicClock, VirtualClock};
 use crate::commands::check_table::{Row, checks_json, failed_names, table};
-use crate::commands::device_arguments::ChosenDevice;
+use crate::commands::chosen_device::ChosenDevice;
 use crate::commands::exit::Failure;
 use crate::commands::output::Output;
 use crate::commands::printable::print_message;

@@ -10,8 +10,9 @@ use serde_json::json;
 
 use super::check_arguments::CheckArguments;
 use super::check_table::{Row, checks_json, failed_names, table};
+use super::chosen_device::ChosenDevice;
 use super::destination::OutputFile;
-use super::device_arguments::{ChosenDevice, DeviceArguments};
+use super::device_arguments::DeviceArguments;
 use super::exit::Failure;
 use super::failures;
 use super::keyboard::Keyboard;

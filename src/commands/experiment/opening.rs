@@ -1,8 +1,8 @@
 use std::path::{Path, PathBuf};
 
 use super::{Arguments, FamilyArgument, Sensors};
+use crate::commands::chosen_device::ChosenDevice;
 use crate::commands::destination::{OutputFile, OutputFolder, check_folder};
-use crate::commands::device_arguments::ChosenDevice;
 use crate::commands::exit::Failure;
 use crate::commands::experiment_report::ExperimentReport;
 use crate::commands::failures;
@@ -118,7 +118,7 @@ pub fn begun(
         false => vec![Plant { name: REAL_QUBE.into(), emulated: Default::default(), vary: 0.0 }],
     };
     for plant in &mut plants {
-        plant.emulated.unidentified = device.is_unidentified();
+        plant.emulated.unidentified = device.unidentified;
     }
     // The return of a single policy tells more about the luck of its training than about its
     // recipe, so more policies rather than more rollouts score a recommendation.
