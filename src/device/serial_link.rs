@@ -1,3 +1,5 @@
+mod device_time;
+
 use std::sync::Arc;
 
 use firmware_protocol::{
@@ -5,6 +7,7 @@ use firmware_protocol::{
     QUBE_MODULE_ID, RefusalReason, Reply, Request, SampleReply, StatusBits,
 };
 
+use self::device_time::DeviceTime;
 use super::{Device, DeviceError, EMULATOR_KIND, Identity, LinkFault, Transport};
 use crate::clock::{Clock, Nanoseconds};
 use crate::qube::{Measurement, Status};
@@ -97,24 +100,6 @@ struct Traffic {
 struct LastSample {
     device_time_us: u64,
     asked_ns: Nanoseconds,
-}
-
-/// Widens the device's 32-bit clock to 64 bits, us. The result is right while two samples are less
-/// than 71 minutes apart.
-#[derive(Clone, Copy, Debug, Default)]
-struct DeviceTime {
-    time_us: Option<u64>,
-}
-
-impl DeviceTime {
-    fn unwrap_us(&mut self, raw_us: u32) -> u64 {
-        let time_us = match self.time_us {
-            None => u64::from(raw_us),
-            Some(last_us) => last_us + u64::from(raw_us.wrapping_sub(last_us as u32)),
-        };
-        self.time_us = Some(time_us);
-        time_us
-    }
 }
 
 impl<T: Transport> SerialLink<T> {

@@ -1,0 +1,18 @@
+/// Widens the device's 32-bit clock to 64 bits, us. The result is right while two samples are less
+/// than 71 minutes apart.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DeviceTime {
+    time_us: Option<u64>,
+}
+
+impl DeviceTime {
+    /// The time of a sample since the device's start, us, from its 32-bit clock.
+    pub fn unwrap_us(&mut self, raw_us: u32) -> u64 {
+        let time_us = match self.time_us {
+            None => u64::from(raw_us),
+            Some(last_us) => last_us + u64::from(raw_us.wrapping_sub(last_us as u32)),
+        };
+        self.time_us = Some(time_us);
+        time_us
+    }
+}
