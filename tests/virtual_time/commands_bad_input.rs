@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use crate::program::{has_refused, qube_hil, refused, succeeds};
+use crate::program::{has_refused, qube_hil, refused};
 
 #[test]
 fn ports_that_are_none() {
@@ -184,23 +184,6 @@ fn scripts_are_told_too() {
 }
 
 #[test]
-fn a_result_that_cannot_be_printed_is_a_failure() {
-    let directory = tempfile::tempdir().unwrap();
-    let run = |arguments: &[&str]| {
-        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory.path()).args(arguments).stdout(full);
-        command.output().unwrap()
-    };
-    for arguments in [&["toy"][..], &["toy", "--json"], &["--help"], &["train", "--help"]] {
-        let output = run(arguments);
-        let stderr = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(1), "{stderr}");
-        assert!(stderr.contains("could not be printed"), "{stderr}");
-    }
-}
-
-#[test]
 fn names_that_are_no_text_are_names() {
     use std::os::unix::ffi::OsStrExt;
     let directory = tempfile::tempdir().unwrap();
@@ -338,63 +321,6 @@ fn folders_that_cannot_be() {
 }
 
 #[test]
-fn messages_that_cannot_be_printed_change_no_exit_code() {
-    let directory = tempfile::tempdir().unwrap();
-    let run = |arguments: &[&str]| {
-        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory.path()).env("XDG_STATE_HOME", directory.path());
-        command.args(arguments).stderr(full).output().unwrap()
-    };
-    let rollout = ["run", "--policy", "classical", "--clock", "virtual"];
-    let output = run(&[&rollout[..], &["--out", "unheard"]].concat());
-    assert_eq!(output.status.code(), Some(0));
-    assert!(String::from_utf8_lossy(&output.stdout).contains("return"));
-    assert!(directory.path().join("unheard/rollout-0.mcap").exists());
-    let output = run(&["run", "--policy", "none.safetensors", "--clock", "virtual"]);
-    assert_eq!(output.status.code(), Some(2));
-}
-
-#[test]
-fn a_moving_picture_replaces_no_file_unasked() {
-    let directory = tempfile::tempdir().unwrap();
-    let run =
-        ["run", "--policy", "classical", "--clock", "virtual", "--rollouts", "2", "--out", "r"];
-    assert!(qube_hil(directory.path(), &run).status.success());
-    let other = directory.path().join("r/rollout-1.mcap");
-    let before = std::fs::read(&other).unwrap();
-    let animate = ["replay", "--animate", "r/rollout-1.mcap", "r/rollout-0.mcap"];
-    refused(directory.path(), &animate, 2, &["--animate r/rollout-1.mcap", "--force"]);
-    assert_eq!(std::fs::read(&other).unwrap(), before);
-    refused(
-        directory.path(),
-        &["replay", "--animate", "r", "r/rollout-0.mcap"],
-        2,
-        &["not a file"],
-    );
-    let animate = ["replay", "--animate", "moving.svg", "r/rollout-0.mcap"];
-    assert!(qube_hil(directory.path(), &animate).status.success());
-    refused(directory.path(), &animate, 2, &["exists already"]);
-    assert!(qube_hil(directory.path(), &[&animate[..], &["--force"]].concat()).status.success());
-}
-
-#[test]
-fn a_replay_that_only_draws_names_its_picture() {
-    let directory = tempfile::tempdir().unwrap();
-    let table = "time_s,theta_rad,alpha_rad,theta_dot_rad_s,alpha_dot_rad_s,voltage_v\n\
-                 0,0,0,0,0,0\n0.01,0,0,0,0,0\n0.02,0,0,0,0,0\n";
-    std::fs::write(directory.path().join("mv.csv"), table).unwrap();
-    let told = succeeds(directory.path(), &["replay", "--animate", "mv.svg", "mv.csv"]);
-    assert_eq!(told.trim_end(), "mv.csv: its motion is drawn in mv.svg");
-    assert!(directory.path().join("mv.svg").exists());
-    for name in ["mv.gif", "mv"] {
-        let animate = ["replay", "--animate", name, "mv.csv"];
-        refused(directory.path(), &animate, 2, &[&format!("--animate {name}: "), ".svg"]);
-        assert!(!directory.path().join(name).exists());
-    }
-}
-
-#[test]
 fn a_recording_counts_once() {
     let directory = tempfile::tempdir().unwrap();
     let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "chirps"];
@@ -511,43 +437,6 @@ fn options_that_do_not_fit_are_refused_before_anything_else_is_said() {
         for early in ["homing:", "checking", "warning:"] {
             assert!(!told.contains(early), "{early:?} is said before the refusal: {told}");
         }
-    }
-}
-
-#[test]
-fn an_export_of_files_one_of_which_is_bad_writes_nothing() {
-    let directory = tempfile::tempdir().unwrap();
-    let at = |name: &str| directory.path().join(name);
-    let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "."];
-    assert!(qube_hil(directory.path(), &run).status.success());
-    let policy = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors");
-    std::fs::copy(policy, at("good.safetensors")).unwrap();
-    for bad in ["bad.mcap", "bad.safetensors"] {
-        std::fs::write(at(bad), "neither").unwrap();
-    }
-    let tables = ["export", "rollout-0.mcap", "bad.mcap"];
-    refused(directory.path(), &tables, 2, &["bad.mcap"]);
-    assert!(!at("rollout-0.csv").exists());
-    let models = ["export", "--onnx", "good.safetensors", "bad.safetensors", "--out", "models"];
-    refused(directory.path(), &models, 2, &["bad.safetensors"]);
-    assert!(!at("models").exists());
-}
-
-#[test]
-fn a_page_that_is_not_a_report_is_not_replaced_by_one() {
-    let directory = tempfile::tempdir().unwrap();
-    let page = directory.path().join("rollout-0.html");
-    let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "."];
-    assert!(qube_hil(directory.path(), &run).status.success());
-    std::fs::write(&page, "my own page\n").unwrap();
-    let report = ["report", "rollout-0.mcap"];
-    let words = ["rollout-0.html", "is not a report", "--out"];
-    refused(directory.path(), &report, 2, &words);
-    assert_eq!(std::fs::read_to_string(&page).unwrap(), "my own page\n");
-    std::fs::remove_file(&page).unwrap();
-    // A report is replaced.
-    for _ in 0..2 {
-        assert!(qube_hil(directory.path(), &report).status.success());
     }
 }
 
