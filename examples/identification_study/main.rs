@@ -18,6 +18,7 @@ mod plant;
 use std::collections::BTreeMap;
 
 use plant::{Beyond, Plant};
+use qube_hil::elementary::normal_pair;
 use qube_hil::identification::{
     Estimate, Identified, IdentifyError, MissingEffect, ModelVerdict, Unknown, identify,
 };
@@ -43,7 +44,7 @@ fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
     let mut model = QubeModel::NOMINAL;
     for unknown in Unknown::all() {
         let prior = unknown.prior(&PlantModel::QUBE);
-        let normal = normal(rng);
+        let [normal, _] = normal_pair(rng.random());
         let moved = match unknown.0 {
             Quantity::Parameter(
                 DomainParameter::MotorResistance | DomainParameter::MotorBackEmf,
@@ -63,12 +64,6 @@ fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
         unknown.set(&mut model, moved);
     }
     model
-}
-
-/// A standard normal number, by the method of Box and Muller.
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
-    radius * (2.0 * std::f64::consts::PI * rng.random::<f64>()).cos()
 }
 
 /// The effect outside the model class for this seed, with half to all of the size that a worn or
