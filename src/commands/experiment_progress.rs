@@ -206,6 +206,7 @@ impl ExperimentProgress {
             | SessionEvent::NotIdentified(_)
             | SessionEvent::NotUpdated(_)
             | SessionEvent::SearchContinues { .. }
+            | SessionEvent::TooLoud(_)
             | SessionEvent::SearchEnded { .. }
             | SessionEvent::EndedEarly(_) => {}
         }

@@ -8,7 +8,7 @@ use super::screen::{Progress, in_words};
 use super::stop::Stop;
 use super::training_pace::TrainingPace;
 use super::warn_without_realtime;
-use crate::scoring::Verdict;
+use crate::scoring::{QuietnessFigures, Verdict};
 use crate::session::{CandidateCounts, Purpose, SessionError, SessionEvent, SessionSettings};
 use crate::telemetry::Ending;
 
@@ -161,6 +161,12 @@ impl SessionProgress {
             SessionEvent::SearchContinues { expected_gain, smallest_gain } => self.line(format!(
                 "one more candidate is expected to gain a return of {expected_gain:.1}; the search ends below {smallest_gain:.1}"
             )),
+            SessionEvent::TooLoud(QuietnessFigures { change_v, sign_changes_per_s, .. }) => {
+                self.line(format!(
+                    "the verified policy buzzes ({change_v:.2} V a tick, {sign_changes_per_s:.0} sign \
+                     changes/s), so the search continues"
+                ));
+            }
             SessionEvent::SearchEnded { expected_gain } => self.line(format!(
                 "the search ends; one more candidate is expected to gain a return of {expected_gain:.1}"
             )),

@@ -8,6 +8,15 @@ use crate::telemetry::TickRecord;
 /// after which swing-up and catch are over.
 const CATCH_TICKS: usize = 50;
 
+/// Mean change of the voltage above which balancing is loud, V a tick. The preset `robust` trains
+/// for less than 0.3; its policies around identified Qubes change 0.2 to 0.45
+/// (`scripts/session-study.py`), and policies that nothing keeps quiet 1 to 3.
+const LOUD_CHANGE_V: f64 = 0.6;
+
+/// Sign changes of the voltage above which balancing is loud, 1/s: twice what the preset `robust`
+/// trains for; policies that nothing keeps quiet make 55 to 80.
+const LOUD_SIGN_CHANGES_PER_S: f64 = 40.0;
+
 /// The quietness of balancing over the recorded ticks of any number of rollouts: size and frequency
 /// of voltage changes, and their cost.
 ///
@@ -92,6 +101,14 @@ impl Quietness {
         self.losses_w += other.losses_w;
     }
 
+    /// Whether balancing can be heard as a buzz: it also heats the motor and wears its brushes.
+    #[must_use]
+    pub fn is_loud(&self) -> bool {
+        self.figures().is_some_and(|figures| {
+            figures.change_v > LOUD_CHANGE_V || figures.sign_changes_per_s > LOUD_SIGN_CHANGES_PER_S
+        })
+    }
+
     /// The figures; `None` without balancing ticks.
     #[must_use]
     pub fn figures(&self) -> Option<QuietnessFigures> {
@@ -157,6 +174,10 @@ mod tests {
         // The back EMF is 0.42 V at 10 rad/s; the resistance is 8.4 ohm.
         let loss_w = (0.58 * 0.58 + 1.42 * 1.42) / 2.0 / 8.4;
         assert!((figures.copper_loss_w - loss_w).abs() < 1e-12, "{figures:?}");
+        assert!(Quietness::of(&rollout(451, |_| -PI, wave), &PlantModel::QUBE).is_loud());
+        let slower = |tick: u32| if tick % 20 < 10 { 1000 } else { -1000 };
+        assert!(!Quietness::of(&rollout(451, |_| -PI, slower), &PlantModel::QUBE).is_loud());
+        assert!(!Quietness::NONE.is_loud());
     }
 
     #[test]

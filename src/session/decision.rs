@@ -15,9 +15,11 @@ pub enum Decision {
         /// Number of the candidate.
         candidate: u32,
     },
-    /// End the search if one more candidate is expected to gain less than `smallest_gain`; evaluate
-    /// it otherwise.
+    /// End the search if the verified policy is quiet and one more candidate is expected to gain
+    /// less than `smallest_gain`; evaluate it otherwise.
     EndBelow {
+        /// Number of the candidate that verified the policy.
+        verification: u32,
         /// Mean return of the verified policy.
         verified: f64,
         /// Smallest gain that is worth a candidate.
@@ -32,8 +34,9 @@ pub enum Decision {
 ///
 /// The candidate with the highest mean return, in a tie the latest, is verified at once if all its
 /// rollouts succeeded. If every rollout of the verification succeeded too, the search continues
-/// only while one more candidate is expected to gain at least the fraction [`WORTHWHILE_GAIN`] of
-/// the verified return. If one failed, the search continues in any case.
+/// only while the policy is loud ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or one
+/// more candidate is expected to gain at least the fraction [`WORTHWHILE_GAIN`] of the verified
+/// return. If one failed, the search continues in any case.
 /// At the largest number of candidates the best one is verified, unless it is verified already,
 /// whether or not its rollouts succeeded, and the search ends.
 #[must_use]
@@ -55,8 +58,10 @@ pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
         None => Decision::Propose,
         Some(_) if is_full => Decision::End,
         Some(verified) if succeeds(verified) => {
+            let verification = verified.candidate.number;
             let verified = verified.mean_return().unwrap_or(0.0);
-            Decision::EndBelow { verified, smallest_gain: WORTHWHILE_GAIN * verified }
+            let smallest_gain = WORTHWHILE_GAIN * verified;
+            Decision::EndBelow { verification, verified, smallest_gain }
         }
         Some(_) => Decision::Propose,
     }
@@ -106,7 +111,7 @@ mod tests {
         candidates.push(scored(2, Purpose::Search, 1.0, &[GOOD]));
         assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 2 });
         candidates.push(scored(3, Purpose::Incumbent, 1.0, &[GOOD; 5]));
-        let end = Decision::EndBelow { verified: 540.0, smallest_gain: 5.4 };
+        let end = Decision::EndBelow { verification: 3, verified: 540.0, smallest_gain: 5.4 };
         assert_eq!(decide(&candidates, 10), end);
         assert_eq!(decide(&candidates, 2), Decision::End);
         // A candidate that is better than the verified one is verified too.
@@ -127,7 +132,7 @@ mod tests {
             decide(&candidates, 10)
         };
         assert_eq!(of(Some(1)), Decision::Verify { candidate: 3 });
-        let end = Decision::EndBelow { verified: 540.0, smallest_gain: 5.4 };
+        let end = Decision::EndBelow { verification: 2, verified: 540.0, smallest_gain: 5.4 };
         assert_eq!(of(Some(3)), end);
         // A ledger of an older program names no candidate.
         assert_eq!(of(None), end);

@@ -2,7 +2,7 @@ use super::{CandidateCounts, Drift, Purpose, SessionError};
 use crate::identification::Unfit;
 use crate::learning::TrainUpdate;
 use crate::rig::Rig;
-use crate::scoring::Verdict;
+use crate::scoring::{QuietnessFigures, Verdict};
 
 /// An event of a running session.
 pub enum SessionEvent<'a> {
@@ -43,6 +43,8 @@ pub enum SessionEvent<'a> {
         /// Gain in return below which the search ends.
         smallest_gain: f64,
     },
+    /// The search continues after a verified policy, because the policy balances loudly.
+    TooLoud(QuietnessFigures),
     /// A candidate's training has completed one more update.
     Training {
         /// Number of the candidate.

@@ -14,6 +14,7 @@ use crate::policy::Policy;
 use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
 use crate::replay::MotionLog;
+use crate::scoring::Quietness;
 use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
@@ -126,7 +127,12 @@ impl Session {
                 let incumbent = &self.ledger.state().candidates()[candidate as usize];
                 self.append_proposal(Proposal::again(incumbent), on_event)
             }
-            Decision::EndBelow { verified, smallest_gain } => {
+            Decision::EndBelow { verification, verified, smallest_gain } => {
+                let quietness = self.quietness(verification)?;
+                if let Some(figures) = quietness.figures().filter(|_| quietness.is_loud()) {
+                    on_event(SessionEvent::TooLoud(figures));
+                    return self.propose_around(on_event);
+                }
                 let expected_gain = self.expected_gain(&scored, verified)?;
                 if expected_gain < smallest_gain {
                     return self.end_search(expected_gain, on_event);
@@ -142,6 +148,17 @@ impl Session {
                 self.end_search(expected_gain, on_event)
             }
         }
+    }
+
+    /// Quietness of the balancing in the rollouts of a candidate.
+    fn quietness(&self, candidate: u32) -> Result<Quietness, SessionError> {
+        let mut quietness = Quietness::NONE;
+        for finished in &self.ledger.state().candidates()[candidate as usize].finished {
+            let path = self.recording(candidate, finished.rollout, finished.attempt);
+            let recording = read_on(self.folder.disk(), &path)?;
+            quietness.add(&recording.ticks, &recording.header.settings.plant);
+        }
+        Ok(quietness)
     }
 
     fn end_search(
