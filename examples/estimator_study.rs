@@ -359,9 +359,7 @@ fn plants(lab: &QubeModel, policies: &[Policy]) {
         |plants, rollouts| Column { plants, rollouts, delay_s: lab.nonidealities.command_delay_s };
     let columns =
         [column(vec![*lab], ROLLOUTS), column(around, 1), column(vec![lab.scaled(1.5)], ROLLOUTS)];
-    println!(
-        "| estimator | lab | each parameter within 10 %, {PLANTS} Qubes | nonidealities x 1.5 |"
-    );
+    println!("| estimator | lab | each parameter within 10 %, {PLANTS} Qubes | `--gap 1.5` |");
     println!("| --- | --- | --- | --- |");
     transfer(lab, &columns, policies);
 }

@@ -68,7 +68,8 @@ def study(folder, name, seed, policies, threads):
                       + table("settings.profile.model.gap", profile["gap"]))
     out = folder / "experiment"
     where = ["--resume", out] if out.exists() else [
-        "--out", out, "--recipe", recipe, "--preset", "robust", "--guard", "foresight", *emulated, "--policies", policies, "--rollouts", 5, "--seed", seed]
+        "--out", out, "--recipe", recipe, "--preset", "robust", "--guard", "foresight", *emulated, "--policies",
+        policies, "--rollouts", 5, "--seed", seed]
     # An experiment does not store the profile by which the guard knows the Qube, so it is also given to one that continues.
     run("experiment", *where, "--device", "emulated", "--qube", qube, "--threads", threads)
     told = subprocess.run([PROGRAM, "experiment", "--resume", str(out), "--table", "--csv", str(folder / "policies.csv")],

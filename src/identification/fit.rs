@@ -35,7 +35,7 @@ const LEAST_DETERMINED: f64 = 0.01;
 /// stretch has its own start state, and each regime its own scale and correlation in time of the
 /// residuals. A stretch that the model explains much worse than others of its regime loses weight.
 /// With [`Fit::with_offsets`], each recording has its own zero of the pendulum's angle, and may
-/// have its own rest angle of the cable ([`Fit::quantities`]).
+/// have its own rest angle of the cable ([`Fit::homing_offsets`]).
 #[derive(Clone, Debug)]
 pub(super) struct Fit<'a> {
     pub unknowns: &'a [Unknown],
@@ -81,7 +81,7 @@ impl<'a> Fit<'a> {
         Self { unknowns, plant, model, stretches, starts, noise, recording, offsets, scatter }
     }
 
-    /// Lets each recording have its own offsets, whose scatter begins at [`Scatter::likely`].
+    /// Lets each recording have its own offsets, whose scatter begins at [`Scatter::prior`].
     pub fn with_offsets(self) -> Self {
         Self { scatter: Some(Scatter::prior(self.plant.encoders)), ..self }
     }

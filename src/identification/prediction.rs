@@ -1,6 +1,6 @@
 use super::fit::Fit;
 use super::residuals::Noise;
-use super::stretch::{Stretch, duration_of, is_upright};
+use super::stretch::{Stretch, duration_of, first_of_windows, is_upright};
 use crate::qube::{PlantModel, QubeModel, State};
 use crate::replay::{AngleError, MotionLog, MotionSample};
 
@@ -61,7 +61,7 @@ pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> H
         let samples = &log.samples;
         let last_start_s =
             samples[0].time_s + (duration_of(samples) - KNOWN_S - horizon_s).max(0.0) + 1e-9;
-        let mut next_s = samples[0].time_s;
+        let mut next_s = samples[first_of_windows(samples)].time_s.min(last_start_s);
         for (first, sample) in samples.iter().enumerate() {
             if sample.time_s > last_start_s {
                 break;
@@ -157,7 +157,7 @@ fn end_errors(
 ) -> Vec<[f64; 2]> {
     let samples = &log.samples;
     let last_start_s = samples[samples.len() - 1].time_s - known_s - horizon_s + 1e-9;
-    let mut next_s = samples[0].time_s;
+    let mut next_s = samples[first_of_windows(samples)].time_s;
     let mut errors = Vec::new();
     for (first, sample) in samples.iter().enumerate() {
         if sample.time_s > last_start_s {

@@ -164,7 +164,7 @@ impl<'a> Stretch<'a> {
 
 /// Index of the sample at which the first window of a recording begins; 0 in a recording that is
 /// hardly longer than [`UNKNOWN_COMMANDS_S`].
-fn first_of_windows(recording: &[MotionSample]) -> usize {
+pub(super) fn first_of_windows(recording: &[MotionSample]) -> usize {
     if duration_of(recording) < 5.0 * UNKNOWN_COMMANDS_S {
         return 0;
     }

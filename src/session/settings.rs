@@ -296,8 +296,8 @@ mod tests {
         assert_ne!(next(&settings, &data), next(&random, &data));
     }
 
-    /// Checksums of the settings' text, and of the policy and the curve of their first two updates.
-    /// Whoever changes them changes the reproduction of the thesis.
+    /// The checksums are those of the settings' text, and of the policy and the curve of their first
+    /// two updates. A change of them changes the reproduction of the thesis.
     #[test]
     fn the_reproduction_of_the_thesis_stays_byte_for_byte_what_it_is() {
         let settings = SessionSettings::thesis();

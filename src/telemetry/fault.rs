@@ -144,7 +144,7 @@ faults! {
         "Check the arm's encoder, its cable and its plug; the check shows whether the two encoders are exchanged.";
     PendulumFrozen: Examine,
         "the pendulum's count is constant while the arm accelerates (a loose cable?)",
-        "Check the pendulum's encoder cable and its plug.";
+        "Check the pendulum's encoder cable and its plug; the check shows whether the two encoders are exchanged.";
     Stall: Examine,
         "the arm hardly turned for 500 ms against 2 V or more (is something in its way?)",
         "Free the arm; check whether cables have wound around it.";

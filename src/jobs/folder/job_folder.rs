@@ -12,7 +12,7 @@ use super::{Heartbeat, HeartbeatState, HeartbeatWatch, Holder};
 use crate::elementary::Level;
 use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::Trained;
-use crate::storage::{Disk, file_exists, is_unfinished, write_whole};
+use crate::storage::{Disk, file_exists, is_absence, is_unfinished, write_whole};
 
 /// Largest job file that is read, bytes. A job has some kB.
 const MAX_JOB_BYTES: u64 = 16 << 20;
@@ -127,11 +127,12 @@ impl JobFolder {
     /// program, or a file operation fails.
     pub fn open(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, JobFolderError> {
         let path = root.join("folder.json");
-        let bytes = disk.read(&path, MAX_JOB_BYTES).map_err(|source| match source.kind() {
-            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
+        let bytes = disk.read(&path, MAX_JOB_BYTES).map_err(|source| {
+            if is_absence(&source) {
                 JobFolderError::NotAFolderOfJobs { path: root.to_owned() }
+            } else {
+                refused(&path, source)
             }
-            _ => refused(&path, source),
         })?;
         let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
         let json = unsealed("terms", &bytes).map_err(damaged)?;

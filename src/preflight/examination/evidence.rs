@@ -69,8 +69,8 @@ pub(super) enum Pendulum {
 pub(super) enum PushEffect {
     /// The evidence suffices for a verdict.
     Enough,
-    /// The push shows a defect while the pendulum's encoder is still in question, so it is
-    /// repeated.
+    /// The push shows a defect while the pendulum's encoder is still in question, or the encoders may
+    /// be exchanged, so it is repeated.
     SeeAgain,
     /// Something moved, but the evidence does not suffice.
     SomethingMoved,
@@ -166,7 +166,8 @@ impl Evidence {
         }
     }
 
-    /// Adds the shifts of arm and pendulum from before the last equal pushes to after them. Says what the evidence is worth after them; `effect` is what it was worth without them.
+    /// Adds the shifts of arm and pendulum from before the last equal pushes to after them, and says
+    /// what the evidence is worth with them; `effect` is its worth without them.
     pub(super) fn add_shifts(
         &mut self,
         (arm, pendulum): (Shift, Shift),
@@ -209,6 +210,11 @@ impl Evidence {
     /// may be exchanged.
     pub(super) fn arm_stayed(&self) -> bool {
         self.arm_stayed
+    }
+
+    /// Number of times that the encoders have looked exchanged.
+    pub(super) fn exchanged_seen(&self) -> u32 {
+        self.exchanged_seen
     }
 
     /// Whether the arm's count stayed the same in [`DEFECT_SEEN`] pushes that swung the pendulum,

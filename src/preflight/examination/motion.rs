@@ -146,15 +146,21 @@ fn probe(
                     Ending::Completed | Ending::LeftBox(_) => {}
                 }
                 let mut effect = evidence.add(probe.trace());
+                let seen_before = evidence.exchanged_seen();
                 if effect != PushEffect::NothingMoved {
                     after = rest::window(device, clock, stop, port)?;
                     if let (Some(before), Some(after)) = (before, after) {
                         let shifts = after.shifts_from(&before, encoders);
                         effect = evidence.add_shifts(shifts, encoders, effect);
                     }
+                    // The shift that this push has shown is not evidence again after the next one.
+                    if evidence.exchanged_seen() > seen_before {
+                        before = after;
+                    }
                 }
-                // Exchanged encoders look like a wrong sign, so no sign is named as wrong before
-                // the arm has shown that it is one.
+                // Exchanged encoders look like a wrong sign, so further pushes follow until the arm
+                // has shown that it is one. An arm that its cable always pulls back never does; the
+                // sign is then named all the same.
                 let is_doubtful = !evidence.arm_stayed()
                     && right_signs(signs, &evidence).is_some_and(|right| right != signs);
                 if effect == PushEffect::Enough

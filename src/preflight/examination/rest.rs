@@ -4,7 +4,7 @@ use super::link::gone;
 use super::{Interruption, ensure_going};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, LinkFault};
-use crate::qube::{CONTROL_PERIOD_NS, Encoder, Encoders};
+use crate::qube::{CONTROL_PERIOD_NS, Encoder, Encoders, wrap_angle};
 use crate::telemetry::CheckResult;
 
 const NAME: &str = "rest";
@@ -64,7 +64,8 @@ impl Span {
 /// The shift of an encoder's angle between two windows.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shift {
-    /// Difference of the middles of the two ranges, rad: a pendulum swings around the middle.
+    /// Difference of the middles of the two ranges without whole turns, rad: a pendulum swings
+    /// around the middle.
     pub(super) by_rad: f64,
     /// Width of the later range, rad.
     pub(super) width_rad: f64,
@@ -120,7 +121,7 @@ impl Window {
     /// Shifts of arm and pendulum from an earlier window to this one.
     pub(super) fn shifts_from(&self, earlier: &Self, encoders: Encoders) -> (Shift, Shift) {
         let shift = |now: Span, then: Span, encoder: Encoder| Shift {
-            by_rad: (now.middle() - then.middle()) * encoder.rad_per_count(),
+            by_rad: wrap_angle((now.middle() - then.middle()) * encoder.rad_per_count()),
             width_rad: f64::from(now.width()) * encoder.rad_per_count(),
         };
         (

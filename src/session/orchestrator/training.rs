@@ -41,18 +41,32 @@ struct Competition {
     times: Vec<TrainingTime>,
 }
 
-/// Factor on the errors of an identification that is doubted, in the simulations by which its
-/// policies are compared: what the model lacks makes the Qube differ by more than the fit's errors.
+/// Factor on the width of the simulations by which policies around a doubted identification are
+/// compared: an effect that the model lacks makes the Qube differ by more than the fit's errors.
 const DOUBTED_WIDTH: f64 = 2.0;
 
 /// The returns that all but the worst tenth of a policy's fresh simulations reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Score {
-    /// In simulations of the identified Qube; a policy above [`SUCCEEDED`] needs no other round.
+    /// In simulations of the identified Qube, by which a policy succeeds or needs another round.
     as_identified: f64,
-    /// In the simulations by which policies are compared: those of the identified Qube, but with
-    /// [`DOUBTED_WIDTH`] times its errors if the identification is doubted.
+    /// In the simulations by which policies are compared: those of the identified Qube, but
+    /// [`DOUBTED_WIDTH`] times as wide if the identification is doubted.
     compared: f64,
+}
+
+impl Score {
+    /// The score of a policy that has no competitor and is not evaluated.
+    const UNCONTESTED: Self = Self { as_identified: SUCCEEDED, compared: SUCCEEDED };
+
+    fn succeeds(&self) -> bool {
+        self.as_identified >= SUCCEEDED
+    }
+
+    /// Whether this policy is kept instead of another: one that succeeds beats one that fails.
+    fn is_better_than(&self, other: &Self) -> bool {
+        (self.succeeds(), self.compared) > (other.succeeds(), other.compared)
+    }
 }
 
 /// A training of a round.
@@ -218,14 +232,13 @@ impl Trainer {
             self.score(candidate.number, &trained.network)?
         } else {
             // A candidate's only policy has no competitor: it is written without an evaluation.
-            Score { as_identified: SUCCEEDED, compared: SUCCEEDED }
+            Score::UNCONTESTED
         };
         competition.missing -= 1;
-        if competition.best.as_ref().is_none_or(|(best, ..)| score.compared > best.compared) {
+        if competition.best.as_ref().is_none_or(|(best, ..)| score.is_better_than(best)) {
             competition.best = Some((score, trained, trained_for));
         }
-        let decided =
-            |(best, ..): &(Score, Trained, TrainedFor)| best.as_identified >= SUCCEEDED || is_last;
+        let decided = |(best, ..): &(Score, Trained, TrainedFor)| best.succeeds() || is_last;
         if competition.missing > 0 || !competition.best.as_ref().is_some_and(decided) {
             return Ok(None);
         }
@@ -386,7 +399,7 @@ mod tests {
         }
     }
 
-    /// What a session knows about the Qube of the profile `lab`, with these doubts.
+    /// An identification with these doubts.
     fn found(doubts: Vec<String>) -> Identification {
         let verdict = "fits but for".into();
         Identification::Found { recordings: 1, verdict, doubts, profiles: Vec::new() }
@@ -404,6 +417,12 @@ mod tests {
         assert_eq!(sure.compared, sure.as_identified);
         assert_eq!(doubted.as_identified, sure.as_identified);
         assert!(doubted.compared < doubted.as_identified - 1.0, "{doubted:?}");
+
+        let fails = Score { as_identified: SUCCEEDED - 1.0, compared: 250.0 };
+        let wide = Score { as_identified: 400.0, compared: 200.0 };
+        let narrow = Score { as_identified: 500.0, compared: 100.0 };
+        assert!(wide.is_better_than(&fails) && !fails.is_better_than(&wide));
+        assert!(wide.is_better_than(&narrow) && !narrow.is_better_than(&wide));
     }
 
     #[test]
