@@ -206,7 +206,7 @@ impl Soaked {
                 rig.start_again().map_err(failed)?;
             }
         }
-        Ok(())
+        rig.check_off().map_err(failed)
     }
 
     fn add(&mut self, recording: &Recording) {

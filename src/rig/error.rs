@@ -106,7 +106,8 @@ pub enum RigError {
     /// A motion left a sensor or the motor in doubt, and no operator has acknowledged this yet.
     #[error("{0}")]
     InDoubt(Box<Doubt>),
-    /// The next attempt would end with the same fault.
+    /// The program attempts nothing more after this fault: another attempt would end with it again,
+    /// or none is due.
     #[error("{fault}. {}", fault.operator_step())]
     Ended {
         /// Fault that ended the motion.

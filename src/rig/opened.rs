@@ -463,6 +463,17 @@ impl Rig {
         self.last_fault.get()
     }
 
+    /// Checks, after the last motion, that the device has confirmed that its motor is off.
+    ///
+    /// # Errors
+    /// It has not: [`Fault::OffUnconfirmed`].
+    pub fn check_off(&self) -> Result<(), RigError> {
+        match self.last_fault.get() {
+            Some(fault @ Fault::OffUnconfirmed) => Err(RigError::Ended { fault }),
+            _ => Ok(()),
+        }
+    }
+
     /// The identity of the device.
     #[must_use]
     pub fn identity(&self) -> &Identity {

@@ -225,7 +225,10 @@ fn a_count_that_jumps_between_two_rollouts_ends_a_middle_that_a_hand_has_shown()
 fn a_motor_that_nobody_confirmed_to_be_off_keeps_the_next_rollout_from_beginning() {
     let mut bench = Bench::open_unconfirmed(None, HomingMethod::Hand, 10 * SECOND_NS);
     assert!(bench.clock.now_ns() < 10 * SECOND_NS);
+    bench.rig.check_off().unwrap();
     bench.rollout("a.mcap").unwrap();
+    let error = bench.rig.check_off().unwrap_err();
+    assert!(matches!(error, RigError::Ended { fault: Fault::OffUnconfirmed }), "{error}");
     let error = bench.rollout("b.mcap").unwrap_err();
     let is_unconfirmed = matches!(error, RigError::NotBegun { fault: Fault::OffUnconfirmed, .. });
     assert!(is_unconfirmed, "{error}");

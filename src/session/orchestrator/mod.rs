@@ -238,6 +238,10 @@ impl Session {
                 Step::Done => break,
             }
         }
+        // The recording of the last rollout does not say whether its motor was confirmed to be off.
+        for rig in self.rigs.iter().filter_map(|rig| rig.opened.as_ref()) {
+            rig.check_off()?;
+        }
         Ok(())
     }
 
