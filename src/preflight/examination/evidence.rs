@@ -166,14 +166,13 @@ impl Evidence {
         }
     }
 
-    /// Adds the shifts of arm and pendulum from before the last equal pushes to after them, and says
-    /// what the evidence is worth with them; `effect` is its worth without them.
+    /// Adds the shifts of arm and pendulum from before the last equal pushes to after them. Returns
+    /// their effect if the encoders look exchanged.
     pub(super) fn add_shifts(
         &mut self,
         (arm, pendulum): (Shift, Shift),
         encoders: Encoders,
-        effect: PushEffect,
-    ) -> PushEffect {
+    ) -> Option<PushEffect> {
         let shifted_rad = |encoder: Encoder| {
             SHIFTED_COUNTS * encoder.counts_per_qube_count().max(1.0) * encoder.rad_per_count()
         };
@@ -181,14 +180,14 @@ impl Evidence {
         self.arm_stayed |= arm_rad >= shifted_rad(encoders.theta).max(arm.width_rad);
         let came_back = arm_rad <= CAME_BACK_SHARE * pendulum_rad;
         if pendulum_rad < shifted_rad(encoders.alpha) || !came_back {
-            return effect;
+            return None;
         }
         self.exchanged_seen += 1;
         if self.exchanged_seen < DEFECT_SEEN {
-            return PushEffect::SeeAgain;
+            return Some(PushEffect::SeeAgain);
         }
         self.pendulum = Pendulum::Exchanged { off_rad: pendulum.by_rad };
-        PushEffect::Enough
+        Some(PushEffect::Enough)
     }
 
     /// Whether the arm turned in the direction of the voltage, in the assumed signs; `None` if it
@@ -210,11 +209,6 @@ impl Evidence {
     /// may be exchanged.
     pub(super) fn arm_stayed(&self) -> bool {
         self.arm_stayed
-    }
-
-    /// Number of times that the encoders have looked exchanged.
-    pub(super) fn exchanged_seen(&self) -> u32 {
-        self.exchanged_seen
     }
 
     /// Whether the arm's count stayed the same in [`DEFECT_SEEN`] pushes that swung the pendulum,

@@ -146,25 +146,18 @@ fn probe(
                     Ending::Completed | Ending::LeftBox(_) => {}
                 }
                 let mut effect = evidence.add(probe.trace());
-                let seen_before = evidence.exchanged_seen();
                 if effect != PushEffect::NothingMoved {
                     after = rest::window(device, clock, stop, port)?;
-                    if let (Some(before), Some(after)) = (before, after) {
-                        let shifts = after.shifts_from(&before, encoders);
-                        effect = evidence.add_shifts(shifts, encoders, effect);
-                    }
-                    // The shift that this push has shown is not evidence again after the next one.
-                    if evidence.exchanged_seen() > seen_before {
-                        before = after;
+                    let windows = before.zip(after);
+                    let shifts = windows.map(|(before, now)| now.shifts_from(&before, encoders));
+                    if let Some(exchanged) = shifts.and_then(|it| evidence.add_shifts(it, encoders))
+                    {
+                        // This shift is not evidence again after the next push.
+                        (effect, before) = (exchanged, after);
                     }
                 }
-                // Exchanged encoders look like a wrong sign, so further pushes follow until the arm
-                // has shown that it is one. An arm that its cable always pulls back never does; the
-                // sign is then named all the same.
-                let is_doubtful = !evidence.arm_stayed()
-                    && right_signs(signs, &evidence).is_some_and(|right| right != signs);
                 if effect == PushEffect::Enough
-                    && is_doubtful
+                    && may_be_exchanged(signs, &evidence)
                     && doubtful_pushes < MAX_DOUBTFUL_PUSHES
                 {
                     doubtful_pushes += 1;
@@ -185,6 +178,13 @@ fn probe(
         }
     }
     Ok(Probed::Evidence(evidence))
+}
+
+/// Whether a sign looks wrong only because the encoders may be exchanged: the arm has not yet shown
+/// that it stays where it is pushed. An arm that its cable always pulls back never shows that; its
+/// sign is named after [`MAX_DOUBTFUL_PUSHES`].
+fn may_be_exchanged(signs: Calibration, seen: &Evidence) -> bool {
+    !seen.arm_stayed() && right_signs(signs, seen).is_some_and(|right| right != signs)
 }
 
 /// The signs under which the arm follows the voltage and the pendulum lags behind the arm,

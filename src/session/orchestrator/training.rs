@@ -126,16 +126,20 @@ impl Trainer {
             // result.
             return vec![TrainedFor::Nominal];
         }
-        let (Identification::Found { doubts, .. }, Some(plan)) =
+        let (Identification::Found { .. }, Some(plan)) =
             (&self.identification, &self.settings.identification)
         else {
             return vec![TrainedFor::Psi];
         };
         let mut trainings = vec![TrainedFor::Psi; plan.trainings as usize];
-        if !doubts.is_empty() && candidate.psi == self.settings.psi.as_identified() {
+        if self.is_doubted() && candidate.psi == self.settings.psi.as_identified() {
             trainings.push(TrainedFor::Unknown);
         }
         trainings
+    }
+
+    fn is_doubted(&self) -> bool {
+        matches!(&self.identification, Identification::Found { doubts, .. } if !doubts.is_empty())
     }
 
     /// Performs one round of each candidate's trainings and keeps the best policy as soon as all
@@ -337,10 +341,7 @@ impl Trainer {
     /// The base distribution cannot be simulated.
     fn score(&self, candidate: u32, network: &Network) -> Result<Score, SessionError> {
         let as_identified = worst_return(&self.simulated(candidate, network)?);
-        let Identification::Found { doubts, .. } = &self.identification else {
-            return Ok(Score { as_identified, compared: as_identified });
-        };
-        if doubts.is_empty() {
+        if !self.is_doubted() {
             return Ok(Score { as_identified, compared: as_identified });
         }
         let base = self.settings.base_distribution()?;
