@@ -2,14 +2,14 @@
 //! truth, and its verdict on plants inside and outside the model class.
 //!
 //! ```text
-//! cargo run --release --example identification_study [PLANTS [SEED]]
+//! cargo run --release --example identification_study [PLANTS [SEED [EXCITATION ...]]]
 //! ```
 //!
-//! For each of PLANTS seeds from SEED (50 from 2000 unless named), a Qube is drawn, two chirps of
-//! 10 s are recorded at 100 Hz, and a model is fitted to them: once with the Qube as drawn, and
-//! once with an effect outside the model class added, which is one of five in turn. After a line
-//! for each plant come tables of the counts. The limits of the verdict were chosen on seeds from
-//! 100.
+//! For each of PLANTS seeds from SEED (50 from 2000 unless named), a Qube is drawn, excitations of
+//! 10 s (`chirp:1.5 chirp:1.5` unless named: form and largest voltage of each) are recorded at
+//! 100 Hz, and a model is fitted to them: once with the Qube as drawn, and once with an effect
+//! outside the model class added, which is one of five in turn. After a line for each plant come
+//! tables of the counts. The limits of the verdict were chosen on seeds from 100.
 
 #[path = "../beyond_the_equations/mechanics.rs"]
 mod mechanics;
@@ -20,7 +20,8 @@ use std::collections::BTreeMap;
 use plant::{Beyond, Plant};
 use qube_hil::elementary::normal_pair;
 use qube_hil::identification::{
-    Estimate, Identified, IdentifyError, MissingEffect, ModelVerdict, Unknown, identify,
+    Estimate, Identified, IdentifyError, MissingEffect, ModelVerdict, PredictionBand, Unknown,
+    identify, prediction_errors,
 };
 use qube_hil::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
 use qube_hil::qube::{
@@ -53,7 +54,11 @@ fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
                 DomainParameter::RotaryDamping | DomainParameter::PendulumDamping,
             ) => prior.mean + (0.5 * normal).clamp(-1.0, 1.0) * prior.std,
             Quantity::Parameter(_) => prior.mean + normal * prior.std,
-            Quantity::Nonideality(Nonideality::CommandDelay) => 0.002 + 0.012 * rng.random::<f64>(),
+            Quantity::Nonideality(Nonideality::CommandDelay) => {
+                // The plant applies commands at multiples of its integration step.
+                let step_s = CONTROL_PERIOD_S / f64::from(plant::STEPS);
+                step_s * ((0.002 + 0.012 * rng.random::<f64>()) / step_s).round()
+            }
             Quantity::Nonideality(Nonideality::CableRest) => normal * prior.std,
             // Strengths are uniform: friction up to 0.6 mN m, the cable up to 1.2 mN m/rad, dead
             // zones up to 0.25 V.
@@ -79,9 +84,22 @@ fn outside(seed: u64, rng: &mut ChaCha8Rng) -> Beyond {
     }
 }
 
-fn record(model: &QubeModel, beyond: Beyond, number: u32) -> MotionLog {
+/// The form and the largest voltage, V, of an excitation.
+type Form = (ExcitationShape, f64);
+
+fn form_of(text: &str) -> Form {
+    let (shape, voltage_v) = text.split_once(':').expect("a form and a voltage, as chirp:1.5");
+    let shape = match shape {
+        "chirp" => ExcitationShape::Chirp,
+        "steps" => ExcitationShape::Steps,
+        other => panic!("{other}: give chirp or steps"),
+    };
+    (shape, voltage_v.parse().expect("a voltage"))
+}
+
+fn record(model: &QubeModel, beyond: Beyond, (shape, voltage_v): Form, number: u32) -> MotionLog {
     let mut plant = Plant::at_rest(model, beyond, 0.0);
-    let mut excitation = Excitation::of_rollout(ExcitationShape::Chirp, 1.5, number);
+    let mut excitation = Excitation::of_rollout(shape, voltage_v, number);
     let samples = (0..EXCITATION_STEPS).map(|tick| {
         let state = plant.measured();
         let voltage_v = (1000.0 * excitation.voltage_v(&state)).round() / 1000.0;
@@ -91,8 +109,13 @@ fn record(model: &QubeModel, beyond: Beyond, number: u32) -> MotionLog {
     MotionLog { samples: samples.collect(), plant: qube_hil::qube::PlantModel::QUBE }
 }
 
-fn identified(model: &QubeModel, beyond: Beyond) -> Result<Identified, IdentifyError> {
-    let logs = [record(model, beyond, 0), record(model, beyond, 1)];
+fn identified(
+    model: &QubeModel,
+    beyond: Beyond,
+    forms: &[Form],
+) -> Result<Identified, IdentifyError> {
+    let logs: Vec<MotionLog> =
+        forms.iter().zip(0..).map(|(&form, number)| record(model, beyond, form, number)).collect();
     let unknowns: Vec<Unknown> = Unknown::all().collect();
     identify(&logs, &unknowns, &QubeModel::NOMINAL)
 }
@@ -119,6 +142,8 @@ fn describe(found: &Result<Identified, IdentifyError>) -> String {
 /// The counts of one kind of plant.
 #[derive(Default)]
 struct Row {
+    /// Predictions of the recordings that were not fitted: all, and those within their band.
+    predicted: [u32; 2],
     plants: u32,
     doubted: u32,
     /// Number of times that each effect was named.
@@ -136,11 +161,29 @@ impl Row {
         }
     }
 
+    /// Predicts a recording under nine tenths of the voltage of each excitation.
+    fn predict(&mut self, found: &Identified, truth: &QubeModel, beyond: Beyond, forms: &[Form]) {
+        let errors = |share: f64| {
+            let logs = forms.iter().zip(0..).map(|(&(shape, voltage_v), number)| {
+                record(truth, beyond, (shape, share * voltage_v), number)
+            });
+            logs.flat_map(|log| prediction_errors(&log, &found.model)).collect::<Vec<_>>()
+        };
+        let Some(band) = PredictionBand::of(&errors(1.0)) else { return };
+        let held_out = errors(0.9);
+        for share in band.shares_within(&held_out) {
+            self.predicted[0] += held_out.len() as u32;
+            self.predicted[1] += (share * held_out.len() as f64).round() as u32;
+        }
+    }
+
     fn line(&self, name: &str) {
         let named: Vec<String> =
             self.named.iter().map(|(name, count)| format!("{name} {count}")).collect();
         let named = named.join(", ");
-        println!("{name:12} {:>7} {:>8}   {named}", self.plants, self.doubted);
+        let [all, within] = self.predicted.map(f64::from);
+        let percent = 100.0 * within / all;
+        println!("{name:12} {:>7} {:>8} {percent:>10.1} %   {named}", self.plants, self.doubted);
     }
 }
 
@@ -159,27 +202,40 @@ fn coverage(found: &Identified, truth: &QubeModel) -> Vec<(Unknown, bool)> {
 }
 
 fn main() {
-    let mut numbers = std::env::args().skip(1).map(|text| text.parse().expect("a number"));
-    let [plants, first_seed] = DEFAULTS.map(|default| numbers.next().unwrap_or(default));
+    let mut words = std::env::args().skip(1);
+    let [plants, first_seed] = DEFAULTS
+        .map(|default| words.next().map_or(default, |text| text.parse().expect("a number")));
+    let mut forms: Vec<Form> = words.map(|text| form_of(&text)).collect();
+    if forms.is_empty() {
+        forms = vec![(ExcitationShape::Chirp, 1.5); 2];
+    }
     let mut rows: BTreeMap<&str, Row> = BTreeMap::new();
     let mut intervals: Vec<(Unknown, bool)> = Vec::new();
     for seed in first_seed..first_seed + plants {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let truth = drawn(&mut rng);
         for beyond in [Beyond::Nothing, outside(seed, &mut rng)] {
-            let found = identified(&truth, beyond);
-            rows.entry(beyond.name()).or_default().add(&found);
+            let found = identified(&truth, beyond, &forms);
+            let row = rows.entry(beyond.name()).or_default();
+            row.add(&found);
+            if let Ok(found) = &found {
+                row.predict(found, &truth, beyond, &forms);
+            }
             println!("{seed} {:12} {}", beyond.name(), describe(&found));
             if let (Beyond::Nothing, Ok(found)) = (beyond, &found) {
                 intervals.extend(coverage(found, &truth));
             }
         }
     }
-    println!("\n{:12} {:>7} {:>8}   named", "effect", "plants", "doubted");
+    println!("\n{:12} {:>7} {:>8} {:>12}   named", "effect", "plants", "doubted", "within band");
     rows.iter().for_each(|(name, row)| row.line(name));
     let strangers = || rows.iter().filter(|(name, _)| **name != Beyond::Nothing.name());
     let sum = |count: fn(&Row) -> u32| strangers().map(|(_, row)| count(row)).sum::<u32>();
-    println!("outside      {:>7} {:>8}", sum(|row| row.plants), sum(|row| row.doubted));
+    let [all, within] = [0, 1]
+        .map(|index| strangers().map(|(_, row)| f64::from(row.predicted[index])).sum::<f64>());
+    let percent = 100.0 * within / all;
+    let (plants, doubted) = (sum(|row| row.plants), sum(|row| row.doubted));
+    println!("{:12} {plants:>7} {doubted:>8} {percent:>10.1} %", "outside");
     println!("\n{:24} 90 % intervals that contain the truth", "quantity");
     for unknown in Unknown::all() {
         let own = || intervals.iter().filter(|(other, _)| *other == unknown);

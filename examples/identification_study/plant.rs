@@ -40,7 +40,7 @@ impl Beyond {
 }
 
 /// Number of integration steps in a control period.
-const STEPS: u32 = 400;
+pub const STEPS: u32 = 400;
 
 /// A simulated Qube with its command delay and at most one effect outside the model class.
 pub struct Plant {

@@ -13,12 +13,14 @@ use super::printable::print_message;
 use super::profile;
 use crate::charts::motion_svg;
 use crate::identification::{
-    Blind, Estimate, HorizonError, Identified, IncompleteRecording, ModelVerdict, Phase,
-    Recordings, Unknown, comes_upright, horizon_error, identify, phase_error, read_recordings,
-    series_of, start_state,
+    Blind, Estimate, ExpectedExcitation, HorizonError, Identified, IncompleteRecording,
+    ModelVerdict, Phase, PredictionBand, Recordings, Unknown, comes_upright, horizon_error,
+    identify, next_excitations, phase_error, prediction_errors, read_recordings, series_of,
+    start_state,
 };
 use crate::qube::QubeModel;
 use crate::replay::{MotionLog, simulate_from};
+use crate::session::IdentificationSettings;
 use crate::storage::{MachineDisk, write_whole};
 
 /// Horizons at which the table shows the predictions of recordings whose pendulum stays down, such as
@@ -146,9 +148,24 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     for errors in &errors {
         text += &errors.lines();
     }
+    let pooled = |logs: &[MotionLog], models: &[QubeModel]| {
+        let pairs = logs.iter().zip(models);
+        pairs.flat_map(|(log, model)| prediction_errors(log, model)).collect::<Vec<_>>()
+    };
+    let band = PredictionBand::of(&pooled(&fitted, &own_models));
+    let within = band.filter(|_| !held_out.is_empty()).map(|band| {
+        let errors = pooled(&held_out, &held_out_models);
+        (band.shares_within(&errors), errors.len())
+    });
+    text += &band_lines(band, within);
     let _ = write!(text, "\n{}", assessment(&identified));
+    let largest_v = plant.volts_like(IdentificationSettings::DEFAULT.excitation_v);
+    let next = next_excitations(&profile, &plant, largest_v);
+    text += &next_line(&next);
     let _ = write!(text, "\nwrote {} after a fit of {seconds:.1} s", arguments.out.display());
     let mut result = result(&identified, &errors, seconds, arguments);
+    result["prediction_band"] = band_json(band, within);
+    result["next_excitations"] = next.iter().map(excitation_json).collect();
     result["incomplete"] = incomplete.iter().map(incomplete_json).collect();
     output.print(&text, &result);
     Ok(())
@@ -281,6 +298,57 @@ fn assessment(identified: &Identified) -> String {
         String::new()
     };
     format!("{verdict}{widened}\n")
+}
+
+/// The shares of the errors of theta and alpha within a band, and the number of predictions.
+type Within = ([f64; 2], usize);
+
+/// The band of the predictions and the share of held-out errors within it, as lines for people.
+fn band_lines(band: Option<PredictionBand>, within: Option<Within>) -> String {
+    let Some(PredictionBand { half_widths_rad: [theta, alpha], .. }) = band else {
+        return String::new();
+    };
+    let mut text = format!(
+        "\nAfter 0.5 s, 90 % of the fitted recordings are within theta {theta:.4} and alpha {alpha:.4} rad of a prediction.\n"
+    );
+    if let Some(([theta, alpha], count)) = within.filter(|(_, count)| *count > 0) {
+        let [theta, alpha] = [100.0 * theta, 100.0 * alpha];
+        let _ = writeln!(
+            text,
+            "Of the {count} predictions of held-out recordings, {theta:.0} % (theta) and {alpha:.0} % (alpha) are."
+        );
+    }
+    text
+}
+
+fn band_json(band: Option<PredictionBand>, within: Option<Within>) -> Value {
+    let Some(PredictionBand { half_widths_rad: [theta, alpha], predictions }) = band else {
+        return Value::Null;
+    };
+    let shares = within.filter(|(_, count)| *count > 0).map(
+        |([theta, alpha], count)| json!({ "theta": theta, "alpha": alpha, "predictions": count }),
+    );
+    json!({ "theta_rad": theta, "alpha_rad": alpha, "predictions": predictions, "held_out": shares })
+}
+
+/// The excitation that is expected to tell most next, as a line for people, with the one that is
+/// expected to tell least; empty without any.
+fn next_line(next: &[ExpectedExcitation]) -> String {
+    let (Some(most), Some(least)) = (next.first(), next.last()) else { return String::new() };
+    format!(
+        "To learn more about it: run --excite {} --volts {:.2} (expected: {:.1} nats; from a {} of {:.2} V: {:.1}).\n",
+        most.shape.name(),
+        most.voltage_v,
+        most.information_nats,
+        least.shape.name(),
+        least.voltage_v,
+        least.information_nats
+    )
+}
+
+fn excitation_json(excitation: &ExpectedExcitation) -> Value {
+    let ExpectedExcitation { shape, voltage_v, information_nats } = excitation;
+    json!({ "shape": shape.name(), "voltage_v": voltage_v, "information_nats": information_nats })
 }
 
 /// A combination such as `+0.71 R_m -0.70 k_m`.

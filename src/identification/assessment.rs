@@ -32,7 +32,7 @@ const UNFIT_RAD: f64 = 0.03;
 
 /// Smallest score that counts as evidence for an effect outside the equations; if the model holds,
 /// the score is chi-squared with one or two degrees of freedom.
-const SIGNIFICANT: f64 = 50.0;
+const SIGNIFICANT: f64 = 20.0;
 
 /// Share of the squared residuals beyond the encoders' rounding that an effect must explain to be
 /// named.

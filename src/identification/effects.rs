@@ -127,8 +127,9 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
             }
             column += 1;
         }
-        for (row, sample) in stretch.samples().iter().enumerate() {
-            let (sin, cos) = sample.state.theta.sin_cos();
+        // The simulated angle is free of the encoder's rounding, which is part of the residual.
+        for (row, state) in base.iter().enumerate() {
+            let (sin, cos) = state.theta.sin_cos();
             (all[(2 * row, column)], all[(2 * row, column + 1)]) = (sin, cos);
         }
         all.set_column(size - 1, &residuals);

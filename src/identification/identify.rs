@@ -236,6 +236,7 @@ pub fn identify(
             fit.run();
         }
     }
+    fit.finish();
     if let Some((name, value, likely)) = implausible(unknowns, plant, &fit.model) {
         return Err(IdentifyError::Implausible { name, value, likely, cause: cause() });
     }

@@ -2,10 +2,11 @@
 //!
 //! [`identify()`] estimates parameters and nonidealities by maximum likelihood over windows, each
 //! with its own start state (multiple shooting). It gives standard errors and the combinations that
-//! the recordings do not determine, and tests whether the model describes the Qube. [`drift()`]
-//! estimates the quantities that change from day to day. Only [`read_recordings`] and [`duplicate`]
-//! look at files; the rest of the room is pure computation. It may import `qube`, `replay` and
-//! `elementary`.
+//! the recordings do not determine, and tests whether the model describes the Qube.
+//! [`next_excitations`] says which excitation would tell most about it. [`drift()`] estimates the
+//! quantities that change from day to day. Only [`read_recordings`] and [`duplicate`] look at files;
+//! the rest of the room is pure computation. It may import `policy` (the excitations), `qube`,
+//! `replay` and `elementary`.
 
 mod assessment;
 #[cfg(test)]
@@ -16,6 +17,7 @@ mod effects;
 mod fit;
 mod fitness;
 mod identify;
+mod next_excitation;
 mod offsets;
 mod prediction;
 mod profile;
@@ -32,8 +34,12 @@ pub use assessment::{Assessment, MissingEffect, ModelVerdict};
 pub use drift::{DriftEstimate, drift};
 pub use fitness::{Unfit, check_recording};
 pub use identify::{Cause, Identified, IdentifyError, Sign, identify};
+pub use next_excitation::{ExpectedExcitation, next_excitations};
 pub use offsets::{Offset, Scatter};
-pub use prediction::{HorizonError, KNOWN_S, Phase, horizon_error, phase_error, start_state};
+pub use prediction::{
+    HorizonError, KNOWN_S, Phase, PredictionBand, horizon_error, phase_error, prediction_errors,
+    start_state,
+};
 pub use recordings::{
     IncompleteRecording, Recordings, RecordingsError, duplicate, read_recordings, series_of,
 };

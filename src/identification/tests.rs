@@ -1,6 +1,8 @@
+use super::next_excitation::simulated;
 use super::*;
+use crate::policy::{Excitation, ExcitationShape};
 use crate::qube::{
-    DomainParameter, DomainParameters, Nonidealities, Nonideality, PlantModel, QubeModel,
+    DomainParameter, DomainParameters, Nonidealities, Nonideality, PlantModel, Profile, QubeModel,
     RAD_PER_COUNT, State, quantised,
 };
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
@@ -301,6 +303,38 @@ fn an_encoder_off_its_centre_is_doubted_and_named() {
     let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
     assert_eq!(found.assessment.verdict, ModelVerdict::FitsBut);
     assert!(found.assessment.doubts.contains(&MissingEffect::Angle), "{:?}", found.assessment);
+}
+
+#[test]
+fn a_slow_motion_is_not_taken_for_an_encoder_off_its_centre() {
+    // Where an arm hardly moves, a test of its encoder by the measured angle would find the
+    // encoder's own rounding.
+    for cable_rest_rad in [-0.6, -0.2, 0.3, 0.7] {
+        let mut truth = truth();
+        truth.nonidealities.cable_rest_rad = cable_rest_rad;
+        let steps = Excitation::new(ExcitationShape::Steps, 0.8);
+        let log = simulated(steps, &truth, &PlantModel::QUBE);
+        let found = identify(&[log], &all(), &QubeModel::NOMINAL).unwrap();
+        let tests = &found.assessment;
+        assert_eq!(tests.verdict, ModelVerdict::Fits, "{cable_rest_rad}: {tests:?}");
+    }
+}
+
+#[test]
+fn a_fit_does_not_end_beside_the_best_model() {
+    // Under 2.2 V the arm rarely stands still, so that friction, dead zones and cable can stand in
+    // for each other for a while.
+    let lab = Profile::lab().model();
+    let log = simulated(Excitation::new(ExcitationShape::Chirp, -2.2), &lab, &PlantModel::QUBE);
+    let found = identify(&[log], &all(), &QubeModel::NOMINAL).unwrap();
+    assert_eq!(found.assessment.verdict, ModelVerdict::Fits, "{:?}", found.assessment);
+    let Nonidealities { positive_dead_zone_v, negative_dead_zone_v, .. } =
+        found.model.nonidealities;
+    let off_v = [
+        positive_dead_zone_v - lab.nonidealities.positive_dead_zone_v,
+        negative_dead_zone_v - lab.nonidealities.negative_dead_zone_v,
+    ];
+    assert!(off_v.iter().all(|off_v| off_v.abs() < 0.03), "{off_v:?}");
 }
 
 #[test]

@@ -151,7 +151,7 @@ fn inflation(fit: &Fit<'_>, reduced: &[Reduced]) -> f64 {
 
 /// Each recording's information about the unknowns alone, and its gradient by them, with standard
 /// errors inflated by a factor. The recording's own offsets are eliminated.
-fn by_recording(fit: &Fit<'_>, reduced: &[Reduced], inflation: f64) -> Vec<Reduced> {
+pub(super) fn by_recording(fit: &Fit<'_>, reduced: &[Reduced], inflation: f64) -> Vec<Reduced> {
     let (count, offsets) = (fit.unknowns.len(), fit.homing_offsets().len());
     let size = count + offsets;
     let zero = (DMatrix::zeros(size, size), DVector::zeros(size));

@@ -34,6 +34,17 @@ pub enum ExcitationShape {
     Steps,
 }
 
+impl ExcitationShape {
+    /// The name in files and on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Chirp => "chirp",
+            Self::Steps => "steps",
+        }
+    }
+}
+
 /// A voltage over time in place of a policy. It is open-loop but for a weak centring of the arm and
 /// the sign of steps far from the centre.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,7 +5,12 @@ use thiserror::Error;
 use super::motion_sample::MAX_INTERRUPTION_S;
 use super::{MotionLog, MotionSample};
 use crate::elementary::Scalar;
-use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, SUBSTEPS, State, runge_kutta_4};
+use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, State, runge_kutta_4};
+
+/// Longest integration step, s: a third of a simulation's. With a simulation's step the error of
+/// the friction near standstill would exceed the standard errors of dead zones and delay that slow
+/// motions give.
+const LONGEST_STEP_S: f64 = CONTROL_PERIOD_S / 9.0;
 
 /// The motion of a model under the voltages of a log, and its distance from the log's own motion.
 #[derive(Clone, Debug, PartialEq)]
@@ -173,11 +178,10 @@ pub fn simulate_stretch_in<T: Scalar>(
     }
 }
 
-/// Number of equal steps that divide a duration, none longer than a step of the simulation.
+/// Number of equal steps that divide a duration, none longer than [`LONGEST_STEP_S`].
 fn steps_over(duration_s: f64) -> u32 {
-    let longest_s = CONTROL_PERIOD_S / SUBSTEPS as f64;
-    // The tolerance is for files that write 0.004 s as 0.0040000001.
-    (duration_s / longest_s - 1e-6).ceil().max(1.0) as u32
+    // The tolerance is for files that write 0.005 s as 0.0050000001.
+    (duration_s / LONGEST_STEP_S - 1e-6).ceil().max(1.0) as u32
 }
 
 #[cfg(test)]
@@ -186,7 +190,7 @@ mod tests {
     use crate::qube::{DomainParameters, Dynamics, Nonidealities, PlantModel, control_step};
     use crate::replay::MotionSample;
 
-    /// A log that the simulator itself made, with uneven times.
+    /// A log of the same equations, with uneven times.
     fn made_by(parameters: &DomainParameters) -> MotionLog {
         let dynamics = Dynamics::<f64>::new(parameters);
         let mut state = State { theta: 0.1, alpha: -0.2, ..State::default() };
@@ -206,10 +210,11 @@ mod tests {
     }
 
     #[test]
-    fn the_simulator_agrees_with_itself_and_not_with_another_pendulum() {
+    fn the_simulator_agrees_with_its_own_pendulum_and_not_with_another() {
         let log = made_by(&DomainParameters::NOMINAL);
         let same = simulate_from_first_state(&log, &QubeModel::NOMINAL).unwrap();
-        assert!(same.rmse.theta_rad < 1e-9 && same.rmse.alpha_rad < 1e-9, "{:?}", same.rmse);
+        // The log was integrated in longer steps.
+        assert!(same.rmse.theta_rad < 1e-6 && same.rmse.alpha_rad < 1e-6, "{:?}", same.rmse);
         let heavy = DomainParameters { pendulum_mass_kg: 0.03, ..DomainParameters::NOMINAL };
         let heavy = QubeModel { parameters: heavy, ..QubeModel::NOMINAL };
         let other = simulate_from_first_state(&log, &heavy).unwrap();

@@ -71,17 +71,21 @@ pub fn next_step(
     }
     let missing = |purpose, wanted: u32| state.missing(purpose, wanted);
     let identifies = identifying(state, identification);
-    // All excitations, or all initial points, are proposed in one step, so that their policies can
-    // be trained at the same time on all cores.
+    // All initial points are proposed in one step, so that their policies can be trained at the same
+    // time on all cores. Excitations are proposed one by one: each is chosen by those before it.
     let together = match identifies {
-        Some(plan) => missing(Purpose::Excitation, plan.excitations),
+        Some(_) => None,
         None => missing(Purpose::Initial, extent.initial_candidates),
     };
     if let Some(step) = together.or_else(|| unfinished(state, extent, identifies)) {
         return step;
     }
     let searched = match (identifies, state.identification(), state.settled()) {
-        (Some(_), Identification::None, _) => Some(Step::Identify),
+        (Some(plan), Identification::None, _) => {
+            let excite = missing(Purpose::Excitation, plan.excitations)
+                .map(|_| Step::Propose { count: 1, purpose: Purpose::Excitation });
+            excite.or(Some(Step::Identify))
+        }
         (Some(_), _, None) => Some(Step::Decide),
         (Some(_), _, Some(_)) => {
             let is_due = !state.took_in_verification() && state.count_of(Purpose::Baseline) == 0;
@@ -461,13 +465,13 @@ mod tests {
     fn a_qube_is_excited_and_identified_before_the_search_is_decided() {
         let extent = Extent { baseline: true, ..EXTENT };
         let next = |entries: &[Entry]| next_around(entries, &extent);
-        let excite = |count| Step::Propose { count, purpose: Purpose::Excitation };
-        assert_eq!(next(&[]), excite(2));
+        // The second excitation is chosen by the recording of the first.
+        let excite = Step::Propose { count: 1, purpose: Purpose::Excitation };
+        assert_eq!(next(&[]), excite);
         let mut entries = vec![proposed(0, Purpose::Excitation)];
-        assert_eq!(next(&entries), excite(1));
-        entries.push(proposed(1, Purpose::Excitation));
-        assert_eq!(next(&entries), Step::Train { candidates: vec![0, 1] });
+        assert_eq!(next(&entries), Step::Train { candidates: vec![0] });
         entries = finished(0, Purpose::Excitation, 1);
+        assert_eq!(next(&entries), excite);
         entries.extend(finished(1, Purpose::Excitation, 1));
         assert_eq!(next(&entries), Step::Identify);
 

@@ -1,12 +1,12 @@
 use std::collections::BTreeSet;
 
 use super::StrategySettings;
-use super::recordings::{Recorded, Recordings, excitation, read};
+use super::recordings::{Recorded, Recordings, chirp, most_informative, read};
 use super::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
 use crate::experiment::{ExperimentError, Recipe};
 use crate::identification::{ModelVerdict, Unknown, check_recording, identify};
-use crate::policy::Policy;
+use crate::policy::{Excitation, Policy};
 use crate::qube::{PlantModel, Profile};
 use crate::replay::{MotionLog, MotionLogError};
 use crate::session::SessionSettings;
@@ -36,7 +36,8 @@ pub(super) enum Width {
 /// The origin of a run's recordings after the first recording, which is always an excitation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Further {
-    /// Further excitations.
+    /// Further excitations: those that are expected to tell most after the recordings so far, or
+    /// chirps where these identify no Qube.
     Excitations,
     /// Rollouts of policies, each trained by the recommendation after the recordings so far, or in
     /// the distribution `robust` where these identify no Qube.
@@ -68,11 +69,21 @@ impl<'a> FromRecordings<'a> {
         Self { run, settings, width, further, recordings: Recordings::of(run), complete: 0 }
     }
 
-    /// The bytes of the policy, or of the excitation, for the recording with this number.
-    fn policy(&mut self, number: u32) -> Result<Vec<u8>, ExperimentError> {
-        if number == 0 || self.further == Further::Excitations {
-            return Ok(excitation(number, self.run.recipe.settings.plant()));
-        }
+    /// The excitation for the recording with this number.
+    fn excitation(&self, number: u32) -> Result<Excitation, ExperimentError> {
+        let plant = self.run.recipe.settings.plant();
+        let fit = if number == 0 { None } else { self.stored_fit(number)? };
+        Ok(match fit {
+            Some(Fit::Found(profile)) => match Profile::parse(&profile) {
+                Ok(profile) => most_informative(number, &profile, plant),
+                Err(_) => chirp(number, plant),
+            },
+            _ => chirp(number, plant),
+        })
+    }
+
+    /// The bytes of the policy for the recording with this number, which is no excitation.
+    fn policy(&self, number: u32) -> Result<Vec<u8>, ExperimentError> {
         let recommendation = match self.recommended(number)? {
             Recommended::Found(recommendation) => *recommendation,
             _ => self.run.without_identification(),
@@ -84,13 +95,14 @@ impl<'a> FromRecordings<'a> {
 
     /// Makes the recording with this number if it does not exist.
     fn record(&mut self, number: u32) -> Result<(), ExperimentError> {
-        let policy = self.policy(number)?;
-        let kind = if number == 0 || self.further == Further::Excitations {
-            Recorded::Excitation
+        if number == 0 || self.further == Further::Excitations {
+            let excitation = self.excitation(number)?;
+            let kind = Recorded::Excitation(excitation.shape());
+            self.recordings.make(number, kind, &Policy::Excitation(excitation).to_bytes())
         } else {
-            Recorded::Policy { after: number }
-        };
-        self.recordings.make(number, kind, &policy)
+            let kind = Recorded::Policy { after: number };
+            self.recordings.make(number, kind, &self.policy(number)?)
+        }
     }
 
     /// Identifies the Qube from the first `recordings` recordings.

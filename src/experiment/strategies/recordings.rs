@@ -4,8 +4,9 @@ use super::run::MethodRun;
 use crate::experiment::rollouts::{Repeated, all_of, is_complete};
 use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, RolloutResult};
-use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Policy};
-use crate::qube::PlantModel;
+use crate::identification::next_excitations;
+use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
+use crate::qube::{PlantModel, Profile};
 use crate::rig::RigSettings;
 use crate::session::{RolloutPlan, SeedFor, derived_seed, recording_in};
 use crate::storage::{Disk, MachineDisk};
@@ -19,8 +20,8 @@ const MAX_FILE_BYTES: u64 = 1 << 24;
 /// The source of the voltages of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Recorded {
-    /// A prepared voltage (a chirp) that moves the plant.
-    Excitation,
+    /// A prepared voltage that moves the plant.
+    Excitation(ExcitationShape),
     /// A policy.
     Policy {
         /// Number of recordings from which the policy was made.
@@ -59,7 +60,9 @@ impl<'a> Recordings<'a> {
         // A separate seed, because scoring uses the run's own.
         let seed = derived_seed(run.seed, SeedFor::Search);
         let (name, steps) = match kind {
-            Recorded::Excitation => ("excitation by chirp".into(), EXCITATION_STEPS),
+            Recorded::Excitation(shape) => {
+                (format!("excitation by {}", shape.name()), EXCITATION_STEPS)
+            }
             Recorded::Policy { after } => {
                 (format!("policy after {after} recordings"), settings.extent.steps)
             }
@@ -120,12 +123,20 @@ impl<'a> Recordings<'a> {
     }
 }
 
-/// The bytes of the file of the excitation for the recording with this number. Consecutive
-/// recordings start in opposite directions.
-pub(super) fn excitation(number: u32, plant: &PlantModel) -> Vec<u8> {
-    let limit_v = plant.volts_like(EXCITATION_V);
-    let excitation = Excitation::of_rollout(ExcitationShape::Chirp, limit_v, number);
-    Policy::Excitation(excitation).to_bytes()
+/// The chirp for the recording with this number. Consecutive recordings start in opposite
+/// directions.
+pub(super) fn chirp(number: u32, plant: &PlantModel) -> Excitation {
+    Excitation::of_rollout(ExcitationShape::Chirp, plant.volts_like(EXCITATION_V), number)
+}
+
+/// The excitation for the recording with this number that is expected to tell most about a Qube with
+/// this profile.
+pub(super) fn most_informative(number: u32, profile: &Profile, plant: &PlantModel) -> Excitation {
+    let all = next_excitations(profile, plant, plant.volts_like(EXCITATION_V));
+    all.first().map_or_else(
+        || chirp(number, plant),
+        |best| Excitation::of_rollout(best.shape, best.voltage_v, number),
+    )
 }
 
 /// Reads a text that a run has stored.

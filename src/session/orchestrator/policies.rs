@@ -7,9 +7,7 @@ use super::Session;
 use super::early_training::{EarlyKind, EarlyTraining};
 use super::training::Trainer;
 use super::training_ahead::TrainingAhead;
-use crate::policy::{
-    Excitation, ExcitationShape, MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError,
-};
+use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
 use crate::rig::ClockChoice;
 use crate::session::{
     Candidate, Entry, Purpose, SessionError, SessionEvent, SessionSettings, Step, trains_ahead,
@@ -106,7 +104,7 @@ impl Session {
                 };
                 self.policy(incumbent)?
             }
-            Purpose::Excitation => self.excitation(number).to_bytes(),
+            Purpose::Excitation => Policy::Excitation(self.excitation(number)?).to_bytes(),
             Purpose::Initial | Purpose::Search | Purpose::Verification | Purpose::Baseline => {
                 return Ok(Some(candidate));
             }
@@ -124,13 +122,6 @@ impl Session {
             executor: Arc::clone(&self.executor),
             in_real_time: self.rigs[0].settings.clock == ClockChoice::Wall,
         }
-    }
-
-    /// The excitation of a candidate. Consecutive candidates start in opposite directions.
-    pub(super) fn excitation(&self, candidate: u32) -> Policy {
-        let of_qube_v = self.settings.identification.unwrap_or_default().excitation_v;
-        let limit_v = self.settings.plant().volts_like(of_qube_v);
-        Policy::Excitation(Excitation::of_rollout(ExcitationShape::Chirp, limit_v, candidate))
     }
 
     /// Reads and checks the policy of a candidate; returns it in the format of its file.

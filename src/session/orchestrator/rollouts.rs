@@ -4,7 +4,7 @@
 use std::sync::atomic::Ordering;
 
 use super::{Session, doubt_of};
-use crate::policy::EXCITATION_STEPS;
+use crate::policy::{EXCITATION_STEPS, Policy};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::rig::{ClockChoice, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
@@ -14,7 +14,7 @@ use crate::session::folder::put_aside;
 use crate::session::plan::{identifying, wanted_rollouts};
 use crate::session::seeds::{SeedFor, derived_seed};
 use crate::session::{
-    DRIFT_ROLLOUTS, Drift, Entry, Purpose, RolloutPlan, SessionError, SessionEvent, rig_of_rollout,
+    DRIFT_ROLLOUTS, Drift, Entry, RolloutPlan, SessionError, SessionEvent, rig_of_rollout,
 };
 
 /// A rig of the session and its state in this process.
@@ -248,7 +248,7 @@ impl Session {
             .map(|turn| {
                 let path = self.recording(candidate, turn.rollout, turn.attempt);
                 let span = span_of(self.number_of(turn.index));
-                (turn.index, path, self.plan_of(turn).header(), span)
+                (turn.index, path, self.plan_of(turn, &policy).header(), span)
             })
             .collect();
         let (policy, disk) = (policy.as_slice(), &disk);
@@ -288,10 +288,13 @@ impl Session {
         Ok(failed)
     }
 
-    fn plan_of(&self, turn: &Turn) -> RolloutPlan {
+    /// The plan of a rollout of a candidate's policy, given in the format of its file.
+    fn plan_of(&self, turn: &Turn, policy: &[u8]) -> RolloutPlan {
         let candidate = &self.ledger.state().candidates()[turn.candidate as usize];
-        let (policy, steps) = match candidate.purpose {
-            Purpose::Excitation => ("excitation by chirp".into(), EXCITATION_STEPS),
+        let (policy, steps) = match Policy::from_bytes(policy) {
+            Ok(Policy::Excitation(excitation)) => {
+                (format!("excitation by {}", excitation.shape().name()), EXCITATION_STEPS)
+            }
             _ => (format!("candidate {}", turn.candidate), self.settings.extent.steps),
         };
         RolloutPlan {

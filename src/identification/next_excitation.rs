@@ -1,0 +1,195 @@
+//! Chooses the excitation from which most is to be learnt, by the expected information.
+
+use nalgebra::DMatrix;
+
+use super::Unknown;
+use super::fit::Fit;
+use super::fitness::check_recording;
+use super::residuals::Noise;
+use super::stretch::Stretch;
+use super::uncertainty::by_recording;
+use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
+use crate::qube::{CONTROL_PERIOD_S, PlantModel, Profile, QubeModel, State};
+use crate::replay::{MotionLog, MotionSample, simulate_stretch};
+
+/// Voltages that are compared, as shares of the largest permitted one. Under small voltages the arm
+/// moves slowly through standstill, which tells dead zones from the rest angle of the cable.
+const SHARES: [f64; 4] = [0.4, 0.5, 0.7, 1.0];
+
+/// Largest angle of the arm in the simulation of an excitation that is considered, rad; less for a
+/// plant with less travel than a Qube. The rest of the travel is for the difference between the Qube
+/// and its model.
+const WIDEST_RAD: f64 = 1.6;
+
+/// An excitation and what it is expected to tell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExpectedExcitation {
+    /// Form of the voltage.
+    pub shape: ExcitationShape,
+    /// Largest voltage, V.
+    pub voltage_v: f64,
+    /// Expected decrease of the entropy of all unknowns together, in nats: each nat makes the
+    /// volume of what is possible e times smaller. It is computed for small errors and a model that
+    /// is right.
+    pub information_nats: f64,
+}
+
+/// The excitations that are possible as the next recording of an identified Qube, within `largest_v`
+/// volts, the one with the most expected information first. Excitations that would move the arm of
+/// the identified model too far, and those whose recording no fit would accept, are left out.
+///
+/// For normal errors the expected information is ½ ln det(I + Σ J'J/σ²), where Σ is the covariance
+/// of the profile, J holds the derivatives of the recording that the excitation would make, without
+/// what its own start state and zero explain, and σ is the encoders' rounding (Lindley, *On a
+/// Measure of the Information Provided by an Experiment*, 1956).
+#[must_use]
+pub fn next_excitations(
+    profile: &Profile,
+    plant: &PlantModel,
+    largest_v: f64,
+) -> Vec<ExpectedExcitation> {
+    let model = profile.model();
+    let unknowns: Vec<Unknown> = Unknown::all().collect();
+    let covariance = covariance(profile, &unknowns);
+    let mut all = Vec::new();
+    for shape in [ExcitationShape::Chirp, ExcitationShape::Steps] {
+        for share in SHARES {
+            let voltage_v = share * largest_v;
+            let log = simulated(Excitation::new(shape, voltage_v), &model, plant);
+            let widest_rad = WIDEST_RAD * plant.travel_fraction();
+            let is_narrow = log.samples.iter().all(|it| it.state.theta.abs() < widest_rad);
+            if is_narrow && check_recording(&log).is_ok() {
+                let information = information(&log, &model, &unknowns);
+                let information_nats = expected_nats(&covariance, &information);
+                if information_nats.is_finite() {
+                    all.push(ExpectedExcitation { shape, voltage_v, information_nats });
+                }
+            }
+        }
+    }
+    all.sort_by(|a, b| b.information_nats.total_cmp(&a.information_nats));
+    all
+}
+
+/// The covariance of a profile's errors in the fit's units.
+fn covariance(profile: &Profile, unknowns: &[Unknown]) -> DMatrix<f64> {
+    let model = profile.model();
+    let per_unit = |unknown: Unknown| unknown.deviation(unknown.of(&model), 1.0);
+    DMatrix::from_fn(unknowns.len(), unknowns.len(), |row, column| {
+        let (one, other) = (unknowns[row], unknowns[column]);
+        profile.covariance(one.0, other.0) / (per_unit(one) * per_unit(other))
+    })
+}
+
+/// The recording that an excitation makes of a Qube that begins at rest in the middle.
+pub(super) fn simulated(
+    mut excitation: Excitation,
+    model: &QubeModel,
+    plant: &PlantModel,
+) -> MotionLog {
+    let encoders = plant.encoders;
+    let mut samples: Vec<MotionSample> = Vec::with_capacity(EXCITATION_STEPS as usize);
+    let mut state = State::default();
+    for tick in 0..EXCITATION_STEPS {
+        let measured = State {
+            theta: encoders.theta.angle_rad(encoders.theta.counts(state.theta)),
+            alpha: encoders.alpha.angle_rad(encoders.alpha.counts(state.alpha)),
+            ..state
+        };
+        let voltage_v = excitation.voltage_v(&measured);
+        let time_s = f64::from(tick) * CONTROL_PERIOD_S;
+        samples.push(MotionSample { time_s, state: measured, voltage_v });
+        // The motion to the next sample depends on its time alone.
+        let next = MotionSample { time_s: time_s + CONTROL_PERIOD_S, ..samples[tick as usize] };
+        samples.push(next);
+        let last_two = tick as usize..tick as usize + 2;
+        simulate_stretch(&samples, last_two, model, state, |there| state = there);
+        samples.pop();
+    }
+    MotionLog { samples, plant: *plant }
+}
+
+/// The information of a recording about the unknowns, J'J/σ², in the fit's units.
+fn information(log: &MotionLog, model: &QubeModel, unknowns: &[Unknown]) -> DMatrix<f64> {
+    let whole = Stretch::windows(&log.samples, f64::INFINITY);
+    let mut fit = Fit::new(unknowns, &log.plant, *model, whole).with_offsets();
+    fit.noise = [Noise::of_resolution(log.plant.encoders); 3];
+    let count = unknowns.len();
+    let mut information = DMatrix::zeros(count, count);
+    for (own, _) in by_recording(&fit, &fit.reduced(), 1.0) {
+        information += own;
+    }
+    information
+}
+
+/// ½ ln det(I + Σ I'), in nats.
+fn expected_nats(covariance: &DMatrix<f64>, information: &DMatrix<f64>) -> f64 {
+    let eigen = covariance.clone().symmetric_eigen();
+    let roots = DMatrix::from_fn(covariance.nrows(), covariance.ncols(), |row, column| {
+        eigen.eigenvectors[(row, column)] * eigen.eigenvalues[column].max(0.0).sqrt()
+    });
+    let seen = roots.tr_mul(information) * &roots;
+    let eigenvalues = seen.symmetric_eigenvalues();
+    0.5 * eigenvalues.iter().map(|value| value.max(0.0).ln_1p()).sum::<f64>()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identification::{Identified, identify};
+
+    fn found_in(logs: &[MotionLog]) -> Identified {
+        let unknowns: Vec<Unknown> = Unknown::all().collect();
+        identify(logs, &unknowns, &QubeModel::NOMINAL).unwrap()
+    }
+
+    /// Half the logarithm of the determinant of the estimates' covariance, in units of the values or
+    /// of one SI unit: their entropy up to a constant.
+    fn entropy_nats(found: &Identified) -> f64 {
+        let error = |index: usize| {
+            let it = &found.estimates[index];
+            it.standard_error / if it.unknown.is_parameter() { it.value } else { 1.0 }
+        };
+        let count = found.estimates.len();
+        let correlation = |row: usize, column: usize| found.correlations[row][column];
+        let covariance = DMatrix::from_fn(count, count, correlation);
+        let errors: f64 = (0..count).map(|index| error(index).ln()).sum();
+        errors + 0.5 * covariance.symmetric_eigenvalues().iter().map(|it| it.ln()).sum::<f64>()
+    }
+
+    #[test]
+    fn a_recording_tells_what_was_expected_of_it() {
+        let (lab, plant) = (Profile::lab().model(), PlantModel::QUBE);
+        let first = simulated(Excitation::new(ExcitationShape::Chirp, 1.5), &lab, &plant);
+        let before = found_in(std::slice::from_ref(&first));
+        let profile = before.profile("found", Vec::new(), Vec::new());
+        let all = next_excitations(&profile, &plant, 1.5);
+        let (most, least) = (all[0], all[all.len() - 1]);
+        for expected in [most, least] {
+            let ExpectedExcitation { shape, voltage_v, information_nats } = expected;
+            let second = simulated(Excitation::new(shape, voltage_v), &lab, &plant);
+            let after = found_in(&[first.clone(), second]);
+            let told = entropy_nats(&before) - entropy_nats(&after);
+            let ratio = told / information_nats;
+            assert!((0.5..2.0).contains(&ratio), "{expected:?}, and {told} nats were told");
+        }
+        let is_chirp_again =
+            |it: &ExpectedExcitation| it.shape == ExcitationShape::Chirp && it.voltage_v == 1.5;
+        assert!(is_chirp_again(&least) && most.information_nats > 4.0 * least.information_nats);
+    }
+
+    #[test]
+    fn an_excitation_that_moves_the_arm_too_far_or_not_at_all_is_left_out() {
+        let lab = Profile::lab();
+        let all = next_excitations(&lab, &PlantModel::QUBE, 1.5);
+        assert!(all.windows(2).all(|two| two[0].information_nats >= two[1].information_nats));
+        assert!(all.iter().all(|it| it.information_nats > 0.0 && it.voltage_v <= 1.5));
+        let mut stuck = lab.model();
+        stuck.nonidealities.positive_dead_zone_v = 2.0;
+        stuck.nonidealities.negative_dead_zone_v = 2.0;
+        let stuck = Profile::exact("stuck", &stuck);
+        assert_eq!(next_excitations(&stuck, &PlantModel::QUBE, 1.5), []);
+        // Without any resistance to motion five volts carry the arm away.
+        assert!(next_excitations(&lab, &PlantModel::QUBE, 5.0).len() < all.len());
+    }
+}
