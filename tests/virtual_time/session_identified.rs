@@ -8,7 +8,7 @@ use assert_cmd::Command;
 use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{DeviceError, SerialLink};
-use qube_hil::policy::Policy;
+use qube_hil::policy::{ExcitationShape, Policy};
 use qube_hil::qube::Profile;
 use qube_hil::rig::{Connect, DeviceChoice, RigSettings, TimedDevice};
 use qube_hil::session::{
@@ -171,6 +171,26 @@ impl Connect for StallingComputer {
     fn is_hardware(&self) -> bool {
         false
     }
+}
+
+#[test]
+fn a_second_excitation_is_the_one_that_is_expected_to_tell_most() {
+    let directory = tempfile::tempdir().unwrap();
+    let settings = format!("{SMALL}[identification]\nexcitations = 2\ncandidates = 1\n");
+    let arguments = ["--config", "small.toml", "--profile", "lab", "--out", "s"];
+    let told = session(directory.path(), &settings, &arguments);
+    assert_eq!(list(&told, "excitations").len(), 2);
+    let excitation = |candidate: &str| {
+        let path = format!("s/candidates/{candidate}/policy.safetensors");
+        match Policy::load(&directory.path().join(path)).unwrap() {
+            Policy::Excitation(excitation) => (excitation.shape(), excitation.limit_v()),
+            other => panic!("{candidate}: {other:?}"),
+        }
+    };
+    assert_eq!(excitation("000"), (ExcitationShape::Chirp, 1.5));
+    // Slow motions tell the dead zones, and the second begins in the other direction.
+    let (_, limit_v) = excitation("001");
+    assert!((-1.2..-0.5).contains(&limit_v), "{limit_v}");
 }
 
 /// Runs a session whose computer stalls in its first `stalling` connections. Returns the numbers of
