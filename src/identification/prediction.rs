@@ -244,3 +244,22 @@ fn state_at(known: &Stretch<'_>, plant: &PlantModel, model: &QubeModel) -> (Stat
     fit.minimise();
     (fit.starts[0], known.samples().len())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_band_holds_nine_tenths_of_errors_of_the_same_kind() {
+        assert_eq!(PredictionBand::of(&[[0.1, 0.1]; 9]), None);
+        let errors: Vec<[f64; 2]> =
+            (1..=99).map(|size| [f64::from(size), -0.1 * f64::from(size)]).collect();
+        let band = PredictionBand::of(&errors).unwrap();
+        assert_eq!(band.half_widths_rad[0], 90.0);
+        assert!((band.half_widths_rad[1] - 9.0).abs() < 1e-12);
+        assert_eq!(band.predictions, 99);
+        let further = [[89.0, 0.0], [-90.0, 9.5], [90.5, 0.0], [0.0, -8.0]];
+        assert_eq!(band.shares_within(&further), [0.75, 0.75]);
+        assert!(band.shares_within(&[])[0].is_nan());
+    }
+}
