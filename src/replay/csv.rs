@@ -2,7 +2,10 @@ use thiserror::Error;
 
 use super::MotionSample;
 use super::motion_sample::MAX_INTERRUPTION_S;
-use crate::qube::State;
+use crate::qube::{State, applied_voltage_mv};
+
+/// Phase, in a table that this program exported, in which the policy or excitation has the motor.
+const RUNNING: &str = "1";
 
 /// Required columns, in the order of the numbers of a [`MotionSample`].
 const COLUMNS: [&str; 6] =
@@ -65,6 +68,10 @@ pub enum CsvError {
 
 /// Reads the samples of a table with a header line. The voltage of the last row may be empty,
 /// because no motion follows it; it is then 0 V.
+///
+/// Of a table that this program exported, which has the columns `phase` and `applied_mv`, the rows
+/// are used that a recording gives: those with a sample, while the policy has the motor, with the
+/// voltage as the motor driver applies it.
 pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     // Some programs put a byte-order mark before the text.
     let text = text.trim_start_matches('\u{feff}');
@@ -82,9 +89,21 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
             CsvError::MissingColumn { column, found: names.join(", ").chars().take(200).collect() }
         })?;
     }
+    let place_of = |column: &str| names.iter().position(|name| *name == column);
+    let exported = place_of("phase").zip(place_of("applied_mv"));
     let mut samples: Vec<MotionSample> = Vec::new();
     while let Some((line, row)) = lines.next() {
-        let sample = parse_row(line, row, &places, lines.peek().is_none())?;
+        if let Some((phase, applied)) = exported {
+            let field = |place: usize| row.split(',').nth(place).map_or("", str::trim);
+            if field(phase) != RUNNING || field(applied).is_empty() {
+                continue;
+            }
+        }
+        let mut sample = parse_row(line, row, &places, lines.peek().is_none())?;
+        if exported.is_some() {
+            let commanded_mv = (1000.0 * sample.voltage_v).round() as i16;
+            sample.voltage_v = f64::from(applied_voltage_mv(commanded_mv)) / 1000.0;
+        }
         if let Some(last) = samples.last() {
             let (before_s, time_s) = (last.time_s, sample.time_s);
             if time_s <= before_s {
@@ -152,6 +171,22 @@ mod tests {
         assert_eq!(samples[0], MotionSample { time_s: 0.0, state, voltage_v: 5.0 });
         assert_eq!(samples[1].time_s, 0.5);
         assert_eq!(samples.len(), 2);
+    }
+
+    #[test]
+    fn of_an_exported_table_the_rows_under_the_policy_are_used_with_applied_voltages() {
+        let text = "phase,time_s,theta_rad,alpha_rad,theta_dot_rad_s,alpha_dot_rad_s,voltage_v,applied_mv\n\
+                    0,0.00,1,0,0,0,0.100,0\n\
+                    1,0.01,2,0,0,0,0.100,94\n\
+                    1,0.02,,,,,0.100,\n\
+                    1,0.03,3,0,0,0,0.100,94\n\
+                    2,0.04,4,0,0,0,0.100,94\n";
+        let samples = parse_csv(text).unwrap();
+        let found: Vec<_> =
+            samples.iter().map(|it| (it.time_s, it.state.theta, it.voltage_v)).collect();
+        let applied_v = f64::from(applied_voltage_mv(100)) / 1000.0;
+        assert_eq!(found, [(0.01, 2.0, applied_v), (0.03, 3.0, applied_v)]);
+        assert!(applied_v != 0.1 && (applied_v - 0.1).abs() < 0.013, "{applied_v}");
     }
 
     #[test]
