@@ -14,6 +14,7 @@ mod delay_tests;
 mod drift;
 mod dual;
 mod effects;
+mod finish;
 mod fit;
 mod fitness;
 mod identify;
@@ -34,7 +35,7 @@ pub use assessment::{Assessment, MissingEffect, ModelVerdict};
 pub use drift::{DriftEstimate, drift};
 pub use fitness::{Unfit, check_recording};
 pub use identify::{Cause, Identified, IdentifyError, Sign, identify};
-pub use next_excitation::{ExpectedExcitation, next_excitations};
+pub use next_excitation::{ExpectedExcitation, excitation_after, next_excitations};
 pub use offsets::{Offset, Scatter};
 pub use prediction::{
     HorizonError, KNOWN_S, Phase, PredictionBand, horizon_error, phase_error, prediction_errors,

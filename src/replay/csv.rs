@@ -3,9 +3,7 @@ use thiserror::Error;
 use super::MotionSample;
 use super::motion_sample::MAX_INTERRUPTION_S;
 use crate::qube::{State, applied_voltage_mv};
-
-/// Phase, in a table that this program exported, in which the policy or excitation has the motor.
-const RUNNING: &str = "1";
+use crate::telemetry::Phase;
 
 /// Required columns, in the order of the numbers of a [`MotionSample`].
 const COLUMNS: [&str; 6] =
@@ -95,7 +93,8 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     while let Some((line, row)) = lines.next() {
         if let Some((phase, applied)) = exported {
             let field = |place: usize| row.split(',').nth(place).map_or("", str::trim);
-            if field(phase) != RUNNING || field(applied).is_empty() {
+            let is_running = field(phase).parse() == Ok(Phase::Running.number());
+            if !is_running || field(applied).is_empty() {
                 continue;
             }
         }

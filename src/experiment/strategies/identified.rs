@@ -1,7 +1,7 @@
 use std::collections::BTreeSet;
 
 use super::StrategySettings;
-use super::recordings::{Recorded, Recordings, chirp, most_informative, read};
+use super::recordings::{Recorded, Recordings, excitation, read};
 use super::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
 use crate::experiment::{ExperimentError, Recipe};
@@ -73,13 +73,11 @@ impl<'a> FromRecordings<'a> {
     fn excitation(&self, number: u32) -> Result<Excitation, ExperimentError> {
         let plant = self.run.recipe.settings.plant();
         let fit = if number == 0 { None } else { self.stored_fit(number)? };
-        Ok(match fit {
-            Some(Fit::Found(profile)) => match Profile::parse(&profile) {
-                Ok(profile) => most_informative(number, &profile, plant),
-                Err(_) => chirp(number, plant),
-            },
-            _ => chirp(number, plant),
-        })
+        let profile = match fit {
+            Some(Fit::Found(profile)) => Profile::parse(&profile).ok(),
+            _ => None,
+        };
+        Ok(excitation(number, profile.as_ref(), plant))
     }
 
     /// The bytes of the policy for the recording with this number, which is no excitation.

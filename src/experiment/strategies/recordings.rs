@@ -4,15 +4,12 @@ use super::run::MethodRun;
 use crate::experiment::rollouts::{Repeated, all_of, is_complete};
 use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, RolloutResult};
-use crate::identification::next_excitations;
+use crate::identification::excitation_after;
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
 use crate::qube::{PlantModel, Profile};
 use crate::rig::RigSettings;
-use crate::session::{RolloutPlan, SeedFor, derived_seed, recording_in};
+use crate::session::{IdentificationSettings, RolloutPlan, SeedFor, derived_seed, recording_in};
 use crate::storage::{Disk, MachineDisk};
-
-/// Largest voltage of the excitation of a Qube, V: the default of `run --excite --volts`.
-const EXCITATION_V: f64 = 1.5;
 
 /// Largest file of a stored result, such as a belief, that is read whole, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 24;
@@ -123,20 +120,11 @@ impl<'a> Recordings<'a> {
     }
 }
 
-/// The chirp for the recording with this number. Consecutive recordings start in opposite
-/// directions.
-pub(super) fn chirp(number: u32, plant: &PlantModel) -> Excitation {
-    Excitation::of_rollout(ExcitationShape::Chirp, plant.volts_like(EXCITATION_V), number)
-}
-
-/// The excitation for the recording with this number that is expected to tell most about a Qube with
-/// this profile.
-pub(super) fn most_informative(number: u32, profile: &Profile, plant: &PlantModel) -> Excitation {
-    let all = next_excitations(profile, plant, plant.volts_like(EXCITATION_V));
-    all.first().map_or_else(
-        || chirp(number, plant),
-        |best| Excitation::of_rollout(best.shape, best.voltage_v, number),
-    )
+/// The excitation for the recording with this number, chosen by the profile that the recordings
+/// before it gave, if there is one.
+pub(super) fn excitation(number: u32, profile: Option<&Profile>, plant: &PlantModel) -> Excitation {
+    let limit_v = plant.volts_like(IdentificationSettings::DEFAULT.excitation_v);
+    excitation_after(profile, plant, limit_v, number)
 }
 
 /// Reads a text that a run has stored.

@@ -8,9 +8,9 @@ use super::Session;
 use super::proposals::Proposal;
 use super::rollouts::SessionRig;
 use crate::identification::{
-    Identified, IdentifyError, ModelVerdict, Unknown, check_recording, identify, next_excitations,
+    Identified, IdentifyError, ModelVerdict, Unknown, check_recording, excitation_after, identify,
 };
-use crate::policy::{Excitation, ExcitationShape, Policy};
+use crate::policy::{Excitation, Policy};
 use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
 use crate::replay::MotionLog;
@@ -58,21 +58,16 @@ impl Session {
         Ok(())
     }
 
-    /// The excitation of a candidate: after others the one that is expected to tell most, and a chirp
-    /// as the first or where the recordings so far identify no Qube. Consecutive candidates start in
-    /// opposite directions.
+    /// The excitation of a candidate, chosen by the recordings so far ([`excitation_after`]).
     pub(super) fn excitation(&self, candidate: u32) -> Result<Excitation, SessionError> {
         let plant = self.settings.plant();
         let of_qube_v = self.settings.identification.unwrap_or_default().excitation_v;
         let limit_v = plant.volts_like(of_qube_v);
-        let (mut shape, mut voltage_v) = (ExcitationShape::Chirp, limit_v);
-        if !self.used_recordings().is_empty()
-            && let Fitted::Found(found) = self.fitted()?
-            && let Some(best) = next_excitations(&found.profile, plant, limit_v).first()
-        {
-            (shape, voltage_v) = (best.shape, best.voltage_v);
-        }
-        Ok(Excitation::of_rollout(shape, voltage_v, candidate))
+        let profile = match self.fitted()? {
+            Fitted::Found(found) => Some(found.profile),
+            Fitted::Unfit(_) | Fitted::Refused(_) => None,
+        };
+        Ok(excitation_after(profile.as_ref(), plant, limit_v, candidate))
     }
 
     /// Identifies the Qube from its excitations, and again after the search, from the recordings of

@@ -8,7 +8,7 @@ use super::simulator::Demonstration;
 use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
 use crate::experiment::strategies::StrategySettings;
-use crate::experiment::strategies::recordings::{Recorded, Recordings, chirp, read};
+use crate::experiment::strategies::recordings::{Recorded, Recordings, excitation, read};
 use crate::experiment::strategies::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::{ExperimentError, Recipe};
 use crate::jobs::JobError;
@@ -74,7 +74,7 @@ impl<'a> FromRival<'a> {
     /// Makes the recording with this number if it does not exist.
     fn record(&self, number: u32) -> Result<(), ExperimentError> {
         if self.rival.data() == Data::Excitations {
-            let chirp = chirp(number, self.run.recipe.settings.plant());
+            let chirp = excitation(number, None, self.run.recipe.settings.plant());
             let kind = Recorded::Excitation(chirp.shape());
             return self.recordings.make(number, kind, &Policy::Excitation(chirp).to_bytes());
         }
