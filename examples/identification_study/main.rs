@@ -2,32 +2,33 @@
 //! truth, and its verdict on plants inside and outside the model class.
 //!
 //! ```text
-//! cargo run --release --example identification_study [PLANTS [SEED [EXCITATION ...]]]
+//! cargo run --release --example identification_study [PLANTS [SEED [MOTION ...]]]
 //! ```
 //!
-//! For each of PLANTS seeds from SEED (50 from 2000 unless named), a Qube is drawn, excitations of
-//! 10 s (`chirp:1.5 chirp:1.5` unless named: form and largest voltage of each) are recorded at
-//! 100 Hz, and a model is fitted to them: once with the Qube as drawn, and once with an effect
+//! For each of PLANTS seeds from SEED (50 from 2000 unless named), a Qube is drawn, motions of
+//! 10 s (`chirp:1.5 chirp:1.5` unless named: form and largest voltage of each, or `policy:FILE` for
+//! a rollout) are recorded at 100 Hz, and a model is fitted to them: once with the Qube as drawn, and once with an effect
 //! outside the model class added, which is one of five in turn. After a line for each plant come
 //! tables of the counts. The limits of the verdict were chosen on seeds from 100.
 
 #[path = "../beyond_the_equations/mechanics.rs"]
 mod mechanics;
+mod motion;
 mod plant;
 
 use std::collections::BTreeMap;
 
-use plant::{Beyond, Plant};
+use motion::Motion;
+use plant::Beyond;
 use qube_hil::elementary::normal_pair;
 use qube_hil::identification::{
     Estimate, Identified, IdentifyError, MissingEffect, ModelVerdict, PredictionBand, Unknown,
     identify, prediction_errors,
 };
-use qube_hil::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
 use qube_hil::qube::{
     CONTROL_PERIOD_S, DomainParameter, Nonideality, PlantModel, Quantity, QubeModel,
 };
-use qube_hil::replay::{MotionLog, MotionSample};
+use qube_hil::replay::MotionLog;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
@@ -84,38 +85,16 @@ fn outside(seed: u64, rng: &mut ChaCha8Rng) -> Beyond {
     }
 }
 
-/// The form and the largest voltage, V, of an excitation.
-type Form = (ExcitationShape, f64);
-
-fn form_of(text: &str) -> Form {
-    let (shape, voltage_v) = text.split_once(':').expect("a form and a voltage, as chirp:1.5");
-    let shape = match shape {
-        "chirp" => ExcitationShape::Chirp,
-        "steps" => ExcitationShape::Steps,
-        other => panic!("{other}: give chirp or steps"),
-    };
-    (shape, voltage_v.parse().expect("a voltage"))
-}
-
-fn record(model: &QubeModel, beyond: Beyond, (shape, voltage_v): Form, number: u32) -> MotionLog {
-    let mut plant = Plant::at_rest(model, beyond, 0.0);
-    let mut excitation = Excitation::of_rollout(shape, voltage_v, number);
-    let samples = (0..EXCITATION_STEPS).map(|tick| {
-        let state = plant.measured();
-        let voltage_v = (1000.0 * excitation.voltage_v(&state)).round() / 1000.0;
-        plant.advance(voltage_v);
-        MotionSample { time_s: f64::from(tick) * CONTROL_PERIOD_S, state, voltage_v }
-    });
-    MotionLog { samples: samples.collect(), plant: qube_hil::qube::PlantModel::QUBE }
-}
-
 fn identified(
     model: &QubeModel,
     beyond: Beyond,
-    forms: &[Form],
+    motions: &[Motion],
 ) -> Result<Identified, IdentifyError> {
-    let logs: Vec<MotionLog> =
-        forms.iter().zip(0..).map(|(&form, number)| record(model, beyond, form, number)).collect();
+    let logs: Vec<MotionLog> = motions
+        .iter()
+        .zip(0..)
+        .map(|(motion, number)| motion.record(model, beyond, number, false))
+        .collect();
     let unknowns: Vec<Unknown> = Unknown::all().collect();
     identify(&logs, &unknowns, &QubeModel::NOMINAL)
 }
@@ -161,16 +140,23 @@ impl Row {
         }
     }
 
-    /// Predicts a recording under nine tenths of the voltage of each excitation.
-    fn predict(&mut self, found: &Identified, truth: &QubeModel, beyond: Beyond, forms: &[Form]) {
-        let errors = |share: f64| {
-            let logs = forms.iter().zip(0..).map(|(&(shape, voltage_v), number)| {
-                record(truth, beyond, (shape, share * voltage_v), number)
-            });
+    /// Predicts the held-out recording of each motion.
+    fn predict(
+        &mut self,
+        found: &Identified,
+        truth: &QubeModel,
+        beyond: Beyond,
+        motions: &[Motion],
+    ) {
+        let errors = |held_out: bool| {
+            let logs = motions
+                .iter()
+                .zip(0..)
+                .map(|(motion, number)| motion.record(truth, beyond, number, held_out));
             logs.flat_map(|log| prediction_errors(&log, &found.model)).collect::<Vec<_>>()
         };
-        let Some(band) = PredictionBand::of(&errors(1.0)) else { return };
-        let held_out = errors(0.9);
+        let Some(band) = PredictionBand::of(&errors(false)) else { return };
+        let held_out = errors(true);
         for share in band.shares_within(&held_out) {
             self.predicted[0] += held_out.len() as u32;
             self.predicted[1] += (share * held_out.len() as f64).round() as u32;
@@ -181,10 +167,18 @@ impl Row {
         let named: Vec<String> =
             self.named.iter().map(|(name, count)| format!("{name} {count}")).collect();
         let named = named.join(", ");
-        let [all, within] = self.predicted.map(f64::from);
-        let percent = 100.0 * within / all;
-        println!("{name:12} {:>7} {:>8} {percent:>10.1} %   {named}", self.plants, self.doubted);
+        let within = percent(self.predicted);
+        println!("{name:12} {:>7} {:>8} {within:>12}   {named}", self.plants, self.doubted);
     }
+}
+
+/// The share of predictions within their band, in percent; a dash without predictions, as for
+/// rollouts in which the pendulum comes upright.
+fn percent([all, within]: [u32; 2]) -> String {
+    if all == 0 {
+        return "-".to_string();
+    }
+    format!("{:.1} %", 100.0 * f64::from(within) / f64::from(all))
 }
 
 /// For each estimate, whether its 90 % interval contains the truth.
@@ -205,9 +199,9 @@ fn main() {
     let mut words = std::env::args().skip(1);
     let [plants, first_seed] = DEFAULTS
         .map(|default| words.next().map_or(default, |text| text.parse().expect("a number")));
-    let mut forms: Vec<Form> = words.map(|text| form_of(&text)).collect();
-    if forms.is_empty() {
-        forms = vec![(ExcitationShape::Chirp, 1.5); 2];
+    let mut motions: Vec<Motion> = words.map(|text| Motion::named(&text)).collect();
+    if motions.is_empty() {
+        motions = vec![Motion::named("chirp:1.5"); 2];
     }
     let mut rows: BTreeMap<&str, Row> = BTreeMap::new();
     let mut intervals: Vec<(Unknown, bool)> = Vec::new();
@@ -215,11 +209,11 @@ fn main() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let truth = drawn(&mut rng);
         for beyond in [Beyond::Nothing, outside(seed, &mut rng)] {
-            let found = identified(&truth, beyond, &forms);
+            let found = identified(&truth, beyond, &motions);
             let row = rows.entry(beyond.name()).or_default();
             row.add(&found);
             if let Ok(found) = &found {
-                row.predict(found, &truth, beyond, &forms);
+                row.predict(found, &truth, beyond, &motions);
             }
             println!("{seed} {:12} {}", beyond.name(), describe(&found));
             if let (Beyond::Nothing, Ok(found)) = (beyond, &found) {
@@ -231,11 +225,9 @@ fn main() {
     rows.iter().for_each(|(name, row)| row.line(name));
     let strangers = || rows.iter().filter(|(name, _)| **name != Beyond::Nothing.name());
     let sum = |count: fn(&Row) -> u32| strangers().map(|(_, row)| count(row)).sum::<u32>();
-    let [all, within] = [0, 1]
-        .map(|index| strangers().map(|(_, row)| f64::from(row.predicted[index])).sum::<f64>());
-    let percent = 100.0 * within / all;
+    let within = percent([0, 1].map(|index| strangers().map(|(_, r)| r.predicted[index]).sum()));
     let (plants, doubted) = (sum(|row| row.plants), sum(|row| row.doubted));
-    println!("{:12} {plants:>7} {doubted:>8} {percent:>10.1} %", "outside");
+    println!("{:12} {plants:>7} {doubted:>8} {within:>12}", "outside");
     println!("\n{:24} 90 % intervals that contain the truth", "quantity");
     for unknown in Unknown::all() {
         let own = || intervals.iter().filter(|(other, _)| *other == unknown);

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use super::fit::Fit;
 use super::sensitivity::{STARTS, linearised};
 use super::stretch::Stretch;
-use crate::qube::QubeModel;
+use crate::qube::{QubeModel, State};
 use crate::replay::MotionSample;
 
 /// Scale of the disturbances of the voltage by which the effects on a motion are computed as finite
@@ -103,31 +103,33 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
     let columns: usize = Effect::ALL.iter().map(|effect| effect.columns()).sum();
     let size = unknowns + columns + 1;
     let mut squares = DMatrix::<f64>::zeros(size, size);
+    let simulated = simulated(check);
     let mut disturbed: Vec<Option<Vec<Vec<MotionSample>>>> = vec![None; check.offsets.len()];
     let mut count = 0.0;
-    for ((stretch, &start), &recording) in
-        check.stretches.iter().zip(&check.starts).zip(&check.recording)
+    for (((stretch, &start), &recording), base) in
+        check.stretches.iter().zip(&check.starts).zip(&check.recording).zip(&simulated)
     {
         let model = check.offsets[recording].applied(&check.model);
-        let others =
-            disturbed[recording].get_or_insert_with(|| all_disturbed(stretch.recording, &model));
+        let others = disturbed[recording].get_or_insert_with(|| {
+            let pairs = check.stretches.iter().zip(&simulated);
+            let own = pairs.filter(|(other, _)| other.is_beside(stretch));
+            all_disturbed(&with_angles(stretch.recording, own), &model)
+        });
         let (mut residuals, slopes) =
             linearised(stretch, check.unknowns, check.plant, &model, start, [1.0, 1.0]);
         let zero_rad = check.offsets[recording].alpha_zero_rad;
         residuals.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad);
-        let base = stretch.simulate(&model, start);
         let mut all = DMatrix::<f64>::zeros(residuals.len(), size);
         all.columns_mut(0, unknowns).copy_from(&slopes.columns(0, unknowns));
         let mut column = unknowns;
         for other in others.iter() {
             let moved = Stretch { recording: other, ..*stretch }.simulate(&model, start);
-            for (row, (there, here)) in moved.iter().zip(&base).enumerate() {
+            for (row, (there, here)) in moved.iter().zip(base).enumerate() {
                 all[(2 * row, column)] = (there.theta - here.theta) / DISTURBANCE_V;
                 all[(2 * row + 1, column)] = (there.alpha - here.alpha) / DISTURBANCE_V;
             }
             column += 1;
         }
-        // The simulated angle is free of the encoder's rounding, which is part of the residual.
         for (row, state) in base.iter().enumerate() {
             let (sin, cos) = state.theta.sin_cos();
             (all[(2 * row, column)], all[(2 * row, column + 1)]) = (sin, cos);
@@ -141,6 +143,31 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
         count += (residuals.len() - STARTS.min(residuals.len())) as f64;
     }
     reductions(check, &squares, count)
+}
+
+/// The states of each stretch, simulated from its start state.
+fn simulated(check: &Fit<'_>) -> Vec<Vec<State>> {
+    let pieces = check.stretches.iter().zip(&check.starts).zip(&check.recording);
+    let one = |((stretch, &start), &recording): ((&Stretch<'_>, &State), &usize)| {
+        stretch.simulate(&check.offsets[recording].applied(&check.model), start)
+    };
+    pieces.map(one).collect()
+}
+
+/// A recording with simulated states in place of those that its encoders counted. The effects
+/// depend on the arm's angle, and the simulated one is free of the encoder's rounding, which is
+/// part of the residual.
+fn with_angles<'a>(
+    recording: &[MotionSample],
+    stretches: impl Iterator<Item = (&'a Stretch<'a>, &'a Vec<State>)>,
+) -> Vec<MotionSample> {
+    let mut samples = recording.to_vec();
+    for (stretch, states) in stretches {
+        for (sample, state) in samples[stretch.range()].iter_mut().zip(states) {
+            sample.state = *state;
+        }
+    }
+    samples
 }
 
 /// Copies of a recording with disturbed voltages, one for each column of each effect on the motor,

@@ -6,9 +6,9 @@ use super::residuals::{Noise, noise_of};
 use super::stretch::Stretch;
 use crate::qube::{DomainParameters, Nonidealities, Nonideality};
 
-/// Voltage by which [`Fit::finish`] exchanges one dead zone of a Qube for the other, V: half of the
-/// widest known one.
-const EXCHANGED_V: f64 = 0.15;
+/// Difference between the dead zones of the two signs from which [`Fit::finish`] begins again, V:
+/// that of the only real Qube that was identified.
+const DIFFERENCE_V: f64 = 0.3;
 
 impl Fit<'_> {
     /// Fits again from the result of a fit and from models beside it, with the encoders' rounding as
@@ -16,17 +16,18 @@ impl Fit<'_> {
     ///
     /// A fit may end beside the best model for two reasons. Its residuals persist in time there,
     /// count as few independent ones, and hardly pull any more. And the rest angle of the cable can
-    /// stand in for unequal dead zones ([`Self::exchange_dead_zone`]). Three recordings or more are
-    /// not fitted from models beside the result: such fits would double the time, and the confusion
-    /// was only seen with one recording.
+    /// stand in for unequal dead zones ([`Self::with_difference_of_dead_zones`]). Three recordings
+    /// or more are not fitted from models beside the result: such fits would double the time, and
+    /// the confusion was only seen with one recording.
     pub fn finish(&mut self) {
         let noise = [Noise::of_resolution(self.plant.encoders); 3];
         let begin = Self { noise, ..self.clone() };
-        let exchanged_v: &[f64] =
-            if self.offsets.len() < 3 { &[0.0, EXCHANGED_V, -EXCHANGED_V] } else { &[0.0] };
-        for &voltage_v in exchanged_v {
-            let mut other = begin.clone();
-            other.exchange_dead_zone(voltage_v);
+        let beside = [DIFFERENCE_V, -DIFFERENCE_V]
+            .into_iter()
+            .filter(|_| self.offsets.len() < 3)
+            .filter_map(|difference_v| begin.with_difference_of_dead_zones(difference_v));
+        let candidates: Vec<Self> = std::iter::once(begin.clone()).chain(beside).collect();
+        for mut other in candidates {
             other.minimise();
             let residuals = other.residuals_rad();
             other.noise = noise_of(&other.stretches, &residuals, &other.noise, self.plant.encoders);
@@ -37,29 +38,34 @@ impl Fit<'_> {
         }
     }
 
-    /// Widens the positive dead zone by this voltage and narrows the negative one, as far as they
-    /// reach, and moves the rest angle of the cable so that the mean torque stays the same.
-    fn exchange_dead_zone(&mut self, voltage_v: f64) {
-        let plant_v = voltage_v * self.plant.volts_per_qube_volt();
+    /// The fit with a negative dead zone that is wider than the positive one by this voltage. Their
+    /// sum stays the same, as far as it suffices; the rest angle of the cable moves so that the mean
+    /// torque stays the same. `None` if these quantities are not all unknowns, or without a cable.
+    fn with_difference_of_dead_zones(&self, difference_v: f64) -> Option<Self> {
+        let difference_v = difference_v * self.plant.volts_per_qube_volt();
+        let terms =
+            [Nonideality::PositiveDeadZone, Nonideality::NegativeDeadZone, Nonideality::CableRest];
+        let all_move = terms.iter().all(|&term| self.unknowns.contains(&Unknown::from(term)));
+        let mut other = self.clone();
         let DomainParameters { motor_resistance_ohm, motor_back_emf_v_s, .. } =
-            self.model.parameters;
+            other.model.parameters;
         let Nonidealities {
             positive_dead_zone_v,
             negative_dead_zone_v,
             cable_stiffness_n_m_rad,
+            cable_rest_rad,
             ..
-        } = self.model.nonidealities;
-        let exchanged_v = plant_v.clamp(-positive_dead_zone_v, negative_dead_zone_v);
-        let torque_n_m = exchanged_v * motor_back_emf_v_s / motor_resistance_ohm;
-        let terms =
-            [Nonideality::PositiveDeadZone, Nonideality::NegativeDeadZone, Nonideality::CableRest];
-        let all_move = terms.iter().all(|&term| self.unknowns.contains(&Unknown::from(term)));
-        let terms = &mut self.model.nonidealities;
-        if all_move && cable_stiffness_n_m_rad > 0.0 {
-            terms.positive_dead_zone_v += exchanged_v;
-            terms.negative_dead_zone_v -= exchanged_v;
-            terms.cable_rest_rad += torque_n_m / cable_stiffness_n_m_rad;
+        } = &mut other.model.nonidealities;
+        if !all_move || *cable_stiffness_n_m_rad <= 0.0 {
+            return None;
         }
+        let sum_v = (*positive_dead_zone_v + *negative_dead_zone_v).max(difference_v.abs());
+        let moved_v = difference_v - (*negative_dead_zone_v - *positive_dead_zone_v);
+        *positive_dead_zone_v = 0.5 * (sum_v - difference_v);
+        *negative_dead_zone_v = 0.5 * (sum_v + difference_v);
+        let torque_n_m = 0.5 * moved_v * motor_back_emf_v_s / motor_resistance_ohm;
+        *cable_rest_rad -= torque_n_m / *cable_stiffness_n_m_rad;
+        Some(other)
     }
 
     /// Logarithms of the estimated scales of the residuals, summed over all residuals: the smaller

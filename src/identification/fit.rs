@@ -4,6 +4,7 @@ use std::thread;
 use nalgebra::{DMatrix, DVector, Matrix4, SVector};
 
 use super::Unknown;
+use super::change::changed;
 use super::offsets::{HomingOffset, Offset, Scatter, recordings};
 use super::residuals::{Noise, Residual, noise_of, robust_cost, robust_weight};
 use super::sensitivity::{STARTS, linearised};
@@ -391,10 +392,7 @@ impl<'a> Fit<'a> {
             inverses.push(inverse);
         }
         let change = self.change(matrix, gradient)?;
-        let mut model = self.model;
-        for (unknown, change) in self.unknowns.iter().zip(&change) {
-            unknown.set(&mut model, unknown.of(&self.model) + change);
-        }
+        let model = changed(self.unknowns, &self.model, change.as_slice());
         let (quantities, count) = (self.homing_offsets(), self.unknowns.len());
         let mut offsets = self.offsets.clone();
         for (recording, offset) in offsets.iter_mut().enumerate() {

@@ -19,8 +19,13 @@ use crate::replay::MotionLog;
 /// predicts an upright pendulum for long.
 const STAGES_S: [f64; 3] = [0.5, 2.0, f64::INFINITY];
 
-/// Residual (root mean square) over the shortest stretches beyond which the fit explains nothing,
-/// rad. The real Qube's chirps leave 0.01.
+/// Length of the windows of the fit that finds the neighbourhood of recordings in which a pendulum
+/// comes upright, s. Over the windows of the first stage a fit that begins at the name plate's
+/// model may end in a wrong one.
+const SHORTEST_S: f64 = 0.15;
+
+/// Residual (root mean square) over the windows of the first stage beyond which the fit explains
+/// nothing, rad. The real Qube's chirps leave 0.01.
 const LARGEST_RESIDUAL_RAD: f64 = 0.1;
 
 /// Largest share of the motion that a fit may leave unexplained over whole chirps and steps; the
@@ -221,8 +226,8 @@ pub fn identify(
     for unknown in unknowns {
         unknown.start(&mut first_guess, plant);
     }
-    let [first_s, further_s @ ..] = STAGES_S;
-    let mut fit = Fit::new(unknowns, plant, first_guess, windows(logs, first_s)).with_offsets();
+    let [_, further_s @ ..] = STAGES_S;
+    let mut fit = first_fit(logs, unknowns, plant, &first_guess);
     fit.run();
     let scale = scale_of(&fit.residuals_rad());
     let ResidualScale { theta_rad, alpha_rad } = scale;
@@ -261,6 +266,23 @@ pub fn identify(
         inflation,
         assessment,
     })
+}
+
+/// A fit over the windows of the first stage, not yet run. If a pendulum comes upright, the fit
+/// begins at the result of a fit over [`SHORTEST_S`], otherwise at `first_guess`.
+fn first_fit<'a>(
+    logs: &'a [MotionLog],
+    unknowns: &'a [Unknown],
+    plant: &'a PlantModel,
+    first_guess: &QubeModel,
+) -> Fit<'a> {
+    let mut model = *first_guess;
+    if logs.iter().any(|log| is_upright(&log.samples)) {
+        let mut fit = Fit::new(unknowns, plant, model, windows(logs, SHORTEST_S)).with_offsets();
+        fit.run();
+        model = fit.model;
+    }
+    Fit::new(unknowns, plant, model, windows(logs, STAGES_S[0])).with_offsets()
 }
 
 fn windows(logs: &[MotionLog], duration_s: f64) -> Vec<Stretch<'_>> {
@@ -308,7 +330,7 @@ fn cause(
     let residual = |sign: Sign| {
         let reversed: Vec<MotionLog> = logs.iter().map(|log| reversed(log, sign)).collect();
         let plant = &logs[0].plant;
-        let mut fit = Fit::new(unknowns, plant, *first_guess, windows(&reversed, STAGES_S[0]));
+        let mut fit = first_fit(&reversed, unknowns, plant, first_guess);
         fit.run();
         let ResidualScale { theta_rad, alpha_rad } = scale_of(&fit.residuals_rad());
         let plausible = implausible(unknowns, plant, &fit.model).is_none();

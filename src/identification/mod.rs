@@ -9,6 +9,7 @@
 //! `replay` and `elementary`.
 
 mod assessment;
+mod change;
 #[cfg(test)]
 mod delay_tests;
 mod drift;

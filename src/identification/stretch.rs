@@ -60,21 +60,21 @@ impl<'a> Stretch<'a> {
         Self { recording, first, end, regime: regime_in(&recording[first..end]) }
     }
 
-    /// Cuts a recording into windows. They last about `hanging_s` if the pendulum never comes
-    /// upright, otherwise 0.5 s, or 0.25 s where the pendulum comes upright within 0.5 s.
+    /// Cuts a recording into windows. They last about `longest_s` if the pendulum never comes
+    /// upright, otherwise at most 0.5 s, or 0.25 s where the pendulum comes upright within 0.5 s.
     /// Neighbouring windows share a sample. A rest shorter than 0.125 s at the end of a recording
     /// with an upright pendulum is left out, and so is the beginning of every recording: see
     /// [`UNKNOWN_COMMANDS_S`].
-    pub fn windows(recording: &'a [MotionSample], hanging_s: f64) -> Vec<Self> {
+    pub fn windows(recording: &'a [MotionSample], longest_s: f64) -> Vec<Self> {
         if !is_upright(recording) {
-            return Self::cut(recording, hanging_s, |_| Regime::Hanging);
+            return Self::cut(recording, longest_s, |_| Regime::Hanging);
         }
         let (mut windows, mut first) = (Vec::new(), first_of_windows(recording));
         while first + 1 < recording.len() {
-            let mut end = end_after(recording, first, SWINGING_S);
+            let mut end = end_after(recording, first, SWINGING_S.min(longest_s));
             let mut regime = regime_in(&recording[first..end]);
             if regime == Regime::Upright {
-                end = end_after(recording, first, UPRIGHT_S);
+                end = end_after(recording, first, UPRIGHT_S.min(longest_s));
                 regime = regime_in(&recording[first..end]);
             }
             // A remainder this short determines little more than its own start state.

@@ -41,6 +41,23 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
     // Excitations can be replayed like policies.
     qube_hil(directory.path(), &["replay", files[0], files[1]]);
     let found = json(&qube_hil(directory.path(), &["identify", files[0], files[1], "--json"]));
+    assert_lab(&found);
+}
+
+/// The motions of several rollouts of one policy are alike, and mostly balancing.
+#[test]
+fn rollouts_of_a_policy_alone_give_the_profile_back() {
+    let directory = tempfile::tempdir().unwrap();
+    let policy = format!("{}/policies/robust.safetensors", env!("CARGO_MANIFEST_DIR"));
+    let run = ["run", "--policy", &policy, "--rollouts", "2", "--profile", "lab"];
+    let run = [&run[..], &["--clock", "virtual", "--seed", "1002", "--out", "robust"]].concat();
+    qube_hil(directory.path(), &run);
+    let files = ["robust/rollout-0.mcap", "robust/rollout-1.mcap"];
+    assert_lab(&json(&qube_hil(directory.path(), &["identify", files[0], files[1], "--json"])));
+}
+
+/// Checks that `identify` has found the profile `lab`.
+fn assert_lab(found: &Value) {
     // Nothing of the emulated rig is taken for an effect outside the equations.
     assert_eq!(found["verdict"], "fits", "{found}");
     let lab = Profile::lab();

@@ -1,0 +1,103 @@
+//! How a step of the fit changes the model.
+
+use super::Unknown;
+use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};
+
+/// The model after a change of the unknowns, in the fit's units and the order of `unknowns`.
+///
+/// A motion stays the same if masses, dampings, Coulomb friction, the cable's stiffness and the
+/// motor's torque per volt grow in proportion: only the priors decide about their common factor.
+/// Masses, dampings and the motor's constants move by their logarithms. Friction and stiffness,
+/// which may be 0, cannot. If they moved by their changes, only small steps would keep the
+/// proportion, and a fit that begins far away would not arrive. They therefore move in volts, which
+/// to first order is the same: they grow with the torque per volt, and the rest of their change
+/// comes on top.
+pub(super) fn changed(unknowns: &[Unknown], model: &QubeModel, changes: &[f64]) -> QubeModel {
+    let change_of = |parameter: DomainParameter| {
+        let pairs = || unknowns.iter().zip(changes);
+        let own = Quantity::Parameter(parameter);
+        pairs().find(|(unknown, _)| unknown.0 == own).map_or(0.0, |(_, change)| *change)
+    };
+    // Change of the logarithm of the torque per volt, k_m / R_m.
+    let growth =
+        change_of(DomainParameter::MotorBackEmf) - change_of(DomainParameter::MotorResistance);
+    let mut next = *model;
+    for (unknown, change) in unknowns.iter().zip(changes) {
+        let here = unknown.of(model);
+        let there = match unknown.0 {
+            Quantity::Nonideality(Nonideality::CoulombTorque | Nonideality::CableStiffness) => {
+                growth.exp() * (here + change - growth * here)
+            }
+            _ => here + change,
+        };
+        unknown.set(&mut next, there);
+    }
+    next
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::{NonidealDynamics, Profile};
+
+    /// The torques and inertias of the equations divided by the torque per volt: the numbers on
+    /// which a motion depends.
+    fn in_volts(model: &QubeModel) -> [f64; 9] {
+        let NonidealDynamics { ideal, coulomb_torque, cable_stiffness, .. } =
+            NonidealDynamics::<f64>::new(model);
+        [
+            ideal.arm_inertia,
+            ideal.quarter_inertia,
+            ideal.coupling,
+            ideal.pendulum_inertia,
+            ideal.gravity_torque,
+            ideal.arm_damping,
+            ideal.pendulum_damping,
+            coulomb_torque,
+            cable_stiffness,
+        ]
+        .map(|number| number / ideal.torque_per_volt)
+    }
+
+    #[test]
+    fn a_step_along_the_common_factor_of_all_torques_changes_no_motion() {
+        let unknowns: Vec<Unknown> = Unknown::all().collect();
+        let lab = Profile::lab().model();
+        for growth in [-1.5, 0.7, 1.5] {
+            let change = |unknown: &Unknown| match unknown.0 {
+                Quantity::Parameter(DomainParameter::MotorResistance) => -growth,
+                Quantity::Parameter(
+                    DomainParameter::RotaryMass
+                    | DomainParameter::PendulumMass
+                    | DomainParameter::RotaryDamping
+                    | DomainParameter::PendulumDamping,
+                ) => growth,
+                Quantity::Nonideality(Nonideality::CoulombTorque | Nonideality::CableStiffness) => {
+                    growth * unknown.of(&lab)
+                }
+                _ => 0.0,
+            };
+            let changes: Vec<f64> = unknowns.iter().map(change).collect();
+            let next = changed(&unknowns, &lab, &changes);
+            for (there, here) in in_volts(&next).iter().zip(in_volts(&lab)) {
+                assert!((there / here - 1.0).abs() < 1e-9, "{growth}: {there} {here}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_small_change_moves_each_unknown_by_itself() {
+        let unknowns: Vec<Unknown> = Unknown::all().collect();
+        let lab = Profile::lab().model();
+        for (index, unknown) in unknowns.iter().enumerate() {
+            let mut changes = vec![0.0; unknowns.len()];
+            changes[index] = 1e-6;
+            let next = changed(&unknowns, &lab, &changes);
+            for (place, other) in unknowns.iter().enumerate() {
+                let moved = other.of(&next) - other.of(&lab);
+                let expected = if place == index { 1e-6 } else { 0.0 };
+                assert!((moved - expected).abs() < 1e-10, "{}: {moved}", unknown.name());
+            }
+        }
+    }
+}
