@@ -63,7 +63,7 @@ fn rollout(model: &QubeModel, seed: u64) -> Vec<Tick> {
 /// Runs the guard's part of a tick. Returns whether the guard would end the rollout.
 fn guard(foresight: &mut TrustedForesight, index: usize, tick: &Tick) -> bool {
     let time_us = 10_000 * index as u64;
-    let unpredicted = foresight.is_contradicted(&tick.state, time_us, &tick.sent_v);
+    let unpredicted = foresight.contradiction(&tick.state, time_us, &tick.sent_v).is_some();
     let too_late = foresight.too_late_for(&tick.state.cast(), &tick.sent_v, tick.voltage_v);
     unpredicted | too_late.is_some()
 }

@@ -157,7 +157,7 @@ fn ended_identified(good: &[Vec<Tick>], profile: &Profile, guard: &Arguments) ->
         foresight.begin_policy();
         let end = (0_u64..).zip(ticks).find_map(|(index, tick)| {
             let time_us = (index + 1) * 10_000;
-            let unpredicted = foresight.is_contradicted(&tick.state, time_us, &tick.sent_v);
+            let unpredicted = foresight.contradiction(&tick.state, time_us, &tick.sent_v).is_some();
             let (state, voltage_v) = (tick.state.cast(), tick.voltage_v);
             let too_late = foresight.too_late_for(&state, &tick.sent_v, voltage_v).is_some();
             (too_late || unpredicted).then_some(usize::from(!too_late))

@@ -18,7 +18,7 @@ use crate::recording::{Completeness, Recording, RecordingError, read};
 use crate::replay::{
     AngleError, MotionLog, Rerun, controller_of, rerun, simulate_from_first_state,
 };
-use crate::safety::Foreseen;
+use crate::safety::{Contradiction, Foreseen};
 use crate::storage::{MachineDisk, write_whole};
 use crate::telemetry::RolloutOutcome;
 
@@ -81,6 +81,9 @@ struct Report {
     /// Recomputed prediction for which foresight ended the rollout, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     foreseen: Option<Foreseen>,
+    /// Recomputed motion against the profile that ended the rollout, if one did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    contradiction: Option<Contradiction>,
     /// Defect that was found, if any.
     problem: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -102,6 +105,8 @@ impl Report {
             ));
         }
         lines.extend(self.foreseen.as_ref().map(foreseen_text));
+        let against = |it: Contradiction| format!("the guard ended the policy: {it}");
+        lines.extend(self.contradiction.map(against));
         lines.extend(self.note.map(str::to_owned));
         lines.extend(self.rmse.map(rmse_text));
         let picture = self.picture.as_ref().map(|picture| picture.display());
@@ -297,6 +302,7 @@ fn rerun_recording(recording: &Recording, report: &mut Report) -> Result<Option<
     report.actions_different = rerun.actions_different;
     report.not_compared = rerun.not_compared;
     report.foreseen = rerun.foreseen;
+    report.contradiction = rerun.contradiction;
     report.note = rerun.ending_of_the_file.then_some(ENVELOPE_NOTE);
     Ok(findings(recording, &rerun)
         .map(|message| Problem::data_lost(one_line(&format!("{path}: {message}")))))
@@ -338,6 +344,14 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
             Some(format!(
                 "recorded prediction of foresight {recorded:?}, recomputed {:?}",
                 rerun.foreseen
+            ))
+        }
+        (_, Some(RolloutOutcome { contradiction: Some(recorded), .. }))
+            if rerun.contradiction != Some(*recorded) =>
+        {
+            Some(format!(
+                "recorded motion against the profile {recorded:?}, recomputed {:?}",
+                rerun.contradiction
             ))
         }
         _ => None,

@@ -165,6 +165,7 @@ pub fn drive_warm(
             records_lost: turns.records_lost,
             observer_resets: motion.observer_resets(),
             foreseen: motion.foreseen(),
+            contradiction: motion.contradiction(),
             largest_motor_load: Some(largest_motor_load),
             last_answer_v: None,
             lateness_us: lateness.summary(),

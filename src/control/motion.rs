@@ -1,6 +1,6 @@
 use super::ControlState;
 use crate::qube::{Measurement, State};
-use crate::safety::Foreseen;
+use crate::safety::{Contradiction, Foreseen};
 use crate::telemetry::{Ending, Phase};
 
 /// Input of one tick. A recording determines every field, so that replay can decide the tick again:
@@ -70,6 +70,11 @@ pub trait Motion: Send {
 
     /// Prediction because of which foresight ended the motion; `None` if foresight did not end it.
     fn foreseen(&self) -> Option<Foreseen> {
+        None
+    }
+
+    /// Motion against the Qube's profile that ended the motion; `None` if none did.
+    fn contradiction(&self) -> Option<Contradiction> {
         None
     }
 

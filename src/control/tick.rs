@@ -10,7 +10,8 @@ use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, Measurement, State};
 use crate::safety::{
-    Brake, Foreseen, ForeseenAngle, ForesightSettings, Guard, Limit, TrustedForesight, clamp_to_mv,
+    Brake, Contradiction, Foreseen, ForeseenAngle, ForesightSettings, Guard, Limit,
+    TrustedForesight, clamp_to_mv,
 };
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 
@@ -68,6 +69,8 @@ pub struct Tick<C = Policy> {
     angle: Option<ForeseenAngle>,
     /// Prediction because of which foresight ended the policy; `None` if foresight did not end it.
     foreseen: Option<Foreseen>,
+    /// Motion against the profile that ended the policy; `None` if none did.
+    contradiction: Option<Contradiction>,
     brake: Brake,
     /// Whether the brake uses the arm's velocity alone, because the arm's count is doubted.
     damps: bool,
@@ -117,6 +120,7 @@ impl<C: Controller> Tick<C> {
             }),
             angle: None,
             foreseen: None,
+            contradiction: None,
             brake: brake_of(settings, false),
             damps: false,
             periods_without_sample: 0,
@@ -178,8 +182,12 @@ impl<C: Controller> Tick<C> {
     }
 
     /// The event that a requested stop, the Qube's state or the time causes in this phase, with the
-    /// ending that it gives; `unpredicted` is whether the Qube's motion contradicts its profile.
-    fn event(&mut self, input: &TickInput, unpredicted: bool) -> Option<(ControlEvent, Ending)> {
+    /// ending that it gives; `contradiction` is how the Qube's motion contradicts its profile.
+    fn event(
+        &mut self,
+        input: &TickInput,
+        contradiction: Option<Contradiction>,
+    ) -> Option<(ControlEvent, Ending)> {
         let stopped = input.stop_requested.then_some((ControlEvent::Stop, Ending::Stopped));
         match self.phase {
             Phase::Braking => self.braking_end(),
@@ -197,9 +205,11 @@ impl<C: Controller> Tick<C> {
                 Some((ControlEvent::TimeUp, Ending::Completed))
             }
             Phase::Running => {
-                let unpredicted = unpredicted.then_some(Limit::Unpredicted);
-                let safety_box = &self.settings.safety_box;
-                let limit = safety_box.violation(&self.estimates.guarded).or(unpredicted)?;
+                let violated = self.settings.safety_box.violation(&self.estimates.guarded);
+                if violated.is_none() {
+                    self.contradiction = contradiction;
+                }
+                let limit = violated.or(contradiction.map(|_| Limit::Unpredicted))?;
                 Some((ControlEvent::LimitLeft, Ending::LeftBox(limit)))
             }
         }
@@ -285,10 +295,13 @@ impl<C: Controller> Tick<C> {
         unanswered.then(|| Alarm::Zero(self.sensors.why_arm_rests(sample, self.voltage_mv)))
     }
 
-    /// Whether the last motion of the Qube contradicts the profile that foresight simulates.
-    fn contradicts_profile(&mut self, device_time_us: u64) -> bool {
-        let Some(foresight) = &mut self.foresight else { return false };
-        foresight.is_contradicted(&self.estimates.guarded, device_time_us, &self.sent_v)
+    /// How the last motion of the Qube contradicts the profile that foresight simulates.
+    fn contradicts_profile(&mut self, device_time_us: u64) -> Option<Contradiction> {
+        self.foresight.as_mut()?.contradiction(
+            &self.estimates.guarded,
+            device_time_us,
+            &self.sent_v,
+        )
     }
 
     /// A simulated Qube that the brake would stop too late after this voltage, mV; `None` if there
@@ -431,13 +444,13 @@ impl<C: Controller> Motion for Tick<C> {
         {
             foresight.sampled_after(periods);
         }
-        let unpredicted = self.contradicts_profile(measurement.device_time_us);
+        let contradiction = self.contradicts_profile(measurement.device_time_us);
 
         // Guard: change the phase if the state demands it. The second pass ends a brake that has
         // just begun and finds the arm at rest.
         for _ in 0..2 {
             let was = self.phase;
-            if let Some((event, reason)) = self.event(input, unpredicted)
+            if let Some((event, reason)) = self.event(input, contradiction)
                 && self.take(event, reason)
             {
                 return self.off();
@@ -493,5 +506,9 @@ impl<C: Controller> Motion for Tick<C> {
 
     fn foreseen(&self) -> Option<Foreseen> {
         self.foreseen
+    }
+
+    fn contradiction(&self) -> Option<Contradiction> {
+        self.contradiction
     }
 }

@@ -60,6 +60,7 @@ pub(crate) fn outcome() -> RolloutOutcome {
         records_lost: 0,
         observer_resets: 0,
         foreseen: None,
+        contradiction: None,
         largest_motor_load: Some(0.375),
         lateness_us: LatencySummary { p50: 1.0, p99: 2.0, p999: 3.0, max: 4.1 },
         sample_to_act_us: LatencySummary::default(),

@@ -1,7 +1,7 @@
 use crate::control::{Motion, Tick, TickInput};
 use crate::policy::{Controller, Policy, PolicyFault};
 use crate::recording::Recording;
-use crate::safety::{Foreseen, ForeseenAngle, Guard};
+use crate::safety::{Contradiction, Foreseen, ForeseenAngle, Guard};
 use crate::scoring::return_of;
 use crate::telemetry::{Ending, Fault, Phase, TickRecord};
 
@@ -29,6 +29,8 @@ pub struct Rerun {
     /// Recomputed prediction for which foresight ended the rollout; `None` if foresight did not end
     /// it.
     pub foreseen: Option<Foreseen>,
+    /// Recomputed motion against the profile that ended the rollout; `None` if none did.
+    pub contradiction: Option<Contradiction>,
     /// Recomputed tick at which foresight was nearest to ending the policy; `None` if the guard was
     /// not foresight, or if no policy ran.
     pub guard_approach: Option<GuardApproach>,
@@ -164,6 +166,7 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
         first_difference: differences.first().copied(),
         not_compared: known - compared.len(),
         foreseen: tick.foreseen(),
+        contradiction: tick.contradiction(),
         guard_approach,
         ending: if ending_of_the_file { outcome_ending } else { ending },
         ending_of_the_file,

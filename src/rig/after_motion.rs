@@ -58,6 +58,7 @@ mod tests {
             records_lost: 0,
             observer_resets: 0,
             foreseen: None,
+            contradiction: None,
             largest_motor_load: None,
             last_answer_v: None,
             lateness_us: LatencySummary::default(),

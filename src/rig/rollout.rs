@@ -197,9 +197,11 @@ impl Rig {
             self.latch(fault);
         }
         if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
+            let how =
+                report.outcome.contradiction.map_or_else(String::new, |it| format!(" ({it})"));
             tracing::warn!(
-                "the Qube does not move as its profile predicts, so it is guarded as an unknown one. Is the pendulum \
-                 another one, or is the supply weak?"
+                "the Qube does not move as its profile predicts{how}, so it is guarded as an unknown one. Is the \
+                 pendulum another one, or is the supply weak?"
             );
             self.identified.set(None);
         }

@@ -10,6 +10,7 @@
 mod belief;
 mod brake_law;
 mod braking;
+mod contradiction;
 mod foreseen;
 mod foresight;
 mod foresight_settings;
@@ -26,6 +27,7 @@ mod voltage_gate;
 pub use belief::{Belief, BeliefError};
 pub use brake_law::{BrakeLaw, CentringBrake};
 pub use braking::{Brake, brake_voltage};
+pub use contradiction::{Contradiction, PredictedAngle};
 pub use foreseen::{Foreseen, ForeseenAngle};
 pub use foresight::{Ends, Foresight, Outlook, Prediction, PredictionHorizon};
 pub use foresight_settings::{ForesightError, ForesightSettings, IdentifiedQube};

@@ -1,5 +1,5 @@
 use super::foresight::Prediction;
-use super::{CentringBrake, Foreseen, ForeseenAngle, Foresight};
+use super::{CentringBrake, Contradiction, Foreseen, ForeseenAngle, Foresight};
 use crate::elementary::Level;
 use crate::qube::{MAX_HISTORY, State};
 
@@ -80,26 +80,24 @@ impl TrustedForesight {
         }
     }
 
-    /// Returns whether a sample contradicts the profile while the belief from the profile decides.
-    /// Takes the sample's estimated state and device time, us, and the commands before it (V,
+    /// Returns how a sample contradicts the profile while the belief from the profile decides. Takes the sample's estimated state and device time, us, and the commands before it (V,
     /// newest first).
     ///
     /// A sample that contradicts the profile always ends the trust, but while the arm settles the
-    /// other belief decides, and this method then returns `false`.
+    /// other belief decides, and this method then returns `None`.
     #[must_use]
-    pub fn is_contradicted(
+    pub fn contradiction(
         &mut self,
         state: &State,
         device_time_us: u64,
         sent_v: &[f32; MAX_HISTORY],
-    ) -> bool {
-        let Some(Identified { prediction, trust, .. }) = &mut self.identified else { return false };
-        if *trust == Trust::Lost || prediction.is_kept(state, device_time_us, sent_v) {
-            return false;
-        }
+    ) -> Option<Contradiction> {
+        let Identified { prediction, trust, .. } =
+            self.identified.as_mut().filter(|identified| identified.trust != Trust::Lost)?;
+        let contradiction = prediction.contradiction(state, device_time_us, sent_v)?;
         let decided = *trust == Trust::Earned;
         *trust = Trust::Lost;
-        decided
+        decided.then_some(contradiction)
     }
 
     /// Starts the policy: the belief about the identified Qube decides from here on, if it has
@@ -176,7 +174,7 @@ mod tests {
                 alpha_dot: (quantised(state.alpha) - quantised(before.alpha)) / CONTROL_PERIOD_S,
             };
             before = state;
-            contradicted |= foresight.is_contradicted(&seen, 10_000 * tick, &sent_v);
+            contradicted |= foresight.contradiction(&seen, 10_000 * tick, &sent_v).is_some();
             // The voltage of the last period arrives in this one.
             let arriving_v = share * f64::from(sent_v[0]);
             let voltage_v = if tick % 30 < 15 { 3.5 } else { -3.5 };

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::{Fault, LatencySummary, Phase, Preflight};
 use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
 use crate::qube::{PlantModel, RewardWeights};
-use crate::safety::{Foreseen, ForesightSettings, Limit, MotorHeat, SafetyBox};
+use crate::safety::{Contradiction, Foreseen, ForesightSettings, Limit, MotorHeat, SafetyBox};
 
 /// The settings of the tick. A replay of a recording needs them, the measurements and the policy.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -168,6 +168,10 @@ pub struct RolloutOutcome {
     /// braking; `None` if foresight did not end it, and in recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foreseen: Option<Foreseen>,
+    /// Motion against the Qube's profile that ended the policy; `None` if none did, and in
+    /// recordings that lack it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contradiction: Option<Contradiction>,
     /// Largest load of the motor, 1 at its continuous rating; `None` in recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_motor_load: Option<f64>,

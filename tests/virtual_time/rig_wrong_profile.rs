@@ -5,6 +5,7 @@ use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{DomainParameter, Profile};
 use qube_hil::recording::read;
+use qube_hil::replay::{controller_of, rerun};
 use qube_hil::rig::{Rig, RigSettings};
 use qube_hil::safety::Limit;
 use qube_hil::session::RolloutPlan;
@@ -12,7 +13,8 @@ use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Ending;
 
 /// The endings of three rollouts of a Qube that is `lab` with this factor on one parameter, under
-/// the profile `lab`; each with whether the guard still had the profile when it began.
+/// the profile `lab`; each with whether the guard still had the profile when it began. Checks that a
+/// motion against the profile is recorded, and that a replay finds the same.
 fn rollouts(parameter: DomainParameter, factor: f64) -> Vec<(Ending, bool)> {
     let mut model = Profile::lab().model();
     model.parameters.set(parameter, factor * model.parameters.get(parameter));
@@ -26,7 +28,13 @@ fn rollouts(parameter: DomainParameter, factor: f64) -> Vec<(Ending, bool)> {
         let path = folder.path().join(format!("{number}.mcap"));
         let header = RolloutPlan::single("test", "test").header();
         let outcome = rig.rollout(&MachineDisk, &path, header, &policy).unwrap().outcome;
-        let foresight = read(&path).unwrap().header.settings.foresight.unwrap();
+        let recording = read(&path).unwrap();
+        let rerun = rerun(&recording, controller_of(&recording).unwrap());
+        assert_eq!(rerun.contradiction, outcome.contradiction);
+        let is_unpredicted = outcome.ending == Ending::LeftBox(Limit::Unpredicted);
+        assert_eq!(outcome.contradiction.is_some(), is_unpredicted, "{outcome:?}");
+        assert!(outcome.contradiction.is_none_or(|it| it.beyond_rad >= 0.025), "{outcome:?}");
+        let foresight = recording.header.settings.foresight.unwrap();
         (outcome.ending, foresight.identified.is_some())
     };
     (0..3).map(rollout).collect()

@@ -3,6 +3,7 @@
     reason = "a lane indexes many arrays at once, and plain index loops become vector code"
 )]
 
+use super::super::{Contradiction, PredictedAngle};
 use super::{Foresight, ParticleLanes, VelocityAge, resume};
 use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
 use crate::estimation::FilterGains;
@@ -88,46 +89,57 @@ impl Prediction {
         self.run = None;
     }
 
-    /// Returns whether the Qube's angles lie within the range of the particles' angles, apart from
-    /// the allowed distance. Takes the estimated state of the next sample, its time by the device's
+    /// Returns how the Qube's angles contradict the particles: by lying farther from the range of
+    /// the particles' angles than allowed. Takes the estimated state of the next sample, its time by the device's
     /// clock, us, and the commands before it (V, newest first).
     ///
-    /// Also returns `true` for the first sample and for one at an unexpected time. The particles
-    /// restart after these, after a sample outside the range, and after ten periods.
+    /// Returns `None` for the first sample and for one at an unexpected time. The particles restart
+    /// after these, after a sample that contradicts them, and after ten periods.
     #[must_use]
-    pub fn is_kept(
+    pub fn contradiction(
         &mut self,
         state: &State,
         device_time_us: u64,
         sent_v: &[f32; MAX_HISTORY],
-    ) -> bool {
-        let kept = self.run.is_none_or(|run| {
+    ) -> Option<Contradiction> {
+        let contradiction = self.run.and_then(|run| {
             let periods = run.periods + 1;
             let elapsed_s = device_time_us.saturating_sub(run.since_us) as f64 * 1e-6;
             let late_s = (elapsed_s - f64::from(periods) * CONTROL_PERIOD_S).abs();
             self.run = Some(Run { periods, ..run });
             if late_s > LATE_S {
                 self.run = None;
-                return true;
+                return None;
             }
             let spread = dispatch_at(
                 self.level,
                 Period { particles: &self.particles, qubes: &mut self.qubes, command_v: sent_v[0] },
             );
-            let lies = |angle: f64, velocity: f64, [least, most]: [f32; 2]| {
-                let beyond = PLAY_RAD + (JITTER_S + late_s) * velocity.abs();
-                angle >= f64::from(least) - beyond && angle <= f64::from(most) + beyond
+            let beyond = |angle: PredictedAngle, [least, most]: [f32; 2]| {
+                let (measured, velocity) = match angle {
+                    PredictedAngle::Theta => (state.theta, state.theta_dot),
+                    PredictedAngle::Alpha => (state.alpha, state.alpha_dot),
+                };
+                let allowed_rad = PLAY_RAD + (JITTER_S + late_s) * velocity.abs();
+                let is_kept = measured >= f64::from(least) - allowed_rad
+                    && measured <= f64::from(most) + allowed_rad;
+                let beyond_rad = (f64::from(least) - measured).max(measured - f64::from(most));
+                let beyond_rad = beyond_rad as f32;
+                (!is_kept).then_some(Contradiction { angle, beyond_rad, periods })
             };
-            lies(state.theta, state.theta_dot, spread.theta)
-                && lies(state.alpha, state.alpha_dot, spread.alpha)
+            let both = [
+                beyond(PredictedAngle::Theta, spread.theta),
+                beyond(PredictedAngle::Alpha, spread.alpha),
+            ];
+            both.into_iter().flatten().max_by(|a, b| a.beyond_rad.total_cmp(&b.beyond_rad))
         });
-        if !kept || self.run.is_none_or(|run| run.periods >= WINDOW_PERIODS) {
+        if contradiction.is_some() || self.run.is_none_or(|run| run.periods >= WINDOW_PERIODS) {
             let Self { particles, qubes, velocity_age, level, .. } = &mut *self;
             let (velocity_age, state) = (*velocity_age, state.cast());
             dispatch_at(*level, Begin { particles, qubes, velocity_age, state, sent_v });
             self.run = Some(Run { since_us: device_time_us, periods: 0 });
         }
-        kept
+        contradiction
     }
 }
 
