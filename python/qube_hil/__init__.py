@@ -22,7 +22,15 @@ from .errors import (
     SettingsError,
     TrainingError,
 )
-from .learning import Estimate, Identified, IncompleteRecording, Trained, identify, train
+from .learning import (
+    Estimate,
+    Identified,
+    IncompleteRecording,
+    LeftOutRecording,
+    Trained,
+    identify,
+    train,
+)
 from .policies import Policy
 from .recordings import Recording, recording
 from .sessions import Candidate, Session, Surrogate
@@ -44,6 +52,7 @@ __all__ = [
     "IdentificationError",
     "Identified",
     "IncompleteRecording",
+    "LeftOutRecording",
     "LateError",
     "Normal",
     "Policy",

@@ -111,6 +111,16 @@ class IncompleteRecording:
 
 
 @dataclass(frozen=True)
+class LeftOutRecording:
+    """A recording that was not used because it says too little."""
+
+    file: str
+    """Path of the file."""
+    reason: str
+    """What it lacks, in a sentence that names the file."""
+
+
+@dataclass(frozen=True)
 class Identified:
     """The result of an identification."""
 
@@ -124,6 +134,8 @@ class Identified:
     """The profile as TOML, as the program's commands read it."""
     incomplete: list[IncompleteRecording]
     """Recordings that hold only a part of their rollouts; the fit used that part."""
+    left_out: list[LeftOutRecording]
+    """Recordings that say too little; the fit did not use them."""
 
 
 def identify(
@@ -146,4 +158,7 @@ def identify(
     read = json.loads(_core.identify(paths, name, list(fixed)))
     estimates = {it.pop("name"): Estimate(**it) for it in read["estimates"]}
     incomplete = [IncompleteRecording(**it) for it in read["incomplete"]]
-    return Identified(estimates, read["verdict"], read["doubts"], read["profile"], incomplete)
+    left_out = [LeftOutRecording(**it) for it in read["left_out"]]
+    return Identified(
+        estimates, read["verdict"], read["doubts"], read["profile"], incomplete, left_out
+    )

@@ -16,7 +16,7 @@ const THREAD: &str = "identify";
 
 /// Fits a Qube to recordings, MCAP or CSV. `fixed` names the quantities that keep their nominal
 /// values, and `name` is the name of the profile. Returns JSON: estimates, verdict, doubts, the
-/// recordings that are incomplete, and the profile as TOML.
+/// recordings that are left out or incomplete, and the profile as TOML.
 #[pyfunction]
 pub fn identify(
     py: Python<'_>,
@@ -63,7 +63,7 @@ pub fn identify(
 }
 
 fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String, String> {
-    let Recordings { groups: [logs], plant, boards, incomplete } =
+    let Recordings { groups: [logs], files: [paths], left_out, plant, boards, incomplete } =
         read_recordings([paths], None).map_err(|error| error.to_string())?;
     let identified = fit(&logs, unknowns, &plant.nominal()).map_err(|error| error.to_string())?;
     let file_name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into();
@@ -83,11 +83,15 @@ fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String,
             "used_s": it.used_s,
         })
     });
+    let left_out = left_out
+        .iter()
+        .map(|it| json!({ "file": it.path.to_string_lossy(), "reason": it.why.to_string() }));
     let assessment = &identified.assessment;
     let result = json!({
         "estimates": estimates.collect::<Vec<_>>(),
         "verdict": assessment.verdict.name(),
         "doubts": assessment.doubts.iter().map(|doubt| doubt.name()).collect::<Vec<_>>(),
+        "left_out": left_out.collect::<Vec<_>>(),
         "incomplete": incomplete.collect::<Vec<_>>(),
         "profile": toml::to_string_pretty(&profile).map_err(|error| error.to_string())?,
     });

@@ -275,6 +275,12 @@ def test_a_qube_is_identified_from_its_recordings(tmp_path):
     (incomplete,) = qube_hil.identify([recordings[1], cut]).incomplete
     assert incomplete.file == str(cut) and "missing" in incomplete.reason
     assert 2.0 <= incomplete.used_s <= 10.0
+    short = tmp_path / "short.mcap"
+    short.write_bytes(data[: len(data) // 5])
+    found = qube_hil.identify([recordings[1], short])
+    assert [it.file for it in found.left_out] == [str(short)] and found.incomplete == []
+    with pytest.raises(qube_hil.IdentificationError, match="it lasts"):
+        qube_hil.identify([short])
     again = tmp_path / "chirps" / ".." / "chirps" / recordings[0].name
     with pytest.raises(qube_hil.IdentificationError, match="named twice"):
         qube_hil.identify([recordings[0], again])

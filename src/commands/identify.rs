@@ -13,7 +13,7 @@ use super::printable::print_message;
 use super::profile;
 use crate::charts::motion_svg;
 use crate::identification::{
-    Blind, Estimate, ExpectedExcitation, HorizonError, Identified, IncompleteRecording,
+    Blind, Estimate, ExpectedExcitation, HorizonError, Identified, IncompleteRecording, LeftOut,
     ModelVerdict, Phase, PredictionBand, Recordings, Unknown, comes_upright, horizon_error,
     identify, next_excitations, phase_error, prediction_errors, read_recordings, series_of,
     start_state,
@@ -91,8 +91,13 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         .map(|folder| OutputFolder::of_option("--plot", folder))
         .transpose()?;
     let groups = [&arguments.files[..], &arguments.holdout[..]];
-    let Recordings { groups: [fitted, held_out], plant, boards, incomplete } =
-        read_recordings(groups, arguments.plant.given()?).map_err(Failure::usage)?;
+    let recordings = read_recordings(groups, arguments.plant.given()?).map_err(Failure::usage)?;
+    let Recordings { groups: [fitted, held_out], files, left_out, plant, boards, incomplete } =
+        recordings;
+    let [fitted_files, held_out_files] = &files;
+    for recording in &left_out {
+        print_message(&format!("warning: not used: {}", recording.why));
+    }
     if !incomplete.is_empty() {
         let parts: Vec<String> = incomplete.iter().map(ToString::to_string).collect();
         print_message(&format!("warning: not every recording is complete: {}", parts.join("; ")));
@@ -107,16 +112,16 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let seconds = started.elapsed().as_secs_f64();
     let models = |files: &[PathBuf], fits: &dyn Fn(&Path, &Path) -> bool| {
         let one = |path: &PathBuf| {
-            let places = arguments.files.iter().enumerate();
+            let places = fitted_files.iter().enumerate();
             let alike: Vec<usize> =
                 places.filter(|(_, fitted)| fits(fitted, path)).map(|(place, _)| place).collect();
             identified.model_of(&alike)
         };
         files.iter().map(one).collect::<Vec<_>>()
     };
-    let own_models = models(&arguments.files, &|fitted, path| fitted == path);
+    let own_models = models(fitted_files, &|fitted, path| fitted == path);
     let held_out_models =
-        models(&arguments.holdout, &|fitted, path| series_of(fitted) == series_of(path));
+        models(held_out_files, &|fitted, path| series_of(fitted) == series_of(path));
     let errors = [
         Errors::of("fitted", &fitted, &own_models),
         Errors::of("held out", &held_out, &held_out_models),
@@ -124,8 +129,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let [_, held_out_errors] = &errors;
     let [.., long] = held_out_errors.horizons;
 
-    let files = arguments.files.iter().map(|path| file_name(path)).collect();
-    let mut profile = identified.profile(&arguments.name, files, boards);
+    let names = fitted_files.iter().map(|path| file_name(path)).collect();
+    let mut profile = identified.profile(&arguments.name, names, boards);
     if let Some(provenance) = profile.provenance.as_mut().filter(|_| long.predictions > 0) {
         provenance.held_out_rms_rad = Some([long.rms.theta_rad, long.rms.alpha_rad]);
     }
@@ -133,7 +138,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     out.write(toml.as_bytes())?;
     if let Some(folder) = &plots {
         let files: Vec<&Path> =
-            arguments.files.iter().chain(&arguments.holdout).map(PathBuf::as_path).collect();
+            fitted_files.iter().chain(held_out_files).map(PathBuf::as_path).collect();
         let logs = fitted.iter().chain(&held_out);
         let models = own_models.iter().chain(&held_out_models);
         let pictures = files.iter().zip(picture_names(&files));
@@ -144,7 +149,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
     let mut text = table(&identified);
     text += &correlated(&identified);
-    text += &rests(&identified, &arguments.files);
+    text += &rests(&identified, fitted_files);
     for errors in &errors {
         text += &errors.lines();
     }
@@ -163,9 +168,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let next = next_excitations(&profile, &plant, largest_v);
     text += &next_line(&next);
     let _ = write!(text, "\nwrote {} after a fit of {seconds:.1} s", arguments.out.display());
-    let mut result = result(&identified, &errors, seconds, arguments);
+    let mut result = result(&identified, &errors, fitted_files, seconds, arguments);
     result["prediction_band"] = band_json(band, within);
     result["next_excitations"] = next.iter().map(excitation_json).collect();
+    result["left_out"] = left_out.iter().map(left_out_json).collect();
     result["incomplete"] = incomplete.iter().map(incomplete_json).collect();
     output.print(&text, &result);
     Ok(())
@@ -193,6 +199,10 @@ fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
 fn incomplete_json(recording: &IncompleteRecording) -> Value {
     let IncompleteRecording { path, why, used_s } = recording;
     json!({ "file": path.to_string_lossy(), "reason": why.to_string(), "used_s": used_s })
+}
+
+fn left_out_json(LeftOut { path, why }: &LeftOut) -> Value {
+    json!({ "file": path.to_string_lossy(), "reason": why.to_string() })
 }
 
 fn file_name(path: &Path) -> String {
@@ -411,6 +421,7 @@ impl Errors {
 fn result(
     identified: &Identified,
     [fitted, held_out]: &[Errors; 2],
+    files: &[PathBuf],
     seconds: f64,
     arguments: &Arguments,
 ) -> Value {
@@ -447,7 +458,7 @@ fn result(
     };
     json!({
         "estimates": identified.estimates.iter().map(estimate).collect::<Vec<_>>(),
-        "recordings": arguments.files.iter().enumerate().map(recording).collect::<Vec<_>>(),
+        "recordings": files.iter().enumerate().map(recording).collect::<Vec<_>>(),
         "cable_rest_scatter_rad": identified.scatter.cable_rest_rad,
         "blind": identified.blind.iter().map(combination).collect::<Vec<_>>(),
         "fitted": fitted.horizons.iter().map(horizon).collect::<Vec<_>>(),

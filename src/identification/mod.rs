@@ -43,7 +43,8 @@ pub use prediction::{
     start_state,
 };
 pub use recordings::{
-    IncompleteRecording, Recordings, RecordingsError, duplicate, read_recordings, series_of,
+    IncompleteRecording, LeftOut, Recordings, RecordingsError, duplicate, read_recordings,
+    series_of,
 };
 pub use residuals::ResidualScale;
 pub use stretch::{comes_upright, duration_of};

@@ -10,10 +10,14 @@ use crate::qube::{PlantModel, PlantName};
 use crate::replay::{Incomplete, MotionLog, MotionLogError, RecordedMotion};
 
 /// Recordings of one plant that can be fitted or predicted, in `N` groups.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Recordings<const N: usize> {
     /// Motions of the recordings of each group.
     pub groups: [Vec<MotionLog>; N],
+    /// Paths of the recordings of each group, in the same order.
+    pub files: [Vec<PathBuf>; N],
+    /// Recordings that say too little and are not used, because others of their group are.
+    pub left_out: Vec<LeftOut>,
     /// Plant of all recordings; the built-in Qube if there is no recording.
     pub plant: PlantModel,
     /// Serial numbers of the boards that made the recordings of the first group, each once.
@@ -31,6 +35,16 @@ pub struct IncompleteRecording {
     pub why: Incomplete,
     /// Duration of the motion that is used, s.
     pub used_s: f64,
+}
+
+/// A recording that says too little: the policy never had the motor in it, or for a short time, or
+/// hardly anything moves.
+#[derive(Debug)]
+pub struct LeftOut {
+    /// Path of the file.
+    pub path: PathBuf,
+    /// What it lacks, in a sentence that names the file.
+    pub why: RecordingsError,
 }
 
 /// The reason why recordings cannot be used together for an identification.
@@ -77,6 +91,20 @@ pub enum RecordingsError {
     },
 }
 
+impl RecordingsError {
+    /// Whether nothing is wrong in the recording, but it says too little. Others can be fitted
+    /// without it.
+    fn says_too_little(&self) -> bool {
+        match self {
+            Self::Motion(MotionLogError::NeverRan { .. }) => true,
+            Self::Unfit { why, .. } => {
+                matches!(why, Unfit::Short { .. } | Unfit::NoVoltage | Unfit::NoMotion { .. })
+            }
+            _ => false,
+        }
+    }
+}
+
 impl fmt::Display for IncompleteRecording {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { path, why, used_s } = self;
@@ -84,8 +112,8 @@ impl fmt::Display for IncompleteRecording {
     }
 }
 
-/// Reads groups of recordings and refuses those that cannot be fitted. All must be of the same
-/// plant: of `plant`, or else of the plant of the first recording. A CSV file names no plant and is
+/// Reads groups of recordings and refuses those that cannot be fitted. Recordings that say too
+/// little are left out, unless all of a group do. All must be of the same plant: of `plant`, or else of the plant of the first recording. A CSV file names no plant and is
 /// taken to be of `plant`, else of the plant of the recordings before it, else of the built-in
 /// Qube.
 ///
@@ -95,21 +123,34 @@ pub fn read_recordings<const N: usize>(
     groups: [&[PathBuf]; N],
     mut plant: Option<PlantModel>,
 ) -> Result<Recordings<N>, RecordingsError> {
-    let mut incomplete = Vec::new();
+    let (mut incomplete, mut left_out) = (Vec::new(), Vec::new());
     let mut boards = BTreeSet::new();
     let mut read: [Vec<MotionLog>; N] = std::array::from_fn(|_| Vec::new());
-    for (group, (logs, files)) in read.iter_mut().zip(groups).enumerate() {
-        for path in files {
-            let (log, board) = read_one(path, &mut plant, &mut incomplete)?;
-            logs.push(log);
-            boards.extend(board.filter(|_| group == 0));
+    let mut used: [Vec<PathBuf>; N] = std::array::from_fn(|_| Vec::new());
+    for (group, paths) in groups.into_iter().enumerate() {
+        let left_out_before = left_out.len();
+        for path in paths {
+            match read_one(path, &mut plant, &mut incomplete) {
+                Ok((log, board)) => {
+                    read[group].push(log);
+                    used[group].push(path.clone());
+                    boards.extend(board.filter(|_| group == 0));
+                }
+                Err(why) if why.says_too_little() => {
+                    left_out.push(LeftOut { path: path.clone(), why });
+                }
+                Err(why) => return Err(why),
+            }
+        }
+        if read[group].is_empty() && left_out.len() > left_out_before {
+            return Err(left_out.swap_remove(left_out_before).why);
         }
     }
     if let Some(path) = duplicate(groups.into_iter().flatten()) {
         return Err(RecordingsError::NamedTwice { path: path.clone() });
     }
     let (plant, boards) = (plant.unwrap_or_default(), boards.into_iter().collect());
-    Ok(Recordings { groups: read, plant, boards, incomplete })
+    Ok(Recordings { groups: read, files: used, left_out, plant, boards, incomplete })
 }
 
 /// Reads one file; returns its motion and the board that made it, if the file names the board.
@@ -120,8 +161,6 @@ fn read_one(
 ) -> Result<(MotionLog, Option<String>), RecordingsError> {
     let RecordedMotion { log, incomplete: why, board } =
         MotionLog::read_of(path, &plant.unwrap_or_default())?;
-    let used_s = duration_of(&log.samples);
-    incomplete.extend(why.map(|why| IncompleteRecording { path: path.into(), why, used_s }));
     let (own, others) = (&log.plant, plant.get_or_insert(log.plant));
     if own != others {
         let path = path.into();
@@ -132,6 +171,8 @@ fn read_one(
         });
     }
     check_recording(&log).map_err(|why| RecordingsError::Unfit { path: path.into(), why })?;
+    let used_s = duration_of(&log.samples);
+    incomplete.extend(why.map(|why| IncompleteRecording { path: path.into(), why, used_s }));
     Ok((log, board))
 }
 

@@ -276,3 +276,42 @@ fn incomplete_recordings_are_named_with_the_seconds_that_are_used() {
         assert!(stderr.contains(&words), "{words:?} is missing in: {stderr}");
     }
 }
+
+#[test]
+fn a_recording_that_says_too_little_is_left_out_and_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name);
+    let run = ["run", "--clock", "virtual", "--profile", "lab", "--excite", "chirp"];
+    qube_hil(directory.path(), &[&run[..], &["--out", "chirp"]].concat());
+    let whole = std::fs::read(path("chirp/rollout-0.mcap")).unwrap();
+    // The arm settles in the first, and the excitation has begun in the second.
+    std::fs::write(path("settles.mcap"), &whole[..whole.len() / 8]).unwrap();
+    std::fs::write(path("short.mcap"), &whole[..whole.len() / 5]).unwrap();
+
+    let files = ["short.mcap", "chirp/rollout-0.mcap", "settles.mcap"];
+    let told = qube_hil(directory.path(), &[&["identify", "--json"], &files[..]].concat());
+    let found = json(&told);
+    let left_out = &found["left_out"];
+    assert_eq!(left_out.as_array().unwrap().len(), 2, "{left_out}");
+    for (entry, (file, why)) in left_out.as_array().unwrap().iter().zip([
+        ("short.mcap", "it lasts"),
+        ("settles.mcap", "fewer than two samples under the policy"),
+    ]) {
+        assert_eq!(entry["file"], file);
+        assert!(entry["reason"].as_str().unwrap().contains(why), "{left_out}");
+    }
+    assert_eq!(found["incomplete"], serde_json::json!([]));
+    assert_eq!(found["recordings"].as_array().unwrap().len(), 1);
+    assert_eq!(found["recordings"][0]["file"], "chirp/rollout-0.mcap");
+    let stderr = String::from_utf8_lossy(&told.stderr);
+    assert!(stderr.contains("warning: not used: short.mcap"), "{stderr}");
+
+    // Alone it is no evidence at all; the same holds for the recordings of --holdout.
+    for files in [&["short.mcap"][..], &["chirp/rollout-0.mcap", "--holdout", "short.mcap"]] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory.path()).arg("identify").args(files);
+        let refused = command.args(["--out", "refused.toml"]).output().unwrap();
+        assert_eq!(refused.status.code(), Some(2), "{files:?}");
+        assert!(String::from_utf8_lossy(&refused.stderr).contains("short.mcap: it lasts"));
+    }
+}
