@@ -5,11 +5,12 @@
 //! cargo run --release --example identification_study [PLANTS [SEED [MOTION ...]]]
 //! ```
 //!
-//! For each of PLANTS seeds from SEED (50 from 2000 unless named), a Qube is drawn, motions of
-//! 10 s (`chirp:1.5 chirp:1.5` unless named: form and largest voltage of each, or `policy:FILE` for
-//! a rollout) are recorded at 100 Hz, and a model is fitted to them: once with the Qube as drawn, and once with an effect
-//! outside the model class added, which is one of five in turn. After a line for each plant come
-//! tables of the counts. The limits of the verdict were chosen on seeds from 100.
+//! For each of PLANTS seeds from SEED (50 from 2000 unless named), a Qube is drawn, motions of 10 s
+//! (`chirp:1.5 chirp:1.5` unless named: form and largest voltage of each, or `policy:FILE` for a
+//! rollout) are recorded at 100 Hz, and a model is fitted to them: once with the Qube as drawn, and
+//! once with an effect outside the model class added, which is one of five in turn. After a line
+//! for each plant come tables of the counts. The limits of the verdict were chosen on seeds from
+//! 100.
 
 #[path = "../beyond_the_equations/mechanics.rs"]
 mod mechanics;

@@ -12,12 +12,12 @@ use crate::plant::{Beyond, Plant};
 /// Corner of the filter that gives a policy its velocities, rad/s.
 const FILTER_RAD_S: f64 = 200.0;
 
-/// Angles beyond which a policy's rollout ends: arm and pendulum, rad.
+/// Angles beyond which a recording ends: arm and pendulum, rad.
 const ENDS_RAD: [f64; 2] = [2.3, 4.0 * std::f64::consts::PI];
 
-/// Angle of the arm at the start of a held-out rollout of a policy, rad. That of the rollout
-/// itself is 0.
-const HELD_OUT_START_RAD: f64 = 0.15;
+/// Distance between the arm's angles at which the rollouts of a policy begin, rad. The plant and
+/// its encoders have no noise, so two rollouts from one angle would be the same recording.
+const STARTS_APART_RAD: f64 = 0.06;
 
 /// What moves a plant in a recording.
 #[derive(Clone)]
@@ -42,7 +42,8 @@ impl Motion {
     }
 
     /// Records the motion on a plant; `number` is the recording's number, from 0. The held-out
-    /// recording of an excitation has nine tenths of its voltage, that of a policy another start.
+    /// recording of an excitation has nine tenths of its voltage, and each rollout of a policy has a
+    /// start of its own.
     pub fn record(
         &self,
         model: &QubeModel,
@@ -58,7 +59,8 @@ impl Motion {
             Self::Rollout(policy) => (**policy).clone(),
         };
         let is_rollout = matches!(self, Self::Rollout(_));
-        let start_rad = if held_out && is_rollout { HELD_OUT_START_RAD } else { 0.0 };
+        let place = 2 * number + u32::from(held_out);
+        let start_rad = if is_rollout { STARTS_APART_RAD * f64::from(place) } else { 0.0 };
         let mut plant = Plant::at_rest(model, beyond, start_rad);
         let gains = FilterGains::new(FILTER_RAD_S, CONTROL_PERIOD_S);
         let first = plant.measured();

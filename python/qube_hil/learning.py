@@ -112,7 +112,7 @@ class IncompleteRecording:
 
 @dataclass(frozen=True)
 class LeftOutRecording:
-    """A recording that was not used because it says too little."""
+    """A recording that was not used: it is too short, or too little moves in it."""
 
     file: str
     """Path of the file."""
@@ -135,7 +135,7 @@ class Identified:
     incomplete: list[IncompleteRecording]
     """Recordings that hold only a part of their rollouts; the fit used that part."""
     left_out: list[LeftOutRecording]
-    """Recordings that say too little; the fit did not use them."""
+    """Recordings that are too short, or in which too little moves; the fit did not use them."""
 
 
 def identify(

@@ -37,7 +37,8 @@ const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 /// that it was not fitted to (--holdout): every 0.1 s a start state is estimated from 0.2 s of the recording, and the
 /// model then receives only the voltages. The cable rests as in the fitted recordings of the same series; the names
 /// of a series differ in the last number only. A recording whose pendulum comes upright is predicted piece by piece:
-/// 0.5 s of its swing, 0.1 s of its balance.
+/// 0.5 s of its swing, 0.1 s of its balance. Recordings that are too short, or in which too little moves, are named and
+/// not used.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil identify chirp-[12].mcap --holdout chirp-3.mcap --out mine.toml\n  \

@@ -81,7 +81,7 @@ struct Report {
     /// Recomputed prediction for which foresight ended the rollout, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     foreseen: Option<Foreseen>,
-    /// Recomputed motion against the profile that ended the rollout, if one did.
+    /// How the Qube contradicted its profile, recomputed, if this ended the rollout.
     #[serde(skip_serializing_if = "Option::is_none")]
     contradiction: Option<Contradiction>,
     /// Defect that was found, if any.
@@ -350,7 +350,7 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
             if rerun.contradiction != Some(*recorded) =>
         {
             Some(format!(
-                "recorded motion against the profile {recorded:?}, recomputed {:?}",
+                "recorded contradiction of the profile {recorded:?}, recomputed {:?}",
                 rerun.contradiction
             ))
         }

@@ -73,7 +73,7 @@ pub trait Motion: Send {
         None
     }
 
-    /// Motion against the Qube's profile that ended the motion; `None` if none did.
+    /// How the Qube contradicted its profile, if this ended the motion.
     fn contradiction(&self) -> Option<Contradiction> {
         None
     }

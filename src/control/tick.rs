@@ -69,7 +69,7 @@ pub struct Tick<C = Policy> {
     angle: Option<ForeseenAngle>,
     /// Prediction because of which foresight ended the policy; `None` if foresight did not end it.
     foreseen: Option<Foreseen>,
-    /// Motion against the profile that ended the policy; `None` if none did.
+    /// How the Qube contradicted its profile, if this ended the policy.
     contradiction: Option<Contradiction>,
     brake: Brake,
     /// Whether the brake uses the arm's velocity alone, because the arm's count is doubted.
@@ -296,7 +296,7 @@ impl<C: Controller> Tick<C> {
     }
 
     /// How the last motion of the Qube contradicts the profile that foresight simulates.
-    fn contradicts_profile(&mut self, device_time_us: u64) -> Option<Contradiction> {
+    fn contradiction_of_profile(&mut self, device_time_us: u64) -> Option<Contradiction> {
         self.foresight.as_mut()?.contradiction(
             &self.estimates.guarded,
             device_time_us,
@@ -444,7 +444,7 @@ impl<C: Controller> Motion for Tick<C> {
         {
             foresight.sampled_after(periods);
         }
-        let contradiction = self.contradicts_profile(measurement.device_time_us);
+        let contradiction = self.contradiction_of_profile(measurement.device_time_us);
 
         // Guard: change the phase if the state demands it. The second pass ends a brake that has
         // just begun and finds the arm at rest.

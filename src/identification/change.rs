@@ -6,12 +6,12 @@ use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};
 /// The model after a change of the unknowns, in the fit's units and the order of `unknowns`.
 ///
 /// A motion stays the same if masses, dampings, Coulomb friction, the cable's stiffness and the
-/// motor's torque per volt grow in proportion: only the priors decide about their common factor.
-/// Masses, dampings and the motor's constants move by their logarithms. Friction and stiffness,
-/// which may be 0, cannot. If they moved by their changes, only small steps would keep the
-/// proportion, and a fit that begins far away would not arrive. They therefore move in volts, which
-/// to first order is the same: they grow with the torque per volt, and the rest of their change
-/// comes on top.
+/// motor's torque per volt grow in proportion, the back-EMF unchanged: only the priors decide about
+/// their common factor. Masses, dampings and the motor's constants move by their logarithms.
+/// Friction and stiffness, which may be 0, cannot. If they moved by their changes, only small steps
+/// would keep the proportion, and a fit that begins far away would not arrive. They therefore grow
+/// with the torque per volt, and what their change has besides this growth comes on top. To first
+/// order the result is the same.
 pub(super) fn changed(unknowns: &[Unknown], model: &QubeModel, changes: &[f64]) -> QubeModel {
     let change_of = |parameter: DomainParameter| {
         let pairs = || unknowns.iter().zip(changes);
@@ -26,7 +26,7 @@ pub(super) fn changed(unknowns: &[Unknown], model: &QubeModel, changes: &[f64]) 
         let here = unknown.of(model);
         let there = match unknown.0 {
             Quantity::Nonideality(Nonideality::CoulombTorque | Nonideality::CableStiffness) => {
-                growth.exp() * (here + change - growth * here)
+                growth.exp() * here + (change - growth * here)
             }
             _ => here + change,
         };
@@ -83,6 +83,20 @@ mod tests {
                 assert!((there / here - 1.0).abs() < 1e-9, "{growth}: {there} {here}");
             }
         }
+    }
+
+    #[test]
+    fn a_friction_that_does_not_change_is_not_lost_when_the_motor_gets_stronger() {
+        let unknowns: Vec<Unknown> = Unknown::all().collect();
+        let lab = Profile::lab().model();
+        let resistance = |unknown: &Unknown| {
+            let grows = unknown.0 == DomainParameter::MotorResistance.into();
+            if grows { -1.5 } else { 0.0 }
+        };
+        let changes: Vec<f64> = unknowns.iter().map(resistance).collect();
+        let next = changed(&unknowns, &lab, &changes).nonidealities;
+        assert!(next.coulomb_torque_n_m >= lab.nonidealities.coulomb_torque_n_m);
+        assert!(next.cable_stiffness_n_m_rad >= lab.nonidealities.cable_stiffness_n_m_rad);
     }
 
     #[test]

@@ -113,7 +113,7 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
         let others = disturbed[recording].get_or_insert_with(|| {
             let pairs = check.stretches.iter().zip(&simulated);
             let own = pairs.filter(|(other, _)| other.is_beside(stretch));
-            all_disturbed(&with_angles(stretch.recording, own), &model)
+            all_disturbed(&with_simulated_states(stretch.recording, own), &model)
         });
         let (mut residuals, slopes) =
             linearised(stretch, check.unknowns, check.plant, &model, start, [1.0, 1.0]);
@@ -154,10 +154,11 @@ fn simulated(check: &Fit<'_>) -> Vec<Vec<State>> {
     pieces.map(one).collect()
 }
 
-/// A recording with simulated states in place of those that its encoders counted. The effects
-/// depend on the arm's angle, and the simulated one is free of the encoder's rounding, which is
-/// part of the residual.
-fn with_angles<'a>(
+/// A recording with the simulated states of its stretches in place of the recorded ones; the first
+/// 0.04 s and rests between stretches keep those. The effects depend on the arm's angle, and the
+/// simulated one is free of the encoder's rounding, which is part of the residual. At the seam of
+/// two stretches the states jump by about that rounding.
+fn with_simulated_states<'a>(
     recording: &[MotionSample],
     stretches: impl Iterator<Item = (&'a Stretch<'a>, &'a Vec<State>)>,
 ) -> Vec<MotionSample> {

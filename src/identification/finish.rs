@@ -6,8 +6,9 @@ use super::residuals::{Noise, noise_of};
 use super::stretch::Stretch;
 use crate::qube::{DomainParameters, Nonidealities, Nonideality};
 
-/// Difference between the dead zones of the two signs from which [`Fit::finish`] begins again, V:
-/// that of the only real Qube that was identified.
+/// Difference between the dead zones of the two signs from which [`Fit::finish`] begins again, V, of
+/// a Qube; other plants have it in proportion. The only real Qube that was identified has this
+/// difference.
 const DIFFERENCE_V: f64 = 0.3;
 
 impl Fit<'_> {
@@ -38,9 +39,10 @@ impl Fit<'_> {
         }
     }
 
-    /// The fit with a negative dead zone that is wider than the positive one by this voltage. Their
-    /// sum stays the same, as far as it suffices; the rest angle of the cable moves so that the mean
-    /// torque stays the same. `None` if these quantities are not all unknowns, or without a cable.
+    /// The fit with a negative dead zone that is wider than the positive one by this voltage, V of a
+    /// Qube. The sum of the two stays the same, or grows to this voltage if it is smaller; the rest
+    /// angle of the cable moves so that the mean torque stays the same. `None` if these quantities
+    /// are not all unknowns, or without a cable.
     fn with_difference_of_dead_zones(&self, difference_v: f64) -> Option<Self> {
         let difference_v = difference_v * self.plant.volts_per_qube_volt();
         let terms =
@@ -76,5 +78,55 @@ impl Fit<'_> {
             stretch.range().len() as f64 * (scale.theta_rad.ln() + scale.alpha_rad.ln())
         };
         self.stretches.iter().map(of).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::{PlantModel, Profile, QubeModel};
+
+    /// The mean torque of both directions that dead zones and cable leave, N m.
+    fn mean_torque(model: &QubeModel) -> f64 {
+        let DomainParameters { motor_resistance_ohm, motor_back_emf_v_s, .. } = model.parameters;
+        let terms = &model.nonidealities;
+        let lost_v = 0.5 * (terms.negative_dead_zone_v - terms.positive_dead_zone_v);
+        lost_v * motor_back_emf_v_s / motor_resistance_ohm
+            + terms.cable_stiffness_n_m_rad * terms.cable_rest_rad
+    }
+
+    #[test]
+    fn a_difference_of_dead_zones_keeps_the_mean_torque() {
+        let unknowns: Vec<Unknown> = Unknown::all().collect();
+        for (positive_v, negative_v) in [(0.0, 0.0), (0.1, 0.1), (0.0, 0.6), (0.18, 0.0)] {
+            let mut model = Profile::lab().model();
+            model.nonidealities.positive_dead_zone_v = positive_v;
+            model.nonidealities.negative_dead_zone_v = negative_v;
+            let fit = Fit::new(&unknowns, &PlantModel::QUBE, model, Vec::new());
+            for difference_v in [DIFFERENCE_V, -DIFFERENCE_V] {
+                let other = fit.with_difference_of_dead_zones(difference_v).unwrap().model;
+                let terms = &other.nonidealities;
+                let [positive, negative] = [terms.positive_dead_zone_v, terms.negative_dead_zone_v];
+                assert!(positive >= 0.0 && negative >= 0.0, "{terms:?}");
+                assert!((negative - positive - difference_v).abs() < 1e-12, "{terms:?}");
+                let sum_v = (positive_v + negative_v).max(DIFFERENCE_V);
+                assert!((positive + negative - sum_v).abs() < 1e-12, "{terms:?}");
+                assert!((mean_torque(&other) - mean_torque(&model)).abs() < 1e-12, "{terms:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_is_exchanged_without_a_cable_or_with_a_rest_angle_that_is_fixed() {
+        let all: Vec<Unknown> = Unknown::all().collect();
+        let rest = Unknown::from(Nonideality::CableRest);
+        let fixed: Vec<Unknown> = all.iter().copied().filter(|&unknown| unknown != rest).collect();
+        let lab = Profile::lab().model();
+        let mut free = lab;
+        free.nonidealities.cable_stiffness_n_m_rad = 0.0;
+        for (unknowns, model) in [(&fixed, lab), (&all, free)] {
+            let fit = Fit::new(unknowns, &PlantModel::QUBE, model, Vec::new());
+            assert!(fit.with_difference_of_dead_zones(DIFFERENCE_V).is_none());
+        }
     }
 }

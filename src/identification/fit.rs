@@ -392,8 +392,9 @@ impl<'a> Fit<'a> {
             inverses.push(inverse);
         }
         let change = self.change(matrix, gradient)?;
-        let model = changed(self.unknowns, &self.model, change.as_slice());
-        let (quantities, count) = (self.homing_offsets(), self.unknowns.len());
+        let count = self.unknowns.len();
+        let model = changed(self.unknowns, &self.model, &change.as_slice()[..count]);
+        let quantities = self.homing_offsets();
         let mut offsets = self.offsets.clone();
         for (recording, offset) in offsets.iter_mut().enumerate() {
             for (place, &quantity) in quantities.iter().enumerate() {

@@ -189,6 +189,13 @@ pub enum Unfit {
     },
 }
 
+impl Unfit {
+    /// Whether the recording shows no defect, but is too short, or too little moves in it.
+    pub(super) fn says_too_little(self) -> bool {
+        matches!(self, Self::Short { .. } | Self::NoVoltage | Self::NoMotion { .. })
+    }
+}
+
 /// Checks that a recording can be fitted.
 ///
 /// # Errors

@@ -16,13 +16,13 @@ use crate::replay::MotionLog;
 /// Lengths of the stretches of chirps and steps, stage by stage, s. Short ones find the
 /// neighbourhood, because their motion depends almost linearly on the unknowns; long ones separate
 /// small effects from noise. Windows of swing-ups are short in every stage, because no model
-/// predicts an upright pendulum for long.
+/// predicts an upright pendulum for long. [`UPRIGHT_FIRST_S`] comes before the first stage.
 const STAGES_S: [f64; 3] = [0.5, 2.0, f64::INFINITY];
 
-/// Length of the windows of the fit that finds the neighbourhood of recordings in which a pendulum
-/// comes upright, s. Over the windows of the first stage a fit that begins at the name plate's
-/// model may end in a wrong one.
-const SHORTEST_S: f64 = 0.15;
+/// Largest length of all windows of the fit before the first stage, s, which is made where a
+/// pendulum comes upright. There a fit over the windows of the first stage may end in a wrong model
+/// if it begins at the name plate's.
+const UPRIGHT_FIRST_S: f64 = 0.15;
 
 /// Residual (root mean square) over the windows of the first stage beyond which the fit explains
 /// nothing, rad. The real Qube's chirps leave 0.01.
@@ -227,8 +227,7 @@ pub fn identify(
         unknown.start(&mut first_guess, plant);
     }
     let [_, further_s @ ..] = STAGES_S;
-    let mut fit = first_fit(logs, unknowns, plant, &first_guess);
-    fit.run();
+    let mut fit = first_stage(logs, unknowns, plant, &first_guess);
     let scale = scale_of(&fit.residuals_rad());
     let ResidualScale { theta_rad, alpha_rad } = scale;
     let cause = || cause(logs, unknowns, &first_guess, theta_rad.max(alpha_rad));
@@ -268,9 +267,9 @@ pub fn identify(
     })
 }
 
-/// A fit over the windows of the first stage, not yet run. If a pendulum comes upright, the fit
-/// begins at the result of a fit over [`SHORTEST_S`], otherwise at `first_guess`.
-fn first_fit<'a>(
+/// The fit of the first stage. It begins at `first_guess`, or, if a pendulum comes upright, at the
+/// result of a fit over [`UPRIGHT_FIRST_S`].
+fn first_stage<'a>(
     logs: &'a [MotionLog],
     unknowns: &'a [Unknown],
     plant: &'a PlantModel,
@@ -278,11 +277,14 @@ fn first_fit<'a>(
 ) -> Fit<'a> {
     let mut model = *first_guess;
     if logs.iter().any(|log| is_upright(&log.samples)) {
-        let mut fit = Fit::new(unknowns, plant, model, windows(logs, SHORTEST_S)).with_offsets();
+        let mut fit =
+            Fit::new(unknowns, plant, model, windows(logs, UPRIGHT_FIRST_S)).with_offsets();
         fit.run();
         model = fit.model;
     }
-    Fit::new(unknowns, plant, model, windows(logs, STAGES_S[0])).with_offsets()
+    let mut fit = Fit::new(unknowns, plant, model, windows(logs, STAGES_S[0])).with_offsets();
+    fit.run();
+    fit
 }
 
 fn windows(logs: &[MotionLog], duration_s: f64) -> Vec<Stretch<'_>> {
@@ -330,8 +332,7 @@ fn cause(
     let residual = |sign: Sign| {
         let reversed: Vec<MotionLog> = logs.iter().map(|log| reversed(log, sign)).collect();
         let plant = &logs[0].plant;
-        let mut fit = first_fit(&reversed, unknowns, plant, first_guess);
-        fit.run();
+        let fit = first_stage(&reversed, unknowns, plant, first_guess);
         let ResidualScale { theta_rad, alpha_rad } = scale_of(&fit.residuals_rad());
         let plausible = implausible(unknowns, plant, &fit.model).is_none();
         if plausible { theta_rad.max(alpha_rad) } else { f64::INFINITY }

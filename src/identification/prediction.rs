@@ -40,7 +40,9 @@ impl HorizonError {
         let predictions: usize = parts.iter().map(|part| part.predictions).sum();
         let rms = |angle: fn(&AngleError) -> f64| {
             let square = |part: &Self| part.predictions as f64 * angle(&part.rms).powi(2);
-            (parts.iter().map(square).sum::<f64>() / predictions.max(1) as f64).sqrt()
+            // A sum over nothing would be -0.
+            let squares = parts.iter().map(square).fold(0.0, |sum, square| sum + square);
+            (squares / predictions.max(1) as f64).sqrt()
         };
         let rms =
             AngleError { theta_rad: rms(|rms| rms.theta_rad), alpha_rad: rms(|rms| rms.alpha_rad) };
@@ -248,6 +250,12 @@ fn state_at(known: &Stretch<'_>, plant: &PlantModel, model: &QubeModel) -> (Stat
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_error_of_no_prediction_is_0_and_not_minus_0() {
+        let none = HorizonError::pooled(0.5, &[]);
+        assert_eq!((none.predictions, none.rms.theta_rad.to_bits()), (0, 0));
+    }
 
     #[test]
     fn a_band_holds_nine_tenths_of_errors_of_the_same_kind() {

@@ -37,8 +37,8 @@ pub struct IncompleteRecording {
     pub used_s: f64,
 }
 
-/// A recording that says too little: the policy never had the motor in it, or for a short time, or
-/// hardly anything moves.
+/// A recording that says too little: the policy had the motor never or for a short time, the
+/// voltage was never large, or hardly anything moves.
 #[derive(Debug)]
 pub struct LeftOut {
     /// Path of the file.
@@ -92,14 +92,12 @@ pub enum RecordingsError {
 }
 
 impl RecordingsError {
-    /// Whether nothing is wrong in the recording, but it says too little. Others can be fitted
-    /// without it.
+    /// Whether the recording shows no defect, but says too little ([`Unfit::says_too_little`]).
+    /// Others can be fitted without it.
     fn says_too_little(&self) -> bool {
         match self {
             Self::Motion(MotionLogError::NeverRan { .. }) => true,
-            Self::Unfit { why, .. } => {
-                matches!(why, Unfit::Short { .. } | Unfit::NoVoltage | Unfit::NoMotion { .. })
-            }
+            Self::Unfit { why, .. } => why.says_too_little(),
             _ => false,
         }
     }
@@ -113,9 +111,9 @@ impl fmt::Display for IncompleteRecording {
 }
 
 /// Reads groups of recordings and refuses those that cannot be fitted. Recordings that say too
-/// little are left out, unless all of a group do. All must be of the same plant: of `plant`, or else of the plant of the first recording. A CSV file names no plant and is
-/// taken to be of `plant`, else of the plant of the recordings before it, else of the built-in
-/// Qube.
+/// little are left out, unless all of a group do. All others must be of the same plant: of `plant`,
+/// or else of the plant of the first of them. A CSV file names no plant and is taken to be of
+/// `plant`, else of the plant of the recordings before it, else of the built-in Qube.
 ///
 /// # Errors
 /// A file cannot be read or fitted, is of another plant than the others, or is named twice.
@@ -161,6 +159,8 @@ fn read_one(
 ) -> Result<(MotionLog, Option<String>), RecordingsError> {
     let RecordedMotion { log, incomplete: why, board } =
         MotionLog::read_of(path, &plant.unwrap_or_default())?;
+    // A recording that is left out says nothing about the plant of the others either.
+    check_recording(&log).map_err(|why| RecordingsError::Unfit { path: path.into(), why })?;
     let (own, others) = (&log.plant, plant.get_or_insert(log.plant));
     if own != others {
         let path = path.into();
@@ -170,7 +170,6 @@ fn read_one(
             RecordingsError::OtherPlant { path, plant: own.name, others: others.name }
         });
     }
-    check_recording(&log).map_err(|why| RecordingsError::Unfit { path: path.into(), why })?;
     let used_s = duration_of(&log.samples);
     incomplete.extend(why.map(|why| IncompleteRecording { path: path.into(), why, used_s }));
     Ok((log, board))

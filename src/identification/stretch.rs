@@ -6,11 +6,11 @@ use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 /// Cosine of the pendulum's angle below which a window counts as upright: 60 degrees from the top.
 const UPRIGHT_COS: f64 = -0.5;
 
-/// Length of a window with an upright pendulum, s: 2.7 times the time constant with which a Qube's
+/// Largest length of a window with an upright pendulum, s: 2.7 times the time constant with which a Qube's
 /// pendulum falls beside a resting arm, 0.094 s. No model predicts a fall for longer.
 const UPRIGHT_S: f64 = 0.25;
 
-/// Length of a window of a swing-up whose pendulum is not upright, s.
+/// Largest length of a window of a swing-up whose pendulum is not upright, s.
 const SWINGING_S: f64 = 0.5;
 
 /// Time from the beginning of a recording before which no window begins, s: the longest delay for
@@ -61,10 +61,10 @@ impl<'a> Stretch<'a> {
     }
 
     /// Cuts a recording into windows. They last about `longest_s` if the pendulum never comes
-    /// upright, otherwise at most 0.5 s, or 0.25 s where the pendulum comes upright within 0.5 s.
-    /// Neighbouring windows share a sample. A rest shorter than 0.125 s at the end of a recording
-    /// with an upright pendulum is left out, and so is the beginning of every recording: see
-    /// [`UNKNOWN_COMMANDS_S`].
+    /// upright, otherwise at most `longest_s`, at most 0.5 s, and at most 0.25 s where the pendulum
+    /// comes upright within 0.5 s. Neighbouring windows share a sample. In a recording with an
+    /// upright pendulum a window shorter than 0.125 s is left out, and so is the beginning of every
+    /// recording: see [`UNKNOWN_COMMANDS_S`].
     pub fn windows(recording: &'a [MotionSample], longest_s: f64) -> Vec<Self> {
         if !is_upright(recording) {
             return Self::cut(recording, longest_s, |_| Regime::Hanging);
@@ -220,6 +220,8 @@ mod tests {
             let windows = Stretch::windows(&recording, 0.5);
             assert_eq!(windows[0].first, 4);
             assert!(windows.windows(2).all(|pair| pair[1].first == pair[0].end - 1));
+            let shorter = Stretch::windows(&recording, 0.15);
+            assert!(shorter.iter().all(|window| duration_of(window.samples()) < 0.16));
             // A short one is used whole.
             assert_eq!(Stretch::windows(&recording[..19], 0.5)[0].first, 0);
         }

@@ -2,8 +2,8 @@ use crate::qube::{
     DomainParameter, DomainParameters, Nonideality, PlantModel, Quantity, QubeModel,
 };
 
-/// A quantity that a fit may move: a parameter by its logarithm, a nonideality linearly. Gravity is
-/// known and never moves.
+/// A quantity that a fit may move. Its unit in the fit is the logarithm for a parameter, and the SI
+/// unit for a nonideality. Gravity is known and never moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unknown(pub Quantity);
 

@@ -2,14 +2,17 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// A motion of the Qube that contradicts its profile: no Qube within the profile's errors moves so.
+use crate::qube::CONTROL_PERIOD_S;
+
+/// How the Qube contradicted its profile: no Qube within the profile's errors moves so.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Contradiction {
-    /// The angle that is farther from its prediction.
+    /// The angle that lay farther outside the range of the simulated Qubes' angles than allowed; if
+    /// both did, the one that lay farther outside.
     pub angle: PredictedAngle,
-    /// Distance of that angle from the range of the simulated Qubes' angles, rad.
-    pub beyond_rad: f32,
-    /// Control periods since the simulated Qubes were where the Qube was.
+    /// Distance of that angle from the range, rad; `None` if no simulated angle was a finite number.
+    pub beyond_rad: Option<f32>,
+    /// Control periods since the simulated Qubes began in the Qube's state.
     pub periods: u32,
 }
 
@@ -17,9 +20,9 @@ pub struct Contradiction {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PredictedAngle {
-    /// That of the arm.
+    /// Angle of the arm.
     Theta,
-    /// That of the pendulum.
+    /// Angle of the pendulum.
     Alpha,
 }
 
@@ -29,10 +32,16 @@ impl fmt::Display for Contradiction {
             PredictedAngle::Theta => "arm",
             PredictedAngle::Alpha => "pendulum",
         };
-        let Self { beyond_rad, periods, .. } = self;
-        write!(
-            formatter,
-            "the {whose} was {beyond_rad:.3} rad away from where its profile allows it to be after {periods} periods"
-        )
+        let milliseconds = 1000.0 * CONTROL_PERIOD_S * f64::from(self.periods);
+        match self.beyond_rad {
+            Some(beyond_rad) => {
+                write!(
+                    formatter,
+                    "the {whose}'s angle was {beyond_rad:.3} rad outside the range of all simulated Qubes"
+                )?;
+            }
+            None => write!(formatter, "no simulated Qube predicted an angle of the {whose}")?,
+        }
+        write!(formatter, ", {milliseconds:.0} ms after they began in the Qube's state")
     }
 }

@@ -4,10 +4,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use qube_hil::policy::Policy;
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::qube::Profile;
 use qube_hil::recording::RolloutWriter;
 use qube_hil::replay::rerun;
+use qube_hil::rig::{Rig, RigSettings};
 use qube_hil::safety::{Guard, Limit};
+use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Ending, Phase};
 use serde_json::Value;
@@ -103,6 +107,49 @@ fn a_rollout_that_foresight_ended_says_for_which_qube() {
     known.margin_rad = 0.2;
     let policy = Policy::from_bytes(&recording.policy).unwrap();
     assert_ne!(rerun(&recording, policy).foreseen, Some(foreseen));
+}
+
+#[test]
+fn a_rollout_that_contradicted_its_profile_says_how() {
+    let folder = tempfile::tempdir().unwrap();
+    let lab = Profile::lab();
+    // The emulated Qube has a longer pendulum than the profile that it is said to have.
+    let mut model = lab.model();
+    model.parameters.pendulum_length_m *= 1.3;
+    let emulator = EmulatorSettings { model, seed: 3, ..EmulatorSettings::default() };
+    let settings = RigSettings { profile: Some(lab), ..RigSettings::emulated(emulator) };
+    let rig = Rig::open(&settings, &Default::default()).unwrap();
+    let controller = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+    let path = folder.path().join("rollout.mcap");
+    let header = RolloutPlan::single("test", "test").header();
+    let made = rig.rollout(&MachineDisk, &path, header, &controller.to_bytes()).unwrap();
+    let contradiction = made.outcome.contradiction.expect("the pendulum is longer");
+
+    let output = qube_hil(&["replay", "--json", path.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let told = &json(&output)["recordings"][0]["contradiction"];
+    assert_eq!(told["periods"], contradiction.periods);
+    assert!(["theta", "alpha"].contains(&told["angle"].as_str().unwrap()), "{told}");
+    assert!(told["beyond_rad"].as_f64().unwrap() > 0.025, "{told}");
+    let output = qube_hil(&["replay", path.to_str().unwrap()]);
+    let text = String::from_utf8(output.stdout).unwrap();
+    let sentence = format!("the guard ended the policy: {contradiction}");
+    assert!(text.contains(&sentence), "{text}");
+
+    // A file that tells another contradiction than its ticks.
+    let whole = qube_hil::recording::read(&path).unwrap();
+    let altered = folder.path().join("altered.mcap");
+    let mut writer =
+        RolloutWriter::create(&MachineDisk, &altered, whole.header, &whole.policy).unwrap();
+    for tick in &whole.ticks {
+        writer.write(tick).unwrap();
+    }
+    let mut outcome = whole.outcome.unwrap();
+    outcome.contradiction.as_mut().unwrap().periods += 1;
+    writer.finish(&outcome).unwrap();
+    let output = qube_hil(&["replay", altered.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(stderr(&output).contains("recorded contradiction"), "{}", stderr(&output));
 }
 
 /// Replays a recording of an older program, whose guard was the speed envelope and whose policy

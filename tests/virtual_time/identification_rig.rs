@@ -56,6 +56,17 @@ fn rollouts_of_a_policy_alone_give_the_profile_back() {
     assert_lab(&json(&qube_hil(directory.path(), &["identify", files[0], files[1], "--json"])));
 }
 
+/// Under slow steps the rest angle of the cable can stand in for unequal dead zones.
+#[test]
+fn one_recording_under_slow_steps_gives_the_profile_back() {
+    let directory = tempfile::tempdir().unwrap();
+    let run = ["run", "--excite", "steps", "--volts", "0.6", "--profile", "lab"];
+    let run = [&run[..], &["--clock", "virtual", "--seed", "1402", "--out", "steps"]].concat();
+    qube_hil(directory.path(), &run);
+    let found = qube_hil(directory.path(), &["identify", "steps/rollout-0.mcap", "--json"]);
+    assert_lab(&json(&found));
+}
+
 /// Checks that `identify` has found the profile `lab`.
 fn assert_lab(found: &Value) {
     // Nothing of the emulated rig is taken for an effect outside the equations.
@@ -282,20 +293,23 @@ fn a_recording_that_says_too_little_is_left_out_and_named() {
     let directory = tempfile::tempdir().unwrap();
     let path = |name: &str| directory.path().join(name);
     let run = ["run", "--clock", "virtual", "--profile", "lab", "--excite", "chirp"];
-    qube_hil(directory.path(), &[&run[..], &["--out", "chirp"]].concat());
+    qube_hil(directory.path(), &[&run[..], &["--rollouts", "2", "--out", "chirp"]].concat());
     let whole = std::fs::read(path("chirp/rollout-0.mcap")).unwrap();
     // The arm settles in the first, and the excitation has begun in the second.
     std::fs::write(path("settles.mcap"), &whole[..whole.len() / 8]).unwrap();
     std::fs::write(path("short.mcap"), &whole[..whole.len() / 5]).unwrap();
 
-    let files = ["short.mcap", "chirp/rollout-0.mcap", "settles.mcap"];
+    std::fs::copy(path("short.mcap"), path("held-out.mcap")).unwrap();
+    let held_out = ["--holdout", "held-out.mcap", "chirp/rollout-1.mcap", "--plot", "plots"];
+    let files = [&["short.mcap", "chirp/rollout-0.mcap", "settles.mcap"], &held_out[..]].concat();
     let told = qube_hil(directory.path(), &[&["identify", "--json"], &files[..]].concat());
     let found = json(&told);
     let left_out = &found["left_out"];
-    assert_eq!(left_out.as_array().unwrap().len(), 2, "{left_out}");
+    assert_eq!(left_out.as_array().unwrap().len(), 3, "{left_out}");
     for (entry, (file, why)) in left_out.as_array().unwrap().iter().zip([
         ("short.mcap", "it lasts"),
         ("settles.mcap", "fewer than two samples under the policy"),
+        ("held-out.mcap", "it lasts"),
     ]) {
         assert_eq!(entry["file"], file);
         assert!(entry["reason"].as_str().unwrap().contains(why), "{left_out}");
@@ -303,6 +317,8 @@ fn a_recording_that_says_too_little_is_left_out_and_named() {
     assert_eq!(found["incomplete"], serde_json::json!([]));
     assert_eq!(found["recordings"].as_array().unwrap().len(), 1);
     assert_eq!(found["recordings"][0]["file"], "chirp/rollout-0.mcap");
+    assert!(found["held_out_phases"][0]["predictions"].as_u64().unwrap() > 50, "{found}");
+    assert_eq!(std::fs::read_dir(path("plots")).unwrap().count(), 2);
     let stderr = String::from_utf8_lossy(&told.stderr);
     assert!(stderr.contains("warning: not used: short.mcap"), "{stderr}");
 

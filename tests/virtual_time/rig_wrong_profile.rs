@@ -7,7 +7,7 @@ use qube_hil::qube::{DomainParameter, Profile};
 use qube_hil::recording::read;
 use qube_hil::replay::{controller_of, rerun};
 use qube_hil::rig::{Rig, RigSettings};
-use qube_hil::safety::Limit;
+use qube_hil::safety::{Contradiction, Limit};
 use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Ending;
@@ -33,7 +33,9 @@ fn rollouts(parameter: DomainParameter, factor: f64) -> Vec<(Ending, bool)> {
         assert_eq!(rerun.contradiction, outcome.contradiction);
         let is_unpredicted = outcome.ending == Ending::LeftBox(Limit::Unpredicted);
         assert_eq!(outcome.contradiction.is_some(), is_unpredicted, "{outcome:?}");
-        assert!(outcome.contradiction.is_none_or(|it| it.beyond_rad >= 0.025), "{outcome:?}");
+        let is_far = |it: Contradiction| it.beyond_rad.is_some_and(|beyond| beyond >= 0.025);
+        assert!(outcome.contradiction.is_none_or(is_far), "{outcome:?}");
+        assert_eq!(recording.outcome.as_ref().unwrap().contradiction, outcome.contradiction);
         let foresight = recording.header.settings.foresight.unwrap();
         (outcome.ending, foresight.identified.is_some())
     };

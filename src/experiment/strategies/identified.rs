@@ -118,6 +118,7 @@ impl<'a> FromRecordings<'a> {
                     logs.push(motion.log);
                     boards.extend(motion.board);
                 }
+                Err(MotionLogError::NeverRan { .. }) if number > 0 => {}
                 Err(MotionLogError::Recording(error)) => return Err(error.into()),
                 Err(unfit) => return Ok(Fit::Refused(unfit.to_string())),
             }

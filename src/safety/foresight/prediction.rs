@@ -90,8 +90,8 @@ impl Prediction {
     }
 
     /// Returns how the Qube's angles contradict the particles: by lying farther from the range of
-    /// the particles' angles than allowed. Takes the estimated state of the next sample, its time by the device's
-    /// clock, us, and the commands before it (V, newest first).
+    /// the particles' angles than allowed. Takes the estimated state of the next sample, its time by
+    /// the device's clock, us, and the commands before it (V, newest first).
     ///
     /// Returns `None` for the first sample and for one at an unexpected time. The particles restart
     /// after these, after a sample that contradicts them, and after ten periods.
@@ -124,14 +124,16 @@ impl Prediction {
                 let is_kept = measured >= f64::from(least) - allowed_rad
                     && measured <= f64::from(most) + allowed_rad;
                 let beyond_rad = (f64::from(least) - measured).max(measured - f64::from(most));
-                let beyond_rad = beyond_rad as f32;
+                let beyond_rad = Some(beyond_rad as f32).filter(|beyond| beyond.is_finite());
                 (!is_kept).then_some(Contradiction { angle, beyond_rad, periods })
             };
             let both = [
                 beyond(PredictedAngle::Theta, spread.theta),
                 beyond(PredictedAngle::Alpha, spread.alpha),
             ];
-            both.into_iter().flatten().max_by(|a, b| a.beyond_rad.total_cmp(&b.beyond_rad))
+            // Nothing is farther than an angle beside which no other is finite.
+            let distance = |it: &Contradiction| it.beyond_rad.unwrap_or(f32::INFINITY);
+            both.into_iter().flatten().max_by(|a, b| distance(a).total_cmp(&distance(b)))
         });
         if contradiction.is_some() || self.run.is_none_or(|run| run.periods >= WINDOW_PERIODS) {
             let Self { particles, qubes, velocity_age, level, .. } = &mut *self;
