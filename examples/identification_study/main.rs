@@ -24,7 +24,7 @@ use plant::Beyond;
 use qube_hil::elementary::normal_pair;
 use qube_hil::identification::{
     Estimate, Identified, IdentifyError, MissingEffect, ModelVerdict, PredictionBand, Unknown,
-    identify, prediction_errors,
+    check_recording, identify, prediction_errors,
 };
 use qube_hil::qube::{
     CONTROL_PERIOD_S, DomainParameter, Nonideality, PlantModel, Quantity, QubeModel,
@@ -95,6 +95,8 @@ fn identified(
         .iter()
         .zip(0..)
         .map(|(motion, number)| motion.record(model, beyond, number, false))
+        // A policy may fall on a drawn plant; the program leaves such a rollout out.
+        .filter(|log| check_recording(log).is_ok())
         .collect();
     let unknowns: Vec<Unknown> = Unknown::all().collect();
     identify(&logs, &unknowns, &QubeModel::NOMINAL)

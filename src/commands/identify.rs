@@ -109,8 +109,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     };
 
     let started = Instant::now();
-    let identified = identify(&fitted, &unknowns, &first_guess).map_err(Failure::usage)?;
+    let mut identified = identify(&fitted, &unknowns, &first_guess).map_err(Failure::usage)?;
     let seconds = started.elapsed().as_secs_f64();
+    let held_out_noise_ratio = identified.hold_out(&held_out);
     let models = |files: &[PathBuf], fits: &dyn Fn(&Path, &Path) -> bool| {
         let one = |path: &PathBuf| {
             let places = fitted_files.iter().enumerate();
@@ -171,6 +172,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let _ = write!(text, "\nwrote {} after a fit of {seconds:.1} s", arguments.out.display());
     let mut result = result(&identified, &errors, fitted_files, seconds, arguments);
     result["prediction_band"] = band_json(band, within);
+    result["held_out_noise_ratio"] = json!(held_out_noise_ratio);
     result["next_excitations"] = next.iter().map(excitation_json).collect();
     result["left_out"] = left_out.iter().map(left_out_json).collect();
     result["incomplete"] = incomplete.iter().map(incomplete_json).collect();

@@ -1,10 +1,11 @@
 use std::fmt;
 
-use super::ResidualScale;
 use super::effects::{Effect, scores};
 use super::fit::Fit;
 use super::residuals::{Noise, Residual, scale_of};
 use super::stretch::{Regime, Stretch};
+use super::{ResidualScale, Unknown};
+use crate::qube::{PlantModel, QubeModel};
 
 /// Largest [`Assessment::noise_ratio`] of a model that fits.
 const LARGEST_NOISE_RATIO: f64 = 1.2;
@@ -29,6 +30,11 @@ const LARGEST_GROWTH: f64 = 2.0;
 /// Residual (root mean square, the larger of the two angles) over windows of half a second beyond
 /// which a model does not fit, rad.
 const UNFIT_RAD: f64 = 0.03;
+
+/// Largest noise ratio of held-out recordings, as a multiple of that of the fitted ones and of 1,
+/// with which the model still describes them. The errors of a fit to one recording show in others:
+/// after slow steps alone the ratio of a rollout of the same Qube reached 2.9.
+const LARGEST_HELD_OUT_RATIO: f64 = 4.0;
 
 /// Smallest score that counts as evidence for an effect outside the equations; if the model holds,
 /// the score is chi-squared with one or two degrees of freedom.
@@ -77,6 +83,8 @@ pub enum MissingEffect {
     Angle,
     /// The arm's damping depends on its direction.
     Direction,
+    /// Recordings that were held out are explained much worse than those that were fitted.
+    HeldOut,
 }
 
 impl MissingEffect {
@@ -89,6 +97,7 @@ impl MissingEffect {
             Self::Warming => "warming",
             Self::Angle => "angle",
             Self::Direction => "direction",
+            Self::HeldOut => "held_out",
         }
     }
 }
@@ -104,6 +113,9 @@ impl fmt::Display for MissingEffect {
             Self::Warming => "a motor that changes with time (does it warm?)",
             Self::Angle => "an error of the arm's angle that depends on the angle (an encoder off its centre?)",
             Self::Direction => "damping that depends on the arm's direction",
+            Self::HeldOut => {
+                "the recordings that were held out (are they of another Qube, or was it changed in between?)"
+            }
         })
     }
 }
@@ -134,12 +146,8 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     check.noise = [Noise::of_resolution(fit.plant.encoders); 3];
     check.minimise();
     let residuals = check.residuals_rad();
-    let [theta_count_rad, alpha_count_rad] = counts_rad(fit);
-    let in_noise = |residual_rad: f64, count_rad: f64| residual_rad / (count_rad / 12.0_f64.sqrt());
     let scale = scale_of(&residuals);
-    let ResidualScale { theta_rad, alpha_rad } = scale;
-    let noise_ratio =
-        in_noise(theta_rad, theta_count_rad).max(in_noise(alpha_rad, alpha_count_rad));
+    let noise_ratio = noise_ratio(fit, scale);
     let correlation = |angle| correlation(&check, &residuals, angle);
     let whiteness = correlation(0).max(correlation(1));
     let samples = residuals.iter().map(Vec::len).sum::<usize>().max(1) as f64;
@@ -165,6 +173,41 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
         ModelVerdict::FitsBut
     };
     Assessment { verdict, doubts, noise_ratio, whiteness, growth }
+}
+
+impl Assessment {
+    /// Doubts the model if `held_out`, the noise ratio of recordings to which it was not fitted, is
+    /// much larger than that of the fitted ones.
+    pub(super) fn compare(&mut self, held_out: f64) {
+        if held_out > LARGEST_HELD_OUT_RATIO * self.noise_ratio.max(1.0) {
+            self.doubts.push(MissingEffect::HeldOut);
+            if self.verdict == ModelVerdict::Fits {
+                self.verdict = ModelVerdict::FitsBut;
+            }
+        }
+    }
+}
+
+/// The [`Assessment::noise_ratio`] of a model over other recordings than those that it was fitted
+/// to. Start states, the zero of the pendulum's angle and, if it is one of `homed`, the rest angle
+/// of the cable are estimated anew, because homing sets them anew.
+pub(super) fn noise_ratio_of(
+    model: QubeModel,
+    homed: &[Unknown],
+    plant: &PlantModel,
+    windows: Vec<Stretch<'_>>,
+) -> f64 {
+    let mut fit = Fit::new(homed, plant, model, windows).with_offsets();
+    fit.noise = [Noise::of_resolution(plant.encoders); 3];
+    fit.minimise();
+    noise_ratio(&fit, scale_of(&fit.residuals_rad()))
+}
+
+/// The larger of the two angles' residuals, in standard deviations of its encoder's quantisation.
+fn noise_ratio(fit: &Fit<'_>, scale: ResidualScale) -> f64 {
+    let [theta_count_rad, alpha_count_rad] = counts_rad(fit);
+    let in_noise = |residual_rad: f64, count_rad: f64| residual_rad / (count_rad / 12.0_f64.sqrt());
+    in_noise(scale.theta_rad, theta_count_rad).max(in_noise(scale.alpha_rad, alpha_count_rad))
 }
 
 /// The angles of one count of the arm's encoder and of the pendulum's, rad.

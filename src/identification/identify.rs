@@ -3,14 +3,14 @@ use std::fmt;
 use thiserror::Error;
 
 use super::Unknown;
-use super::assessment::{Assessment, assess};
+use super::assessment::{Assessment, assess, noise_ratio_of};
 use super::fit::Fit;
 use super::fitness::{Unfit, check_recording};
 use super::offsets::{Offset, Scatter};
 use super::residuals::{ResidualScale, scale_of};
 use super::stretch::{Regime, Stretch, is_upright};
 use super::uncertainty::{Blind, Estimate, Uncertainty, uncertainty};
-use crate::qube::{PlantModel, PlantName, QubeModel, State};
+use crate::qube::{Nonideality, PlantModel, PlantName, QubeModel, State};
 use crate::replay::MotionLog;
 
 /// Lengths of the stretches of chirps and steps, stage by stage, s. Short ones find the
@@ -179,6 +179,21 @@ impl Identified {
         let mut model = self.model;
         model.nonidealities.cable_rest_rad += if count > 0.0 { sum_rad / count } else { 0.0 };
         model
+    }
+}
+
+impl Identified {
+    /// Compares the model with recordings of the same plant to which it was not fitted, and doubts
+    /// it if it explains them much worse ([`MissingEffect::HeldOut`](super::MissingEffect)).
+    /// Returns their [`Assessment::noise_ratio`]; `None` without such recordings.
+    pub fn hold_out(&mut self, logs: &[MotionLog]) -> Option<f64> {
+        let plant = &logs.first()?.plant;
+        let rest = Unknown::from(Nonideality::CableRest);
+        let homed: Vec<Unknown> =
+            self.estimates.iter().map(|it| it.unknown).filter(|&unknown| unknown == rest).collect();
+        let ratio = noise_ratio_of(self.model, &homed, plant, windows(logs, STAGES_S[0]));
+        self.assessment.compare(ratio);
+        Some(ratio)
     }
 }
 

@@ -81,6 +81,16 @@ pub enum RecordingsError {
         /// Reason why it is refused.
         why: Unfit,
     },
+    /// Two files hold the same motion.
+    #[error(
+        "{path} holds the same motion as {other}: the same data would count as new evidence. Name each recording once"
+    )]
+    SameMotion {
+        /// Path of the later file.
+        path: PathBuf,
+        /// Path of the earlier file.
+        other: PathBuf,
+    },
     /// Two paths name the same file.
     #[error(
         "{path} is named twice: the same data would count as new evidence. Name each recording once"
@@ -116,7 +126,8 @@ impl fmt::Display for IncompleteRecording {
 /// `plant`, else of the plant of the recordings before it, else of the built-in Qube.
 ///
 /// # Errors
-/// A file cannot be read or fitted, is of another plant than the others, or is named twice.
+/// A file cannot be read or fitted, is of another plant than the others, is named twice, or holds
+/// the motion of another one.
 pub fn read_recordings<const N: usize>(
     groups: [&[PathBuf]; N],
     mut plant: Option<PlantModel>,
@@ -146,6 +157,15 @@ pub fn read_recordings<const N: usize>(
     }
     if let Some(path) = duplicate(groups.into_iter().flatten()) {
         return Err(RecordingsError::NamedTwice { path: path.clone() });
+    }
+    let all: Vec<(&PathBuf, &MotionLog)> =
+        used.iter().flatten().zip(read.iter().flatten()).collect();
+    for (index, &(path, log)) in all.iter().enumerate() {
+        let same = all[..index].iter().find(|(_, other)| other.samples == log.samples);
+        if let Some((other, _)) = same {
+            let (path, other) = (path.clone(), PathBuf::clone(other));
+            return Err(RecordingsError::SameMotion { path, other });
+        }
     }
     let (plant, boards) = (plant.unwrap_or_default(), boards.into_iter().collect());
     Ok(Recordings { groups: read, files: used, left_out, plant, boards, incomplete })

@@ -338,6 +338,22 @@ fn a_fit_does_not_end_beside_the_best_model() {
 }
 
 #[test]
+fn held_out_recordings_of_another_qube_are_doubted_and_those_of_the_same_are_not() {
+    let mut longer = truth();
+    longer.parameters.pendulum_length_m *= 1.03;
+    let identified = identify(&[chirp(&truth(), 1.0, 4.0)], &all(), &QubeModel::NOMINAL).unwrap();
+    assert_eq!(identified.clone().hold_out(&[]), None);
+    for (qube, doubted) in [(truth(), false), (longer, true)] {
+        let mut found = identified.clone();
+        let ratio = found.hold_out(&[chirp(&qube, -1.0, 4.0)]).unwrap();
+        let doubts = &found.assessment.doubts;
+        assert_eq!(doubts.contains(&MissingEffect::HeldOut), doubted, "{ratio}: {doubts:?}");
+        let verdict = if doubted { ModelVerdict::FitsBut } else { ModelVerdict::Fits };
+        assert_eq!(found.assessment.verdict, verdict);
+    }
+}
+
+#[test]
 fn a_sign_is_named_only_when_it_is_reversed() {
     let good = chirp(&truth(), 1.0, 4.0);
     for sign in [Sign::Voltage, Sign::Arm, Sign::Pendulum] {

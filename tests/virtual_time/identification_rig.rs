@@ -271,12 +271,13 @@ fn incomplete_recordings_are_named_with_the_seconds_that_are_used() {
     assert_eq!(json(&told)["incomplete"], serde_json::json!([]));
     assert!(!String::from_utf8_lossy(&told.stderr).contains("complete"), "{told:?}");
 
-    let files = ["chirp/rollout-0.mcap", "cut.mcap", "--holdout", "cut.recovered.mcap"];
-    let told = identify(&files, "parts.toml");
-    let stderr = String::from_utf8_lossy(&told.stderr);
-    let incomplete = json(&told)["incomplete"].clone();
-    for (index, name) in ["cut.mcap", "cut.recovered.mcap"].into_iter().enumerate() {
-        let entry = &incomplete[index];
+    for (option, name) in [(None, "cut.mcap"), (Some("--holdout"), "cut.recovered.mcap")] {
+        let files: Vec<&str> =
+            [Some("chirp/rollout-0.mcap"), option, Some(name)].into_iter().flatten().collect();
+        let told = identify(&files, &format!("{name}.toml"));
+        let stderr = String::from_utf8_lossy(&told.stderr);
+        let incomplete = json(&told)["incomplete"].clone();
+        let entry = &incomplete[0];
         let used_s = entry["used_s"].as_f64().unwrap();
         assert!((3.0..7.0).contains(&used_s), "{incomplete}");
         assert_eq!(
@@ -329,5 +330,22 @@ fn a_recording_that_says_too_little_is_left_out_and_named() {
         let refused = command.args(["--out", "refused.toml"]).output().unwrap();
         assert_eq!(refused.status.code(), Some(2), "{files:?}");
         assert!(String::from_utf8_lossy(&refused.stderr).contains("short.mcap: it lasts"));
+    }
+}
+
+#[test]
+fn a_copy_of_a_recording_is_no_new_evidence() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name);
+    let run = ["run", "--clock", "virtual", "--profile", "lab", "--excite", "chirp"];
+    qube_hil(directory.path(), &[&run[..], &["--out", "chirp"]].concat());
+    std::fs::copy(path("chirp/rollout-0.mcap"), path("copy.mcap")).unwrap();
+    for option in [&[][..], &["--holdout"]] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+        command.current_dir(directory.path()).args(["identify", "chirp/rollout-0.mcap"]);
+        let refused = command.args(option).arg("copy.mcap").output().unwrap();
+        assert_eq!(refused.status.code(), Some(2), "{option:?}");
+        let told = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(told.contains("copy.mcap holds the same motion as chirp/rollout-0.mcap"), "{told}");
     }
 }
