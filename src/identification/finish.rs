@@ -27,8 +27,9 @@ impl Fit<'_> {
             .into_iter()
             .filter(|_| self.offsets.len() < 3)
             .filter_map(|difference_v| begin.with_difference_of_dead_zones(difference_v));
-        let candidates: Vec<Self> = std::iter::once(begin.clone()).chain(beside).collect();
-        for mut other in candidates {
+        // Collected, because the loop replaces the fit whose recordings the filter counts.
+        let beside: Vec<Self> = beside.collect();
+        for mut other in std::iter::once(begin).chain(beside) {
             other.minimise();
             let residuals = other.residuals_rad();
             other.noise = noise_of(&other.stretches, &residuals, &other.noise, self.plant.encoders);
