@@ -70,12 +70,15 @@ pub(super) struct RestMonitor {
     pub left_at: Result<RestingCounts, Moved>,
     /// Encoders of the plant that was homed.
     pub encoders: Encoders,
+    /// Whether the arm has crept away from where it was left. From then on it must stand still
+    /// after each motion.
+    pub creeps: bool,
 }
 
 impl Default for RestMonitor {
     fn default() -> Self {
         let (port, encoders) = (String::new(), Encoders::default());
-        Self { port, left_at: Err(Moved::Unseen), encoders }
+        Self { port, left_at: Err(Moved::Unseen), encoders, creeps: false }
     }
 }
 
@@ -90,7 +93,7 @@ impl RestMonitor {
         stop: &AtomicBool,
     ) {
         let mut watch = RestWatch::after(last, self.encoders);
-        let rest = watch_rest(&mut watch, device, clock, stop).ok().flatten();
+        let rest = watch_rest(&mut watch, self.creeps, device, clock, stop).ok().flatten();
         self.left_at =
             if watch.has_jumped() { Err(Moved::Jumped) } else { rest.ok_or(Moved::Unseen) };
     }
@@ -102,7 +105,7 @@ impl RestMonitor {
     /// motion; a stop is requested; the port is gone; the Qube is off; or it or the board has
     /// restarted.
     pub fn compare(
-        &self,
+        &mut self,
         settings: &TickSettings,
         device: &mut dyn Device,
         clock: &dyn Clock,
@@ -113,24 +116,28 @@ impl RestMonitor {
             fault => DeviceError::Link { port: self.port.clone(), fault },
         };
         let mut watch = RestWatch::new(self.encoders);
-        let rest = watch_rest(&mut watch, device, clock, stop).map_err(link)?;
+        let rest = watch_rest(&mut watch, false, device, clock, stop).map_err(link)?;
         let Some(rest) = rest else {
             let stopped = stop.load(Ordering::Relaxed);
             return Err(if stopped { ControlError::Stopped } else { Moved::Unseen.into() });
         };
         let left_at = self.left_at?;
         let zero_counts = settings.calibration.alpha_zero_counts;
-        Ok(rest.compare(left_at, zero_counts, self.encoders)?)
+        let compared = rest.compare(left_at, zero_counts, self.encoders);
+        self.creeps |= matches!(compared, Err(Moved::Arm(_)));
+        Ok(compared?)
     }
 }
 
 /// Samples at 100 Hz until arm and pendulum are at rest; `None` if they are not in time or `stop`
-/// is set.
+/// is set. With `until_still`, goes on until the arm stands still; an arm that creeps on to the end
+/// of the time is where it was seen at rest last.
 ///
 /// # Errors
 /// The port is gone, the Qube is off, or it or the board has restarted. Lost samples are tolerated.
 fn watch_rest(
     watch: &mut RestWatch,
+    until_still: bool,
     device: &mut dyn Device,
     clock: &dyn Clock,
     stop: &AtomicBool,
@@ -138,11 +145,13 @@ fn watch_rest(
     let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
     let begin_ns = clock.now_ns();
     let mut deadline_ns = begin_ns;
+    let mut rest = None;
     while deadline_ns < begin_ns + REST_TIME_NS && !stop.load(Ordering::Relaxed) {
         match device.sample(clock.now_ns() + sample_time_ns) {
             Ok(sample) => {
-                if let Some(rest) = watch.update(&sample) {
-                    return Ok(Some(rest));
+                rest = watch.update(&sample).or(rest);
+                if rest.is_some() && (!until_still || watch.is_still()) {
+                    return Ok(rest);
                 }
             }
             Err(fault @ (LinkFault::Gone | LinkFault::NotArmed | LinkFault::QubeOff)) => {
@@ -153,7 +162,7 @@ fn watch_rest(
         deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());
         clock.sleep_until(deadline_ns);
     }
-    Ok(None)
+    Ok(rest)
 }
 
 #[cfg(test)]

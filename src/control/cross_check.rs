@@ -76,9 +76,18 @@ const SCALE_KNOWN_FROM: f64 = 1.0;
 /// verdict about the scale.
 const LEAST_SQUARED_CORRELATION: f64 = 0.85;
 
-/// Ratio of scales that proves an arm encoder with a wrong number of lines: lengths that are 10 %
-/// off give a ratio of 1.2, an encoder with half or twice the lines a ratio of 2.
-const WRONG_SCALE: f64 = 1.5;
+/// Ratio of scales that proves an arm encoder with a wrong number of lines where nothing else would
+/// show it: lengths that are 10 % off give a ratio of 1.2, an encoder with half or twice the lines a
+/// ratio of 2.
+pub const WRONG_SCALE: f64 = 1.5;
+
+/// Ratio of scales that proves an arm encoder with a wrong number of lines where the distance of
+/// the stops, measured later, shows a smaller error: lengths that are 20 % off in opposite
+/// directions give a ratio of 1.5.
+pub const SURELY_WRONG_SCALE: f64 = 1.65;
+
+/// Ratio of scales from which on the arm's velocity is in doubt.
+const DOUBTFUL_SCALE: f64 = 1.3;
 
 /// Largest error of the pendulum's zero after homing, rad: two counts.
 #[must_use]
@@ -187,11 +196,17 @@ impl Scale {
         self.arm_squares.min(self.implied_squares) > SCALE_KNOWN_FROM
     }
 
-    fn is_wrong(&self) -> bool {
+    /// Whether one encoder shows more than `ratio` times the motion of the other.
+    fn differs_by(&self, ratio: f64) -> bool {
+        let Self { arm_squares, implied_squares, .. } = *self;
+        let (less, more) = (arm_squares.min(implied_squares), arm_squares.max(implied_squares));
+        more > ratio * ratio * less
+    }
+
+    fn is_wrong(&self, ratio: f64) -> bool {
         let Self { together, arm_squares, implied_squares } = *self;
         let agree = together * together > LEAST_SQUARED_CORRELATION * arm_squares * implied_squares;
-        let (less, more) = (arm_squares.min(implied_squares), arm_squares.max(implied_squares));
-        self.is_known() && agree && more > WRONG_SCALE * WRONG_SCALE * less
+        self.is_known() && agree && self.differs_by(ratio)
     }
 }
 
@@ -285,17 +300,18 @@ impl CrossCheck {
         (self.sure_squares > SIGN_KNOWN_FROM).then_some(leads)
     }
 
-    /// Whether the motion suffices to compare the arm encoder's scale.
+    /// Whether the motion suffices to compare the arm encoder's scale, and the scale agrees with
+    /// the motion that the pendulum implies.
     #[must_use]
-    pub fn scale_is_known(&self) -> bool {
-        self.scale.is_known()
+    pub fn scale_is_right(&self) -> bool {
+        self.scale.is_known() && !self.scale.differs_by(DOUBTFUL_SCALE)
     }
 
-    /// Whether the arm's encoder counts more than 1.5 times the motion that the pendulum implies,
-    /// or less than two thirds of it.
+    /// Whether the arm's encoder counts more than `ratio` times the motion that the pendulum
+    /// implies, or less than the reciprocal of `ratio`.
     #[must_use]
-    pub fn scale_is_wrong(&self) -> bool {
-        self.scale.is_wrong()
+    pub fn scale_is_wrong(&self, ratio: f64) -> bool {
+        self.scale.is_wrong(ratio)
     }
 
     /// Whether the evidence so far favours a pendulum that leads the arm.

@@ -1,4 +1,4 @@
-use super::cross_check::{CrossCheck, zero_within_rad};
+use super::cross_check::{CrossCheck, SURELY_WRONG_SCALE, WRONG_SCALE, zero_within_rad};
 use super::current_watch::CurrentWatch;
 use super::hanging::Hanging;
 use super::homing_probe::{HomingProbe, PushResponse, STRONGEST_V};
@@ -28,7 +28,7 @@ const NEAR_MIDDLE_RAD: f64 = 0.1;
 /// Change of the hanging angle that restarts the cross-check of the encoders, counts.
 const OTHER_ZERO_COUNTS: f64 = 1.5;
 
-/// Velocity at which homing leads the arm before the scale of its encoder is known, rad/s. An
+/// Velocity at which homing leads the arm before its encoder's scale is known to be right, rad/s. An
 /// encoder that gives half as many counts makes the arm move at twice this velocity.
 const FIRST_LEAD_RAD_S: f64 = 0.8;
 
@@ -195,7 +195,7 @@ impl Homing {
     fn advance(&mut self, measurement: &Measurement) -> Option<Ending> {
         let seen = self.seen();
         let encoders = self.settings.plant.encoders;
-        let scale_is_known = self.sensors.cross_check().is_some_and(CrossCheck::scale_is_known);
+        let scale_is_right = self.sensors.cross_check().is_some_and(CrossCheck::scale_is_right);
         match &mut self.stage {
             Stage::Observe(hanging) => {
                 if let Some(hung) = hanging.update(self.state.theta, self.state.alpha) {
@@ -236,7 +236,7 @@ impl Homing {
                 }
             }
             Stage::Seek(seek) => {
-                let lead_rad_s = if scale_is_known { LEAD_RAD_S } else { FIRST_LEAD_RAD_S };
+                let lead_rad_s = if scale_is_right { LEAD_RAD_S } else { FIRST_LEAD_RAD_S };
                 if let Some(Found { lowest_rad, highest_rad }) =
                     seek.update(self.state.theta, lead_rad_s)
                 {
@@ -405,7 +405,11 @@ impl Homing {
         }
         let cross_check = self.sensors.cross_check();
         let leads = cross_check.and_then(|own| own.pendulum_leads()) == Some(true);
-        let miscounts = cross_check.is_some_and(|own| own.scale_is_wrong());
+        let wrong_scale = match self.settings.method {
+            HomingMethod::Stops => SURELY_WRONG_SCALE,
+            HomingMethod::Hand => WRONG_SCALE,
+        };
+        let miscounts = cross_check.is_some_and(|own| own.scale_is_wrong(wrong_scale));
         ((leads || miscounts) && is_led).then_some(Fault::EncodersDisagree)
     }
 }

@@ -24,6 +24,7 @@ mod latency;
 mod machine;
 mod momentum_watch;
 mod motion;
+mod oscillation;
 mod push;
 mod reconnect;
 mod rest;

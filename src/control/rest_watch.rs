@@ -15,6 +15,15 @@ const REST_SAMPLES: u32 = 60;
 /// cable pulls the arm slowly.
 const ARM_WIDTH: f64 = 5.0;
 
+/// Largest range of the samples of an arm that stands still, counts: the last bit of its count.
+const STILL_ARM_WIDTH: f64 = 1.0;
+
+/// Largest bend of the arm's path over the samples of a rest, counts: the sum of its first and last
+/// count minus twice the one half-way. An arm without dry friction swings about the angle to which
+/// its cable pulls it, twice in 6 s. Where it turns round, it moves by 5 counts in 0.6 s before it
+/// swings back by 50.
+const LARGEST_BEND: f64 = 2.0;
+
 /// Largest range of the pendulum's samples at rest, counts: 0.3 rad to either side. On an arm held
 /// by dry friction the pendulum swings for a minute; the middle of a whole swing is the count at
 /// which it hangs.
@@ -96,6 +105,8 @@ pub struct RestWatch {
     encoders: Encoders,
     last: Option<Last>,
     theta: CountRange,
+    /// The arm's count after half of the samples of a rest, relative to the first.
+    half_way: i32,
     alpha: CountRange,
     samples: u32,
     has_jumped: bool,
@@ -141,7 +152,7 @@ impl RestWatch {
     #[must_use]
     pub fn new(encoders: Encoders) -> Self {
         let (theta, alpha) = (CountRange::default(), CountRange::default());
-        Self { encoders, last: None, theta, alpha, samples: 0, has_jumped: false }
+        Self { encoders, last: None, theta, half_way: 0, alpha, samples: 0, has_jumped: false }
     }
 
     /// A watch that continues from the last sample of a motion, so that no jump in between is
@@ -163,9 +174,17 @@ impl RestWatch {
         let alpha = self.alpha.with(sample.alpha_counts);
         let arm_width = of_qube(ARM_WIDTH, self.encoders.theta);
         let pendulum_width = of_qube(PENDULUM_WIDTH, self.encoders.alpha);
-        if self.samples > 0 && theta.width() <= arm_width && alpha.width() <= pendulum_width {
+        let is_within = theta.width() <= arm_width && alpha.width() <= pendulum_width;
+        let gone = sample.theta_counts.wrapping_sub(theta.origin);
+        let bend = (gone - 2 * self.half_way).abs();
+        let turns_round =
+            self.samples + 1 == REST_SAMPLES && bend > of_qube(LARGEST_BEND, self.encoders.theta);
+        if self.samples > 0 && is_within && !turns_round {
             (self.theta, self.alpha) = (theta, alpha);
             self.samples += 1;
+            if self.samples == REST_SAMPLES / 2 {
+                self.half_way = gone;
+            }
         } else {
             self.theta = CountRange::at(sample.theta_counts);
             self.alpha = CountRange::at(sample.alpha_counts);
@@ -173,6 +192,13 @@ impl RestWatch {
         }
         (self.samples >= REST_SAMPLES)
             .then(|| RestingCounts { theta: self.theta.middle(), alpha: self.alpha.middle() })
+    }
+
+    /// Whether arm and pendulum are at rest and the arm does not creep on.
+    #[must_use]
+    pub fn is_still(&self) -> bool {
+        self.samples >= REST_SAMPLES
+            && self.theta.width() <= of_qube(STILL_ARM_WIDTH, self.encoders.theta)
     }
 
     /// Whether the arm's count has jumped by more than an arm can move.
@@ -276,6 +302,27 @@ mod tests {
         assert!(!watch.has_jumped());
         let rested = (200..).find_map(|tick| watch.update(&sample(tick, 398, 0)));
         assert!(matches!(rested, Some(RestingCounts { theta: 390..=398, alpha: 0 })), "{rested:?}");
+    }
+
+    #[test]
+    fn an_arm_that_turns_round_is_not_at_rest() {
+        // Swings about the angle of the cable's rest twice in 6 s, by 0.08 rad to either side. The first
+        // sample is one second before a turning point.
+        let swing = |tick: u64| (26.0 * (2.1 * 0.01 * (tick as f64 - 100.0)).cos()) as i32;
+        let mut watch = RestWatch::new(Encoders::QUBE);
+        for tick in 0..600 {
+            assert_eq!(watch.update(&sample(tick, swing(tick), 0)), None, "tick {tick}");
+        }
+        // A creep at an even pace is slow enough, but it does not stand still.
+        let mut watch = RestWatch::new(Encoders::QUBE);
+        let creep = |tick: u64| (0.06 * tick as f64) as i32;
+        let rested = (0..100).find(|&tick| watch.update(&sample(tick, creep(tick), 0)).is_some());
+        assert!(rested.is_some() && !watch.is_still(), "{watch:?}");
+        let still = (100..300).find(|&tick| {
+            watch.update(&sample(tick, creep(100), 0));
+            watch.is_still()
+        });
+        assert!(still.is_some(), "{watch:?}");
     }
 
     #[test]

@@ -1,8 +1,10 @@
 //! Brings arm and pendulum to rest during homing and before a rollout. Waiting instead would take
 //! 10 s, and the arm would drift.
 
+use super::oscillation::OscillationGain;
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
+use crate::telemetry::TickRules;
 
 /// Gains k of the state feedback around hanging, V = -k (s - [target_theta, 0, 0, 0]): the discrete
 /// LQR at 100 Hz for the nominal parameters, Q = diag(4, 2, 0.05, 0.2), R = 1. A test solves the
@@ -138,7 +140,8 @@ pub struct GentleSettler {
     voltage_v: f64,
     /// Ticks since the target was taken up.
     ticks: u32,
-    keeps_gains: bool,
+    oscillation: OscillationGain,
+    rules: TickRules,
 }
 
 impl GentleSettler {
@@ -150,16 +153,15 @@ impl GentleSettler {
             target_rad: None,
             voltage_v: 0.0,
             ticks: 0,
-            keeps_gains: false,
+            oscillation: OscillationGain::default(),
+            rules: TickRules::NEWEST,
         }
     }
 
-    /// This settler by the rules before
-    /// [`TickRules::AlternatingAllowed`](crate::telemetry::TickRules::AlternatingAllowed): the gains
-    /// do not fall.
+    /// This settler under these rules of the tick.
     #[must_use]
-    pub fn by_earlier_rules(self) -> Self {
-        Self { keeps_gains: true, ..self }
+    pub fn under(self, rules: TickRules) -> Self {
+        Self { rules, ..self }
     }
 
     /// The voltage of the next tick towards `target_theta_rad`, V.
@@ -167,12 +169,13 @@ impl GentleSettler {
         let target_rad = self.target_rad.get_or_insert(state.theta);
         let most_rad = LEAD_RAD_S * CONTROL_PERIOD_S;
         *target_rad += (target_theta_rad - *target_rad).clamp(-most_rad, most_rad);
+        let target_rad = *target_rad;
         self.ticks += 1;
-        let share = match self.keeps_gains {
-            true => 1.0,
-            false => f64::from(FULL_GAIN_TICKS) / f64::from(self.ticks.max(FULL_GAIN_TICKS)),
-        };
-        let wanted_v = self.settler.voltage_with(share, state, *target_rad);
+        let falls = self.rules >= TickRules::AlternatingAllowed;
+        let counted_ticks = if falls { self.ticks.max(FULL_GAIN_TICKS) } else { FULL_GAIN_TICKS };
+        let share = f64::from(FULL_GAIN_TICKS) / f64::from(counted_ticks);
+        let share = share * self.calm_share(state, target_rad);
+        let wanted_v = self.settler.voltage_with(share, state, target_rad);
         self.limit(state, wanted_v, GENTLE_V)
     }
 
@@ -180,8 +183,18 @@ impl GentleSettler {
     /// V.
     pub fn follow(&mut self, state: &State, target_theta_rad: f64, push_v: f64) -> f64 {
         (self.target_rad, self.ticks) = (None, 0);
-        let wanted_v = self.settler.feedback.voltage_v(state, target_theta_rad) + push_v;
+        let share = self.calm_share(state, target_theta_rad);
+        let feedback_v = self.settler.feedback.voltage_v(state, target_theta_rad);
+        let wanted_v = share * feedback_v + push_v;
         self.limit(state, wanted_v, GENTLE_V + push_v.abs())
+    }
+
+    /// The factor on the gains that ends an oscillation around this target, rad.
+    fn calm_share(&mut self, state: &State, target_theta_rad: f64) -> f64 {
+        if self.rules < TickRules::SettlingGainReducing {
+            return 1.0;
+        }
+        self.oscillation.update(self.settler.feedback.voltage_v(state, target_theta_rad))
     }
 
     /// Limits a voltage and its slew rate, V; `gentle_v` is the limit while the pendulum is calm.

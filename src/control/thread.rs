@@ -252,7 +252,7 @@ fn execute(
         Command::Hello(retries) => {
             let identified = greet_until_answered(device, clock, stop, retries);
             let answered = identified.is_ok();
-            *rest_monitor = RestMonitor::default();
+            *rest_monitor = RestMonitor { creeps: rest_monitor.creeps, ..RestMonitor::default() };
             if let Ok(identity) = &identified {
                 rest_monitor.port.clone_from(&identity.port);
             }

@@ -377,9 +377,7 @@ fn sensor_watch(settings: &TickSettings) -> SensorWatch {
 }
 
 fn gentle_settler(settings: &TickSettings) -> GentleSettler {
-    let gentle = GentleSettler::of(&settings.plant);
-    let allows = settings.rules >= TickRules::AlternatingAllowed;
-    if allows { gentle } else { gentle.by_earlier_rules() }
+    GentleSettler::of(&settings.plant).under(settings.rules)
 }
 
 /// The test of an arm with a constant count; `None` under [`TickRules::First`].

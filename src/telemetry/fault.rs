@@ -185,8 +185,8 @@ faults! {
         "the arm's count does not change although the motor pushes (is the arm held, or its encoder's cable loose?)",
         "Free the arm; check whether cables have wound around it, and check its encoder.";
     TravelWrong: Examine,
-        "the stops are not as far apart as those of a Qube (is something in the arm's way?)",
-        "Clear the arm's way from stop to stop; if this rig's stops are where they should be, accept their travel with travel_rad under [homing] in qube.toml.";
+        "the stops are not as far apart as those of a Qube (is something in the arm's way, or does its encoder have another number of lines?)",
+        "Clear the arm's way from stop to stop, and check the arm's encoder; if this rig's stops are where they should be, accept their travel with travel_rad under [homing] in qube.toml.";
     TravelBlocked: Examine,
         "the homing of an earlier version found stops that are not as far apart as a Qube's (is something in the arm's way?)",
         "Clear the arm's way from stop to stop; check the arm's encoder.";

@@ -70,11 +70,14 @@ pub enum TickRules {
     /// arm and a dead motor allow for a voltage that alternates between two samples, and for the
     /// pendulum's load while the count was constant; and settling loses gain after 4 s.
     AlternatingAllowed,
+    /// As [`AlternatingAllowed`](Self::AlternatingAllowed); in addition, settling that oscillates
+    /// loses gain.
+    SettlingGainReducing,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::AlternatingAllowed;
+    pub const NEWEST: Self = Self::SettlingGainReducing;
 }
 
 /// The record that precedes a rollout.

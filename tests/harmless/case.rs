@@ -1,7 +1,7 @@
 //! The kinds of fault that a start may have, and the seeded starts.
 
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
-use qube_hil::qube::{DomainParameter, HARD_STOP_RAD, Profile, QubeModel, State};
+use qube_hil::qube::{DomainParameter, HARD_STOP_RAD, Nonidealities, Profile, QubeModel, State};
 use qube_hil::telemetry::Fault;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -113,7 +113,7 @@ impl Case {
             Self::MotorDead | Self::MotorDeadLater => fault == MotorDead,
             Self::MotorWeak => fault == MotorWeak,
             Self::ArmHeld | Self::ArmHeldLater => matches!(fault, ArmHeld | Stall),
-            Self::ThetaHalf | Self::ThetaDouble => fault == EncodersDisagree,
+            Self::ThetaHalf | Self::ThetaDouble => matches!(fault, EncodersDisagree | TravelWrong),
             Self::MotorOneSided => matches!(fault, MotorDead | MotorWeak),
             // The count that stays is the pendulum's, in the place of the arm's.
             Self::EncodersExchanged => matches!(fault, EncoderFrozen | PendulumFrozen),
@@ -130,6 +130,16 @@ impl Case {
     }
 }
 
+/// The Qubes of which a start draws one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Qubes {
+    /// Nominal, `lab` and `lab` with 1.5 times its gap; half of them with parameters up to 10 % off.
+    Near,
+    /// Any Qube: motor, masses and lengths up to 20 % off, friction, cable, dead zones and delay
+    /// from none to about twice those of `lab`.
+    Far,
+}
+
 /// One start: a Qube, its initial state, and its fault.
 #[derive(Clone, Copy, Debug)]
 pub struct Start {
@@ -141,13 +151,16 @@ pub struct Start {
 }
 
 impl Start {
-    /// The start of this case and seed. In about half of the starts the fault begins within the
+    /// The start of this case and seed on one of `qubes`. In about half of the starts the fault begins within the
     /// first 15 s, during homing; in the others within the first 60 s. Some cases differ: their
     /// fault exists from the start or begins during homing in every start.
-    pub fn new(case: Case, seed: u64) -> Self {
+    pub fn new(case: Case, seed: u64, qubes: Qubes) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(7);
-        let model = model(&mut random, seed);
+        let model = match qubes {
+            Qubes::Near => near(&mut random, seed),
+            Qubes::Far => far(&mut random),
+        };
         // Friction holds a resting arm against its cable up to `reach_rad` from `rest_rad`.
         let nonidealities = &model.nonidealities;
         let (rest_rad, reach_rad) = if nonidealities.cable_stiffness_n_m_rad > 0.0 {
@@ -157,7 +170,8 @@ impl Start {
         } else {
             (0.0, 1.0)
         };
-        let theta = rest_rad + reach_rad * random.random_range(-1.0..1.0);
+        let theta = (rest_rad + reach_rad * random.random_range(-1.0..1.0))
+            .clamp(-HARD_STOP_RAD, HARD_STOP_RAD);
         let swing = if random.random_bool(0.3) { 0.3 } else { 0.0 };
         let mut start =
             State { theta, alpha: random.random_range(-1.0..1.0) * swing, ..State::default() };
@@ -252,9 +266,9 @@ impl Start {
     }
 }
 
-/// The Qube of a seed: in turn nominal, `lab`, and `lab` 1.5 times as far from nominal. Three seeds
-/// with parameters up to 10 % off alternate with three exact ones.
-fn model(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
+/// A Qube near nominal and `lab`: in turn nominal, `lab`, and `lab` 1.5 times as far from nominal.
+/// Three seeds with parameters up to 10 % off alternate with three exact ones.
+fn near(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
     let lab = Profile::lab().model();
     let mut model = match seed % 3 {
         0 => QubeModel::NOMINAL,
@@ -267,5 +281,35 @@ fn model(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
             model.parameters.set(parameter, factor * model.parameters.get(parameter));
         }
     }
+    model
+}
+
+/// A Qube of the far domain. Two thirds have dry friction, two thirds a cable, most of them dead
+/// zones and a delay of the commands.
+fn far(random: &mut ChaCha8Rng) -> QubeModel {
+    let mut model = QubeModel::NOMINAL;
+    for parameter in DomainParameter::ALL {
+        let factor = match parameter {
+            DomainParameter::Gravity => 1.0,
+            DomainParameter::RotaryDamping => random.random_range(0.3..4.0),
+            DomainParameter::PendulumDamping => random.random_range(0.05..2.0),
+            _ => random.random_range(0.8..1.2),
+        };
+        model.parameters.set(parameter, factor * model.parameters.get(parameter));
+    }
+    let mut some = |share: f64, largest: f64| {
+        let is_there = random.random_bool(share);
+        let value = random.random_range(0.0..largest);
+        if is_there { value } else { 0.0 }
+    };
+    model.nonidealities = Nonidealities {
+        coulomb_torque_n_m: some(2.0 / 3.0, 1.2e-3),
+        positive_dead_zone_v: some(0.75, 0.35),
+        negative_dead_zone_v: some(0.75, 0.35),
+        cable_stiffness_n_m_rad: some(2.0 / 3.0, 2e-3),
+        cable_rest_rad: some(1.0, 3.0) - 1.5,
+        command_delay_s: some(2.0 / 3.0, 0.02),
+        ..Nonidealities::default()
+    };
     model
 }

@@ -4,7 +4,7 @@
 
 use qube_hil::telemetry::{Ending, Fault};
 
-use crate::harmless::case::{Case, Start};
+use crate::harmless::case::{Case, Qubes, Start};
 use crate::harmless::table::Row;
 use crate::harmless::trial::{Trial, play};
 
@@ -62,7 +62,7 @@ fn may_be_counted_wrongly(case: Case) -> bool {
 fn whatever_is_wrong_homing_and_settling_touch_no_stop_hard() {
     println!("{}", Row::HEAD);
     for case in Case::ALL {
-        let starts = SEEDS.map(|seed| Start::new(case, seed));
+        let starts = SEEDS.map(|seed| Start::new(case, seed, Qubes::Near));
         let trials: Vec<_> = starts.map(|start| (start, play(&start))).collect();
         let row = Row::of(case, &trials);
         println!("{row} all harmless: {}", row.harmless);
@@ -76,5 +76,18 @@ fn whatever_is_wrong_homing_and_settling_touch_no_stop_hard() {
         }
         let misnamed: Vec<_> = trials.iter().filter(|(start, it)| !is_named(start, it)).collect();
         assert!(misnamed.len() <= most_misnamed(case), "{case:?}: {misnamed:#?}");
+    }
+}
+
+#[test]
+fn qubes_far_from_nominal_are_homed_and_touch_no_stop_hard() {
+    // The first nine were not homed, or touched a stop at up to 8 rad/s, before settling lost gain
+    // and the scale of the encoders allowed for lengths that are 20 % off.
+    let seeds = [1009, 1018, 1020, 1081, 1229, 1244, 1275, 1449, 1984].into_iter().chain(0..10);
+    for seed in seeds {
+        let start = Start::new(Case::Healthy, seed, Qubes::Far);
+        let trial = play(&start);
+        assert!(trial.homed_after_s.is_some(), "seed {seed}: {trial:?}");
+        assert!(trial.is_harmless(), "seed {seed}: {trial:?}");
     }
 }

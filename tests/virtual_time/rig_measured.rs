@@ -13,7 +13,7 @@ use qube_hil::control::{ControlError, HomingMethod, HomingSettings, Moved};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::qube::{HARD_STOP_RAD, Measurement, Profile, QubeModel, State};
+use qube_hil::qube::{HARD_STOP_RAD, Measurement, Nonidealities, Profile, QubeModel, State};
 use qube_hil::recording::{Recording, read};
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
 use qube_hil::safety::SafetyBox;
@@ -203,6 +203,27 @@ fn a_pendulum_whose_count_jumps_between_two_rollouts_is_homed_again() {
         // The pendulum swings on while the sample travels. The smallest jump is 0.37 rad.
         assert!(alpha_rad < 0.2, "{counts} counts: {alpha_rad}");
         assert_eq!(recording.outcome.unwrap().ending, Ending::Completed);
+    }
+}
+
+#[test]
+fn an_arm_that_swings_on_its_cable_is_not_homed_again() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    // Without dry friction, cable and arm are a spring and a mass.
+    for (cable_stiffness_n_m_rad, cable_rest_rad) in [(7e-4, -1.2), (1.3e-3, 1.3), (1e-3, 0.3)] {
+        let nonidealities =
+            Nonidealities { cable_stiffness_n_m_rad, cable_rest_rad, ..Nonidealities::default() };
+        let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
+        let bench = Bench::default();
+        let emulator = EmulatorSettings { model, seed: 5, ..EmulatorSettings::default() };
+        let rig = bench.open(emulator, HomingSettings::default()).unwrap();
+        for number in 0..5 {
+            let recording = rollout(&rig, number, &path, &classical())
+                .unwrap_or_else(|error| panic!("{nonidealities:?}, rollout {number}: {error}"));
+            let error_rad = errors_rad(&bench, &recording).0;
+            assert!(error_rad < 0.02, "{nonidealities:?}: {error_rad} rad");
+        }
     }
 }
 
