@@ -18,11 +18,15 @@ const ARM_WIDTH: f64 = 5.0;
 /// Largest range of the samples of an arm that stands still, counts: the last bit of its count.
 const STILL_ARM_WIDTH: f64 = 1.0;
 
-/// Largest bend of the arm's path over the samples of a rest, counts: the sum of its first and last
-/// count minus twice the one half-way. An arm without dry friction swings about the angle to which
-/// its cable pulls it, twice in 6 s. Where it turns round, it moves by 5 counts in 0.6 s before it
-/// swings back by 50.
+/// Largest bend of the arm's path over 0.6 s of rest, counts: the sum of its first and last count
+/// minus twice the one half-way. An arm without dry friction swings about the angle to which its
+/// cable pulls it, twice in 6 s. Where it turns round, it moves by 5 counts in 0.6 s before it
+/// swings back by 50. A path with a larger bend must last [`BENT_REST_SAMPLES`]; that of an arm
+/// which a swinging pendulum shakes does.
 const LARGEST_BEND: f64 = 2.0;
+
+/// Number of consecutive samples that count as rest if the arm's path is bent: 2.4 s.
+const BENT_REST_SAMPLES: u32 = 240;
 
 /// Largest range of the pendulum's samples at rest, counts: 0.3 rad to either side. On an arm held
 /// by dry friction the pendulum swings for a minute; the middle of a whole swing is the count at
@@ -109,6 +113,8 @@ pub struct RestWatch {
     half_way: i32,
     alpha: CountRange,
     samples: u32,
+    /// Number of these samples that make a rest.
+    needed_samples: u32,
     has_jumped: bool,
 }
 
@@ -152,7 +158,16 @@ impl RestWatch {
     #[must_use]
     pub fn new(encoders: Encoders) -> Self {
         let (theta, alpha) = (CountRange::default(), CountRange::default());
-        Self { encoders, last: None, theta, half_way: 0, alpha, samples: 0, has_jumped: false }
+        Self {
+            encoders,
+            last: None,
+            theta,
+            half_way: 0,
+            alpha,
+            samples: 0,
+            needed_samples: REST_SAMPLES,
+            has_jumped: false,
+        }
     }
 
     /// A watch that continues from the last sample of a motion, so that no jump in between is
@@ -175,22 +190,23 @@ impl RestWatch {
         let arm_width = of_qube(ARM_WIDTH, self.encoders.theta);
         let pendulum_width = of_qube(PENDULUM_WIDTH, self.encoders.alpha);
         let is_within = theta.width() <= arm_width && alpha.width() <= pendulum_width;
-        let gone = sample.theta_counts.wrapping_sub(theta.origin);
-        let bend = (gone - 2 * self.half_way).abs();
-        let turns_round =
-            self.samples + 1 == REST_SAMPLES && bend > of_qube(LARGEST_BEND, self.encoders.theta);
-        if self.samples > 0 && is_within && !turns_round {
+        if self.samples > 0 && is_within {
             (self.theta, self.alpha) = (theta, alpha);
             self.samples += 1;
+            let gone = sample.theta_counts.wrapping_sub(theta.origin);
             if self.samples == REST_SAMPLES / 2 {
                 self.half_way = gone;
+            }
+            let bend = (gone - 2 * self.half_way).abs();
+            if self.samples == REST_SAMPLES && bend > of_qube(LARGEST_BEND, self.encoders.theta) {
+                self.needed_samples = BENT_REST_SAMPLES;
             }
         } else {
             self.theta = CountRange::at(sample.theta_counts);
             self.alpha = CountRange::at(sample.alpha_counts);
-            self.samples = 1;
+            (self.samples, self.needed_samples) = (1, REST_SAMPLES);
         }
-        (self.samples >= REST_SAMPLES)
+        (self.samples >= self.needed_samples)
             .then(|| RestingCounts { theta: self.theta.middle(), alpha: self.alpha.middle() })
     }
 

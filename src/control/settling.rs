@@ -79,14 +79,21 @@ impl Settler {
 
     /// The voltage of the next tick, V.
     pub fn voltage(&mut self, state: &State, target_theta_rad: f64) -> f64 {
-        self.voltage_with(1.0, state, target_theta_rad)
+        self.voltage_with(1.0, TRIM_RATE, state, target_theta_rad)
     }
 
-    /// The voltage of the next tick, V, with gains that are multiplied by `share`.
-    fn voltage_with(&mut self, share: f64, state: &State, target_theta_rad: f64) -> f64 {
+    /// The voltage of the next tick, V, with gains that are multiplied by `share`; the trim grows at
+    /// `trim_rate`, V/(rad s).
+    fn voltage_with(
+        &mut self,
+        share: f64,
+        trim_rate: f64,
+        state: &State,
+        target_theta_rad: f64,
+    ) -> f64 {
         let off_rad = target_theta_rad - state.theta;
         if off_rad.abs() > TRIM_REACH_RAD && state.theta_dot.abs() < TRIM_SPEED_RAD_S {
-            let trim_v = self.trim_v + TRIM_RATE * off_rad * CONTROL_PERIOD_S;
+            let trim_v = self.trim_v + trim_rate * off_rad * CONTROL_PERIOD_S;
             self.trim_v = trim_v.clamp(-LARGEST_TRIM_V, LARGEST_TRIM_V);
         }
         let limit_v = self.feedback.limit_v;
@@ -126,6 +133,9 @@ const WIDE_SWING: f64 = 0.9;
 
 /// Time after which the gains begin to fall, ticks: 4 s.
 const FULL_GAIN_TICKS: u32 = 400;
+
+/// Smallest gains, as a fraction of the full ones.
+const LEAST_SHARE: f64 = 0.2;
 
 /// A settler that moves both the target and the voltage so slowly that an encoder that freezes
 /// meanwhile does no damage.
@@ -174,8 +184,14 @@ impl GentleSettler {
         let falls = self.rules >= TickRules::AlternatingAllowed;
         let counted_ticks = if falls { self.ticks.max(FULL_GAIN_TICKS) } else { FULL_GAIN_TICKS };
         let share = f64::from(FULL_GAIN_TICKS) / f64::from(counted_ticks);
-        let share = share * self.calm_share(state, target_rad);
-        let wanted_v = self.settler.voltage_with(share, state, target_rad);
+        let calm_share = self.calm_share(state, target_rad);
+        let (share, trim_rate) = if self.rules >= TickRules::SettlingGainReducing {
+            let share = (share * calm_share).max(LEAST_SHARE);
+            (share, share * TRIM_RATE)
+        } else {
+            (share, TRIM_RATE)
+        };
+        let wanted_v = self.settler.voltage_with(share, trim_rate, state, target_rad);
         self.limit(state, wanted_v, GENTLE_V)
     }
 

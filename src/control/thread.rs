@@ -402,7 +402,7 @@ mod tests {
     #[test]
     fn a_rollout_needs_a_hello_and_homing_and_again_after_a_fault() {
         // Enough samples for homing and the beginning of a rollout.
-        let (thread, settings) = control(3000);
+        let (thread, settings) = control(3100);
         assert!(is_refused(&rollout(&thread, settings)));
         assert!(thread.home(HomingSettings::default()).is_err());
         thread.hello().unwrap();
