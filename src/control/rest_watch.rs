@@ -15,18 +15,16 @@ const REST_SAMPLES: u32 = 60;
 /// cable pulls the arm slowly.
 const ARM_WIDTH: f64 = 5.0;
 
-/// Largest range of the samples of an arm that stands still, counts: the last bit of its count.
-const STILL_ARM_WIDTH: f64 = 1.0;
-
 /// Largest bend of the arm's path over 0.6 s of rest, counts: the sum of its first and last count
 /// minus twice the one half-way. An arm without dry friction swings about the angle to which its
 /// cable pulls it, twice in 6 s. Where it turns round, it moves by 5 counts in 0.6 s before it
-/// swings back by 50. A path with a larger bend must last [`BENT_REST_SAMPLES`]; that of an arm
+/// swings back by 50. A path with a larger bend must last [`LONG_REST_SAMPLES`]; that of an arm
 /// which a swinging pendulum shakes does.
 const LARGEST_BEND: f64 = 2.0;
 
-/// Number of consecutive samples that count as rest if the arm's path is bent: 2.4 s.
-const BENT_REST_SAMPLES: u32 = 240;
+/// Number of consecutive samples that count as rest if the arm's path is bent or the arm has crept
+/// away before: 2.4 s.
+const LONG_REST_SAMPLES: u32 = 240;
 
 /// Largest range of the pendulum's samples at rest, counts: 0.3 rad to either side. On an arm held
 /// by dry friction the pendulum swings for a minute; the middle of a whole swing is the count at
@@ -199,7 +197,7 @@ impl RestWatch {
             }
             let bend = (gone - 2 * self.half_way).abs();
             if self.samples == REST_SAMPLES && bend > of_qube(LARGEST_BEND, self.encoders.theta) {
-                self.needed_samples = BENT_REST_SAMPLES;
+                self.needed_samples = LONG_REST_SAMPLES;
             }
         } else {
             self.theta = CountRange::at(sample.theta_counts);
@@ -210,11 +208,11 @@ impl RestWatch {
             .then(|| RestingCounts { theta: self.theta.middle(), alpha: self.alpha.middle() })
     }
 
-    /// Whether arm and pendulum are at rest and the arm does not creep on.
+    /// Whether arm and pendulum have been at rest for so long that the arm neither creeps on nor
+    /// turns round: [`LONG_REST_SAMPLES`].
     #[must_use]
     pub fn is_still(&self) -> bool {
-        self.samples >= REST_SAMPLES
-            && self.theta.width() <= of_qube(STILL_ARM_WIDTH, self.encoders.theta)
+        self.samples >= LONG_REST_SAMPLES
     }
 
     /// Whether the arm's count has jumped by more than an arm can move.
@@ -334,7 +332,7 @@ mod tests {
         let creep = |tick: u64| (0.06 * tick as f64) as i32;
         let rested = (0..100).find(|&tick| watch.update(&sample(tick, creep(tick), 0)).is_some());
         assert!(rested.is_some() && !watch.is_still(), "{watch:?}");
-        let still = (100..300).find(|&tick| {
+        let still = (100..400).find(|&tick| {
             watch.update(&sample(tick, creep(100), 0));
             watch.is_still()
         });

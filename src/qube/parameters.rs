@@ -79,20 +79,31 @@ pub enum ParameterError {
         /// Its value.
         value: f64,
     },
-    /// The value is not a number, or larger than [`DomainParameter::LARGEST`].
-    #[error("{symbol} = {value}: give a number up to {}", DomainParameter::LARGEST)]
+    /// The value is not a number, or larger than [`DomainParameter::largest`].
+    #[error("{symbol} = {value}: give a number up to {largest} {unit}")]
     OutOfRange {
         /// The parameter's symbol.
         symbol: &'static str,
         /// Its value.
         value: f64,
+        /// Its largest accepted value.
+        largest: f64,
+        /// Unit of both.
+        unit: &'static str,
     },
 }
 
 impl DomainParameter {
-    /// Largest accepted value of a parameter in its SI unit: a thousand times the largest that a
-    /// description of a plant may have.
-    pub const LARGEST: f64 = 1e6;
+    /// Largest accepted value of this parameter in its SI unit. Masses and lengths are those of
+    /// table-top pendulums, so that a mass in g or a length in mm or cm is refused.
+    #[must_use]
+    pub fn largest(self) -> f64 {
+        match self {
+            Self::RotaryMass | Self::PendulumMass => 10.0,
+            Self::RotaryLength | Self::PendulumLength => 5.0,
+            _ => 1e3,
+        }
+    }
 
     /// All nine parameters, in the order of the thesis's table 5.1.
     pub const ALL: [Self; 9] = [
@@ -117,6 +128,19 @@ impl DomainParameter {
     #[must_use]
     pub fn from_symbol(symbol: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|parameter| parameter.symbol() == symbol)
+    }
+
+    /// Unit of this parameter.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Gravity => "m/s^2",
+            Self::MotorResistance => "ohm",
+            Self::MotorBackEmf => "V s/rad",
+            Self::RotaryDamping | Self::PendulumDamping => "N m s/rad",
+            Self::RotaryMass | Self::PendulumMass => "kg",
+            Self::RotaryLength | Self::PendulumLength => "m",
+        }
     }
 
     /// Whether zero is allowed: a Qube may lack damping or motor torque on paper, but not mass.
@@ -179,8 +203,10 @@ impl DomainParameters {
     pub fn check(&self) -> Result<(), ParameterError> {
         for parameter in DomainParameter::ALL {
             let (symbol, value) = (parameter.symbol(), self.get(parameter));
-            if value.is_nan() || value > DomainParameter::LARGEST {
-                return Err(ParameterError::OutOfRange { symbol, value });
+            let largest = parameter.largest();
+            if value.is_nan() || value > largest {
+                let unit = parameter.unit();
+                return Err(ParameterError::OutOfRange { symbol, value, largest, unit });
             }
             if value < 0.0 && parameter.may_be_zero() {
                 return Err(ParameterError::Negative { symbol, value });
@@ -229,7 +255,8 @@ mod tests {
             parameters.check(),
             Err(ParameterError::NotPositive { symbol: "M_p", value: 0.0 })
         );
-        for wrong in [f64::NAN, f64::INFINITY, 1e300] {
+        // 24 is the pendulum's mass in g.
+        for wrong in [f64::NAN, f64::INFINITY, 1e300, 24.0] {
             parameters.pendulum_mass_kg = wrong;
             let refused = parameters.check();
             assert!(matches!(refused, Err(ParameterError::OutOfRange { symbol: "M_p", .. })));

@@ -3,8 +3,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 use thiserror::Error;
 
 use super::{
-    DomainParameters, Dynamics, Encoders, HARD_STOP_RAD, MAX_VOLTAGE_V, MotorRating, Nonideality,
-    PlantName, Quantity, QubeModel,
+    DomainParameter, DomainParameters, Dynamics, Encoders, HARD_STOP_RAD, MAX_VOLTAGE_V,
+    MotorRating, Nonideality, PlantName, Quantity, QubeModel,
 };
 
 /// A rotary pendulum as its maker describes it: its nominal parameters, encoders, stops and motor. A TOML file
@@ -236,12 +236,28 @@ fn time_constant<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::E
 #[derive(Clone, Copy, Deserialize)]
 struct Positive(#[serde(deserialize_with = "positive")] f64);
 
+/// A mass, kg.
+#[derive(Clone, Copy, Deserialize)]
+struct Mass(#[serde(deserialize_with = "mass")] f64);
+
+/// A length, m.
+#[derive(Clone, Copy, Deserialize)]
+struct Length(#[serde(deserialize_with = "length")] f64);
+
 /// A parameter that may be 0.
 #[derive(Clone, Copy, Deserialize)]
 struct NotNegative(#[serde(deserialize_with = "not_negative")] f64);
 
 fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, (1e-6, 1e3))
+}
+
+fn mass<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, (1e-6, DomainParameter::PendulumMass.largest()))
+}
+
+fn length<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, (1e-6, DomainParameter::PendulumLength.largest()))
 }
 
 fn not_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
@@ -259,10 +275,10 @@ struct NamedParameters {
     k_m: Positive,
     D_r: NotNegative,
     D_p: NotNegative,
-    M_r: Positive,
-    M_p: Positive,
-    L_r: Positive,
-    L_p: Positive,
+    M_r: Mass,
+    M_p: Mass,
+    L_r: Length,
+    L_p: Length,
 }
 
 fn parameters<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DomainParameters, D::Error> {
@@ -283,7 +299,6 @@ fn parameters<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DomainParame
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::DomainParameter;
 
     const LARGER: &str = include_str!("../../plants/furuta-130.toml");
 

@@ -146,14 +146,8 @@ impl Quantity {
     /// The SI unit.
     #[must_use]
     pub fn unit(self) -> &'static str {
-        use DomainParameter as P;
         match self {
-            Self::Parameter(P::Gravity) => "m/s^2",
-            Self::Parameter(P::MotorResistance) => "ohm",
-            Self::Parameter(P::MotorBackEmf) => "V s/rad",
-            Self::Parameter(P::RotaryDamping | P::PendulumDamping) => "N m s/rad",
-            Self::Parameter(P::RotaryMass | P::PendulumMass) => "kg",
-            Self::Parameter(P::RotaryLength | P::PendulumLength) => "m",
+            Self::Parameter(parameter) => parameter.unit(),
             Self::Nonideality(Nonideality::CoulombTorque) => "N m",
             Self::Nonideality(Nonideality::PositiveDeadZone | Nonideality::NegativeDeadZone) => "V",
             Self::Nonideality(Nonideality::CableStiffness) => "N m/rad",

@@ -3,9 +3,7 @@ use rand::RngExt;
 use thiserror::Error;
 
 use crate::elementary::normal_pair;
-use crate::qube::{
-    CONTROL_PERIOD_S, Distribution, DomainParameter, MAX_HISTORY, Nonideality, Quantity,
-};
+use crate::qube::{CONTROL_PERIOD_S, Distribution, MAX_HISTORY, Nonideality, Quantity};
 
 /// Largest distance of a draw from its mean, as a fraction of the mean: draws of a parameter lie
 /// between 0.1 and 1.9 times the mean.
@@ -108,11 +106,11 @@ impl Distribution {
         let (mean, standard_deviation) = (self.mean(), self.standard_deviation());
         let (physical, bound) = match quantity {
             Quantity::Parameter(parameter) if parameter.may_be_zero() => {
-                let largest = DomainParameter::LARGEST;
+                let largest = parameter.largest();
                 ((0.0..=largest).contains(&mean), format!("from 0 to {largest}"))
             }
-            Quantity::Parameter(_) => {
-                let largest = DomainParameter::LARGEST;
+            Quantity::Parameter(parameter) => {
+                let largest = parameter.largest();
                 (mean > 0.0 && mean <= largest, format!("above 0, at most {largest}"))
             }
             Quantity::Nonideality(term) => {

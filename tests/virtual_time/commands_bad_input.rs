@@ -486,7 +486,7 @@ fn a_number_in_any_file_is_refused_by_file_key_value_and_range() {
             (&profile, format!("{head}[parameters]\nM_p = "), "parameters.M_p", ""),
             (&profile, format!("{head}[gap]\ncommand_delay_s = "), "command_delay_s", "to 0.1"),
             (&profile, format!("{head}[standard_errors]\nM_p = "), "errors.M_p", "to 0.24"),
-            (&psi, "mean_M_p = ".to_owned(), "mean_M_p", "at most 1000000"),
+            (&psi, "mean_M_p = ".to_owned(), "mean_M_p", "at most 10"),
             (
                 &recipe,
                 format!("{of_nominal}[settings.training]\ntarget_return = "),
