@@ -70,15 +70,16 @@ pub(super) struct RestMonitor {
     pub left_at: Result<RestingCounts, Moved>,
     /// Encoders of the plant that was homed.
     pub encoders: Encoders,
-    /// Whether the arm has crept away from where it was left. From then on it must stand still
-    /// after each motion.
-    pub creeps: bool,
+    /// Whether the arm must be still after each motion, not only at rest: true from the first time
+    /// that it was not where it was left, to the end of the program. A cable may pull it away each
+    /// time.
+    pub waits_until_still: bool,
 }
 
 impl Default for RestMonitor {
     fn default() -> Self {
         let (port, encoders) = (String::new(), Encoders::default());
-        Self { port, left_at: Err(Moved::Unseen), encoders, creeps: false }
+        Self { port, left_at: Err(Moved::Unseen), encoders, waits_until_still: false }
     }
 }
 
@@ -93,7 +94,8 @@ impl RestMonitor {
         stop: &AtomicBool,
     ) {
         let mut watch = RestWatch::after(last, self.encoders);
-        let rest = watch_rest(&mut watch, self.creeps, device, clock, stop).ok().flatten();
+        let rest =
+            watch_rest(&mut watch, self.waits_until_still, device, clock, stop).ok().flatten();
         self.left_at =
             if watch.has_jumped() { Err(Moved::Jumped) } else { rest.ok_or(Moved::Unseen) };
     }
@@ -124,14 +126,14 @@ impl RestMonitor {
         let left_at = self.left_at?;
         let zero_counts = settings.calibration.alpha_zero_counts;
         let compared = rest.compare(left_at, zero_counts, self.encoders);
-        self.creeps |= matches!(compared, Err(Moved::Arm(_)));
+        self.waits_until_still |= matches!(compared, Err(Moved::Arm(_)));
         Ok(compared?)
     }
 }
 
 /// Samples at 100 Hz until arm and pendulum are at rest; `None` if they are not in time or `stop`
-/// is set. With `until_still`, goes on until the arm stands still; an arm that creeps on to the end
-/// of the time is where it was seen at rest last.
+/// is set. With `until_still`, goes on until the arm is still; one that is at rest but not still when
+/// the time is over or `stop` is set counts as at rest.
 ///
 /// # Errors
 /// The port is gone, the Qube is off, or it or the board has restarted. Lost samples are tolerated.
@@ -149,7 +151,7 @@ fn watch_rest(
     while deadline_ns < begin_ns + REST_TIME_NS && !stop.load(Ordering::Relaxed) {
         match device.sample(clock.now_ns() + sample_time_ns) {
             Ok(sample) => {
-                rest = watch.update(&sample).or(rest);
+                rest = watch.update(&sample);
                 if rest.is_some() && (!until_still || watch.is_still()) {
                     return Ok(rest);
                 }

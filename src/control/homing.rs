@@ -13,7 +13,7 @@ use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOu
 use crate::estimation::{Calibration, Estimator, MeasuredRig, MeasuredStops};
 use crate::qube::{Encoder, Encoders, Measurement, State};
 use crate::safety::clamp_to_mv;
-use crate::telemetry::{Ending, Fault};
+use crate::telemetry::{Ending, Fault, TickRules};
 
 /// Most ticks for the whole of homing: 60 s.
 const MAX_TICKS: u32 = 6000;
@@ -115,7 +115,7 @@ impl Homing {
             suspected: None,
             ticks: 0,
             swing: Swing::default(),
-            settler: GentleSettler::of(&settings.plant),
+            settler: GentleSettler::of(&settings.plant, TickRules::NEWEST),
             held: Held::default(),
             motionless: Motionless::default(),
             runaway: Runaway::default(),
@@ -284,7 +284,7 @@ impl Homing {
             (None, None) => {
                 self.current.motor_works();
                 self.swing = Swing::default();
-                self.settler = GentleSettler::of(&self.settings.plant);
+                self.settler = GentleSettler::of(&self.settings.plant, TickRules::NEWEST);
                 self.stage = match self.middle_rad {
                     Some(_) => Stage::Calm,
                     None => Stage::Seek(StopSeek::default()),
@@ -405,10 +405,11 @@ impl Homing {
         }
         let cross_check = self.sensors.cross_check();
         let leads = cross_check.and_then(|own| own.pendulum_leads()) == Some(true);
-        let wrong_scale = match self.settings.method {
-            HomingMethod::Stops => SURELY_WRONG_SCALE,
-            HomingMethod::Hand => WRONG_SCALE,
-        };
+        // An operator who has accepted another distance of the stops may have accepted that of a
+        // wrong encoder.
+        let stops_show_it =
+            self.settings.method == HomingMethod::Stops && self.settings.travel_rad.is_none();
+        let wrong_scale = if stops_show_it { SURELY_WRONG_SCALE } else { WRONG_SCALE };
         let miscounts = cross_check.is_some_and(|own| own.scale_is_wrong(wrong_scale));
         ((leads || miscounts) && is_led).then_some(Fault::EncodersDisagree)
     }

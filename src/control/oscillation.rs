@@ -2,12 +2,14 @@
 
 /// Least difference between two consecutive turning points of the voltage that counts as an
 /// oscillation, V. With 0.4 V, the voltage of an arm that sticks and slips took gain where the gain
-/// was needed, and 4 of 3000 Qubes touched a stop at up to 8.5 rad/s; with 0.6 V, one did, at 2.3 rad/s.
+/// was needed, and 4 of 3000 Qubes touched a stop at up to 8.5 rad/s; with 0.6 V, one did, at
+/// 2.3 rad/s.
 const LEAST_REVERSAL_V: f64 = 0.6;
 
 /// Longest time between two consecutive turning points that counts as an oscillation, control
 /// periods. Feedback that arrives late swings at 4 to 8 Hz, so that its voltage turns every 6 to 12
-/// periods. A pendulum that hangs from a light arm swings at up to 2.9 Hz.
+/// periods. A pendulum that hangs from a light arm swings at up to 2.9 Hz. One that whirls at 25 rad/s takes gain,
+/// too; it comes to rest with what is left.
 const LONGEST_HALF_PERIOD: u32 = 13;
 
 /// Factor by which each turning point of an oscillation multiplies the gain.
@@ -18,24 +20,27 @@ const GAIN_FACTOR: f64 = 0.8;
 /// less, a stiff cable throws the arm off its stop.
 const LEAST_GAIN: f64 = 0.4;
 
-/// The factor on the gains of a feedback, at most 1, which falls while the voltage oscillates.
+/// The factor on the gains of a feedback, at most 1, which falls while the voltage oscillates and
+/// never rises again.
 ///
 /// Gains that are firm enough for a weak motor on a heavy arm make a strong motor on a short and
-/// light arm oscillate, if the voltage arrives 14 ms late or more. A feedback that oscillates has more gain
-/// than it needs.
+/// light arm oscillate, if the voltage arrives 14 ms late or more. A feedback that oscillates has
+/// more gain than it needs.
 #[derive(Clone, Copy, Debug)]
 pub struct OscillationGain {
     gain: f64,
-    /// Voltage farthest in the present direction since the last turning point, V.
-    furthest_v: f64,
-    rises: bool,
+    /// Voltage of the full gains farthest in the present direction since the last turning point, V;
+    /// `None` before the first voltage.
+    furthest_full_v: Option<f64>,
+    /// 1 while the voltage rises, -1 while it falls, 0 before it has moved.
+    direction: f64,
     periods_since_turn: u32,
 }
 
 impl Default for OscillationGain {
     fn default() -> Self {
         let periods_since_turn = LONGEST_HALF_PERIOD;
-        Self { gain: 1.0, furthest_v: 0.0, rises: false, periods_since_turn }
+        Self { gain: 1.0, furthest_full_v: None, direction: 0.0, periods_since_turn }
     }
 }
 
@@ -43,17 +48,20 @@ impl OscillationGain {
     /// Takes the voltage that the feedback asks for with its full gains, V; returns the factor on
     /// the gains.
     pub fn update(&mut self, full_v: f64) -> f64 {
-        let voltage_v = self.gain * full_v;
         self.periods_since_turn = self.periods_since_turn.saturating_add(1);
-        let ahead_v =
-            if self.rises { voltage_v - self.furthest_v } else { self.furthest_v - voltage_v };
-        if ahead_v >= 0.0 {
-            self.furthest_v = voltage_v;
-        } else if -ahead_v >= LEAST_REVERSAL_V {
-            if self.periods_since_turn <= LONGEST_HALF_PERIOD {
-                self.gain = (GAIN_FACTOR * self.gain).max(LEAST_GAIN);
+        let furthest_full_v = *self.furthest_full_v.get_or_insert(full_v);
+        let moved_v = self.gain * (full_v - furthest_full_v);
+        if moved_v * self.direction > 0.0 {
+            self.furthest_full_v = Some(full_v);
+        } else if moved_v.abs() >= LEAST_REVERSAL_V {
+            if self.direction != 0.0 {
+                if self.periods_since_turn <= LONGEST_HALF_PERIOD {
+                    self.gain = (GAIN_FACTOR * self.gain).max(LEAST_GAIN);
+                }
+                self.periods_since_turn = 0;
             }
-            (self.rises, self.furthest_v, self.periods_since_turn) = (!self.rises, voltage_v, 0);
+            self.furthest_full_v = Some(full_v);
+            self.direction = moved_v.signum();
         }
         self.gain
     }
@@ -85,5 +93,16 @@ mod tests {
             assert_eq!(gain_after(frequency_hz, 5.0), 1.0, "{frequency_hz} Hz");
         }
         assert_eq!(gain_after(5.0, 0.25), 1.0);
+    }
+
+    #[test]
+    fn a_gain_that_fell_does_not_fall_again_while_the_voltage_stays() {
+        let mut oscillation = OscillationGain::default();
+        for full_v in [0.0, 4.0, -4.0, 4.0] {
+            oscillation.update(full_v);
+        }
+        let fell = oscillation.update(4.0);
+        assert_eq!(fell, GAIN_FACTOR);
+        assert!((0..200).all(|_| oscillation.update(4.0) == fell));
     }
 }

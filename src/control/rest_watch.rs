@@ -17,9 +17,9 @@ const ARM_WIDTH: f64 = 5.0;
 
 /// Largest bend of the arm's path over 0.6 s of rest, counts: the sum of its first and last count
 /// minus twice the one half-way. An arm without dry friction swings about the angle to which its
-/// cable pulls it, twice in 6 s. Where it turns round, it moves by 5 counts in 0.6 s before it
-/// swings back by 50. A path with a larger bend must last [`LONG_REST_SAMPLES`]; that of an arm
-/// which a swinging pendulum shakes does.
+/// cable pulls it; a stiff cable gives it a period of 3 s. Where it turns round, it moves by 5
+/// counts in 0.6 s before it swings back by 50. A swinging pendulum bends the path, too. An arm
+/// whose path is bent is at rest after [`LONG_REST_SAMPLES`].
 const LARGEST_BEND: f64 = 2.0;
 
 /// Number of consecutive samples that count as rest if the arm's path is bent or the arm has crept
@@ -195,9 +195,11 @@ impl RestWatch {
             if self.samples == REST_SAMPLES / 2 {
                 self.half_way = gone;
             }
-            let bend = (gone - 2 * self.half_way).abs();
-            if self.samples == REST_SAMPLES && bend > of_qube(LARGEST_BEND, self.encoders.theta) {
-                self.needed_samples = LONG_REST_SAMPLES;
+            if self.samples == REST_SAMPLES {
+                let bend = (gone - 2 * self.half_way).abs();
+                if bend > of_qube(LARGEST_BEND, self.encoders.theta) {
+                    self.needed_samples = LONG_REST_SAMPLES;
+                }
             }
         } else {
             self.theta = CountRange::at(sample.theta_counts);
@@ -209,7 +211,7 @@ impl RestWatch {
     }
 
     /// Whether arm and pendulum have been at rest for so long that the arm neither creeps on nor
-    /// turns round: [`LONG_REST_SAMPLES`].
+    /// turns round: 2.4 s.
     #[must_use]
     pub fn is_still(&self) -> bool {
         self.samples >= LONG_REST_SAMPLES

@@ -252,7 +252,9 @@ fn execute(
         Command::Hello(retries) => {
             let identified = greet_until_answered(device, clock, stop, retries);
             let answered = identified.is_ok();
-            *rest_monitor = RestMonitor { creeps: rest_monitor.creeps, ..RestMonitor::default() };
+            // The cable is the same after a hello.
+            let waits_until_still = rest_monitor.waits_until_still;
+            *rest_monitor = RestMonitor { waits_until_still, ..RestMonitor::default() };
             if let Ok(identity) = &identified {
                 rest_monitor.port.clone_from(&identity.port);
             }

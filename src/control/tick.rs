@@ -102,7 +102,7 @@ impl<C: Controller> Tick<C> {
             sensors: sensor_watch(settings),
             asking: None,
             settler: Settler::of(plant),
-            gentle: gentle_settler(settings),
+            gentle: GentleSettler::of(plant, settings.rules),
             rest: RestDetector::default(),
             centred: if cross_checks {
                 CentredDetector::off_stops(hard_stop_rad - room_rad)
@@ -374,10 +374,6 @@ fn sensor_watch(settings: &TickSettings) -> SensorWatch {
     };
     let allows = settings.rules >= TickRules::AlternatingAllowed;
     if allows { watch } else { watch.by_earlier_rules() }
-}
-
-fn gentle_settler(settings: &TickSettings) -> GentleSettler {
-    GentleSettler::of(&settings.plant).under(settings.rules)
 }
 
 /// The test of an arm with a constant count; `None` under [`TickRules::First`].

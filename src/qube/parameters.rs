@@ -95,13 +95,17 @@ pub enum ParameterError {
 
 impl DomainParameter {
     /// Largest accepted value of this parameter in its SI unit. Masses and lengths are those of
-    /// table-top pendulums, so that a mass in g or a length in mm or cm is refused.
+    /// table-top pendulums, so that most masses in g and lengths in cm or mm are refused.
     #[must_use]
     pub fn largest(self) -> f64 {
         match self {
             Self::RotaryMass | Self::PendulumMass => 10.0,
             Self::RotaryLength | Self::PendulumLength => 5.0,
-            _ => 1e3,
+            Self::Gravity
+            | Self::MotorResistance
+            | Self::MotorBackEmf
+            | Self::RotaryDamping
+            | Self::PendulumDamping => 1e3,
         }
     }
 

@@ -71,7 +71,8 @@ pub enum TickRules {
     /// pendulum's load while the count was constant; and settling loses gain after 4 s.
     AlternatingAllowed,
     /// As [`AlternatingAllowed`](Self::AlternatingAllowed); in addition, settling that oscillates
-    /// loses gain.
+    /// loses gain, the trim of settling grows more slowly where the gains have fallen, and the gains
+    /// do not fall below a fifth.
     SettlingGainReducing,
 }
 

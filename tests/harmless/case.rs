@@ -135,8 +135,9 @@ impl Case {
 pub enum Qubes {
     /// Nominal, `lab` and `lab` with 1.5 times its gap; half of them with parameters up to 10 % off.
     Near,
-    /// Any Qube: motor, masses and lengths up to 20 % off, friction, cable, dead zones and delay
-    /// from none to about twice those of `lab`.
+    /// Any Qube: motor, masses and lengths up to 20 % off; damping of the arm 0.3 to 4 times, of the
+    /// pendulum 0.05 to 2 times nominal; friction, cable, dead zones and delay from none to about
+    /// twice those of `lab`.
     Far,
 }
 
@@ -284,8 +285,8 @@ fn near(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
     model
 }
 
-/// A Qube of the far domain. Two thirds have dry friction, two thirds a cable, most of them dead
-/// zones and a delay of the commands.
+/// A Qube of the far domain. Two thirds have dry friction, two thirds a cable, two thirds a delay of
+/// the commands, and three quarters a dead zone on each side.
 fn far(random: &mut ChaCha8Rng) -> QubeModel {
     let mut model = QubeModel::NOMINAL;
     for parameter in DomainParameter::ALL {
