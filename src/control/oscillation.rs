@@ -15,9 +15,9 @@ const LONGEST_HALF_PERIOD: u32 = 13;
 /// Factor by which each turning point of an oscillation multiplies the gain.
 const GAIN_FACTOR: f64 = 0.8;
 
-/// Smallest gain, as a fraction of the full one. With 0.4, the linear loop of the strongest motor on
-/// the shortest and lightest arm within 20 % of a nominal Qube is stable at 22 ms of delay. With
-/// less, a stiff cable throws the arm off its stop.
+/// Smallest gain, as a fraction of the full one. With 0.4, the linear loop of a strong motor on a
+/// short and light arm (each 7 to 19 % off nominal) is stable at 22 ms of delay. With 0.25, a stiff
+/// cable throws the arm off its stop.
 const LEAST_GAIN: f64 = 0.4;
 
 /// The factor on the gains of a feedback, at most 1, which falls while the voltage oscillates and
@@ -26,6 +26,10 @@ const LEAST_GAIN: f64 = 0.4;
 /// Gains that are firm enough for a weak motor on a heavy arm make a strong motor on a short and
 /// light arm oscillate, if the voltage arrives 14 ms late or more. A feedback that oscillates has
 /// more gain than it needs.
+///
+/// `safety`'s `RingingGain` does the same for a brake, by changes of the voltage's sign. The voltage
+/// of settling swings about an offset, against a cable or ahead of the arm, and need not change its
+/// sign; so this one counts turning points.
 #[derive(Clone, Copy, Debug)]
 pub struct OscillationGain {
     gain: f64,

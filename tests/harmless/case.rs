@@ -152,9 +152,9 @@ pub struct Start {
 }
 
 impl Start {
-    /// The start of this case and seed on one of `qubes`. In about half of the starts the fault begins within the
-    /// first 15 s, during homing; in the others within the first 60 s. Some cases differ: their
-    /// fault exists from the start or begins during homing in every start.
+    /// The start of this case and seed on one of `qubes`. In about half of the starts the fault
+    /// begins within the first 15 s, during homing; in the others within the first 60 s. Some cases
+    /// differ: their fault exists from the start or begins during homing in every start.
     pub fn new(case: Case, seed: u64, qubes: Qubes) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(7);
