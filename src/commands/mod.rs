@@ -251,8 +251,9 @@ fn heat_line(largest_motor_load: Option<f64>) -> String {
 /// The quietness of balancing as a line for people; empty if nothing balanced.
 fn quietness_line(quietness: &Quietness) -> String {
     let Some(figures) = quietness.figures() else { return String::new() };
+    let buzz = if quietness.is_loud() { ": it buzzes" } else { "" };
     format!(
-        "balancing: {:.2} V a tick, {:.1} sign changes/s, {:.2} V rms, {:.2} W copper loss\n",
+        "balancing: {:.2} V a tick, {:.1} sign changes/s, {:.2} V rms, {:.2} W copper loss{buzz}\n",
         figures.change_v, figures.sign_changes_per_s, figures.rms_v, figures.copper_loss_w
     )
 }

@@ -63,7 +63,7 @@ impl SessionTable {
             );
         }
         let _ = writeln!(text, "      psi: {}", report.psi.names().collect::<Vec<_>>().join(" "));
-        if let Some(BestPolicy { candidate, policy, quietness }) = &report.best {
+        if let Some(BestPolicy { candidate, policy }) = &report.best {
             let scored = &report.candidates[*candidate];
             let candidate = &scored.candidate;
             let whose = match candidate.purpose {
@@ -80,7 +80,7 @@ impl SessionTable {
                 scored.verdicts.len(),
                 scored.successes(),
             );
-            text.push_str(&quietness_line(quietness));
+            text.push_str(&quietness_line(&scored.quietness));
             let longest = report.psi.names().map(|name| name.len()).max().unwrap_or(0);
             for (dimension, value) in report.psi.dimensions().iter().zip(&candidate.psi) {
                 let (name, unit) = (dimension.target.to_string(), dimension.target.unit());
@@ -176,10 +176,11 @@ impl SessionTable {
         let report = &self.0;
         let valued = |scored: &ScoredCandidate| valued(&report.psi, scored);
         let all = |is| report.of_purpose(is).map(valued).collect::<Vec<Value>>();
-        let best = report.best.as_ref().map(|BestPolicy { candidate, policy, quietness }| {
-            let mut best = valued(&report.candidates[*candidate]);
+        let best = report.best.as_ref().map(|BestPolicy { candidate, policy }| {
+            let scored = &report.candidates[*candidate];
+            let mut best = valued(scored);
             best["policy"] = json!(policy.to_string_lossy());
-            best["balancing"] = json!(quietness.figures());
+            best["balancing"] = json!(scored.quietness.figures());
             best
         });
         let mut table = json!({

@@ -32,22 +32,23 @@ pub enum Decision {
 /// Decides the next move; all rollouts of `candidates` must be finished. `largest` is the largest
 /// number of searched candidates.
 ///
-/// The candidate with the highest mean return, in a tie the latest, is verified at once if all its
-/// rollouts succeeded. If every rollout of the verification succeeded too, the search continues
-/// only while the policy is loud ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or one
-/// more candidate is expected to gain at least the fraction [`WORTHWHILE_GAIN`] of the verified
-/// return. If one failed, the search continues in any case.
+/// The candidate of the highest [`rank`](ScoredCandidate::rank), in a tie the latest, is verified at
+/// once if all its rollouts succeeded. If every rollout of the verification succeeded too, the search
+/// continues only while the policy is loud
+/// ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or one more candidate is expected to
+/// gain at least the fraction [`WORTHWHILE_GAIN`] of the verified return. If one failed, the search
+/// continues in any case.
 /// At the largest number of candidates the best one is verified, unless it is verified already,
 /// whether or not its rollouts succeeded, and the search ends.
 #[must_use]
 pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
     let searched = || candidates.iter().filter(|it| it.candidate.purpose.is_searched());
     let is_full = searched().count() as u32 >= largest;
-    let mut best: Option<(&ScoredCandidate, f64)> = None;
+    let mut best: Option<(&ScoredCandidate, (bool, f64))> = None;
     for it in searched() {
-        let Some(mean) = it.mean_return() else { continue };
-        if best.is_none_or(|(_, so_far)| mean >= so_far) {
-            best = Some((it, mean));
+        let Some(rank) = it.rank() else { continue };
+        if best.is_none_or(|(_, so_far)| rank >= so_far) {
+            best = Some((it, rank));
         }
     }
     let Some((best, _)) = best else { return Decision::Propose };
@@ -69,11 +70,14 @@ pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use super::*;
+    use crate::qube::{PlantModel, State};
     use crate::recording::samples;
-    use crate::scoring::Verdict;
-    use crate::session::{Candidate, Purpose};
-    use crate::telemetry::{Ending, RolloutOutcome};
+    use crate::scoring::{Quietness, Verdict};
+    use crate::session::{Candidate, Purpose, ScoredRollout};
+    use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
 
     fn scored(
         number: u32,
@@ -96,7 +100,8 @@ mod tests {
             success,
             outcome: RolloutOutcome { ending: Ending::Completed, ..samples::outcome() },
         };
-        ScoredCandidate { candidate, verdicts: returns.iter().map(verdict).collect() }
+        let rollout = |it| ScoredRollout { verdict: verdict(it), quietness: Quietness::NONE };
+        ScoredCandidate::new(candidate, returns.iter().map(rollout))
     }
 
     const GOOD: (f64, bool) = (540.0, true);
@@ -117,6 +122,36 @@ mod tests {
         // A candidate that is better than the verified one is verified too.
         candidates.push(scored(4, Purpose::Search, 2.0, &[(545.0, true)]));
         assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 4 });
+    }
+
+    #[test]
+    fn a_quiet_candidate_is_better_than_a_loud_one_that_earned_more() {
+        let loud = |scored: ScoredCandidate| {
+            let tick = |tick: u32| TickRecord {
+                tick,
+                phase: Phase::Running,
+                state: State { alpha: PI, ..State::default() },
+                voltage_mv: if tick.is_multiple_of(2) { 900 } else { -900 },
+                ..TickRecord::default()
+            };
+            let ticks: Vec<_> = (0..100).map(tick).collect();
+            ScoredCandidate { quietness: Quietness::of(&ticks, &PlantModel::QUBE), ..scored }
+        };
+        let mut candidates = vec![
+            loud(scored(1, Purpose::Initial, 0.0, &[GOOD])),
+            loud(scored(2, Purpose::Incumbent, 0.0, &[GOOD; 5])),
+        ];
+        // It is all there is.
+        let end = Decision::EndBelow { verification: 2, verified: 540.0, smallest_gain: 5.4 };
+        assert_eq!(decide(&candidates, 10), end);
+        candidates.push(scored(3, Purpose::Search, 1.0, &[BAD]));
+        assert_eq!(decide(&candidates, 10), end);
+        candidates.push(scored(4, Purpose::Search, 2.0, &[(510.0, true)]));
+        assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 4 });
+        assert_eq!(ScoredCandidate::best_verified(&candidates), Some(1));
+        candidates.push(scored(5, Purpose::Incumbent, 2.0, &[(505.0, true); 5]));
+        assert_eq!(ScoredCandidate::best_verified(&candidates), Some(4));
+        assert_eq!(decide(&candidates, 3), Decision::End);
     }
 
     #[test]

@@ -73,4 +73,4 @@ pub use settings::{SessionSettings, SharedRig};
 pub use settings_list::{Difference, Setting};
 pub use state::{Candidate, Finished, Identification, SessionState};
 pub use training_time::TrainingTime;
-pub use view::{RigResults, ScoredCandidate, SessionView};
+pub use view::{RigResults, ScoredCandidate, ScoredRollout, SessionView};

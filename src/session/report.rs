@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use super::{Candidate, Identification, Purpose, ScoredCandidate, Session, SessionError};
 use crate::policy::{Policy, PolicyError};
 use crate::recording::read_on;
-use crate::scoring::{Latencies, Quietness};
+use crate::scoring::Latencies;
 use crate::simulation::PsiSpace;
 
 /// The results of a session so far, read from its folder: candidates, verified policies, timing.
@@ -30,7 +30,7 @@ pub struct SessionReport {
     pub rigs: Vec<String>,
     /// Rigs that were taken out, by their numbers from 1, each with the reason.
     pub taken_out: Vec<(u32, String)>,
-    /// Policy to use: the verified policy with the highest mean return; `None` before a
+    /// Policy to use: the verified policy of the highest [`ScoredCandidate::rank`]; `None` before a
     /// verification.
     pub best: Option<BestPolicy>,
 }
@@ -41,8 +41,6 @@ pub struct BestPolicy {
     pub candidate: usize,
     /// Path of its file.
     pub policy: PathBuf,
-    /// Quietness of its balancing.
-    pub quietness: Quietness,
 }
 
 impl BestPolicy {
@@ -77,19 +75,15 @@ impl SessionReport {
             best: ScoredCandidate::best_verified(&candidates).map(|candidate| BestPolicy {
                 candidate,
                 policy: paths.candidate(candidate as u32).policy(),
-                quietness: Quietness::NONE,
             }),
             candidates: Vec::new(),
         };
-        for (index, ScoredCandidate { candidate, .. }) in candidates.iter().enumerate() {
+        for ScoredCandidate { candidate, .. } in &candidates {
             let of_candidate = paths.candidate(candidate.number);
             for finished in &candidate.finished {
                 let path = of_candidate.rollout(finished.rollout, finished.attempt);
                 let recording = read_on(folder.disk(), &path)?;
                 report.latencies.add(&recording.ticks);
-                if let Some(best) = report.best.as_mut().filter(|best| best.candidate == index) {
-                    best.quietness.add(&recording.ticks, &recording.header.settings.plant);
-                }
                 report.void_rollouts += u64::from(finished.attempt);
                 report.observer_resets +=
                     recording.outcome.map_or(0, |outcome| u64::from(outcome.observer_resets));

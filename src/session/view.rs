@@ -5,7 +5,8 @@ use super::{
     Candidate, Entry, Finished, LedgerError, SessionError, SessionPaths, SessionState,
     finished_rollout, parse_ledger,
 };
-use crate::scoring::{Verdict, mean_of, mean_return};
+use crate::recording::Recording;
+use crate::scoring::{Quietness, Verdict, mean_of, mean_return};
 use crate::search::Observation;
 use crate::storage::Disk;
 
@@ -48,11 +49,30 @@ impl<'a> SessionView<'a> {
     /// The errors of [`finished_rollout`].
     pub fn scored(&self, candidate: &Candidate) -> Result<ScoredCandidate, SessionError> {
         let paths = self.paths.candidate(candidate.number);
-        let verdict = |finished: &Finished| {
-            finished_rollout(self.disk, &paths, candidate.number, finished).map(|(_, it)| it)
+        let scored = |finished: &Finished| {
+            finished_rollout(self.disk, &paths, candidate.number, finished)
+                .map(|(recording, verdict)| ScoredRollout::of(&recording, verdict))
         };
-        let verdicts = candidate.finished.iter().map(verdict).collect::<Result<_, _>>()?;
-        Ok(ScoredCandidate { candidate: candidate.clone(), verdicts })
+        let rollouts = candidate.finished.iter().map(scored).collect::<Result<Vec<_>, _>>()?;
+        Ok(ScoredCandidate::new(candidate.clone(), rollouts))
+    }
+}
+
+/// The verdict on a rollout, and the quietness of its balancing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ScoredRollout {
+    /// Verdict on the rollout.
+    pub verdict: Verdict,
+    /// Quietness of its balancing.
+    pub quietness: Quietness,
+}
+
+impl ScoredRollout {
+    /// A recorded rollout on which the verdict is known.
+    #[must_use]
+    pub fn of(recording: &Recording, verdict: Verdict) -> Self {
+        let quietness = Quietness::of(&recording.ticks, &recording.header.settings.plant);
+        Self { verdict, quietness }
     }
 }
 
@@ -63,6 +83,8 @@ pub struct ScoredCandidate {
     pub candidate: Candidate,
     /// Verdict on each finished rollout, in the order of [`Candidate::finished`].
     pub verdicts: Vec<Verdict>,
+    /// Quietness of the balancing in these rollouts.
+    pub quietness: Quietness,
 }
 
 /// The results of a candidate's rollouts on one of several rigs.
@@ -85,6 +107,17 @@ impl RigResults {
 }
 
 impl ScoredCandidate {
+    /// A candidate with its finished rollouts, in the order of [`Candidate::finished`].
+    #[must_use]
+    pub fn new(candidate: Candidate, rollouts: impl IntoIterator<Item = ScoredRollout>) -> Self {
+        let (mut verdicts, mut quietness) = (Vec::new(), Quietness::NONE);
+        for rollout in rollouts {
+            verdicts.push(rollout.verdict);
+            quietness.merge(&rollout.quietness);
+        }
+        Self { candidate, verdicts, quietness }
+    }
+
     /// Returns of the rollouts.
     #[must_use]
     pub fn returns(&self) -> Vec<f64> {
@@ -101,6 +134,15 @@ impl ScoredCandidate {
     #[must_use]
     pub fn successes(&self) -> usize {
         self.verdicts.iter().filter(|verdict| verdict.is_success()).count()
+    }
+
+    /// The rank of the candidate among others, higher is better; `None` without a rollout. A
+    /// candidate whose rollouts all succeeded without a buzz
+    /// ([`Quietness::is_loud`]) is better than any other. Otherwise the mean return decides.
+    #[must_use]
+    pub fn rank(&self) -> Option<(bool, f64)> {
+        let all_succeeded = self.successes() == self.verdicts.len();
+        self.mean_return().map(|mean| (all_succeeded && !self.quietness.is_loud(), mean))
     }
 
     /// The results on each rig, in the order of the rigs' numbers; empty if the session has a
@@ -131,16 +173,16 @@ impl ScoredCandidate {
         Observation { point: self.candidate.psi.clone(), returns: self.returns() }
     }
 
-    /// The index of the verified candidate with the highest mean return; in a tie, of the one that
+    /// The index of the verified candidate of the highest [`Self::rank`]; in a tie, of the one that
     /// was proposed first.
     #[must_use]
     pub fn best_verified(candidates: &[Self]) -> Option<usize> {
-        let mut best: Option<(usize, f64)> = None;
+        let mut best: Option<(usize, (bool, f64))> = None;
         for (index, it) in candidates.iter().enumerate() {
             let verified = it.candidate.purpose.verifies();
-            let Some(mean) = it.mean_return().filter(|_| verified) else { continue };
-            if best.is_none_or(|(_, so_far)| mean > so_far) {
-                best = Some((index, mean));
+            let Some(rank) = it.rank().filter(|_| verified) else { continue };
+            if best.is_none_or(|(_, so_far)| rank > so_far) {
+                best = Some((index, rank));
             }
         }
         best.map(|(index, _)| index)

@@ -48,6 +48,7 @@ mod safety_stranger;
 mod session_ahead;
 mod session_faults;
 mod session_identified;
+mod session_quietness;
 mod session_recommendation;
 mod session_resume;
 mod session_rigs;

@@ -10,8 +10,8 @@ use crate::report::ReportError;
 use crate::report::rollout::RolloutView;
 use crate::scoring::{Latencies, Verdict, score_recording};
 use crate::session::{
-    Candidate, Entry, FolderError, Identification, Purpose, ScoredCandidate, SessionPaths,
-    SessionSettings, SessionState, SessionView, Step, TrainingTime, finished_rollout,
+    Candidate, Entry, FolderError, Identification, Purpose, ScoredCandidate, ScoredRollout,
+    SessionPaths, SessionSettings, SessionState, SessionView, Step, TrainingTime, finished_rollout,
     identified_profile, next_step,
 };
 use crate::storage::Disk;
@@ -124,7 +124,7 @@ impl SessionSource {
                 Err(reason) => self.problems.push(reason),
             }
         }
-        let mut verdicts = Vec::new();
+        let mut rollouts = Vec::new();
         for finished in &candidate.finished {
             for attempt in 0..finished.attempt {
                 self.read_void(
@@ -135,7 +135,7 @@ impl SessionSource {
             }
             match finished_rollout(disk, &of_candidate, number, finished) {
                 Ok((recording, verdict)) => {
-                    verdicts.push(verdict);
+                    rollouts.push(ScoredRollout::of(&recording, verdict));
                     self.add(&candidate, &recording);
                 }
                 Err(error) => self.problems.push(error.to_string()),
@@ -146,7 +146,7 @@ impl SessionSource {
             let path = of_candidate.rollout(rollout, attempt);
             self.read_void(disk, &path, [number, rollout, attempt]);
         }
-        self.candidates.push(ScoredCandidate { candidate, verdicts });
+        self.candidates.push(ScoredCandidate::new(candidate, rollouts));
     }
 
     fn read_void(&mut self, disk: &dyn Disk, path: &Path, [candidate, rollout, attempt]: [u32; 3]) {

@@ -14,7 +14,6 @@ use crate::policy::{Excitation, Policy};
 use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
 use crate::replay::MotionLog;
-use crate::scoring::Quietness;
 use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
@@ -140,7 +139,7 @@ impl Session {
                 self.append_proposal(Proposal::again(incumbent), on_event)
             }
             Decision::EndBelow { verification, verified, smallest_gain } => {
-                let quietness = self.quietness(verification)?;
+                let quietness = &scored[verification as usize].quietness;
                 if let Some(figures) = quietness.figures().filter(|_| quietness.is_loud()) {
                     on_event(SessionEvent::TooLoud(figures));
                     return self.propose_around(on_event);
@@ -160,17 +159,6 @@ impl Session {
                 self.end_search(expected_gain, on_event)
             }
         }
-    }
-
-    /// Quietness of the balancing in the rollouts of a candidate.
-    fn quietness(&self, candidate: u32) -> Result<Quietness, SessionError> {
-        let mut quietness = Quietness::NONE;
-        for finished in &self.ledger.state().candidates()[candidate as usize].finished {
-            let path = self.recording(candidate, finished.rollout, finished.attempt);
-            let recording = read_on(self.folder.disk(), &path)?;
-            quietness.add(&recording.ticks, &recording.header.settings.plant);
-        }
-        Ok(quietness)
     }
 
     fn end_search(

@@ -23,8 +23,8 @@ use training_ahead::TrainingAhead;
 
 use super::seeds::SeedFor;
 use super::{
-    Candidate, Entry, Finished, FolderError, Ledger, LedgerError, ScoredCandidate, SessionError,
-    SessionEvent, SessionFolder, SessionSettings, SessionState, Step, file_checksum,
+    Candidate, Entry, Finished, FolderError, Ledger, LedgerError, ScoredCandidate, ScoredRollout,
+    SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState, Step, file_checksum,
     finished_rollout, next_step,
 };
 use crate::jobs::{Executor, LocalExecutor};
@@ -45,7 +45,7 @@ pub struct Session {
     /// The rigs that make the rollouts: one, or several that share the session.
     rigs: Vec<SessionRig>,
     /// Verdicts on the recordings read so far, by candidate, rollout and attempt.
-    verdicts: HashMap<(u32, u32, u32), Verdict>,
+    scored: HashMap<(u32, u32, u32), ScoredRollout>,
     stop: Arc<AtomicBool>,
     executor: Arc<dyn Executor>,
     /// Trainings that run beside the rollouts; `None` unless the search proposes while returns are
@@ -109,7 +109,7 @@ impl Session {
             ledger,
             settings,
             rigs: vec![SessionRig::of(rig_settings, None)],
-            verdicts: HashMap::new(),
+            scored: HashMap::new(),
             stop,
             executor: Arc::new(executor),
             ahead: None,
@@ -345,11 +345,11 @@ impl Session {
     pub fn scored_candidates(&mut self) -> Result<Vec<ScoredCandidate>, SessionError> {
         let mut scored = Vec::new();
         for candidate in self.ledger.state().candidates().to_vec() {
-            let mut verdicts = Vec::new();
+            let mut rollouts = Vec::new();
             for finished in &candidate.finished {
-                verdicts.push(self.verdict(candidate.number, finished)?);
+                rollouts.push(self.scored_rollout(candidate.number, finished)?);
             }
-            scored.push(ScoredCandidate { candidate, verdicts });
+            scored.push(ScoredCandidate::new(candidate, rollouts));
         }
         Ok(scored)
     }
@@ -367,15 +367,20 @@ impl Session {
         self.folder.paths().candidate(candidate).policy()
     }
 
-    fn verdict(&mut self, candidate: u32, finished: &Finished) -> Result<Verdict, SessionError> {
+    fn scored_rollout(
+        &mut self,
+        candidate: u32,
+        finished: &Finished,
+    ) -> Result<ScoredRollout, SessionError> {
         let key = (candidate, finished.rollout, finished.attempt);
-        if let Some(verdict) = self.verdicts.get(&key) {
-            return Ok(verdict.clone());
+        if let Some(scored) = self.scored.get(&key) {
+            return Ok(scored.clone());
         }
         let (disk, paths) = (self.folder.disk(), self.folder.paths().candidate(candidate));
-        let (_, verdict) = finished_rollout(disk, &paths, candidate, finished)?;
-        self.verdicts.insert(key, verdict.clone());
-        Ok(verdict)
+        let (recording, verdict) = finished_rollout(disk, &paths, candidate, finished)?;
+        let scored = ScoredRollout::of(&recording, verdict);
+        self.scored.insert(key, scored.clone());
+        Ok(scored)
     }
 
     /// The next attempt of a rollout that is to be given up, if an earlier process gave it up and

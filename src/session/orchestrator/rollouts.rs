@@ -14,7 +14,8 @@ use crate::session::folder::put_aside;
 use crate::session::plan::{identifying, wanted_rollouts};
 use crate::session::seeds::{SeedFor, derived_seed};
 use crate::session::{
-    DRIFT_ROLLOUTS, Drift, Entry, RolloutPlan, SessionError, SessionEvent, rig_of_rollout,
+    DRIFT_ROLLOUTS, Drift, Entry, RolloutPlan, ScoredRollout, SessionError, SessionEvent,
+    rig_of_rollout,
 };
 
 /// A rig of the session and its state in this process.
@@ -344,10 +345,11 @@ impl Session {
             Verdict::Unfinished => {}
         }
         let has_result = matches!(verdict, Verdict::Result { .. });
+        let scored = ScoredRollout::of(&recording, verdict);
+        self.scored.insert((candidate, rollout, attempt), scored);
         if has_result {
             self.watch_drift(index, recording, on_event);
         }
-        self.verdicts.insert((candidate, rollout, attempt), verdict);
         Ok(has_result)
     }
 

@@ -1,0 +1,96 @@
+//! Tests that a policy that buzzes is not what a session is content with.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::jobs::{Executor, JobEvent, LocalExecutor, TrainingJob};
+use qube_hil::policy::{Network, Policy};
+use qube_hil::qube::Profile;
+use qube_hil::rig::RigSettings;
+use qube_hil::session::{
+    IdentificationSettings, Session, SessionEvent, SessionFolder, SessionReport, SessionSettings,
+};
+
+/// The shipped policy `robust`.
+fn robust() -> Network {
+    match Policy::load("policies/robust.safetensors".as_ref()).unwrap() {
+        Policy::Network(policy) => policy.network,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// The policy `robust` with all gains made so large that it buzzes.
+fn buzzing() -> Network {
+    let robust = robust();
+    let mut layers = robust.layers();
+    let last = layers.last_mut().unwrap();
+    last.weight.iter_mut().chain(&mut last.bias).for_each(|value| *value *= 2.5);
+    Network::new(robust.sizes(), &layers, robust.action_scale_v()).unwrap()
+}
+
+/// Gives these networks in turn, the last one again and again, as the results of trainings.
+struct Given {
+    networks: Vec<Network>,
+    jobs: AtomicUsize,
+}
+
+impl Executor for Given {
+    fn concurrency(&self) -> usize {
+        1
+    }
+
+    fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
+        LocalExecutor::on_cores(1).train(jobs, stop, &mut |event| {
+            tell(match event {
+                JobEvent::Finished { job, result } => {
+                    let index = self.jobs.fetch_add(1, Ordering::SeqCst);
+                    let network = &self.networks[index.min(self.networks.len() - 1)];
+                    let with_network = |mut trained: Box<qube_hil::learning::Trained>| {
+                        trained.network = network.clone();
+                        trained
+                    };
+                    JobEvent::Finished { job, result: result.map(with_network) }
+                }
+                other => other,
+            });
+        });
+    }
+}
+
+#[test]
+fn a_verified_policy_that_buzzes_is_searched_on_and_a_quiet_one_is_recommended() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut settings = SessionSettings::quick();
+    (settings.extent.rollouts, settings.extent.verification_rollouts) = (1, 2);
+    settings.extent.baseline = false;
+    (settings.training.updates, settings.training.num_envs, settings.training.epochs) = (1, 16, 1);
+    settings.identification = Some(IdentificationSettings {
+        candidates: 3,
+        trainings: 1,
+        ..IdentificationSettings::DEFAULT
+    });
+    let folder =
+        SessionFolder::create(&directory.path().join("s"), &settings.to_toml().unwrap()).unwrap();
+    let emulator =
+        EmulatorSettings { model: Profile::lab().model(), ..EmulatorSettings::default() };
+    let rig = RigSettings { homing: settings.homing, ..RigSettings::emulated(emulator) };
+    let given = Given { networks: vec![buzzing(), robust()], jobs: AtomicUsize::new(0) };
+    let mut session =
+        Session::open(folder, settings, rig, Arc::default()).unwrap().trained_by(Arc::new(given));
+    let mut buzzed = 0;
+    session
+        .run(&mut |event| buzzed += u32::from(matches!(event, SessionEvent::TooLoud(_))))
+        .unwrap();
+    assert_eq!(buzzed, 1);
+    let report = SessionReport::read(&mut session).unwrap();
+    // The excitation, the policy that buzzes and its verification, the quiet one and its.
+    let [_, _, buzzing, _, quiet] = &report.candidates[..] else {
+        panic!("{:?}", report.candidates)
+    };
+    for (scored, is_loud) in [(buzzing, true), (quiet, false)] {
+        assert_eq!(scored.successes(), 2, "{scored:?}");
+        assert_eq!(scored.quietness.is_loud(), is_loud, "{:?}", scored.quietness.figures());
+    }
+    assert_eq!(report.best.map(|best| best.candidate), Some(4));
+}
