@@ -210,6 +210,7 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         SessionError::Ledger(_) | SessionError::Search(_) => Failure::failed(error),
         SessionError::Policy(error) => policy(&error),
         SessionError::ProfileLost { .. }
+        | SessionError::BeginningLost { .. }
         | SessionError::PolicyChanged { .. }
         | SessionError::RecordingMisplaced { .. } => Failure::data_lost(error),
         SessionError::Psi(_)

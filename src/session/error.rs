@@ -67,6 +67,15 @@ pub enum SessionError {
         /// Path of the session's `session.toml`.
         path: PathBuf,
     },
+    /// The ledger of a session that has begun lacks its first line, which no crash removes.
+    #[error(
+        "{path} has lost its first line, which binds it to the settings that the session began with: \
+         restore it from a backup, or begin a new session"
+    )]
+    BeginningLost {
+        /// Path of the ledger.
+        path: PathBuf,
+    },
     /// The settings of a rig name another board than the one that made the rig's first recording.
     #[error(
         "board {now} is named in the place of board {before}: name the boards that the session began with, in the \

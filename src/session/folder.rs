@@ -128,6 +128,18 @@ impl SessionFolder {
         }
     }
 
+    /// Whether anything has been made for a candidate yet.
+    ///
+    /// # Errors
+    /// The folder of the candidates cannot be read.
+    pub(super) fn has_candidates(&self) -> Result<bool, FolderError> {
+        match self.disk.names(&self.paths.candidates()) {
+            Ok(names) => Ok(!names.is_empty()),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(false),
+            Err(source) => Err(FolderError::Io { path: self.paths.candidates(), source }),
+        }
+    }
+
     /// The disk of the folder.
     #[must_use]
     pub fn disk(&self) -> &dyn Disk {

@@ -19,7 +19,8 @@ const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "event", deny_unknown_fields)]
 pub enum Entry {
-    /// The session began with these settings: the first line, which ledgers of older programs lack.
+    /// The session began with these settings: the first line. Ledgers of older programs lack it;
+    /// such a session can be read, and cannot be continued.
     Begun {
         /// The checksum of `session.toml`, as [`file_checksum`] computes it.
         settings: String,

@@ -100,7 +100,7 @@ impl Undisturbed {
         MADE[(number % WORLDS) as usize].get_or_init(|| Self::new(number % WORLDS))
     }
 
-    /// A disk with this session's policies only.
+    /// A disk with this session's policies and the first line of its ledger only.
     pub fn trained_disk(&self) -> SimulatedDisk {
         let disk = SimulatedDisk::default();
         let configuration = self.settings.to_toml().unwrap();
@@ -111,6 +111,8 @@ impl Undisturbed {
                 disk.put(&path, &self.disk.bytes(&path).unwrap());
             }
         }
+        let first_line = self.ledger.split_inclusive(|byte| *byte == b'\n').next().unwrap();
+        disk.put(&ledger_path(), first_line);
         disk
     }
 }

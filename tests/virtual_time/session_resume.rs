@@ -184,7 +184,7 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(0), "{told}");
 
-    // A ledger without a checksum of the settings is accepted.
+    // A finished session whose ledger has no checksum of the settings is read.
     let ledger = directory.path().join("mine/ledger.jsonl");
     let lines = std::fs::read_to_string(&ledger).unwrap();
     let (first, others) = lines.split_once('\n').unwrap();
@@ -193,6 +193,39 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(0), "{told}");
     assert_eq!(std::fs::read_to_string(&ledger).unwrap(), others);
+}
+
+#[test]
+fn a_ledger_without_its_first_line_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
+    let [ledger, settings] =
+        ["ledger.jsonl", "session.toml"].map(|name| directory.path().join("mine").join(name));
+    let lines = std::fs::read_to_string(&ledger).unwrap();
+    let (first, others) = lines.split_once('\n').unwrap();
+    let whole = std::fs::read_to_string(&settings).unwrap();
+    let changed = whole.replacen("seed = 5", "seed = 1", 1);
+    assert_ne!(changed, whole);
+    let unfinished = others.split_inclusive('\n').take(2).collect::<String>();
+    for (left, settings_now) in [
+        (None, &whole),
+        (None, &changed),
+        (Some(String::new()), &changed),
+        (Some(first[..first.len() / 2].to_owned()), &changed),
+        (Some(unfinished), &changed),
+    ] {
+        std::fs::write(&settings, settings_now).unwrap();
+        match &left {
+            Some(left) => std::fs::write(&ledger, left).unwrap(),
+            None => std::fs::remove_file(&ledger).unwrap(),
+        }
+        let (code, told) = resume(directory.path(), "mine");
+        assert_eq!(code, Some(3), "{left:?}: {told}");
+        assert!(told.contains("has lost its first line"), "{left:?}: {told}");
+    }
+    std::fs::write(&settings, &whole).unwrap();
+    std::fs::write(&ledger, &lines).unwrap();
+    assert_eq!(resume(directory.path(), "mine").0, Some(0));
 }
 
 #[test]

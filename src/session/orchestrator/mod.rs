@@ -119,6 +119,11 @@ impl Session {
         };
         session.guard_as_unknown();
         session.search_around_identified()?;
+        // A finished session of an older program, whose ledger does not begin so, is only read.
+        let begins = matches!(session.ledger.entries().first(), Some(Entry::Begun { .. }));
+        if !begins && session.next_step() != Step::Done {
+            return Err(SessionError::BeginningLost { path: session.folder.paths().ledger() });
+        }
         for candidate in session.ledger.state().candidates().iter().filter(|it| has_psi(it)) {
             session.settings.psi.psi(&candidate.psi)?;
         }
@@ -420,9 +425,9 @@ fn bound_ledger(folder: &SessionFolder) -> Result<Ledger, SessionError> {
     Ok(ledger)
 }
 
-/// Binds a ledger to its settings: an empty ledger records their checksum; a ledger whose recorded
-/// checksum differs from the folder's settings is refused. A ledger without a recorded checksum
-/// comes from an older program and is accepted.
+/// Binds a ledger to its settings: the empty ledger of a new session records their checksum; a
+/// ledger whose recorded checksum differs from that of the folder's settings is refused. So is an
+/// empty one beside candidates, whose policies may have been trained with other settings.
 fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError> {
     let path = folder.paths().configuration();
     let bytes = folder
@@ -431,6 +436,9 @@ fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError>
         .map_err(|source| FolderError::Io { path: path.clone(), source })?;
     let found = file_checksum(&bytes);
     match ledger.entries().first() {
+        None if folder.has_candidates()? => {
+            Err(SessionError::BeginningLost { path: folder.paths().ledger() })
+        }
         None => Ok(ledger.append(Entry::Begun { settings: found })?),
         Some(Entry::Begun { settings }) if *settings != found => {
             Err(SessionError::SettingsChanged { path })
