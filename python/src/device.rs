@@ -505,7 +505,7 @@ fn ended_by(fault: Fault) -> PyErr {
 fn ending_text(ending: Ending) -> String {
     match ending {
         Ending::Completed => "completed".into(),
-        Ending::LeftBox(limit) => format!("left the box: {limit}"),
+        Ending::LeftBox(limit) => limit.to_string(),
         Ending::Stopped => "stopped".into(),
         Ending::Fault(fault) => fault.to_string(),
     }

@@ -41,7 +41,7 @@ fn densities(
     let root = SVGBackend::with_string(svg, (1000, 780)).into_drawing_area();
     root.fill(&WHITE)?;
     let spread = |distribution: &DomainDistribution| {
-        SHOWN.iter().any(|it| distribution.get(*it).standard_deviation() > 0.0)
+        SHOWN.iter().any(|it| distribution.marginal(*it).standard_deviation() > 0.0)
     };
     let named = recipes.iter().enumerate();
     let mut entries: Vec<(String, Key)> = named
@@ -92,7 +92,7 @@ fn density_panel(
         INK.stroke_width(1),
     ))?;
     for (index, (_, distribution)) in recipes.iter().enumerate() {
-        let drawn = distribution.get(parameter);
+        let drawn = distribution.marginal(parameter);
         let peak = drawn.density(drawn.mean());
         if peak == 0.0 {
             continue;

@@ -47,7 +47,7 @@ pub struct Arguments {
     #[arg(long, value_name = "16u2|slow")]
     bridge: Option<UsbBridge>,
 
-    /// Fault of the emulated Qube, such as silent@10 (no answer from 10 s on); --help lists all faults
+    /// Fault of the emulated Qube, at most one, such as silent@10 (no answer from 10 s on); --help lists all faults
     #[arg(long, value_name = "FAULT", long_help = fault_help())]
     fault: Option<EmulatorFault>,
 }

@@ -7,7 +7,7 @@ use super::exit::Failure;
 use super::number_arguments::between;
 use super::profile;
 use crate::device::emulator::Effects;
-use crate::qube::{DomainParameter, MAX_CABLE_DRIFT_RAD_PER_MIN, PlantModel};
+use crate::qube::{DomainParameter, MAX_CABLE_DRIFT_RAD_PER_MIN, PlantModel, QubeModel};
 use crate::session::EmulatedQubeSettings;
 
 /// The arguments of the emulated Qube.
@@ -198,6 +198,7 @@ impl EmulatedArguments {
         if let Some(degrees) = self.play_deg {
             settings.play_rad = degrees.to_radians();
         }
+        self.check_effects(model)?;
         for (name, value) in &self.effect {
             for (known, slot, _) in settings.effects.named() {
                 if known == name {
@@ -206,6 +207,27 @@ impl EmulatedArguments {
             }
         }
         Ok(settings)
+    }
+}
+
+impl EmulatedArguments {
+    /// Refuses effects that change a force which this model does not have.
+    fn check_effects(&self, model: &QubeModel) -> Result<(), Failure> {
+        let gap = &model.nonidealities;
+        for (name, value) in self.effect.iter().filter(|(_, value)| *value != 0.0) {
+            let (has, force) = match name.as_str() {
+                "presliding_rad" | "stribeck" => (gap.coulomb_torque_n_m, "dry friction"),
+                "slack" => (gap.cable_stiffness_n_m_rad, "cable"),
+                _ => continue,
+            };
+            if has == 0.0 {
+                return Err(Failure::usage(format!(
+                    "--effect {name}={value} changes nothing, because this Qube has no {force}: give a \
+                     --profile that has, such as lab"
+                )));
+            }
+        }
+        Ok(())
     }
 }
 

@@ -1,6 +1,8 @@
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde_json::json;
 
 use super::destination::{OutputFile, OutputFolder};
@@ -31,7 +33,7 @@ pub struct Arguments {
     files: Vec<PathBuf>,
 
     /// Folder for the tables or models; created if it does not exist [default: beside each file]
-    #[arg(long, value_name = "DIR", value_parser = folder)]
+    #[arg(long, value_name = "DIR", value_parser = OsStringValueParser::new().try_map(folder))]
     out: Option<PathBuf>,
 
     /// Format of the tables: both have the same columns and numbers
@@ -48,13 +50,13 @@ pub struct Arguments {
 }
 
 /// Parses the folder of `--out`; refuses the name of a table, a likely mistake.
-fn folder(text: &str) -> Result<PathBuf, String> {
-    let extension = Path::new(text).extension().and_then(|it| it.to_str());
+fn folder(name: OsString) -> Result<PathBuf, String> {
+    let extension = Path::new(&name).extension().and_then(|it| it.to_str());
     match extension.map(str::to_ascii_lowercase).as_deref() {
         Some(format @ ("csv" | "parquet")) => Err(format!(
             "--out names a folder, in which each table has its recording's name: give a folder, and --format {format}"
         )),
-        _ => Ok(text.into()),
+        _ => Ok(name.into()),
     }
 }
 
@@ -194,11 +196,11 @@ mod tests {
     #[test]
     fn the_name_of_a_table_is_no_folder() {
         for (name, format) in [("x.parquet", "--format parquet"), ("logs/x.CSV", "--format csv")] {
-            let message = folder(name).unwrap_err();
+            let message = folder(name.into()).unwrap_err();
             assert!(message.contains(format), "{message}");
         }
         for name in ["tables", "logs/2.5", "../csv"] {
-            assert_eq!(folder(name).unwrap(), Path::new(name));
+            assert_eq!(folder(name.into()).unwrap(), Path::new(name));
         }
     }
 }

@@ -16,7 +16,7 @@ use crate::storage::MachineDisk;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil recover logs/monday/rollout-3.mcap\n  \
-    qube-hil recover rollout-3.mcap --out saved.mcap && qube-hil replay saved.mcap")]
+    qube-hil recover rollout-3.mcap --out saved.mcap; qube-hil replay saved.mcap")]
 pub struct Arguments {
     /// Truncated or damaged recording
     #[arg(value_name = "FILE")]

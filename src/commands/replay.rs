@@ -45,9 +45,9 @@ pub struct Arguments {
     #[arg(long)]
     simulate: bool,
 
-    /// The Qube to simulate: `ideal`, `lab`, or a file that `identify` wrote [default: the nominal
-    /// plant of each recording]
-    #[arg(long, value_name = "ideal|lab|FILE", requires = "simulate")]
+    /// The Qube to simulate, which --simulate is not needed for then: `ideal`, `lab`, or a file that
+    /// `identify` wrote [default: the nominal plant of each recording]
+    #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<PathBuf>,
 
     /// File for a moving picture (.svg) of the recording, for pages and slides: the pendulum and its angles
@@ -59,8 +59,15 @@ pub struct Arguments {
     force: bool,
 
     /// Folder for one picture (.svg) of each recording with its simulation
-    #[arg(long, value_name = "DIR", requires = "simulate")]
+    #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
+}
+
+impl Arguments {
+    /// Whether each recording's voltages are to be simulated: a profile and pictures ask for it, too.
+    fn simulates(&self) -> bool {
+        self.simulate || self.profile.is_some() || self.plot.is_some()
+    }
 }
 
 /// The report on one file.
@@ -208,7 +215,7 @@ fn replay_file(
 ) -> Result<(), Problem> {
     let path = report.path.clone();
     let is_csv = is_csv(&path);
-    if is_csv && !arguments.simulate && arguments.animate.is_none() {
+    if is_csv && !arguments.simulates() && arguments.animate.is_none() {
         return Err(Problem::usage(format!(
             "{}: a table has no policy to run again; add --simulate to compare it with the simulator, or --animate to draw its motion",
             path.display()
@@ -224,7 +231,7 @@ fn replay_file(
             Some(log) => log,
             // Without ticks of the policy there is nothing to simulate or draw: settling failed, or
             // the file was truncated before the policy started.
-            None if arguments.simulate || arguments.animate.is_some() => {
+            None if arguments.simulates() || arguments.animate.is_some() => {
                 return Err(problem.unwrap_or_else(|| {
                     Problem::usage(format!(
                         "{}: the policy drove for less than two ticks, so there is no motion to simulate or draw",
@@ -258,7 +265,7 @@ fn draw_and_simulate(
         write_whole(&MachineDisk, picture, svg.as_bytes()).map_err(Problem::failed)?;
         report.picture = Some(picture.clone());
     }
-    if !arguments.simulate {
+    if !arguments.simulates() {
         return Ok(());
     }
     let model = match profile {

@@ -28,9 +28,8 @@ pub struct SessionProgress {
     candidates: u32,
     /// Whether the session ends with a policy that is trained on the nominal Qube, for comparison.
     has_baseline: bool,
-    /// Numbers of the candidates that are excitations: their rollouts are recordings and no
-    /// attempts to balance.
-    excitations: Vec<u32>,
+    /// Whether the session identifies its Qube.
+    identifies: bool,
     /// Number of updates of one training.
     updates: u32,
     pace: TrainingPace,
@@ -60,7 +59,7 @@ impl SessionProgress {
             stop: Arc::clone(&stop.flag),
             candidates,
             has_baseline: extent.baseline,
-            excitations: Vec::new(),
+            identifies: settings.identification.is_some(),
             updates,
             pace: TrainingPace::new(updates.saturating_mul(trainings)),
             returns: BTreeMap::new(),
@@ -90,9 +89,6 @@ impl SessionProgress {
                     Purpose::Verification => "the search's recommendation, to be verified",
                     Purpose::Incumbent => "the best candidate's policy, to be verified too",
                 };
-                if *purpose == Purpose::Excitation {
-                    self.excitations.push(*candidate);
-                }
                 let to_come = counts.most_searched.saturating_sub(counts.searched);
                 let last = candidate + 1 + to_come + u32::from(self.has_baseline);
                 self.candidates = counts.total.unwrap_or(last);
@@ -187,22 +183,25 @@ impl SessionProgress {
             SessionEvent::RolloutBegins { .. } => {
                 self.progress.update(|state| state.phase = ROLLOUTS.into());
             }
-            SessionEvent::Rollout { candidate, rollout, attempt, rig, verdict } => {
+            SessionEvent::Rollout { candidate, purpose, rollout, attempt, rig, verdict } => {
+                // Its rollouts are recordings and no attempts to balance.
+                let is_excitation = *purpose == Purpose::Excitation;
                 let on_rig = rig.map_or(String::new(), |rig| format!(" on rig {rig}"));
                 let again =
                     if *attempt > 0 { format!(" (try {})", attempt + 1) } else { String::new() };
                 let came_to = match verdict {
-                    Verdict::Result { .. } if self.excitations.contains(candidate) => "recorded".into(),
+                    Verdict::Result { .. } if is_excitation => "recorded".into(),
                     verdict => describe(verdict),
                 };
                 self.line(format!("candidate {candidate}, rollout {rollout}{on_rig}{again}: {came_to}"));
                 if let Verdict::Result { outcome, .. } = verdict
                     && let Ending::LeftBox(limit) = outcome.ending
+                    && !self.identifies
                     && let Some(hint) = command_hints::after_limit(limit)
                 {
                     self.line(hint.into());
                 }
-                if !self.excitations.contains(candidate)
+                if !is_excitation
                     && let Verdict::Result { return_, success, .. } = verdict
                 {
                     self.returned(*candidate, *return_, *success);
@@ -299,7 +298,7 @@ fn describe(verdict: &Verdict) -> String {
         Verdict::Unfinished => "stopped".into(),
         Verdict::Result { return_, success, outcome } => match outcome.ending {
             Ending::LeftBox(limit) => {
-                format!("{return_:.0}, left the box by {limit} after {} steps", outcome.steps)
+                format!("{return_:.0}, {limit}, after {} steps", outcome.steps)
             }
             _ if *success => format!("{return_:.0}, balances"),
             _ => format!("{return_:.0}, does not balance"),

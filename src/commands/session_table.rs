@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use serde_json::{Value, json};
@@ -6,10 +7,14 @@ use super::exit::Failure;
 use super::printable::one_line;
 use super::session_progress::identified;
 use super::{observer_resets_line, quietness_line, timing_lines};
+use crate::experiment::statistics::{Interval, wilson_interval};
+use crate::qube::{Profile, Quantity};
+use crate::scoring::Verdict;
 use crate::session::{
-    BestPolicy, Identification, Purpose, RigResults, ScoredCandidate, SessionReport,
+    BestPolicy, Identification, Purpose, RigResults, ScoredCandidate, SearchEnd, SessionReport,
 };
 use crate::simulation::PsiSpace;
+use crate::telemetry::Ending;
 
 /// A session's results as a table for people and as JSON for scripts.
 pub struct SessionTable(pub SessionReport);
@@ -74,17 +79,23 @@ impl SessionTable {
             };
             let _ = writeln!(
                 text,
-                "\nbest policy: {}\n{whose}: mean return {:.1} over {} rollouts, {} of them balance",
+                "\nbest policy: {}\n{whose}: mean return {:.1} over {} rollouts\n{}",
                 policy.display(),
                 scored.mean_return().unwrap_or(0.0),
                 scored.verdicts.len(),
-                scored.successes(),
+                verified(scored),
             );
             text.push_str(&quietness_line(&scored.quietness));
             let longest = report.psi.names().map(|name| name.len()).max().unwrap_or(0);
             for (dimension, value) in report.psi.dimensions().iter().zip(&candidate.psi) {
-                let (name, unit) = (dimension.target.to_string(), dimension.target.unit());
-                let _ = writeln!(text, "  {name:longest$}  {value:.5} {unit}");
+                let name = dimension.target.to_string();
+                let line = match dimension.target.unit() {
+                    "1" => format!("  {name:longest$}  {value:.5}"),
+                    "std" => format!("  {name:longest$}  {value:.5} standard errors"),
+                    unit => format!("  {name:longest$}  {value:.5} {unit}"),
+                };
+                text.push_str(&line);
+                text.push('\n');
             }
         }
         text.push_str(&self.rig_lines());
@@ -157,11 +168,15 @@ impl SessionTable {
                 )
             }
         };
-        if let Some(gain) = report.settled {
-            let _ = writeln!(
-                text,
-                "the search ended; one more candidate was expected to raise the return by {gain:.1}"
-            );
+        text.push_str(&least_certain(report.profile.as_ref()));
+        if let Some((reason, gain)) = report.ended {
+            let _ = writeln!(text, "the search ended: {reason}");
+            if reason != SearchEnd::Candidates(1) {
+                let _ = writeln!(
+                    text,
+                    "one more candidate was expected to raise the return by {gain:.1}"
+                );
+            }
         }
         let _ = writeln!(
             text,
@@ -190,7 +205,8 @@ impl SessionTable {
             "excitations": all(|purpose| purpose == Purpose::Excitation),
             "baseline": all(|purpose| purpose == Purpose::Baseline),
             "identification": identification(&report.identification),
-            "expected_gain": report.settled,
+            "expected_gain": report.ended.map(|(_, gain)| gain),
+            "search_ended": report.ended.map(|(reason, _)| reason.to_string()),
             "real_rollouts": report.real_rollouts(),
             "rollouts": report.rollouts(),
             "void_rollouts": report.void_rollouts,
@@ -265,6 +281,48 @@ fn digits(space: &PsiSpace, psi: &[f64]) -> String {
         .join(" ")
 }
 
+/// How many rollouts of the best policy balance and what that says of others; if some do not, how
+/// they ended.
+fn verified(scored: &ScoredCandidate) -> String {
+    let (successes, rollouts) = (scored.successes(), scored.verdicts.len());
+    let Interval { lower, upper } = wilson_interval(successes, rollouts);
+    let (least, most) = (100.0 * lower, 100.0 * upper);
+    let mut text =
+        format!("{successes} of {rollouts} balance, so {least:.0} to {most:.0} % of all do (95 %)");
+    let mut endings: BTreeMap<String, usize> = BTreeMap::new();
+    for verdict in scored.verdicts.iter().filter(|verdict| !verdict.is_success()) {
+        let Verdict::Result { outcome, .. } = verdict else { continue };
+        let ending = match outcome.ending {
+            Ending::LeftBox(limit) => limit.to_string(),
+            _ => "did not balance to the end".into(),
+        };
+        *endings.entry(ending).or_default() += 1;
+    }
+    for (ending, count) in endings {
+        let _ = write!(text, "\n{count} of {rollouts} times it {ending}");
+    }
+    text
+}
+
+/// The three values of a profile with the largest relative errors, as a line; empty without a
+/// profile.
+fn least_certain(profile: Option<&Profile>) -> String {
+    let Some(profile) = profile else { return String::new() };
+    let model = profile.model();
+    let relative = |quantity: Quantity| {
+        let share = profile.standard_error(quantity) / model.get(quantity).abs();
+        (share.is_finite() && share > 0.0).then_some((quantity.name(), share))
+    };
+    let mut errors: Vec<_> = Quantity::all().filter_map(relative).collect();
+    errors.sort_by(|(_, one), (_, other)| other.total_cmp(one));
+    let told: Vec<_> = errors
+        .iter()
+        .take(3)
+        .map(|(name, share)| format!("{name} +- {:.0} %", 100.0 * share))
+        .collect();
+    if told.is_empty() { String::new() } else { format!("least certain: {}\n", told.join(", ")) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -280,7 +338,8 @@ mod tests {
             observer_resets: 0,
             directory: "logs/one".into(),
             identification: Identification::None,
-            settled: None,
+            profile: None,
+            ended: None,
             rigs: Vec::new(),
             taken_out: Vec::new(),
             best: None,

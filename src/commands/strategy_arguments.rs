@@ -17,7 +17,13 @@ pub struct StrategyArguments {
     /// epopt, npdr, lsdr, fpo, adr, so-cma and history are methods from the literature (docs/rivals.md). Without
     /// --budgets, the result is the number of real rollouts until the recommendation succeeds in 90 % of --policies x
     /// --rollouts separate rollouts
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "resume")]
+    #[arg(
+        long,
+        visible_alias = "methods",
+        value_name = "NAMES",
+        value_delimiter = ',',
+        conflicts_with = "resume"
+    )]
     pub strategies: Vec<Method>,
 
     /// Repetitions of each method, each with its own seed

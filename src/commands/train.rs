@@ -21,7 +21,7 @@ use super::stop::Stop;
 use super::training_progress::TrainingProgress;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
-use crate::jobs::{Executor, JobError, LocalExecutor, TrainingJob};
+use crate::jobs::{Executor, JobError, LocalExecutor, SUCCEEDED, TrainingJob};
 use crate::learning::{
     Checkpointing, Origin, Preset, TrainError, TrainSettings, TrainUpdate, train_from,
 };
@@ -256,6 +256,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         "policy": path,
     });
     out.write(&trained.into_policy(origin).to_bytes())?;
+    if best_return < SUCCEEDED {
+        print_message(&format!(
+            "warning: the policy returns {best_return:.0} of 600 in its own simulations, so it has not learnt to \
+             balance: train it for longer (--updates, --preset robust), or let session train for this plant"
+        ));
+    }
     if let Some(Err(error)) = checkpointing.map(|checkpointing| checkpointing.remove()) {
         print_message(&format!("warning: {error}"));
     }

@@ -3,6 +3,10 @@ use serde::{Deserialize, Serialize};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::PlantModel;
 
+/// Distances between the stops that the operator of a rig may accept, rad: about a quarter less or
+/// more than the 4.78 rad of a Qube.
+pub const TRAVELS_RAD: std::ops::RangeInclusive<f64> = 3.6..=6.0;
+
 /// Source of the arm's middle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -43,7 +43,7 @@ pub use current_watch::WEAK_A_V;
 pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive, drive_warm};
 pub use error::{ControlError, ThreadGone};
 pub use homing::Homing;
-pub use homing_settings::{HomingMethod, HomingSettings};
+pub use homing_settings::{HomingMethod, HomingSettings, TRAVELS_RAD};
 pub use last_ticks::LAST_TICKS;
 pub use latency::LatencyHistogram;
 pub use machine::{ControlAction, ControlEvent, ControlState, state_diagram};

@@ -1,7 +1,7 @@
 //! Detectors of rest: arm and pendulum at rest before a rollout, the arm centred after a rollout,
 //! the arm still before homing. Also the extremes of a swing.
 
-use crate::qube::{State, wrap_angle};
+use crate::qube::{Encoder, Encoders, State, wrap_angle};
 
 /// Velocity below which the arm counts as stopped, rad/s.
 pub const STOPPED_RAD_S: f64 = 0.5;
@@ -13,23 +13,44 @@ pub const RECOIL: f64 = 0.7;
 /// Ticks at rest that a rollout requires before its policy starts: 0.3 s.
 const REST_TICKS: u32 = 30;
 
+/// Velocity below which arm and pendulum of a Qube count as at rest, rad/s: a flicker by one count
+/// (0.003 rad) looks like 0.3 rad/s as a difference.
+const AT_REST_RAD_S: f64 = 0.4;
+
 /// Detects when arm and pendulum have been at rest for 0.3 s.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct RestDetector {
     quiet_ticks: u32,
+    /// Velocity below which each counts as at rest, rad/s.
+    theta_rad_s: f64,
+    alpha_rad_s: f64,
+}
+
+impl Default for RestDetector {
+    /// A detector for a Qube's encoders.
+    fn default() -> Self {
+        Self { quiet_ticks: 0, theta_rad_s: AT_REST_RAD_S, alpha_rad_s: AT_REST_RAD_S }
+    }
 }
 
 impl RestDetector {
+    /// A detector that allows for a flicker by one count of these encoders.
+    pub fn of(encoders: Encoders) -> Self {
+        let at_rest_rad_s = |encoder: Encoder| {
+            let coarser = encoder.rad_per_count() / Encoder::QUBE.rad_per_count();
+            AT_REST_RAD_S * coarser.max(1.0)
+        };
+        let [theta_rad_s, alpha_rad_s] = [encoders.theta, encoders.alpha].map(at_rest_rad_s);
+        Self { quiet_ticks: 0, theta_rad_s, alpha_rad_s }
+    }
+
     /// Takes the next state and the arm's target angle, rad; returns true once the last 0.3 s were
-    /// quiet.
-    ///
-    /// The tolerances leave room for one encoder count (0.003 rad, and 0.3 rad/s as a difference)
-    /// and for friction that holds the arm a little off its target.
+    /// quiet. The tolerances leave room for friction that holds the arm a little off its target.
     pub fn at_rest(&mut self, state: &State, target_theta_rad: f64) -> bool {
         let quiet = (state.theta - target_theta_rad).abs() < 0.1
             && wrap_angle(state.alpha).abs() < 0.03
-            && state.theta_dot.abs() < 0.4
-            && state.alpha_dot.abs() < 0.4;
+            && state.theta_dot.abs() < self.theta_rad_s
+            && state.alpha_dot.abs() < self.alpha_rad_s;
         self.quiet_ticks = if quiet { self.quiet_ticks + 1 } else { 0 };
         self.quiet_ticks >= REST_TICKS
     }
@@ -161,5 +182,36 @@ impl Swing {
             middle_rad: 0.5 * (self.lowest_rad + self.highest_rad),
             width_rad: self.highest_rad - self.lowest_rad,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flicker_by_one_count_is_rest_however_coarse_the_encoder() {
+        let ticks_to_rest = |mut detector: RestDetector, counts: i32| {
+            let coarse = Encoder::try_from(counts).unwrap();
+            // The filter of 200 rad/s shows a step by one count as 82/s times the step.
+            let flicker_rad_s = 82.0 * coarse.rad_per_count();
+            let state = |tick: u32| State {
+                alpha_dot: if tick.is_multiple_of(8) { flicker_rad_s } else { 0.0 },
+                ..State::default()
+            };
+            (0..100).find(|tick| detector.at_rest(&state(*tick), 0.0))
+        };
+        let of = |counts| {
+            let alpha = Encoder::try_from(counts).unwrap();
+            RestDetector::of(Encoders { theta: Encoder::QUBE, alpha })
+        };
+        assert_eq!(ticks_to_rest(RestDetector::default(), 1024), None);
+        for counts in [1000, 1024, 2048, 8192] {
+            assert_eq!(ticks_to_rest(of(counts), counts), Some(29), "{counts} counts");
+        }
+        // A pendulum that moves is not at rest.
+        let swings = State { alpha_dot: 0.9, ..State::default() };
+        let mut detector = of(1024);
+        assert!(!(0..100).any(|_| detector.at_rest(&swings, 0.0)));
     }
 }

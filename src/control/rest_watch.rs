@@ -295,7 +295,7 @@ mod tests {
             watch.has_jumped()
         };
         assert!(jumps(2048) && !jumps(8192));
-        let mut coarse = RestWatch::new(Encoders { theta: encoder(256), alpha: encoder(256) });
+        let mut coarse = RestWatch::new(Encoders { theta: encoder(1000), alpha: encoder(1000) });
         let rested = (0..100).find_map(|tick| coarse.update(&sample(tick, (tick % 2) as i32, 0)));
         assert!(rested.is_some());
     }

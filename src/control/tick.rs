@@ -103,7 +103,11 @@ impl<C: Controller> Tick<C> {
             asking: None,
             settler: Settler::of(plant),
             gentle: GentleSettler::of(plant, settings.rules),
-            rest: RestDetector::default(),
+            rest: if settings.rules >= TickRules::RestByEncoders {
+                RestDetector::of(plant.encoders)
+            } else {
+                RestDetector::default()
+            },
             centred: if cross_checks {
                 CentredDetector::off_stops(hard_stop_rad - room_rad)
             } else {

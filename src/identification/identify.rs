@@ -202,7 +202,8 @@ impl fmt::Display for Cause {
         let sign = match self {
             Self::Unknown => {
                 return f.write_str(
-                    "No reversed sign explains them either: is the pendulum a different one, or does \
+                    "No reversed sign explains them either: are all recordings of one Qube, is the \
+                     pendulum a different one, is a value that was not to be fitted wrong, or does \
                      something in the drive slip or stick?",
                 );
             }

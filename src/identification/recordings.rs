@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::fitness::{Unfit, check_recording};
 use super::stretch::duration_of;
 use crate::qube::{PlantModel, PlantName};
-use crate::replay::{Incomplete, MotionLog, MotionLogError, RecordedMotion};
+use crate::replay::{Incomplete, MotionLog, MotionLogError, MotionSample, RecordedMotion};
 
 /// Recordings of one plant that can be fitted or predicted, in `N` groups.
 #[derive(Debug)]
@@ -81,7 +81,7 @@ pub enum RecordingsError {
         /// Reason why it is refused.
         why: Unfit,
     },
-    /// Two files hold the same motion.
+    /// A file holds the motion of another one, or a part of it.
     #[error(
         "{path} holds the same motion as {other}: the same data would count as new evidence. Name each recording once"
     )]
@@ -161,7 +161,7 @@ pub fn read_recordings<const N: usize>(
     let all: Vec<(&PathBuf, &MotionLog)> =
         used.iter().flatten().zip(read.iter().flatten()).collect();
     for (index, &(path, log)) in all.iter().enumerate() {
-        let same = all[..index].iter().find(|(_, other)| other.samples == log.samples);
+        let same = all[..index].iter().find(|(_, other)| hold_same_motion(log, other));
         if let Some((other, _)) = same {
             let (path, other) = (path.clone(), PathBuf::clone(other));
             return Err(RecordingsError::SameMotion { path, other });
@@ -169,6 +169,27 @@ pub fn read_recordings<const N: usize>(
     }
     let (plant, boards) = (plant.unwrap_or_default(), boards.into_iter().collect());
     Ok(Recordings { groups: read, files: used, left_out, plant, boards, incomplete })
+}
+
+/// Largest difference of an angle, rad, or a voltage, V, by which the writing of a table changes it.
+const WRITTEN_WITHIN: f64 = 1e-4;
+
+/// Whether one of two motions is contained in the other: a copy, a table exported from it, or the
+/// saved part of a cut recording.
+fn hold_same_motion(one: &MotionLog, other: &MotionLog) -> bool {
+    let (short, long) = if one.samples.len() <= other.samples.len() {
+        (&one.samples, &other.samples)
+    } else {
+        (&other.samples, &one.samples)
+    };
+    let close = |one: f64, other: f64| (one - other).abs() <= WRITTEN_WITHIN;
+    let same = |one: &MotionSample, other: &MotionSample| {
+        close(one.state.theta, other.state.theta)
+            && close(one.state.alpha, other.state.alpha)
+            && close(one.voltage_v, other.voltage_v)
+    };
+    let starts = 0..=long.len() - short.len();
+    starts.into_iter().any(|start| short.iter().zip(&long[start..]).all(|(a, b)| same(a, b)))
 }
 
 /// Reads one file; returns its motion and the board that made it, if the file names the board.

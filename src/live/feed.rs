@@ -317,7 +317,7 @@ fn end_shown(
     };
     let ending = match outcome.ending {
         Ending::Completed => "completed".to_owned(),
-        Ending::LeftBox(limit) => format!("left the box by {limit}"),
+        Ending::LeftBox(limit) => limit.to_string(),
         Ending::Stopped => "stopped".to_owned(),
         Ending::Fault(fault) => format!("fault: {fault}"),
     };

@@ -35,7 +35,7 @@ impl fmt::Display for Randomisation {
         let quantities: Vec<String> =
             random.map(|(quantity, drawn)| in_words(*quantity, drawn)).collect();
         match (quantities.is_empty(), self.directions.len()) {
-            (true, 0) => f.write_str("always the same Qube")?,
+            (true, 0) => f.write_str("always the same pendulum")?,
             (true, _) => {}
             (false, _) => f.write_str(&quantities.join(", "))?,
         }
@@ -113,7 +113,7 @@ mod tests {
         randomisation.distributions.retain(|_, drawn| !is_random(drawn));
         assert_eq!(randomisation.to_string(), more.strip_prefix("; ").unwrap());
         (randomisation.directions, randomisation.specimens) = Default::default();
-        assert_eq!(randomisation.to_string(), "always the same Qube");
+        assert_eq!(randomisation.to_string(), "always the same pendulum");
     }
 
     #[test]

@@ -40,9 +40,10 @@ impl Encoder {
     /// The encoder of a Qube, the same on both axes.
     pub const QUBE: Self = Self { counts_per_revolution: COUNTS_PER_REVOLUTION };
 
-    /// Fewest counts a revolution. A coarser encoder shows only fast motion within a control period
-    /// of 10 ms: at this limit, one count in a period is 2.5 rad/s.
-    const FEWEST: i32 = 256;
+    /// Fewest counts a revolution: 250 lines, four edges each. At this limit one count in a control
+    /// period of 10 ms is 0.6 rad/s; with coarser encoders the watches of the sensors report healthy
+    /// ones as frozen.
+    const FEWEST: i32 = 1000;
 
     /// Most counts a revolution. With more, the count of a pendulum that spins could overflow
     /// within a session: at this limit it holds 2048 turns.
@@ -187,7 +188,7 @@ mod tests {
 
     #[test]
     fn a_resolution_that_no_encoder_has_is_refused() {
-        for (counts, words) in [(0, "from 256"), (-2048, "from 256"), (1 << 21, "to 1048576")] {
+        for (counts, words) in [(0, "from 1000"), (-2048, "from 1000"), (1 << 21, "to 1048576")] {
             let refused = Encoder::try_from(counts).unwrap_err();
             assert!(refused.contains(words), "{refused}");
         }

@@ -222,6 +222,7 @@ fn hard_stop<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error
 
 fn largest_voltage<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, LARGEST_VOLTAGES_V)
+        .map_err(|error| D::Error::custom(format!("{error} V, the most that the wire carries")))
 }
 
 fn current<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
@@ -340,7 +341,7 @@ mod tests {
             ("D_p", "-1e-9", "from 0 to"),
             ("hard_stop_rad", "3.2", "from 0.6 to 3.1"),
             ("largest_voltage_v", "12.0", "from 3 to 5"),
-            ("theta_counts_per_revolution", "12", "from 256"),
+            ("theta_counts_per_revolution", "12", "from 1000"),
             ("continuous_a", "0.0", "from 0.05"),
             ("time_constant_s", "inf", "from 1 to 1000"),
             ("name", "\"a name with spaces\"", "name"),

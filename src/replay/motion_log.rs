@@ -44,7 +44,7 @@ pub enum Incomplete {
     #[error("ticks are missing in it")]
     LostTicks,
     /// The state left the box.
-    #[error("its rollout left the box by {0}")]
+    #[error("its rollout {0}")]
     LeftBox(Limit),
     /// Somebody stopped the rollout.
     #[error("its rollout was stopped")]

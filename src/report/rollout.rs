@@ -132,7 +132,7 @@ fn ending_words(outcome: &RolloutOutcome) -> String {
     match outcome.ending {
         Ending::Completed => format!("The policy took all {} steps", outcome.steps),
         Ending::LeftBox(limit) => {
-            format!("The guard ended it after {} steps, for the limit of {limit}", outcome.steps)
+            format!("It {limit}, after {} steps", outcome.steps)
         }
         Ending::Stopped => "Somebody stopped it".into(),
         Ending::Fault(fault) => format!("A fault ended it: {fault}"),

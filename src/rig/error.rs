@@ -1,10 +1,11 @@
 use thiserror::Error;
 
 use super::Doubt;
-use crate::control::{ControlError, ThreadGone};
+use crate::control::{ControlError, TRAVELS_RAD, ThreadGone};
 use crate::device::{DeviceError, LinkFault, RefusalReason};
 use crate::policy::{OtherPlant, PolicyFault};
 use crate::preflight::TooSlow;
+use crate::qube::HARD_STOP_RAD;
 use crate::recording::RecordingError;
 use crate::safety::HardwareRefusal;
 use crate::telemetry::{CheckResult, Consequence, Fault, TickRecord};
@@ -48,9 +49,9 @@ pub enum RigError {
     /// The distance between the arm's stops is not the expected one.
     #[error(
         "the arm's stops are {travel_rad:.2} rad apart, and should be {expected_rad:.2}: something is in \
-         its way (a cable, a hand, a screw), or this rig's stops are elsewhere. The motor is off. Clear \
-         the arm's way and start again; if nothing is in it, accept this rig's travel in qube.toml with \
-         travel_rad = {travel_rad:.2} under [homing]"
+         its way (a hand, a screw), its cable pulls harder than homing pushes, or this rig's stops are \
+         elsewhere. The motor is off. Turn the arm by hand from stop to stop, clear its way and start \
+         again{}", accept_travel(*travel_rad, *expected_rad)
     )]
     Travel {
         /// Measured distance, rad.
@@ -194,6 +195,19 @@ fn listed(results: &[CheckResult]) -> String {
         format!("\n  {}: {}\n    remedy: {remedy}", result.name, result.value)
     };
     results.iter().filter(|result| result.failed()).map(line).collect()
+}
+
+/// How to accept this distance between the stops, rad, if they really are that far apart; empty if
+/// nobody may accept it.
+fn accept_travel(travel_rad: f64, expected_rad: f64) -> String {
+    let of_qube_rad = travel_rad * 2.0 * HARD_STOP_RAD / expected_rad;
+    if !TRAVELS_RAD.contains(&of_qube_rad) {
+        return String::new();
+    }
+    format!(
+        ". If the stops really are so far apart, accept this rig's travel in qube.toml with \
+         travel_rad = {travel_rad:.2} under [homing]"
+    )
 }
 
 impl RigError {

@@ -182,6 +182,12 @@ impl Rig {
         self.identified.set(settings.identified());
     }
 
+    /// Takes the Qube for an unidentified one from the next rollout on, because it has moved unlike
+    /// its profile.
+    pub fn distrust_profile(&self) {
+        self.identified.set(None);
+    }
+
     /// Examines the Qube. Homing is the last check; it is left out if an earlier check failed. With
     /// `learn_signs` the rig adopts the signs that the examination finds.
     ///

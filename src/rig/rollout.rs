@@ -203,7 +203,7 @@ impl Rig {
                 "the Qube does not move as its profile predicts{how}, so it is guarded as an unknown one. Is the \
                  pendulum another one, or is the supply weak?"
             );
-            self.identified.set(None);
+            self.distrust_profile();
         }
         let path = recorder.finish(report.outcome.clone(), report.last_ticks)?;
         Ok(Recorded { path, outcome: report.outcome })

@@ -49,16 +49,17 @@ pub enum Limit {
     Unpredicted,
 }
 
+/// The end of a rollout at this limit, as a phrase whose subject is the rollout.
 impl std::fmt::Display for Limit {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(match self {
-            Self::Theta => "theta",
-            Self::Alpha => "alpha",
-            Self::ThetaDot => "theta_dot",
-            Self::AlphaDot => "alpha_dot",
-            Self::Envelope => "the speed envelope",
-            Self::Foresight => "the limit of the brake",
-            Self::Unpredicted => "the motion that its profile predicts",
+            Self::Theta => "left the box by theta",
+            Self::Alpha => "left the box by alpha",
+            Self::ThetaDot => "left the box by theta_dot",
+            Self::AlphaDot => "left the box by alpha_dot",
+            Self::Envelope => "was ended by the speed envelope",
+            Self::Foresight => "was ended by the guard before the brake would come too late",
+            Self::Unpredicted => "was ended by the guard because the Qube moved unlike its profile",
         })
     }
 }

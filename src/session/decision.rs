@@ -29,6 +29,43 @@ pub enum Decision {
     End,
 }
 
+/// The reason for which a search around an identified Qube ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SearchEnd {
+    /// A policy balanced quietly in all its verifying rollouts, and one more candidate was not
+    /// worth its while ([`WORTHWHILE_GAIN`]).
+    Verified,
+    /// The largest number of candidates, this one, was reached.
+    Candidates(u32),
+}
+
+impl SearchEnd {
+    /// The reason for which the search over these candidates ended. `largest` is the largest number
+    /// of searched candidates, and `expected_gain` the return that one more was expected to gain.
+    #[must_use]
+    pub fn of(candidates: &[ScoredCandidate], largest: u32, expected_gain: f64) -> Self {
+        let best = ScoredCandidate::best_verified(candidates);
+        match best.and_then(|index| candidates[index].rank()) {
+            Some((true, mean)) if expected_gain < WORTHWHILE_GAIN * mean => Self::Verified,
+            _ => Self::Candidates(largest),
+        }
+    }
+}
+
+impl std::fmt::Display for SearchEnd {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Verified => formatter.write_str(
+                "a policy is verified, and one more candidate was expected to gain less than 1 %",
+            ),
+            Self::Candidates(1) => formatter.write_str("its only candidate has run"),
+            Self::Candidates(largest) => {
+                write!(formatter, "the largest number of candidates, {largest}, is reached")
+            }
+        }
+    }
+}
+
 /// Decides the next move; all rollouts of `candidates` must be finished. `largest` is the largest
 /// number of searched candidates.
 ///

@@ -45,7 +45,7 @@ impl EmulatedQubeSettings {
     /// A number is out of its range; the text names the first one.
     pub fn check(&self) -> Result<(), String> {
         self.model.check().map_err(|error| format!("model.{error}"))?;
-        let largest_play_rad = Self::LARGEST_PLAY_DEG.to_radians();
+        let largest_play_rad = (Self::LARGEST_PLAY_DEG.to_radians() * 1e4).round() * 1e-4;
         for (name, value, largest) in [
             ("command_jitter_s", self.command_jitter_s, LARGEST_JITTER_S),
             ("play_rad", self.play_rad, largest_play_rad),

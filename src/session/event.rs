@@ -22,7 +22,8 @@ pub enum SessionEvent<'a> {
         /// Names of the effects that the verdict says are missing.
         doubts: &'a [String],
     },
-    /// No recording can be fitted yet, for this reason; another excitation follows.
+    /// Another excitation follows, for this reason: no recording can be fitted yet, or the Qube has
+    /// contradicted its profile.
     ExcitationRepeated(&'a str),
     /// The Qube could not be identified from its recordings, for this reason; the search continues
     /// as for an unknown Qube.
@@ -81,6 +82,8 @@ pub enum SessionEvent<'a> {
     Rollout {
         /// Number of the candidate.
         candidate: u32,
+        /// Purpose of the candidate.
+        purpose: Purpose,
         /// Number of the rollout.
         rollout: u32,
         /// Number of the attempt, from 0.

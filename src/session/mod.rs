@@ -43,7 +43,7 @@ mod training_time;
 mod view;
 
 pub use configuration_error::ConfigurationError;
-pub use decision::WORTHWHILE_GAIN;
+pub use decision::{SearchEnd, WORTHWHILE_GAIN};
 pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use emulated_qube::EmulatedQubeSettings;
 pub use error::SessionError;

@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::configuration::read;
 use super::settings_check::LARGEST_OFFSET_RAD;
 use super::{ConfigurationError, LibraryWatchdog, PowerTest};
-use crate::control::{HomingMethod, HomingSettings};
+use crate::control::{HomingMethod, HomingSettings, TRAVELS_RAD};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{MotorRating, PlantModel};
 use crate::safety::SafetyBox;
@@ -237,10 +237,6 @@ fn motor_rating<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MotorRatin
 fn is_nominal(rating: &MotorRating) -> bool {
     *rating == MotorRating::NOMINAL
 }
-
-/// Accepted distances between the stops of a rig, rad: about a quarter less or more than the 4.78
-/// rad of a Qube.
-pub(super) const TRAVELS_RAD: std::ops::RangeInclusive<f64> = 3.6..=6.0;
 
 fn travel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     let value = f64::deserialize(deserializer)?;

@@ -1,7 +1,10 @@
 use std::path::PathBuf;
 
-use super::{Candidate, Identification, Purpose, ScoredCandidate, Session, SessionError};
+use super::{
+    Candidate, Identification, Purpose, ScoredCandidate, SearchEnd, Session, SessionError,
+};
 use crate::policy::{Policy, PolicyError};
+use crate::qube::Profile;
 use crate::recording::read_on;
 use crate::scoring::Latencies;
 use crate::simulation::PsiSpace;
@@ -22,9 +25,11 @@ pub struct SessionReport {
     pub directory: PathBuf,
     /// State of the identification of the Qube.
     pub identification: Identification,
-    /// Gain in return that one more candidate was expected to bring when the search around an
-    /// identified Qube ended; `None` before its end and for other searches.
-    pub settled: Option<f64>,
+    /// Latest profile of the Qube, if it was identified.
+    pub profile: Option<Profile>,
+    /// Reason for which the search around an identified Qube ended, and the gain in return that one
+    /// more candidate was expected to bring then; `None` before its end and for other searches.
+    pub ended: Option<(SearchEnd, f64)>,
     /// Devices of the rigs that share the session, as they were named when it began; empty if there
     /// is one rig.
     pub rigs: Vec<String>,
@@ -69,7 +74,11 @@ impl SessionReport {
             observer_resets: 0,
             directory: paths.root().to_owned(),
             identification: session.state().identification().clone(),
-            settled: session.state().settled(),
+            profile: session.latest_profile()?,
+            ended: session.state().settled().map(|expected_gain| {
+                let plan = session.settings().identification.unwrap_or_default();
+                (SearchEnd::of(&candidates, plan.candidates, expected_gain), expected_gain)
+            }),
             rigs: session.settings().rigs.iter().map(|rig| rig.device.clone()).collect(),
             taken_out: session.state().taken_out().to_vec(),
             best: ScoredCandidate::best_verified(&candidates).map(|candidate| BestPolicy {

@@ -3,7 +3,7 @@
 use toml::{Table, Value};
 
 use super::SessionSettings;
-use super::qube_file::TRAVELS_RAD;
+use crate::control::TRAVELS_RAD;
 use crate::learning::TrainError;
 use crate::qube::{HARD_STOP_RAD, MAX_STEPS};
 use crate::safety::SafetyBox;

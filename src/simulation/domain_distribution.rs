@@ -231,6 +231,20 @@ impl DomainDistribution {
         sqrt(own * own + squares.sum::<f64>())
     }
 
+    /// The distribution of a quantity's draws before truncation, whatever the other quantities are:
+    /// its own, or, if directions move it too, the normal distribution with the mean and the
+    /// [`Self::standard_deviation`] of its draws.
+    #[must_use]
+    pub fn marginal(&self, quantity: impl Into<Quantity>) -> Distribution {
+        let quantity = quantity.into();
+        let own = self.get(quantity);
+        if self.directions.iter().all(|direction| direction.of(quantity) == 0.0) {
+            return own;
+        }
+        let standard_deviation = self.standard_deviation(quantity);
+        Distribution::Normal { mean: own.mean(), standard_deviation }
+    }
+
     /// Gives a quantity a distribution of this family with these moments. A standard deviation that
     /// is too large for the mean is reduced to the largest accepted one.
     pub(super) fn moments(

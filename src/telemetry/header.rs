@@ -74,11 +74,14 @@ pub enum TickRules {
     /// loses gain, the trim of settling grows more slowly where the gains have fallen, and the gains
     /// do not fall below a fifth.
     SettlingGainReducing,
+    /// As [`SettlingGainReducing`](Self::SettlingGainReducing); in addition, encoders with fewer
+    /// counts than a Qube's may flicker by one count at rest.
+    RestByEncoders,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::SettlingGainReducing;
+    pub const NEWEST: Self = Self::RestByEncoders;
 }
 
 /// The record that precedes a rollout.

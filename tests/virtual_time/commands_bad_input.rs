@@ -129,7 +129,10 @@ fn simulations_that_cannot_be() {
 #[test]
 fn emulated_qubes_that_cannot_be() {
     let directory = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &[&str]); 3] = [
+    let cases: [(&[&str], &[&str]); 6] = [
+        (&["--effect", "slack=0.5"], &["slack=0.5 changes nothing", "no cable"]),
+        (&["--effect", "stribeck=0.5"], &["stribeck=0.5 changes nothing", "no dry friction"]),
+        (&["--effect", "presliding_rad=0.02"], &["changes nothing", "no dry friction"]),
         (&["--cable-drift", "0.02"], &["--cable-drift", "no cable", "lab"]),
         (&["--profile", "lab", "--cable-drift", "-2"], &["--cable-drift", "from -1 to 1"]),
         (&["--profile", "lab", "--gap", "0", "--cable-drift", "0.02"], &["no cable"]),
@@ -200,8 +203,10 @@ fn names_that_are_no_text_are_names() {
     let made = run(&["run", "--policy", "classical", "--clock", "virtual", "--out"], out, &[]);
     assert_eq!(made["recordings"][0], "r\u{fffd}/rollout-0.mcap");
     let recording = Path::new(out).join("rollout-0.mcap");
+    std::fs::copy(directory.path().join(&recording), directory.path().join("r2.mcap")).unwrap();
     let replayed = run(&["replay"], recording.as_os_str(), &[]);
     assert_eq!(replayed["recordings"][0]["path"], made["recordings"][0]);
+    run(&["export", "r2.mcap", "--out"], out, &[]);
     let recovered = run(&["recover"], recording.as_os_str(), &[]);
     assert_eq!(recovered["path"], made["recordings"][0]);
 }

@@ -76,6 +76,10 @@ fn a_rollout_comes_out_again_bit_for_bit() {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(json(&output)["recordings"][0]["rmse"]["theta_rad"].is_number());
     assert!(fs::read_to_string(plots.join("rollout-0.svg")).unwrap().starts_with("<svg"));
+    // A profile is simulated without further words.
+    let output = qube_hil(&["replay", "--profile", "lab", "--json", path]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(json(&output)["recordings"][0]["rmse"]["theta_rad"].is_number());
 }
 
 #[test]

@@ -3,11 +3,13 @@
 
 use std::path::Path;
 use std::process::{Command, Output};
+use std::sync::Arc;
 
 use firmware_protocol::scaling::{motor_counts, motor_voltage_mv};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Profile, applied_voltage_mv};
-use qube_hil::session::{Extent, SessionSettings};
+use qube_hil::rig::{DeviceChoice, RigSettings};
+use qube_hil::session::{Extent, Session, SessionFolder, SessionSettings};
 use serde_json::Value;
 
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
@@ -220,8 +222,9 @@ fn a_session_says_that_its_rig_has_moved() {
     };
     configuration.emulated.model = emulated.model();
     let session = directory.path().join("one");
-    std::fs::create_dir_all(session.join("candidates")).unwrap();
-    std::fs::write(session.join("session.toml"), configuration.to_toml().unwrap()).unwrap();
+    let folder = SessionFolder::create(&session, &configuration.to_toml().unwrap()).unwrap();
+    let rig = RigSettings::in_virtual_time(DeviceChoice::Emulated);
+    drop(Session::open(folder, configuration, rig, Arc::default()).unwrap());
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes();
     for candidate in ["000", "001", "002", "003"] {
         let folder = session.join("candidates").join(candidate);
@@ -252,7 +255,8 @@ fn incomplete_recordings_are_named_with_the_seconds_that_are_used() {
     let directory = tempfile::tempdir().unwrap();
     let path = |name: &str| directory.path().join(name);
     let run = ["run", "--clock", "virtual", "--profile", "lab"];
-    qube_hil(directory.path(), &[&run[..], &["--excite", "chirp", "--out", "chirp"]].concat());
+    let chirps = ["--excite", "chirp", "--rollouts", "2", "--out", "chirp"];
+    qube_hil(directory.path(), &[&run[..], &chirps].concat());
     let whole = std::fs::read(path("chirp/rollout-0.mcap")).unwrap();
     std::fs::write(path("cut.mcap"), &whole[..whole.len() / 2]).unwrap();
     // This file lacks only its last bytes; every tick is there.
@@ -273,7 +277,7 @@ fn incomplete_recordings_are_named_with_the_seconds_that_are_used() {
 
     for (option, name) in [(None, "cut.mcap"), (Some("--holdout"), "cut.recovered.mcap")] {
         let files: Vec<&str> =
-            [Some("chirp/rollout-0.mcap"), option, Some(name)].into_iter().flatten().collect();
+            [Some("chirp/rollout-1.mcap"), option, Some(name)].into_iter().flatten().collect();
         let told = identify(&files, &format!("{name}.toml"));
         let stderr = String::from_utf8_lossy(&told.stderr);
         let incomplete = json(&told)["incomplete"].clone();
@@ -340,12 +344,18 @@ fn a_copy_of_a_recording_is_no_new_evidence() {
     let run = ["run", "--clock", "virtual", "--profile", "lab", "--excite", "chirp"];
     qube_hil(directory.path(), &[&run[..], &["--out", "chirp"]].concat());
     std::fs::copy(path("chirp/rollout-0.mcap"), path("copy.mcap")).unwrap();
-    for option in [&[][..], &["--holdout"]] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory.path()).args(["identify", "chirp/rollout-0.mcap"]);
-        let refused = command.args(option).arg("copy.mcap").output().unwrap();
-        assert_eq!(refused.status.code(), Some(2), "{option:?}");
-        let told = String::from_utf8_lossy(&refused.stderr).into_owned();
-        assert!(told.contains("copy.mcap holds the same motion as chirp/rollout-0.mcap"), "{told}");
+    qube_hil(directory.path(), &["export", "chirp/rollout-0.mcap", "--out", "tables"]);
+    let whole = std::fs::read(path("chirp/rollout-0.mcap")).unwrap();
+    std::fs::write(path("cut.mcap"), &whole[..whole.len() * 3 / 4]).unwrap();
+    for copy in ["copy.mcap", "tables/rollout-0.csv", "cut.mcap"] {
+        for option in [&[][..], &["--holdout"]] {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+            command.current_dir(directory.path()).args(["identify", "chirp/rollout-0.mcap"]);
+            let refused = command.args(option).arg(copy).output().unwrap();
+            let told = String::from_utf8_lossy(&refused.stderr).into_owned();
+            assert_eq!(refused.status.code(), Some(2), "{copy} {option:?}: {told}");
+            let words = format!("{copy} holds the same motion as chirp/rollout-0.mcap");
+            assert!(told.contains(&words), "{told}");
+        }
     }
 }

@@ -22,6 +22,7 @@ mod control_virtual_time;
 mod experiment_rivals;
 mod folders;
 mod fuzz_corpus;
+mod given_networks;
 #[path = "../harmless/mod.rs"]
 mod harmless;
 mod identification_other_plant;

@@ -6,15 +6,20 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 use assert_cmd::Command;
 use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
-use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::device::emulator::{Effects, EmulatorSettings};
 use qube_hil::device::{DeviceError, SerialLink};
 use qube_hil::policy::{ExcitationShape, Policy};
 use qube_hil::qube::Profile;
+use qube_hil::recording::{Recording, read};
 use qube_hil::rig::{Connect, DeviceChoice, RigSettings, TimedDevice};
+use qube_hil::safety::Limit;
 use qube_hil::session::{
-    IdentificationSettings, Session, SessionEvent, SessionFolder, SessionSettings,
+    IdentificationSettings, Session, SessionError, SessionEvent, SessionFolder, SessionSettings,
 };
+use qube_hil::telemetry::Ending;
 use serde_json::Value;
+
+use crate::given_networks::{Given, robust};
 
 /// Settings of a session whose trainings are too short to learn a swing-up.
 const SMALL: &str = "seed = 5\n\
@@ -234,6 +239,65 @@ fn an_excitation_that_cannot_be_fitted_is_repeated() {
     assert_eq!(excited_again(0), [0, 1, 0, 1]);
     // Two recordings cannot be fitted and do not count.
     assert_eq!(excited_again(2), [2, 1, 0, 1]);
+}
+
+/// Runs a session around a Qube far outside the equations, whose motion contradicts its profile, up
+/// to the end of candidate 2; with `interrupted` it is stopped after the first rollout of a policy
+/// and resumed. Returns its ledger, and the recordings of candidates 1 and 2.
+fn contradicted(directory: &Path, interrupted: bool) -> (Vec<u8>, [Recording; 2]) {
+    let mut settings = SessionSettings::quick();
+    settings.extent.rollouts = 1;
+    (settings.training.updates, settings.training.num_envs, settings.training.epochs) = (1, 16, 1);
+    let plan = IdentificationSettings { trainings: 1, ..IdentificationSettings::DEFAULT };
+    settings.identification = Some(plan);
+    let effects = Effects {
+        hysteresis_n_m: 0.002,
+        presliding_rad: 0.1,
+        eccentricity_rad: 0.03,
+        ..Effects::NONE
+    };
+    let model = Profile::lab().model();
+    let emulator =
+        EmulatorSettings { model, play_rad: 0.07, effects, ..EmulatorSettings::default() };
+    let root = directory.join(format!("{interrupted}"));
+    drop(SessionFolder::create(&root, &settings.to_toml().unwrap()).unwrap());
+    let stops_after = if interrupted { &[1, 2][..] } else { &[2] };
+    for last in stops_after {
+        let stop = Arc::new(AtomicBool::new(false));
+        let rig = RigSettings { homing: settings.homing, ..RigSettings::emulated(emulator) };
+        let folder = SessionFolder::open(&root).unwrap();
+        let ran = Session::open(folder, settings.clone(), rig, Arc::clone(&stop))
+            .unwrap()
+            .trained_by(Arc::new(Given::new(vec![robust()])))
+            .run(&mut |event| {
+                if let SessionEvent::Rollout { candidate, .. } = event {
+                    stop.store(candidate == *last, Ordering::Relaxed);
+                }
+            });
+        assert!(matches!(ran, Err(SessionError::Stopped)), "{ran:?}");
+    }
+    let recording = |candidate| {
+        read(&root.join(format!("candidates/00{candidate}/rollout-0-attempt-0.mcap"))).unwrap()
+    };
+    (std::fs::read(root.join("ledger.jsonl")).unwrap(), [1, 2].map(recording))
+}
+
+#[test]
+fn a_qube_that_contradicts_its_profile_is_excited_again_and_guarded_as_unknown_until_then() {
+    let directory = tempfile::tempdir().unwrap();
+    let (ledger, [first, second]) = contradicted(directory.path(), false);
+    let outcome = first.outcome.as_ref().unwrap();
+    assert_eq!(outcome.ending, Ending::LeftBox(Limit::Unpredicted));
+    // The rollout was too short for another fit.
+    assert!(outcome.steps < 200, "{outcome:?}");
+    assert!(matches!(Policy::from_bytes(&second.policy), Ok(Policy::Excitation(_))));
+    let is_known =
+        |recording: &Recording| recording.header.settings.foresight.unwrap().identified.is_some();
+    assert_eq!([&first, &second].map(is_known), [true, false]);
+
+    let (resumed, [_, second]) = contradicted(directory.path(), true);
+    assert!(ledger == resumed);
+    assert!(!is_known(&second), "the resumed session trusts the profile again");
 }
 
 #[test]

@@ -1,24 +1,16 @@
 //! Tests that a policy that buzzes is not what a session is content with.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use qube_hil::device::emulator::EmulatorSettings;
-use qube_hil::jobs::{Executor, JobEvent, LocalExecutor, TrainingJob};
-use qube_hil::policy::{Network, Policy};
+use qube_hil::policy::Network;
 use qube_hil::qube::Profile;
 use qube_hil::rig::RigSettings;
 use qube_hil::session::{
     IdentificationSettings, Session, SessionEvent, SessionFolder, SessionReport, SessionSettings,
 };
 
-/// The shipped policy `robust`.
-fn robust() -> Network {
-    match Policy::load("policies/robust.safetensors".as_ref()).unwrap() {
-        Policy::Network(policy) => policy.network,
-        other => panic!("{other:?}"),
-    }
-}
+use crate::given_networks::{Given, robust};
 
 /// The policy `robust` with all gains made so large that it buzzes.
 fn buzzing() -> Network {
@@ -27,35 +19,6 @@ fn buzzing() -> Network {
     let last = layers.last_mut().unwrap();
     last.weight.iter_mut().chain(&mut last.bias).for_each(|value| *value *= 2.5);
     Network::new(robust.sizes(), &layers, robust.action_scale_v()).unwrap()
-}
-
-/// Gives these networks in turn, the last one again and again, as the results of trainings.
-struct Given {
-    networks: Vec<Network>,
-    jobs: AtomicUsize,
-}
-
-impl Executor for Given {
-    fn concurrency(&self) -> usize {
-        1
-    }
-
-    fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
-        LocalExecutor::on_cores(1).train(jobs, stop, &mut |event| {
-            tell(match event {
-                JobEvent::Finished { job, result } => {
-                    let index = self.jobs.fetch_add(1, Ordering::SeqCst);
-                    let network = &self.networks[index.min(self.networks.len() - 1)];
-                    let with_network = |mut trained: Box<qube_hil::learning::Trained>| {
-                        trained.network = network.clone();
-                        trained
-                    };
-                    JobEvent::Finished { job, result: result.map(with_network) }
-                }
-                other => other,
-            });
-        });
-    }
 }
 
 #[test]
@@ -75,7 +38,7 @@ fn a_verified_policy_that_buzzes_is_searched_on_and_a_quiet_one_is_recommended()
     let emulator =
         EmulatorSettings { model: Profile::lab().model(), ..EmulatorSettings::default() };
     let rig = RigSettings { homing: settings.homing, ..RigSettings::emulated(emulator) };
-    let given = Given { networks: vec![buzzing(), robust()], jobs: AtomicUsize::new(0) };
+    let given = Given::new(vec![buzzing(), robust()]);
     let mut session =
         Session::open(folder, settings, rig, Arc::default()).unwrap().trained_by(Arc::new(given));
     let mut buzzed = 0;

@@ -109,7 +109,7 @@ impl Results {
         self.rollouts.push(match score_recording(&recording) {
             Verdict::Result { return_, success, outcome } => {
                 let ended_early = match outcome.ending {
-                    Ending::LeftBox(limit) => Some(format!("left the box: {limit}")),
+                    Ending::LeftBox(limit) => Some(limit.to_string()),
                     _ => None,
                 };
                 let outcome = match &ended_early {
@@ -183,7 +183,8 @@ impl Results {
         };
         text.push_str(&timing_lines(&self.latencies));
         let _ = write!(text, "recordings in {directory}");
-        if let Some(qube) = &self.excited {
+        let is_recorded = self.rollouts.iter().any(|it| it.return_.is_some());
+        if let Some(qube) = self.excited.as_ref().filter(|_| is_recorded) {
             let word = quoted(&directory.to_string());
             let _ = write!(text, "\nqube-hil identify {word}/*.mcap identifies {qube}");
         }

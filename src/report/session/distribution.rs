@@ -34,6 +34,13 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
          these distributions; the dashed vertical line marks the nominal Qube, as its maker describes it.",
         whose = crate::report::rollout::first_upper(whose)
     ));
+    let directions = distribution.directions().len();
+    if directions > 0 {
+        page.paragraph(&format!(
+            "The draws are correlated: {directions} joint deviations, the errors of the fit, move several properties at \
+             once. Each curve shows one property whatever the others are."
+        ));
+    }
     let nominal = settings.plant().nominal();
     let base = settings.base_distribution().ok();
     let order = FIRST.into_iter().map(Quantity::Parameter);
@@ -41,8 +48,8 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     let all: Vec<Quantity> = order.clone().chain(others).collect();
     page.grid(|page| {
         for quantity in all.iter().copied() {
-            let drawn = distribution.get(quantity);
-            let before = base.as_ref().map(|base| base.get(quantity));
+            let drawn = distribution.marginal(quantity);
+            let before = base.as_ref().map(|base| base.marginal(quantity));
             if has_spread(&drawn) {
                 let mut curves = vec![("in its training", drawn)];
                 curves.extend(before.filter(|it| *it != drawn).map(|it| ("before the search", it)));
@@ -55,7 +62,7 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         let rows: Vec<Vec<Cell>> = all
             .iter()
             .map(|&quantity| {
-                let drawn = distribution.get(quantity);
+                let drawn = distribution.marginal(quantity);
                 let value = nominal.get(quantity);
                 let ratio = (value != 0.0).then(|| drawn.mean() / value);
                 vec![

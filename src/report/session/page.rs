@@ -7,7 +7,7 @@ use crate::report::provenance::add_provenance;
 use crate::report::rollout::{ROLLOUT_HEADS, RolloutView, add_player, rollout_cells};
 use crate::report::timing::add_timing;
 use crate::scoring::criterion::SUCCESS_RETURN;
-use crate::session::{Identification, Purpose, ScoredCandidate};
+use crate::session::{Identification, Purpose, ScoredCandidate, SearchEnd};
 
 /// The report on a session as one HTML page. `name` is the session's folder. `commands` are the
 /// commands that repeat the session and use its result, each with its purpose.
@@ -86,8 +86,10 @@ fn outcome(source: &SessionSource) -> Vec<String> {
     if let (Identification::Found { .. }, Some(gain)) =
         (source.state.identification(), source.state.settled())
     {
+        let plan = source.settings.identification.unwrap_or_default();
+        let reason = SearchEnd::of(&source.candidates, plan.candidates, gain);
         sentences.push(format!(
-            "When the search ended, one more candidate was expected to gain a return of {gain:.1}."
+            "The search ended: {reason}. One more candidate was expected to gain a return of {gain:.1}."
         ));
     }
     let baseline = source.candidates.iter().find(|it| it.candidate.purpose == Purpose::Baseline);

@@ -173,7 +173,8 @@ impl Session {
 
     /// Proposes a candidate: first the distribution exactly as identified, then points of the
     /// search around the identified Qube. Before each of these points the profile is updated with
-    /// the recordings so far.
+    /// the recordings so far. If they have contradicted it and do not suffice for an update, another
+    /// excitation is proposed instead.
     fn propose_around(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -189,6 +190,12 @@ impl Session {
             && found.recordings > used
         {
             self.append_profile(*found, on_event)?;
+        }
+        // The guard would take the Qube for an unknown one and end nearly every swing-up.
+        if self.has_contradicted_profile() && self.may_excite_again() {
+            let reason = "the Qube has moved unlike its profile";
+            on_event(SessionEvent::ExcitationRepeated(reason));
+            return self.append_proposal(Proposal::of(Purpose::Excitation, Vec::new()), on_event);
         }
         let purpose = if searched < INITIAL_AROUND { Purpose::Initial } else { Purpose::Search };
         let mut strategy = self.settings.search()?;
@@ -278,6 +285,19 @@ impl Session {
         let checksum = file_checksum(text.as_bytes());
         self.ledger.append(Entry::Identified { recordings, verdict, doubts, checksum })?;
         self.search_around_identified()
+    }
+
+    /// The latest profile; `None` if the Qube is not identified.
+    ///
+    /// # Errors
+    /// The profile cannot be read or was changed.
+    pub fn latest_profile(&self) -> Result<Option<Profile>, SessionError> {
+        match self.ledger.state().identification() {
+            Identification::Found { profiles, .. } => {
+                profiles.last().map(|latest| self.profile_of(latest)).transpose()
+            }
+            _ => Ok(None),
+        }
     }
 
     /// Reads a profile from the session's folder and checks it against the ledger.

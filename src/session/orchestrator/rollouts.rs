@@ -8,6 +8,7 @@ use crate::policy::{EXCITATION_STEPS, Policy};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::rig::{ClockChoice, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
+use crate::safety::Limit;
 use crate::scoring::{Verdict, score_recording};
 use crate::session::finished_rollout::{check_origin, check_policy};
 use crate::session::folder::put_aside;
@@ -17,6 +18,7 @@ use crate::session::{
     DRIFT_ROLLOUTS, Drift, Entry, RolloutPlan, ScoredRollout, SessionError, SessionEvent,
     rig_of_rollout,
 };
+use crate::telemetry::Ending;
 
 /// A rig of the session and its state in this process.
 pub(super) struct SessionRig {
@@ -217,6 +219,7 @@ impl Session {
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let number = self.number_of(index);
+        let contradicted = self.has_contradicted_profile();
         let SessionRig { settings, opened, .. } = &mut self.rigs[index];
         if settings.clock == ClockChoice::Virtual {
             settings.emulator.seed = derived_seed(self.settings.seed, emulator);
@@ -233,10 +236,30 @@ impl Session {
             // An acknowledgement holds for one doubt only.
             settings.recovery.acknowledged = false;
             settings.recovery.doubt = None;
+            if contradicted {
+                rig.distrust_profile();
+            }
             on_event(SessionEvent::Connected { rig: number, opened: &rig });
             *opened = Some(rig);
         }
         Ok(())
+    }
+
+    /// Whether the Qube has moved unlike its latest profile in a finished rollout since that profile
+    /// was found. A rig that stays open remembers it; one that is opened anew must be told.
+    pub(super) fn has_contradicted_profile(&self) -> bool {
+        let entries = self.ledger.entries().iter().rev();
+        let mut since = entries.take_while(|entry| !matches!(entry, Entry::Identified { .. }));
+        since.any(|entry| {
+            let Entry::RolloutFinished { candidate, rollout, attempt, .. } = *entry else {
+                return false;
+            };
+            let scored = self.scored.get(&(candidate, rollout, attempt));
+            let Some(Verdict::Result { outcome, .. }) = scored.map(|it| &it.verdict) else {
+                return false;
+            };
+            outcome.ending == Ending::LeftBox(Limit::Unpredicted)
+        })
     }
 
     /// Records these rollouts side by side; returns the errors with the indices of their rigs.
@@ -324,7 +347,10 @@ impl Session {
         let path = self.recording(candidate, rollout, attempt);
         let recording = read_on(self.folder.disk(), &path)?;
         let verdict = score_recording(&recording);
-        on_event(SessionEvent::Rollout { candidate, rollout, attempt, rig, verdict: &verdict });
+        let purpose = self.ledger.state().candidates()[candidate as usize].purpose;
+        let rolled_out =
+            SessionEvent::Rollout { candidate, purpose, rollout, attempt, rig, verdict: &verdict };
+        on_event(rolled_out);
         match &verdict {
             Verdict::Result { .. } => {
                 self.ledger.append(Entry::RolloutFinished { candidate, rollout, attempt, rig })?;
