@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use super::screen::{Progress, ScreenState, time_left};
+use super::screen::{Progress, ScreenState, in_words, time_left};
 use super::stop::Stop;
 use crate::experiment::{
     ExperimentEvent, ExperimentSettings, Made, Recipe, RecommendationResult, Repetition, Score,
@@ -86,7 +86,7 @@ impl ExperimentProgress {
                 let kinds: Vec<String> = Behaviour::ALL
                     .into_iter()
                     .filter(|&kind| count(kind) > 0)
-                    .map(|kind| format!("{} {}", count(kind), kind.name().replace('_', " ")))
+                    .map(|kind| format!("{} {}", count(kind), told(kind)))
                     .collect();
                 let returns: Vec<f64> = results.iter().filter_map(|it| it.return_).collect();
                 let kinds = kinds.join(", ");
@@ -97,8 +97,9 @@ impl ExperimentProgress {
                     self.better(mean, &format!("{recipe}, policy {policy} on {plant}"));
                     format!("mean return {mean:.0}")
                 };
-                self.line(format!("{recipe} {policy} on {plant}: {outcome}; {kinds}"));
                 self.count_finished(1, *made);
+                let progress = self.done_in_words();
+                self.line(format!("{recipe} {policy} on {plant}: {outcome}; {kinds} ({progress})"));
                 self.progress.wait_while_paused(&self.stop);
             }
             ExperimentEvent::Scored { repetition, recommendation } => {
@@ -118,6 +119,16 @@ impl ExperimentProgress {
         }
         self.done.fetch_add(pieces, Ordering::Relaxed);
         self.progress.update(|state| self.expect_end(state));
+    }
+
+    /// The pieces of work that are done, of all, and the time left, if it can be estimated.
+    fn done_in_words(&self) -> String {
+        let [done, found] = [&self.done, &self.found].map(|count| count.load(Ordering::Relaxed));
+        let (made, to_do) = (done.saturating_sub(found), self.count.saturating_sub(done));
+        let left = time_left(self.began.elapsed(), made as f64, to_do as f64);
+        let left = left.filter(|_| to_do > 0);
+        let left = left.map_or(String::new(), |left| format!("; about {} left", in_words(left)));
+        format!("{done} of {}{left}", self.count)
     }
 
     /// Shows when the experiment will probably end, by the time that the work of this process took.
@@ -214,6 +225,18 @@ impl ExperimentProgress {
 
     fn line(&self, text: String) {
         self.progress.line(&text);
+    }
+}
+
+/// A behaviour in the words of the table.
+fn told(behaviour: Behaviour) -> &'static str {
+    match behaviour {
+        Behaviour::Balanced => "balanced",
+        Behaviour::BalancedLate => "balanced late",
+        Behaviour::LeftBox => "left the box or were ended by the guard",
+        Behaviour::Chattered => "chattered",
+        Behaviour::Fell => "fell",
+        Behaviour::Fault => "void",
     }
 }
 

@@ -28,8 +28,9 @@ pub struct SessionProgress {
     candidates: u32,
     /// Whether the session ends with a policy that is trained on the nominal Qube, for comparison.
     has_baseline: bool,
-    /// Whether the session identifies its Qube.
-    identifies: bool,
+    /// Largest number of candidates around the identified Qube; `None` if the session identifies
+    /// none.
+    around: Option<u32>,
     /// Number of updates of one training.
     updates: u32,
     pace: TrainingPace,
@@ -59,7 +60,7 @@ impl SessionProgress {
             stop: Arc::clone(&stop.flag),
             candidates,
             has_baseline: extent.baseline,
-            identifies: settings.identification.is_some(),
+            around: settings.identification.map(|plan| plan.candidates),
             updates,
             pace: TrainingPace::new(updates.saturating_mul(trainings)),
             returns: BTreeMap::new(),
@@ -163,6 +164,9 @@ impl SessionProgress {
                      changes/s), so the search continues"
                 ));
             }
+            SessionEvent::SearchEnded { .. } if self.around == Some(1) => {
+                self.line("the only candidate has run".into());
+            }
             SessionEvent::SearchEnded { expected_gain } => self.line(format!(
                 "the search ends; one more candidate is expected to gain a return of {expected_gain:.1}"
             )),
@@ -196,7 +200,7 @@ impl SessionProgress {
                 self.line(format!("candidate {candidate}, rollout {rollout}{on_rig}{again}: {came_to}"));
                 if let Verdict::Result { outcome, .. } = verdict
                     && let Ending::LeftBox(limit) = outcome.ending
-                    && !self.identifies
+                    && self.around.is_none()
                     && let Some(hint) = command_hints::after_limit(limit)
                 {
                     self.line(hint.into());

@@ -8,7 +8,7 @@ use super::printable::one_line;
 use super::session_progress::identified;
 use super::{observer_resets_line, quietness_line, timing_lines};
 use crate::experiment::statistics::{Interval, wilson_interval};
-use crate::qube::{Profile, Quantity};
+use crate::qube::{DomainParameter, Profile, Quantity};
 use crate::scoring::Verdict;
 use crate::session::{
     BestPolicy, Identification, Purpose, RigResults, ScoredCandidate, SearchEnd, SessionReport,
@@ -58,14 +58,14 @@ impl SessionTable {
                 Some(mean) => format!("{mean:11.1}"),
                 None => format!("{:>11}", "-"),
             };
-            let _ = writeln!(
-                text,
+            let row = format!(
                 "{:4}  {purpose:11} {mean}  {:2} of {:<2}  {}",
                 candidate.number,
                 scored.successes(),
                 scored.verdicts.len(),
                 digits(&report.psi, &candidate.psi),
             );
+            let _ = writeln!(text, "{}", row.trim_end());
         }
         let _ = writeln!(text, "      psi: {}", report.psi.names().collect::<Vec<_>>().join(" "));
         if let Some(BestPolicy { candidate, policy }) = &report.best {
@@ -304,16 +304,17 @@ fn verified(scored: &ScoredCandidate) -> String {
     text
 }
 
-/// The three values of a profile with the largest relative errors, as a line; empty without a
-/// profile.
+/// The three parameters of a profile with the largest relative errors, as a line; empty without a
+/// profile. Friction, dead zones and cable may be 0, so that a relative error says nothing of them.
 fn least_certain(profile: Option<&Profile>) -> String {
     let Some(profile) = profile else { return String::new() };
     let model = profile.model();
-    let relative = |quantity: Quantity| {
+    let relative = |parameter: DomainParameter| {
+        let quantity = Quantity::Parameter(parameter);
         let share = profile.standard_error(quantity) / model.get(quantity).abs();
         (share.is_finite() && share > 0.0).then_some((quantity.name(), share))
     };
-    let mut errors: Vec<_> = Quantity::all().filter_map(relative).collect();
+    let mut errors: Vec<_> = DomainParameter::ALL.into_iter().filter_map(relative).collect();
     errors.sort_by(|(_, one), (_, other)| other.total_cmp(one));
     let told: Vec<_> = errors
         .iter()

@@ -12,7 +12,7 @@ use crate::elementary::Scalar;
 pub(super) struct Dual<const N: usize> {
     /// The number.
     pub value: f64,
-    /// Its derivatives.
+    /// Derivatives of the number with respect to the inputs.
     pub slopes: [f64; N],
 }
 

@@ -43,7 +43,7 @@ pub struct IncompleteRecording {
 pub struct LeftOut {
     /// Path of the file.
     pub path: PathBuf,
-    /// What it lacks, in a sentence that names the file.
+    /// Defect of the recording, in a sentence that names the file.
     pub why: RecordingsError,
 }
 

@@ -164,7 +164,7 @@ pub enum PolicyFault {
     Training {
         /// Name of the entry.
         name: &'static str,
-        /// Its value.
+        /// Value of the entry.
         value: f64,
         /// Accepted values.
         bound: &'static str,

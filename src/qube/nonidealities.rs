@@ -56,7 +56,7 @@ pub enum ModelError {
     Nonideality {
         /// Name of the entry.
         name: &'static str,
-        /// Its value.
+        /// Value of the entry, in its unit.
         value: f64,
         /// Smallest accepted value.
         smallest: f64,

@@ -68,7 +68,7 @@ pub enum ParameterError {
     NotPositive {
         /// The parameter's symbol.
         symbol: &'static str,
-        /// Its value.
+        /// Value of the parameter, in its unit.
         value: f64,
     },
     /// A damping or the motor constant is below zero.
@@ -76,7 +76,7 @@ pub enum ParameterError {
     Negative {
         /// The parameter's symbol.
         symbol: &'static str,
-        /// Its value.
+        /// Value of the parameter, in its unit.
         value: f64,
     },
     /// The value is not a number, or larger than [`DomainParameter::largest`].
@@ -84,9 +84,9 @@ pub enum ParameterError {
     OutOfRange {
         /// The parameter's symbol.
         symbol: &'static str,
-        /// Its value.
+        /// Value of the parameter, in its unit.
         value: f64,
-        /// Its largest accepted value.
+        /// Largest accepted value of the parameter.
         largest: f64,
         /// Unit of both.
         unit: &'static str,

@@ -102,7 +102,7 @@ pub enum ProfileError {
     StandardError {
         /// Name of the quantity.
         name: &'static str,
-        /// Its standard error.
+        /// Standard error of the quantity, in its unit.
         value: f64,
         /// Largest accepted standard error.
         largest: f64,

@@ -93,9 +93,9 @@ pub enum BeliefError {
     Interval {
         /// Name of the number.
         name: &'static str,
-        /// Its lower end.
+        /// Lower end of the number.
         low: f64,
-        /// Its upper end.
+        /// Upper end of the number.
         high: f64,
     },
     /// The delay is longer than the history of commands.

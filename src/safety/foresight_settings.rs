@@ -100,9 +100,9 @@ pub enum ForesightError {
     /// A number lies outside its range.
     #[error("foresight.{name} = {value}: give a number from {least} to {most}")]
     Number {
-        /// Its key.
+        /// Key of the number.
         name: &'static str,
-        /// Its value.
+        /// Value of the number.
         value: f64,
         /// Smallest accepted value.
         least: f64,

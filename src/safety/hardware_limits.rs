@@ -52,7 +52,7 @@ pub enum HardwareRefusal {
     Limit {
         /// Name of the limit.
         name: &'static str,
-        /// Its value.
+        /// Value of the limit, in its unit.
         value: f64,
         /// Largest accepted value.
         widest: f64,

@@ -23,9 +23,9 @@ pub enum SurrogateError {
     BoundNotFinite {
         /// Index of the dimension, from 0.
         dimension: usize,
-        /// Its lower bound.
+        /// Lower bound of the dimension.
         lower: f64,
-        /// Its upper bound.
+        /// Upper bound of the dimension.
         upper: f64,
     },
     /// A lower bound is equal to the upper one, or above it.
@@ -35,9 +35,9 @@ pub enum SurrogateError {
     LowerNotBelowUpper {
         /// Index of the dimension, from 0.
         dimension: usize,
-        /// Its lower bound.
+        /// Lower bound of the dimension.
         lower: f64,
-        /// Its upper bound.
+        /// Upper bound of the dimension.
         upper: f64,
     },
     /// There is no observation.
@@ -74,7 +74,7 @@ pub enum SurrogateError {
         index: usize,
         /// Index of the coordinate, from 0.
         dimension: usize,
-        /// Its value.
+        /// Value of the coordinate.
         value: f64,
         /// The lower bound there.
         lower: f64,

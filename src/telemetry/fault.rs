@@ -29,10 +29,10 @@ impl Consequence {
     pub fn sentence(self) -> &'static str {
         match self {
             Self::TryAgain => {
-                "sends a hello, waits for rest, homes and tries again, at most 3 times"
+                "sends a hello, waits for rest, homes and tries again, by default at most 3 times"
             }
             Self::Reconnect => {
-                "opens the same port again for 30 s; the same board is then homed and the rollout \
+                "opens the same port again, by default for 30 s; the same board is then homed and the rollout \
                  repeated"
             }
             Self::Examine => {
