@@ -6,6 +6,7 @@
 
 mod animation;
 mod budgets;
+mod correlations;
 mod densities;
 mod motion;
 mod noise;
@@ -18,6 +19,7 @@ mod training_progress;
 
 pub use animation::animation_svg;
 pub use budgets::{ShareOfPlant, budgets_svg};
+pub use correlations::correlations_svg;
 pub use densities::densities_svg;
 pub use motion::motion_svg;
 pub use noise::noise_svg;

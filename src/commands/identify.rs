@@ -11,7 +11,7 @@ use super::picture_names::picture_names;
 use super::plant_file::PlantArgument;
 use super::printable::print_message;
 use super::profile;
-use crate::charts::motion_svg;
+use crate::charts::{correlations_svg, motion_svg};
 use crate::identification::{
     Blind, Estimate, ExpectedExcitation, HorizonError, Identified, IncompleteRecording, LeftOut,
     ModelVerdict, Phase, PredictionBand, Recordings, Unknown, comes_upright, horizon_error,
@@ -77,7 +77,8 @@ pub struct Arguments {
     #[arg(long, value_name = "NAME")]
     fix: Vec<String>,
 
-    /// Also draw each recording with the model's simulation, as SVG, into this folder
+    /// Also draw each recording with the model's simulation, and the correlations of the errors
+    /// (correlations.svg), as SVG into this folder
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
 }
@@ -146,6 +147,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         let pictures = files.iter().zip(picture_names(&files));
         for (((path, name), log), model) in pictures.zip(logs).zip(models) {
             plot(folder.path(), path, &name, log, model)?;
+        }
+        if let Some(correlations) = &profile.correlations {
+            let svg = correlations_svg(correlations).map_err(Failure::failed)?;
+            let picture = folder.path().join("correlations.svg");
+            write_whole(&MachineDisk, &picture, svg.as_bytes()).map_err(Failure::failed)?;
         }
     }
 
