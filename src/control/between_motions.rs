@@ -17,6 +17,9 @@ const COOLING_STEP_NS: Nanoseconds = 100_000_000;
 /// the arm is homed before the next rollout.
 const REST_TIME_NS: Nanoseconds = 15_000_000_000;
 
+/// Longest pause between two motions in which an arm at rest does not creep away, ns.
+const SHORT_PAUSE_NS: Nanoseconds = 5_000_000_000;
+
 /// The motor's heat between motions.
 #[derive(Debug, Default)]
 pub(super) struct Motor {
@@ -70,16 +73,19 @@ pub(super) struct RestMonitor {
     pub left_at: Result<RestingCounts, Moved>,
     /// Encoders of the plant that was homed.
     pub encoders: Encoders,
+    /// Time at which they were seen at rest, ns.
+    pub left_ns: Nanoseconds,
     /// Whether the arm must be still after each motion, not only at rest: true from the first time
-    /// that it was not where it was left, to the end of the program. A cable may pull it away each
-    /// time.
+    /// that it was not where it had just been left, to the end of the program. A cable may pull it
+    /// away each time. After a longer pause, such as a training, an arm may have crept away that was
+    /// at rest; homing it then costs less than waiting after each motion.
     pub waits_until_still: bool,
 }
 
 impl Default for RestMonitor {
     fn default() -> Self {
         let (port, encoders) = (String::new(), Encoders::default());
-        Self { port, left_at: Err(Moved::Unseen), encoders, waits_until_still: false }
+        Self { port, left_at: Err(Moved::Unseen), encoders, left_ns: 0, waits_until_still: false }
     }
 }
 
@@ -98,6 +104,7 @@ impl RestMonitor {
             watch_rest(&mut watch, self.waits_until_still, device, clock, stop).ok().flatten();
         self.left_at =
             if watch.has_jumped() { Err(Moved::Jumped) } else { rest.ok_or(Moved::Unseen) };
+        self.left_ns = clock.now_ns();
     }
 
     /// Checks before a rollout arms the device that arm and pendulum are where they were left.
@@ -117,6 +124,7 @@ impl RestMonitor {
             LinkFault::NotArmed => DeviceError::Restarted { port: self.port.clone() },
             fault => DeviceError::Link { port: self.port.clone(), fault },
         };
+        let just_left = clock.now_ns().saturating_sub(self.left_ns) < SHORT_PAUSE_NS;
         let mut watch = RestWatch::new(self.encoders);
         let rest = watch_rest(&mut watch, false, device, clock, stop).map_err(link)?;
         let Some(rest) = rest else {
@@ -126,7 +134,7 @@ impl RestMonitor {
         let left_at = self.left_at?;
         let zero_counts = settings.calibration.alpha_zero_counts;
         let compared = rest.compare(left_at, zero_counts, self.encoders);
-        self.waits_until_still |= matches!(compared, Err(Moved::Arm(_)));
+        self.waits_until_still |= just_left && matches!(compared, Err(Moved::Arm(_)));
         Ok(compared?)
     }
 }

@@ -227,6 +227,41 @@ fn an_arm_that_swings_on_its_cable_is_not_homed_again() {
     }
 }
 
+/// The cable of `lab` pulls the arm on while nothing is driven, so that it is homed again after a
+/// pause. That is no reason to wait until it is still after each rollout.
+#[test]
+fn an_arm_that_creeps_away_in_a_pause_is_homed_once_and_not_waited_for() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    let bench = Bench::default();
+    let model = Profile::lab().model();
+    let emulator = EmulatorSettings { model, seed: 5, ..EmulatorSettings::default() };
+    let mut rig = bench.open(emulator, HomingSettings::default()).unwrap();
+    let mut homed_again = 0;
+    let mut watched_s = Vec::new();
+    for number in 0..8 {
+        // As long as a training takes.
+        if number == 1 {
+            bench.clock.advance(60_000 * MS);
+        }
+        let (begin_ns, recording) = loop {
+            let begin_ns = bench.clock.now_ns();
+            match rollout(&rig, number, &path, &shipped("robust.safetensors")) {
+                Ok(recording) => break (begin_ns, recording),
+                Err(RigError::NotBegun { .. }) => {
+                    homed_again += 1;
+                    rig.start_again().unwrap();
+                }
+                Err(error) => panic!("rollout {number}: {error}"),
+            }
+        };
+        let ticks_s = recording.ticks.len() as f64 * 0.01;
+        watched_s.push((bench.clock.now_ns() - begin_ns) as f64 * 1e-9 - ticks_s);
+    }
+    assert_eq!(homed_again, 1, "the pause lets the arm creep away: {watched_s:?}");
+    assert!(watched_s.iter().all(|seconds| *seconds < 5.0), "{watched_s:?}");
+}
+
 #[test]
 fn a_healthy_qube_is_not_homed_again_for_nothing() {
     let directory = tempfile::tempdir().unwrap();
