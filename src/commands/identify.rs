@@ -78,7 +78,7 @@ pub struct Arguments {
     fix: Vec<String>,
 
     /// Also draw each recording with the model's simulation, and the correlations of the errors
-    /// (correlations.svg), as SVG into this folder
+    /// (profile-correlations.svg), as SVG into this folder
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
 }
@@ -150,7 +150,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         }
         if let Some(correlations) = &profile.correlations {
             let svg = correlations_svg(correlations).map_err(Failure::failed)?;
-            let picture = folder.path().join("correlations.svg");
+            let picture = folder.path().join("profile-correlations.svg");
             write_whole(&MachineDisk, &picture, svg.as_bytes()).map_err(Failure::failed)?;
         }
     }

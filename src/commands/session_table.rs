@@ -319,7 +319,10 @@ fn least_certain(profile: Option<&Profile>) -> String {
     let told: Vec<_> = errors
         .iter()
         .take(3)
-        .map(|(name, share)| format!("{name} +- {:.0} %", 100.0 * share))
+        .map(|(name, share)| match 100.0 * share {
+            percent if percent <= 100.0 => format!("{name} +- {percent:.0} %"),
+            _ => format!("{name} +- over 100 %"),
+        })
         .collect();
     if told.is_empty() { String::new() } else { format!("least certain: {}\n", told.join(", ")) }
 }

@@ -259,7 +259,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if best_return < SUCCEEDED {
         print_message(&format!(
             "warning: the policy returns {best_return:.0} of 600 in its own simulations, so it has not learnt to \
-             balance: train it for longer (--updates, --preset robust), or let session train for this plant"
+             balance: train it for longer, with another preset or seed, or let `session` train for this plant"
         ));
     }
     if let Some(Err(error)) = checkpointing.map(|checkpointing| checkpointing.remove()) {

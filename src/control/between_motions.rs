@@ -17,7 +17,7 @@ const COOLING_STEP_NS: Nanoseconds = 100_000_000;
 /// the arm is homed before the next rollout.
 const REST_TIME_NS: Nanoseconds = 15_000_000_000;
 
-/// Longest pause between two motions in which an arm at rest does not creep away, ns.
+/// Longest pause between two motions after which an arm that has moved was not at rest before, ns.
 const SHORT_PAUSE_NS: Nanoseconds = 5_000_000_000;
 
 /// The motor's heat between motions.

@@ -162,8 +162,11 @@ pub fn read_recordings<const N: usize>(
         used.iter().flatten().zip(read.iter().flatten()).collect();
     for (index, &(path, log)) in all.iter().enumerate() {
         let same = all[..index].iter().find(|(_, other)| hold_same_motion(log, other));
-        if let Some((other, _)) = same {
-            let (path, other) = (path.clone(), PathBuf::clone(other));
+        if let Some(&(other, whole)) = same {
+            // The shorter one can be left out.
+            let is_part = log.samples.len() <= whole.samples.len();
+            let (path, other) = if is_part { (path, other) } else { (other, path) };
+            let (path, other) = (path.clone(), other.clone());
             return Err(RecordingsError::SameMotion { path, other });
         }
     }

@@ -5,7 +5,6 @@ use crate::control::{ControlError, TRAVELS_RAD, ThreadGone};
 use crate::device::{DeviceError, LinkFault, RefusalReason};
 use crate::policy::{OtherPlant, PolicyFault};
 use crate::preflight::TooSlow;
-use crate::qube::HARD_STOP_RAD;
 use crate::recording::RecordingError;
 use crate::safety::HardwareRefusal;
 use crate::telemetry::{CheckResult, Consequence, Fault, TickRecord};
@@ -51,7 +50,7 @@ pub enum RigError {
         "the arm's stops are {travel_rad:.2} rad apart, and should be {expected_rad:.2}: something is in \
          its way (a hand, a screw), its cable pulls harder than homing pushes, or this rig's stops are \
          elsewhere. The motor is off. Turn the arm by hand from stop to stop, clear its way and start \
-         again{}", accept_travel(*travel_rad, *expected_rad)
+         again{}", accept_travel(*travel_rad)
     )]
     Travel {
         /// Measured distance, rad.
@@ -199,9 +198,8 @@ fn listed(results: &[CheckResult]) -> String {
 
 /// How to accept this distance between the stops, rad, if they really are that far apart; empty if
 /// nobody may accept it.
-fn accept_travel(travel_rad: f64, expected_rad: f64) -> String {
-    let of_qube_rad = travel_rad * 2.0 * HARD_STOP_RAD / expected_rad;
-    if !TRAVELS_RAD.contains(&of_qube_rad) {
+fn accept_travel(travel_rad: f64) -> String {
+    if !TRAVELS_RAD.contains(&travel_rad) {
         return String::new();
     }
     format!(

@@ -40,15 +40,12 @@ pub enum SearchEnd {
 }
 
 impl SearchEnd {
-    /// The reason for which the search over these candidates ended. `largest` is the largest number
-    /// of searched candidates, and `expected_gain` the return that one more was expected to gain.
+    /// The reason for which the search over these candidates ended; `largest` is the largest number
+    /// of searched candidates.
     #[must_use]
-    pub fn of(candidates: &[ScoredCandidate], largest: u32, expected_gain: f64) -> Self {
-        let best = ScoredCandidate::best_verified(candidates);
-        match best.and_then(|index| candidates[index].rank()) {
-            Some((true, mean)) if expected_gain < WORTHWHILE_GAIN * mean => Self::Verified,
-            _ => Self::Candidates(largest),
-        }
+    pub fn of(candidates: &[ScoredCandidate], largest: u32) -> Self {
+        let searched = candidates.iter().filter(|it| it.candidate.purpose.is_searched());
+        if searched.count() as u32 >= largest { Self::Candidates(largest) } else { Self::Verified }
     }
 }
 
@@ -70,7 +67,7 @@ impl std::fmt::Display for SearchEnd {
 /// number of searched candidates.
 ///
 /// The candidate of the highest [`rank`](ScoredCandidate::rank), in a tie the latest, is verified at
-/// once if all its rollouts succeeded. If every rollout of the verification succeeded too, the search
+/// once if all its rollouts succeeded. One whose verification was loud or failed ranks as loud. If every rollout of the verification succeeded too, the search
 /// continues only while the policy is loud
 /// ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or one more candidate is expected to
 /// gain at least the fraction [`WORTHWHILE_GAIN`] of the verified return. If one failed, the search
@@ -81,15 +78,20 @@ impl std::fmt::Display for SearchEnd {
 pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
     let searched = || candidates.iter().filter(|it| it.candidate.purpose.is_searched());
     let is_full = searched().count() as u32 >= largest;
+    let verification_of = |searched: &ScoredCandidate| {
+        candidates.iter().find(|it| it.candidate.runs_policy_of(&searched.candidate))
+    };
     let mut best: Option<(&ScoredCandidate, (bool, f64))> = None;
     for it in searched() {
-        let Some(rank) = it.rank() else { continue };
+        let Some((own, mean)) = it.rank() else { continue };
+        let verified = verification_of(it).and_then(ScoredCandidate::rank);
+        let rank = (own && verified.is_none_or(|(quiet_success, _)| quiet_success), mean);
         if best.is_none_or(|(_, so_far)| rank >= so_far) {
             best = Some((it, rank));
         }
     }
     let Some((best, _)) = best else { return Decision::Propose };
-    let verification = candidates.iter().find(|it| it.candidate.runs_policy_of(&best.candidate));
+    let verification = verification_of(best);
     let succeeds = |it: &ScoredCandidate| it.successes() == it.verdicts.len();
     match verification {
         None if is_full || succeeds(best) => Decision::Verify { candidate: best.candidate.number },
@@ -186,6 +188,15 @@ mod tests {
         candidates.push(scored(4, Purpose::Search, 2.0, &[(510.0, true)]));
         assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 4 });
         assert_eq!(ScoredCandidate::best_verified(&candidates), Some(1));
+        // It was quiet once, and buzzes or fails when it is verified: the next quiet one is tried.
+        for verification in [
+            loud(scored(5, Purpose::Incumbent, 2.0, &[(505.0, true); 5])),
+            scored(5, Purpose::Incumbent, 2.0, &[GOOD, BAD]),
+        ] {
+            let third = scored(6, Purpose::Search, 3.0, &[(500.0, true)]);
+            let more = [&candidates[..], &[verification, third]].concat();
+            assert_eq!(decide(&more, 10), Decision::Verify { candidate: 6 });
+        }
         candidates.push(scored(5, Purpose::Incumbent, 2.0, &[(505.0, true); 5]));
         assert_eq!(ScoredCandidate::best_verified(&candidates), Some(4));
         assert_eq!(decide(&candidates, 3), Decision::End);

@@ -70,7 +70,7 @@ pub enum SessionError {
     /// The ledger of a session that has begun lacks its first line, which no crash removes.
     #[error(
         "{path} has lost its first line, which binds it to the settings that the session began with: \
-         restore it from a backup, or begin a new session"
+         restore it from a backup, or begin a new session (also where an older program began it)"
     )]
     BeginningLost {
         /// Path of the ledger.

@@ -77,7 +77,7 @@ impl SessionReport {
             profile: session.latest_profile()?,
             ended: session.state().settled().map(|expected_gain| {
                 let plan = session.settings().identification.unwrap_or_default();
-                (SearchEnd::of(&candidates, plan.candidates, expected_gain), expected_gain)
+                (SearchEnd::of(&candidates, plan.candidates), expected_gain)
             }),
             rigs: session.settings().rigs.iter().map(|rig| rig.device.clone()).collect(),
             taken_out: session.state().taken_out().to_vec(),

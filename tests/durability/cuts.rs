@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use qube_hil::recording::recover;
+use qube_hil::rig::{DeviceChoice, RigSettings};
 use qube_hil::scoring::{Verdict, score};
-use qube_hil::session::{SessionError, parse_ledger};
+use qube_hil::session::{Session, SessionError, SessionFolder, parse_ledger};
 use qube_hil::storage::Disk;
 
 use crate::count_from;
@@ -65,6 +66,17 @@ fn a_ledger_cut_at_any_byte_costs_no_rollout() {
         let rollouts = resumes_to_the_same_ledger(world, &disk, &format!("cut at {cut}"));
         assert_eq!(rollouts, 0, "cut at {cut}: a finished rollout was done again");
     });
+    // Before that line was synced nothing else was made, so the session begins anew.
+    for cut in 0..=first_line {
+        let disk = SimulatedDisk::default();
+        let configuration = world.settings.to_toml().unwrap();
+        SessionFolder::create_on(Arc::new(disk.clone()), &root(), &configuration).unwrap();
+        disk.put(&ledger_path(), &world.ledger[..cut as usize]);
+        let folder = SessionFolder::open_on(Arc::new(disk.clone()), &root()).unwrap();
+        let rig = RigSettings::in_virtual_time(DeviceChoice::Emulated);
+        drop(Session::open(folder, world.settings.clone(), rig, Arc::default()).unwrap());
+        assert_eq!(disk.bytes(&ledger_path()).unwrap(), world.ledger[..=first_line as usize]);
+    }
     println!("ledger cut at each of {length} bytes: no rollout lost, none done again");
 }
 

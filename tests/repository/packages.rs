@@ -20,11 +20,19 @@ fn assets() -> Vec<(String, String)> {
     assets.iter().map(|asset| (text(&asset[0]), text(&asset[1]))).collect()
 }
 
+/// The files that a source names: itself, or all of a folder with an ending, such as `docs/*.md`.
+fn files_of(source: &str) -> Vec<String> {
+    let Some((folder, ending)) = source.split_once("/*") else { return vec![source.to_owned()] };
+    let Ok(entries) = fs::read_dir(root().join(folder)) else { return Vec::new() };
+    let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    names.filter(|name| name.ends_with(ending)).map(|name| format!("{folder}/{name}")).collect()
+}
+
 #[test]
 fn everything_in_the_debian_package_exists_or_is_built_by_its_script() {
     let script = fs::read_to_string(root().join("scripts/deb")).unwrap();
     for (source, _) in assets() {
-        let path = source.trim_end_matches("/*");
+        let path = source.split("/*").next().unwrap();
         let is_built = source == "target/dist/qube-hil" || script.contains(path);
         assert!(is_built || root().join(path).exists(), "{source} does not exist");
     }
@@ -34,7 +42,7 @@ fn everything_in_the_debian_package_exists_or_is_built_by_its_script() {
 
 #[test]
 fn the_debian_package_holds_the_pages_that_help_texts_name() {
-    let packed: Vec<String> = assets().into_iter().map(|(source, _)| source).collect();
+    let packed: Vec<String> = assets().iter().flat_map(|(source, _)| files_of(source)).collect();
     let mut named = BTreeSet::new();
     for file in source_files(&root().join("src/commands")) {
         let text = fs::read_to_string(&file).unwrap();

@@ -324,7 +324,7 @@ fn a_recording_that_says_too_little_is_left_out_and_named() {
     assert_eq!(found["recordings"][0]["file"], "chirp/rollout-0.mcap");
     assert!(found["held_out_phases"][0]["predictions"].as_u64().unwrap() > 50, "{found}");
     assert_eq!(std::fs::read_dir(path("plots")).unwrap().count(), 3);
-    assert!(path("plots/correlations.svg").exists());
+    assert!(path("plots/profile-correlations.svg").exists());
     let stderr = String::from_utf8_lossy(&told.stderr);
     assert!(stderr.contains("warning: not used: short.mcap"), "{stderr}");
 

@@ -87,10 +87,12 @@ fn outcome(source: &SessionSource) -> Vec<String> {
         (source.state.identification(), source.state.settled())
     {
         let plan = source.settings.identification.unwrap_or_default();
-        let reason = SearchEnd::of(&source.candidates, plan.candidates, gain);
-        sentences.push(format!(
-            "The search ended: {reason}. One more candidate was expected to gain a return of {gain:.1}."
-        ));
+        let reason = SearchEnd::of(&source.candidates, plan.candidates);
+        sentences.push(format!("The search ended: {reason}."));
+        if reason != SearchEnd::Candidates(1) {
+            sentences
+                .push(format!("One more candidate was expected to gain a return of {gain:.1}."));
+        }
     }
     let baseline = source.candidates.iter().find(|it| it.candidate.purpose == Purpose::Baseline);
     if let Some(mean) = baseline.and_then(ScoredCandidate::mean_return) {

@@ -117,8 +117,9 @@ impl Session {
         }
     }
 
-    /// Whether another excitation may be recorded because the earlier ones cannot be fitted: as
-    /// many extra excitations are allowed as repetitions of a rollout after a fault.
+    /// Whether another excitation may be recorded because the earlier ones cannot be fitted, or
+    /// because the Qube has contradicted its profile: in all, as many extra excitations are allowed
+    /// as repetitions of a rollout after a fault.
     fn may_excite_again(&self) -> bool {
         let planned = self.settings.identification.unwrap_or_default().excitations;
         let made = self.ledger.state().count_of(Purpose::Excitation);
@@ -132,7 +133,12 @@ impl Session {
     ) -> Result<(), SessionError> {
         let plan = self.settings.identification.unwrap_or_default();
         let scored = self.scored_candidates()?;
-        match decide(&scored, plan.candidates) {
+        let decision = decide(&scored, plan.candidates);
+        let drives = matches!(decision, Decision::Propose | Decision::Verify { .. });
+        if drives && self.has_contradicted_profile() && self.excites_again(on_event)? {
+            return Ok(());
+        }
+        match decision {
             Decision::Propose => self.propose_around(on_event),
             Decision::Verify { candidate } => {
                 let incumbent = &self.ledger.state().candidates()[candidate as usize];
@@ -161,6 +167,31 @@ impl Session {
         }
     }
 
+    /// Fits the Qube anew after it has contradicted its profile. If that gives no new profile,
+    /// proposes another excitation, if one is left, and returns true. Under a profile that is not
+    /// trusted the guard would take the Qube for an unknown one and end nearly every swing-up.
+    fn excites_again(
+        &mut self,
+        on_event: &mut dyn FnMut(SessionEvent),
+    ) -> Result<bool, SessionError> {
+        let used = self.fitted_recordings();
+        let why = match self.fitted()? {
+            Fitted::Found(found) if found.recordings > used => {
+                self.append_profile(*found, on_event)?;
+                return Ok(false);
+            }
+            Fitted::Found(_) => "no recording since then can be fitted".to_owned(),
+            Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
+        };
+        if !self.may_excite_again() {
+            return Ok(false);
+        }
+        let reason = format!("the Qube has moved unlike its profile, and {why}");
+        on_event(SessionEvent::ExcitationRepeated(&reason));
+        let excitation = Proposal::of(Purpose::Excitation, Vec::new());
+        self.append_proposal(excitation, on_event).map(|()| true)
+    }
+
     fn end_search(
         &mut self,
         expected_gain: f64,
@@ -173,8 +204,7 @@ impl Session {
 
     /// Proposes a candidate: first the distribution exactly as identified, then points of the
     /// search around the identified Qube. Before each of these points the profile is updated with
-    /// the recordings so far. If they have contradicted it and do not suffice for an update, another
-    /// excitation is proposed instead.
+    /// the recordings so far.
     fn propose_around(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -190,12 +220,6 @@ impl Session {
             && found.recordings > used
         {
             self.append_profile(*found, on_event)?;
-        }
-        // The guard would take the Qube for an unknown one and end nearly every swing-up.
-        if self.has_contradicted_profile() && self.may_excite_again() {
-            let reason = "the Qube has moved unlike its profile";
-            on_event(SessionEvent::ExcitationRepeated(reason));
-            return self.append_proposal(Proposal::of(Purpose::Excitation, Vec::new()), on_event);
         }
         let purpose = if searched < INITIAL_AROUND { Purpose::Initial } else { Purpose::Search };
         let mut strategy = self.settings.search()?;

@@ -44,7 +44,7 @@ pub struct Session {
     settings: SessionSettings,
     /// The rigs that make the rollouts: one, or several that share the session.
     rigs: Vec<SessionRig>,
-    /// Verdicts on the recordings read so far, by candidate, rollout and attempt.
+    /// Verdicts on the recordings read so far, and their quietness, by candidate, rollout and attempt.
     scored: HashMap<(u32, u32, u32), ScoredRollout>,
     stop: Arc<AtomicBool>,
     executor: Arc<dyn Executor>,
@@ -76,7 +76,8 @@ impl Session {
     /// If the ledger of a new session cannot be written, the files of the session are removed.
     ///
     /// # Errors
-    /// The ledger is damaged or cannot be opened, or it belongs to another `session.toml`; a
+    /// The ledger is damaged or cannot be opened, has lost its first line, or belongs to another
+    /// `session.toml`; a
     /// profile that the session identified cannot be read or was changed; the recording that names
     /// the identified board cannot be read; or a candidate's psi does not fit the settings.
     pub fn open(

@@ -15,8 +15,8 @@ use crate::session::folder::put_aside;
 use crate::session::plan::{identifying, wanted_rollouts};
 use crate::session::seeds::{SeedFor, derived_seed};
 use crate::session::{
-    DRIFT_ROLLOUTS, Drift, Entry, RolloutPlan, ScoredRollout, SessionError, SessionEvent,
-    rig_of_rollout,
+    DRIFT_ROLLOUTS, Drift, Entry, Identification, RolloutPlan, ScoredRollout, SessionError,
+    SessionEvent, rig_of_rollout,
 };
 use crate::telemetry::Ending;
 
@@ -245,9 +245,13 @@ impl Session {
         Ok(())
     }
 
-    /// Whether the Qube has moved unlike its latest profile in a finished rollout since that profile
-    /// was found. A rig that stays open remembers it; one that is opened anew must be told.
+    /// Whether the Qube, under a policy, has moved unlike its latest profile in a finished rollout
+    /// since the session found that profile. A rig that stays open remembers it; one that is opened
+    /// anew must be told.
     pub(super) fn has_contradicted_profile(&self) -> bool {
+        if !matches!(self.ledger.state().identification(), Identification::Found { .. }) {
+            return false;
+        }
         let entries = self.ledger.entries().iter().rev();
         let mut since = entries.take_while(|entry| !matches!(entry, Entry::Identified { .. }));
         since.any(|entry| {
