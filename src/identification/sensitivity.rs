@@ -7,7 +7,7 @@ use super::Unknown;
 use super::dual::Dual;
 use super::stretch::Stretch;
 use crate::qube::{Dynamics, NonidealDynamics, PlantModel, QubeModel, State};
-use crate::replay::simulate_stretch_in;
+use crate::replay::{longest_step_s, simulate_stretch_in};
 
 /// Number of entries of a start state.
 pub(super) const STARTS: usize = 4;
@@ -68,7 +68,8 @@ fn run<const N: usize>(
     let mut residuals = DVector::zeros(2 * samples.len());
     let mut slopes = DMatrix::zeros(2 * samples.len(), unknowns.len() + STARTS);
     let mut row = 0;
-    simulate_stretch_in(stretch.recording, stretch.range(), &dynamics, delay_s, start, |state| {
+    let (recording, range, step_s) = (stretch.recording, stretch.range(), longest_step_s(model));
+    simulate_stretch_in(recording, range, &dynamics, delay_s, step_s, start, |state| {
         let measured = samples[row / 2].state;
         for (simulated, measured, scale) in
             [(state.theta, measured.theta, scale[0]), (state.alpha, measured.alpha, scale[1])]

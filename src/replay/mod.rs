@@ -21,7 +21,7 @@ pub use csv::CsvError;
 pub use motion_log::{Incomplete, MotionLog, MotionLogError, RecordedMotion};
 pub use motion_sample::MotionSample;
 pub use open_loop::{
-    AngleError, OpenLoop, OpenLoopError, simulate_from, simulate_from_first_state,
+    AngleError, OpenLoop, OpenLoopError, longest_step_s, simulate_from, simulate_from_first_state,
     simulate_stretch, simulate_stretch_in,
 };
 pub use rerun::{Difference, GuardApproach, Rerun, controller_of, rerun};

@@ -12,6 +12,31 @@ use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, State, runge_ku
 /// motions give.
 const LONGEST_STEP_S: f64 = CONTROL_PERIOD_S / 9.0;
 
+/// Longest step in time constants of the friction near rest, whose slope is the stiffest term of the
+/// equations. Runge-Kutta is stable up to 2.78, but with longer steps an arm that creeps and sticks
+/// moves otherwise than by its equations, and a fit finds wrong dead zones.
+const LONGEST_STEP_IN_TIME_CONSTANTS: f64 = 0.5;
+
+/// The longest integration step for a model, s: that of `lab`, or a half, a quarter ... of it for an
+/// arm with more friction. Only by halves, so that a fit does not change it with each step.
+#[must_use]
+pub fn longest_step_s(model: &QubeModel) -> f64 {
+    let dynamics = NonidealDynamics::<f64>::new(model);
+    let ideal = &dynamics.ideal;
+    let arm_inertia = ideal.arm_inertia - ideal.coupling * ideal.coupling / ideal.pendulum_inertia;
+    let accurate_s = LONGEST_STEP_IN_TIME_CONSTANTS * arm_inertia
+        / (dynamics.friction_slope() + ideal.arm_damping);
+    let mut step_s = LONGEST_STEP_S;
+    while step_s > accurate_s && step_s > SHORTEST_STEP_S {
+        step_s *= 0.5;
+    }
+    step_s
+}
+
+/// Shortest of the steps that [`longest_step_s`] returns, s; a model that needs shorter ones has far
+/// more friction than any table-top pendulum.
+const SHORTEST_STEP_S: f64 = LONGEST_STEP_S / 15.0;
+
 /// The motion of a model under the voltages of a log, and its distance from the log's own motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OpenLoop {
@@ -105,7 +130,7 @@ pub fn simulate_from(
 /// stretch to `each`; the first is `start`. `stretch` is a range of indices of `samples`. Commands
 /// from before the stretch that were still on their way to the motor arrive within it.
 ///
-/// The integration steps depend on the samples' times alone, and a step in which a command arrives
+/// The integration steps depend on the samples' times and on [`longest_step_s`] alone, and a step in which a command arrives
 /// is cut in two; the lanes of a simulation do the same. The states are therefore continuous in the
 /// delay. If steps ran from arrival to arrival instead, their number would jump with the delay, and
 /// the integration error with it. That jump would exceed the change of the states over the finite
@@ -123,19 +148,22 @@ pub fn simulate_stretch(
         stretch,
         &dynamics,
         model.nonidealities.command_delay_s,
+        longest_step_s(model),
         start,
         each,
     );
 }
 
 /// Simulates like [`simulate_stretch`] in any kind of number, such as numbers that carry
-/// derivatives; the delay of commands is `command_delay_s` seconds.
+/// derivatives; the delay of commands is `command_delay_s` seconds, and no integration step is longer
+/// than `longest_step_s`.
 #[inline(always)]
 pub fn simulate_stretch_in<T: Scalar>(
     samples: &[MotionSample],
     stretch: Range<usize>,
     dynamics: &NonidealDynamics<T>,
     command_delay_s: T,
+    longest_step_s: f64,
     start: State<T>,
     mut each: impl FnMut(State<T>),
 ) {
@@ -151,7 +179,7 @@ pub fn simulate_stretch_in<T: Scalar>(
     }
     each(state);
     for sample in &samples[stretch.start + 1..stretch.end] {
-        let steps = steps_over(sample.time_s - time_s);
+        let steps = steps_over(sample.time_s - time_s, longest_step_s);
         let step_s = (sample.time_s - time_s) / f64::from(steps);
         for step in 0..steps {
             let begin_s = time_s + f64::from(step) * step_s;
@@ -178,10 +206,10 @@ pub fn simulate_stretch_in<T: Scalar>(
     }
 }
 
-/// Number of equal steps that divide a duration, none longer than [`LONGEST_STEP_S`].
-fn steps_over(duration_s: f64) -> u32 {
+/// Number of equal steps that divide a duration, none longer than `longest_step_s`.
+fn steps_over(duration_s: f64, longest_step_s: f64) -> u32 {
     // The tolerance is for files that write 0.005 s as 0.0050000001.
-    (duration_s / LONGEST_STEP_S - 1e-6).ceil().max(1.0) as u32
+    (duration_s / longest_step_s - 1e-6).ceil().max(1.0) as u32
 }
 
 #[cfg(test)]
@@ -300,6 +328,21 @@ mod tests {
                 assert!(why.to_string().contains(&words), "{why}");
             }
         }
+    }
+
+    #[test]
+    fn more_friction_halves_the_step_and_lab_keeps_its() {
+        let lab = crate::qube::Profile::lab().model();
+        let with_friction = |factor: f64| {
+            let mut model = lab;
+            model.nonidealities.coulomb_torque_n_m *= factor;
+            LONGEST_STEP_S / longest_step_s(&model)
+        };
+        assert_eq!(
+            [0.0, 1.0, 1.5, 3.0, 5.0, 1e9].map(with_friction),
+            [1.0, 1.0, 1.0, 2.0, 4.0, 16.0]
+        );
+        assert_eq!(longest_step_s(&QubeModel::NOMINAL), LONGEST_STEP_S);
     }
 
     #[test]

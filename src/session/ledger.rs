@@ -24,6 +24,10 @@ pub enum Entry {
     Begun {
         /// The checksum of `session.toml`, as [`file_checksum`] computes it.
         settings: String,
+        /// Whether the checksum of each later line includes that of the line before it, so that no
+        /// line can be removed unnoticed. Ledgers of older programs are not chained.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        chained: bool,
     },
     /// A candidate was proposed. Candidates are numbered from 0 in the order of these entries.
     Proposed {
@@ -221,6 +225,28 @@ pub struct Ledger {
     torn: bool,
     entries: Vec<Entry>,
     state: SessionState,
+    chain: Chain,
+}
+
+/// The checksum that the next line of a ledger includes; `None` where the ledger is not chained.
+#[derive(Clone, Debug, Default)]
+struct Chain(Option<String>);
+
+impl Chain {
+    /// The checksum of the next line, with this entry as JSON: 8 hexadecimal digits.
+    fn checksum(&self, entry: &str) -> String {
+        let mut digest = CHECKSUM.digest();
+        digest.update(self.0.as_deref().unwrap_or_default().as_bytes());
+        digest.update(entry.as_bytes());
+        format!("{:08x}", digest.finalize())
+    }
+
+    /// Goes on to the line after the one with this entry and checksum.
+    fn advance(&mut self, entry: &Entry, checksum: String) {
+        if self.0.is_some() || matches!(entry, Entry::Begun { chained: true, .. }) {
+            self.0 = Some(checksum);
+        }
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -256,7 +282,7 @@ impl Ledger {
     pub fn open(disk: &dyn Disk, path: &Path) -> Result<Self, LedgerError> {
         let io = |source| LedgerError::Io { path: path.to_owned(), source };
         let bytes = read_bytes(disk, path)?;
-        let Parsed { entries, state, whole_bytes } =
+        let Parsed { entries, state, whole_bytes, chain } =
             parse(&bytes).map_err(|damage| damage.in_file(path))?;
         let mut file = disk.append(path).map_err(io)?;
         if whole_bytes < bytes.len() {
@@ -265,7 +291,7 @@ impl Ledger {
         // The file's name must survive a loss of power as well.
         sync_name(disk, path).map_err(io)?;
         let length = whole_bytes as u64;
-        Ok(Self { path: path.to_owned(), file, length, torn: false, entries, state })
+        Ok(Self { path: path.to_owned(), file, length, torn: false, entries, state, chain })
     }
 
     /// The entries in order.
@@ -307,7 +333,8 @@ impl Ledger {
         state
             .apply(&entry)
             .map_err(|reason| LedgerError::OutOfOrder { path: self.path.clone(), reason })?;
-        let line = encode(&entry).map_err(|error| self.failed(error.into()))?;
+        let mut chain = self.chain.clone();
+        let line = encode(&entry, &mut chain).map_err(|error| self.failed(error.into()))?;
         if self.torn {
             self.file.cut_to(self.length).map_err(|source| self.failed(source))?;
             self.torn = false;
@@ -319,7 +346,7 @@ impl Ledger {
         }
         self.length += line.len() as u64;
         self.entries.push(entry);
-        self.state = state;
+        (self.state, self.chain) = (state, chain);
         Ok(())
     }
 
@@ -335,20 +362,26 @@ pub fn file_checksum(bytes: &[u8]) -> String {
     format!("{:016x}", FILE_CHECKSUM.checksum(bytes))
 }
 
-fn encode(entry: &Entry) -> serde_json::Result<String> {
-    let entry = serde_json::value::to_raw_value(entry)?;
-    let crc32 = format!("{:08x}", CHECKSUM.checksum(entry.get().as_bytes()));
-    let mut line = serde_json::to_string(&Line { crc32, entry: &entry })?;
+fn encode(entry: &Entry, chain: &mut Chain) -> serde_json::Result<String> {
+    let json = serde_json::value::to_raw_value(entry)?;
+    let crc32 = chain.checksum(json.get());
+    let mut line = serde_json::to_string(&Line { crc32: crc32.clone(), entry: &json })?;
     line.push('\n');
+    chain.advance(entry, crc32);
     Ok(line)
 }
 
-fn decode(line: &str) -> Result<Entry, String> {
-    let line: Line = serde_json::from_str(line).map_err(|error| error.to_string())?;
-    if line.crc32 != format!("{:08x}", CHECKSUM.checksum(line.entry.get().as_bytes())) {
-        return Err("its checksum does not match".into());
+fn decode(line: &str, chain: &mut Chain) -> Result<Entry, String> {
+    let Line { crc32, entry: json } =
+        serde_json::from_str(line).map_err(|error| error.to_string())?;
+    if crc32 != chain.checksum(json.get()) {
+        return Err(
+            "its checksum does not match: it was changed, or a line before it is missing".into()
+        );
     }
-    serde_json::from_str(line.entry.get()).map_err(|error| error.to_string())
+    let entry = serde_json::from_str(json.get()).map_err(|error| error.to_string())?;
+    chain.advance(&entry, crc32);
+    Ok(entry)
 }
 
 /// The entries and the state in the bytes of a ledger.
@@ -360,6 +393,7 @@ pub struct Parsed {
     pub state: SessionState,
     /// Length of the complete lines in bytes; later bytes are the remains of a crash.
     pub whole_bytes: usize,
+    chain: Chain,
 }
 
 /// A damaged line in a ledger, which no crash can have caused.
@@ -397,7 +431,7 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
         }
         let damaged = |reason| DamagedLine { line: index + 1, reason };
         let text = std::str::from_utf8(line).map_err(|error| damaged(error.to_string()))?;
-        let entry = decode(text).map_err(damaged)?;
+        let entry = decode(text, &mut parsed.chain).map_err(damaged)?;
         parsed.state.apply(&entry).map_err(|reason| damaged(reason.to_owned()))?;
         parsed.entries.push(entry);
         parsed.whole_bytes += line.len();
@@ -495,7 +529,8 @@ mod tests {
     }
 
     fn lines(entries: &[Entry]) -> String {
-        entries.iter().map(|entry| encode(entry).unwrap()).collect()
+        let mut chain = Chain::default();
+        entries.iter().map(|entry| encode(entry, &mut chain).unwrap()).collect()
     }
 
     #[test]
@@ -511,7 +546,7 @@ mod tests {
         let finished =
             |rollout, attempt| Entry::RolloutFinished { candidate: 0, rollout, attempt, rig: None };
         let trained = Entry::Trained { candidate: 0 };
-        let begun = || Entry::Begun { settings: file_checksum(b"seed = 1") };
+        let begun = || Entry::Begun { settings: file_checksum(b"seed = 1"), chained: false };
         parse(lines(&[begun(), proposed(0), trained.clone()]).as_bytes()).unwrap();
         for (entries, line) in [
             (vec![begun(), begun()], 2),
@@ -529,6 +564,26 @@ mod tests {
             let damaged = parse(lines(&entries).as_bytes()).unwrap_err();
             assert_eq!(damaged.line, line, "{entries:?}");
         }
+    }
+
+    #[test]
+    fn a_line_that_was_removed_or_moved_is_found() {
+        let begun = |chained| Entry::Begun { settings: file_checksum(b"seed = 1"), chained };
+        let entries = |chained| [&[begun(chained)], &sample()[..]].concat();
+        let whole = lines(&entries(true));
+        assert_eq!(parse(whole.as_bytes()).unwrap().entries, entries(true));
+        let all: Vec<&str> = whole.split_inclusive('\n').collect();
+        for removed in 0..all.len() - 1 {
+            let mut left = all.clone();
+            left.remove(removed);
+            let damaged = parse(left.concat().as_bytes()).unwrap_err();
+            assert_eq!(damaged.line, removed + 1, "without line {}", removed + 1);
+        }
+        let mut moved = all.clone();
+        moved.swap(3, 4);
+        assert_eq!(parse(moved.concat().as_bytes()).unwrap_err().line, 4);
+        let older = lines(&entries(false));
+        assert_eq!(parse(older.as_bytes()).unwrap().entries, entries(false));
     }
 
     #[test]

@@ -173,13 +173,12 @@ fn ledger(folder: &Path) -> Vec<u8> {
     std::fs::read(folder.join("ledger.jsonl")).unwrap_or_default()
 }
 
-/// A ledger without its first line, which has the checksum of settings that contain the session's
-/// name.
-fn decisions(ledger: &[u8]) -> String {
-    let text = String::from_utf8_lossy(ledger);
-    let (first, decisions) = text.split_once('\n').unwrap();
-    assert!(first.contains("begun"), "{first}");
-    decisions.to_owned()
+/// The entries of a ledger without the first, which has the checksum of settings that contain the
+/// session's name.
+fn decisions(ledger: &[u8]) -> Vec<Entry> {
+    let mut entries = parse_ledger(ledger).unwrap().entries;
+    assert!(matches!(entries.remove(0), Entry::Begun { chained: true, .. }));
+    entries
 }
 
 /// Recordings that a kill has cut off and a later life has put aside.

@@ -361,6 +361,19 @@ fn a_folder_in_which_another_program_records_is_in_use() {
 }
 
 #[test]
+fn a_whole_number_is_asked_for_without_a_type_of_the_program() {
+    let directory = tempfile::tempdir().unwrap();
+    for (settings, words) in [
+        ("seed = -1", "a whole number from 0 on"),
+        ("[training]\nnum_envs = 100000000", "from 0 to 65 535"),
+        ("[training]\nupdates = -3", "from 0 to 4 294 967 295"),
+    ] {
+        std::fs::write(directory.path().join("c.toml"), settings).unwrap();
+        refused(directory.path(), &["config", "check", "c.toml"], 2, &["c.toml", words]);
+    }
+}
+
+#[test]
 fn the_travel_of_a_rig_is_a_travel() {
     let directory = tempfile::tempdir().unwrap();
     for travel in ["nan", "-1", "1e300", "0"] {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use firmware_protocol::scaling::{motor_counts, motor_voltage_mv};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::qube::{Profile, applied_voltage_mv};
+use qube_hil::qube::{Nonideality, Profile, Quantity, applied_voltage_mv};
 use qube_hil::rig::{DeviceChoice, RigSettings};
 use qube_hil::session::{Extent, Session, SessionFolder, SessionSettings};
 use serde_json::Value;
@@ -335,6 +335,34 @@ fn a_recording_that_says_too_little_is_left_out_and_named() {
         let refused = command.args(["--out", "refused.toml"]).output().unwrap();
         assert_eq!(refused.status.code(), Some(2), "{files:?}");
         assert!(String::from_utf8_lossy(&refused.stderr).contains("short.mcap: it lasts"));
+    }
+}
+
+/// The friction near rest is so stiff that the steps for `lab` would be too long.
+#[test]
+fn a_qube_with_five_times_the_friction_of_lab_gives_its_dead_zones_and_cable_back() {
+    let directory = tempfile::tempdir().unwrap();
+    let text = "name = \"stiff\"\n[parameters]\ng = 9.81\nR_m = 7.6\nk_m = 0.045\nD_r = 1e-5\n\
+                D_p = 3e-6\nM_r = 0.1\nM_p = 0.026\nL_r = 0.09\nL_p = 0.14\n[gap]\n\
+                coulomb_torque_n_m = 0.0022\npositive_dead_zone_v = 0.3\n\
+                negative_dead_zone_v = 0.1\ncable_stiffness_n_m_rad = 0.0004\n\
+                cable_rest_rad = 0.4\ncommand_delay_s = 0.006\n";
+    std::fs::write(directory.path().join("stiff.toml"), text).unwrap();
+    let truth = Profile::parse(text).unwrap().model();
+    let run = ["run", "--clock", "virtual", "--profile", "stiff.toml", "--excite", "chirp"];
+    let chirps = ["--rollouts", "2", "--seed", "31521", "--out", "c"];
+    qube_hil(directory.path(), &[&run[..], &chirps].concat());
+    let files = ["c/rollout-0.mcap", "c/rollout-1.mcap", "--out", "found.toml"];
+    qube_hil(directory.path(), &[&["identify"], &files[..]].concat());
+    let found = std::fs::read_to_string(directory.path().join("found.toml")).unwrap();
+    let found = Profile::parse(&found).unwrap();
+    for quantity in
+        [Nonideality::PositiveDeadZone, Nonideality::NegativeDeadZone, Nonideality::CableRest]
+    {
+        let quantity = Quantity::from(quantity);
+        let off = found.model().get(quantity) - truth.get(quantity);
+        let errors = off / found.standard_error(quantity);
+        assert!(errors.abs() < 3.5, "{}: {errors:.1} standard errors off", quantity.name());
     }
 }
 

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::recording::{Recording, RolloutWriter, read};
+use qube_hil::session::{Entry, parse_ledger};
 use qube_hil::storage::MachineDisk;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -63,12 +64,12 @@ fn ledger(directory: &Path, name: &str) -> Vec<u8> {
     std::fs::read(directory.join(name).join("ledger.jsonl")).unwrap_or_default()
 }
 
-/// A ledger without its first line, the checksum of the settings, which include the session's name.
-fn decisions(ledger: &[u8]) -> String {
-    let text = String::from_utf8_lossy(ledger);
-    let (first, decisions) = text.split_once('\n').unwrap();
-    assert!(first.contains("begun"), "{first}");
-    decisions.to_owned()
+/// The entries of a ledger without the first: the checksum of the settings, which include the
+/// session's name.
+fn decisions(ledger: &[u8]) -> Vec<Entry> {
+    let mut entries = parse_ledger(ledger).unwrap().entries;
+    assert!(matches!(entries.remove(0), Entry::Begun { chained: true, .. }));
+    entries
 }
 
 fn signal(child: &Child, signal: Signal) {
@@ -184,15 +185,24 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(0), "{told}");
 
-    // A finished session whose ledger has no checksum of the settings is read.
+    // A finished session of an older program, whose ledger has no checksum of the settings, is read.
     let ledger = directory.path().join("mine/ledger.jsonl");
     let lines = std::fs::read_to_string(&ledger).unwrap();
     let (first, others) = lines.split_once('\n').unwrap();
     assert!(first.contains("begun"), "{first}");
-    std::fs::write(&ledger, others).unwrap();
+    let older: String = others.lines().map(unchained).collect();
+    std::fs::write(&ledger, &older).unwrap();
     let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(0), "{told}");
-    assert_eq!(std::fs::read_to_string(&ledger).unwrap(), others);
+    assert_eq!(std::fs::read_to_string(&ledger).unwrap(), older);
+}
+
+/// A line of a ledger as older programs wrote it: its checksum is of its entry alone.
+fn unchained(line: &str) -> String {
+    let (_, entry) = line.split_once("\"entry\":").unwrap();
+    let entry = entry.strip_suffix('}').unwrap();
+    let checksum = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(entry.as_bytes());
+    format!("{{\"crc32\":\"{checksum:08x}\",\"entry\":{entry}}}\n")
 }
 
 #[test]
@@ -206,7 +216,7 @@ fn a_ledger_without_its_first_line_is_refused() {
     let whole = std::fs::read_to_string(&settings).unwrap();
     let changed = whole.replacen("seed = 5", "seed = 1", 1);
     assert_ne!(changed, whole);
-    let unfinished = others.split_inclusive('\n').take(2).collect::<String>();
+    let unfinished: String = others.lines().take(2).map(unchained).collect();
     for (left, settings_now) in [
         (None, &whole),
         (None, &changed),

@@ -440,8 +440,8 @@ fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError>
         None if folder.has_candidates()? => {
             Err(SessionError::BeginningLost { path: folder.paths().ledger() })
         }
-        None => Ok(ledger.append(Entry::Begun { settings: found })?),
-        Some(Entry::Begun { settings }) if *settings != found => {
+        None => Ok(ledger.append(Entry::Begun { settings: found, chained: true })?),
+        Some(Entry::Begun { settings, .. }) if *settings != found => {
             Err(SessionError::SettingsChanged { path })
         }
         Some(_) => Ok(()),
