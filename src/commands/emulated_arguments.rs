@@ -208,9 +208,7 @@ impl EmulatedArguments {
         }
         Ok(settings)
     }
-}
 
-impl EmulatedArguments {
     /// Refuses effects that change a force which this model does not have.
     fn check_effects(&self, model: &QubeModel) -> Result<(), Failure> {
         let gap = &model.nonidealities;

@@ -29,7 +29,7 @@ pub struct RestDetector {
 impl Default for RestDetector {
     /// A detector for a Qube's encoders.
     fn default() -> Self {
-        Self { quiet_ticks: 0, theta_rad_s: AT_REST_RAD_S, alpha_rad_s: AT_REST_RAD_S }
+        Self::of(Encoders::QUBE)
     }
 }
 

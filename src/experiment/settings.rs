@@ -7,7 +7,7 @@ use super::folder::check_name;
 use super::seal::is_unchanged;
 use super::{ExperimentError, Plant, Recipe, StrategySettings};
 use crate::qube::PlantModel;
-use crate::session::{Retired, take_retired, with_present_names};
+use crate::session::{Retired, take_retired, toml_message};
 use crate::simulation::Model;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
@@ -82,7 +82,7 @@ impl ExperimentSettings {
     fn parsed(path: &Path, text: &str) -> Result<(Self, Vec<Retired>), ExperimentError> {
         let unreadable =
             |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
-        let invalid = |error: toml::de::Error| unreadable(with_present_names(&error));
+        let invalid = |error: toml::de::Error| unreadable(toml_message(&error));
         let mut table: Table = toml::from_str(text).map_err(invalid)?;
         let recipes = table.get_mut("recipes").and_then(Value::as_array_mut);
         let retired: Vec<Retired> = recipes

@@ -12,20 +12,12 @@ use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, State, runge_ku
 /// motions give.
 const LONGEST_STEP_S: f64 = CONTROL_PERIOD_S / 9.0;
 
-/// Longest step in time constants of the friction near rest, whose slope is the stiffest term of the
-/// equations. Runge-Kutta is stable up to 2.78, but with longer steps an arm that creeps and sticks
-/// moves otherwise than by its equations, and a fit finds wrong dead zones.
-const LONGEST_STEP_IN_TIME_CONSTANTS: f64 = 0.5;
-
 /// The longest integration step for a model, s: that of `lab`, or a half, a quarter ... of it for an
-/// arm with more friction. Only by halves, so that a fit does not change it with each step.
+/// arm with more friction ([`NonidealDynamics::accurate_step_s`]). Only by halves, so that a fit does
+/// not change it with each step.
 #[must_use]
 pub fn longest_step_s(model: &QubeModel) -> f64 {
-    let dynamics = NonidealDynamics::<f64>::new(model);
-    let ideal = &dynamics.ideal;
-    let arm_inertia = ideal.arm_inertia - ideal.coupling * ideal.coupling / ideal.pendulum_inertia;
-    let accurate_s = LONGEST_STEP_IN_TIME_CONSTANTS * arm_inertia
-        / (dynamics.friction_slope() + ideal.arm_damping);
+    let accurate_s = NonidealDynamics::<f64>::new(model).accurate_step_s();
     let mut step_s = LONGEST_STEP_S;
     while step_s > accurate_s && step_s > SHORTEST_STEP_S {
         step_s *= 0.5;

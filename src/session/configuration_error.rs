@@ -2,7 +2,8 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-use super::retired::{earlier_name, with_present_names};
+use super::retired::earlier_name;
+use super::toml_message::toml_message;
 use crate::qube::{key_of_message, line_of_key};
 use crate::storage::WriteError;
 
@@ -18,7 +19,7 @@ pub enum ConfigurationError {
         source: std::io::Error,
     },
     /// The file is not TOML, has an unknown key, or a value of the wrong type.
-    #[error("{path}: {}", with_present_names(source))]
+    #[error("{path}: {}", toml_message(source))]
     Invalid {
         /// Path of the file.
         path: PathBuf,

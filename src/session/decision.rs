@@ -44,16 +44,17 @@ impl SearchEnd {
     /// of searched candidates.
     #[must_use]
     pub fn of(candidates: &[ScoredCandidate], largest: u32) -> Self {
-        let searched = candidates.iter().filter(|it| it.candidate.purpose.is_searched());
-        if searched.count() as u32 >= largest { Self::Candidates(largest) } else { Self::Verified }
+        if is_full(candidates, largest) { Self::Candidates(largest) } else { Self::Verified }
     }
 }
 
 impl std::fmt::Display for SearchEnd {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Verified => formatter.write_str(
-                "a policy is verified, and one more candidate was expected to gain less than 1 %",
+            Self::Verified => write!(
+                formatter,
+                "a policy is verified, and one more candidate was expected to gain less than {} %",
+                100.0 * WORTHWHILE_GAIN
             ),
             Self::Candidates(1) => formatter.write_str("its only candidate has run"),
             Self::Candidates(largest) => {
@@ -63,21 +64,27 @@ impl std::fmt::Display for SearchEnd {
     }
 }
 
+/// Whether the search has its largest number of candidates.
+fn is_full(candidates: &[ScoredCandidate], largest: u32) -> bool {
+    let searched = candidates.iter().filter(|it| it.candidate.purpose.is_searched());
+    searched.count() as u32 >= largest
+}
+
 /// Decides the next move; all rollouts of `candidates` must be finished. `largest` is the largest
 /// number of searched candidates.
 ///
 /// The candidate of the highest [`rank`](ScoredCandidate::rank), in a tie the latest, is verified at
-/// once if all its rollouts succeeded. One whose verification was loud or failed ranks as loud. If every rollout of the verification succeeded too, the search
-/// continues only while the policy is loud
-/// ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or one more candidate is expected to
-/// gain at least the fraction [`WORTHWHILE_GAIN`] of the verified return. If one failed, the search
-/// continues in any case.
+/// once if all its rollouts succeeded. One whose verification was loud or failed ranks as loud. If
+/// every rollout of the verification succeeded too, the search continues only while the policy is
+/// loud ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or one more candidate is
+/// expected to gain at least the fraction [`WORTHWHILE_GAIN`] of the verified return. If one failed,
+/// the search continues in any case.
 /// At the largest number of candidates the best one is verified, unless it is verified already,
 /// whether or not its rollouts succeeded, and the search ends.
 #[must_use]
 pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
     let searched = || candidates.iter().filter(|it| it.candidate.purpose.is_searched());
-    let is_full = searched().count() as u32 >= largest;
+    let is_full = is_full(candidates, largest);
     let verification_of = |searched: &ScoredCandidate| {
         candidates.iter().find(|it| it.candidate.runs_policy_of(&searched.candidate))
     };

@@ -14,7 +14,7 @@ const RETIRED: [(&[&str], &str); 2] =
 
 /// Renamed entries: the path of their table within a session's settings, and their earlier and
 /// present names.
-const RENAMED: [(&[&str], Names); 6] = [
+pub(super) const RENAMED: [(&[&str], Names); 6] = [
     (
         &["training"],
         &[("pendulums", "num_envs"), ("trace_decay", "gae_lambda"), ("enough", "target_return")],
@@ -79,37 +79,6 @@ pub(super) fn rename_entries(settings: &mut DeTable<'_>) {
             }
         }
     }
-}
-
-/// The types of whole numbers that the parser names, and what they accept.
-const WHOLE_NUMBERS: [(&str, &str); 4] = [
-    ("expected u64", "expected a whole number from 0 on"),
-    ("expected u32", "expected a whole number from 0 to 4 294 967 295"),
-    ("expected u16", "expected a whole number from 0 to 65 535"),
-    ("expected u8", "expected a whole number from 0 to 255"),
-];
-
-/// The message of an error about TOML, which names no type of the program. Where it lists the names
-/// that are expected in place of an unknown one, the list has no earlier name beside the present
-/// one.
-pub(crate) fn with_present_names(error: &toml::de::Error) -> String {
-    let mut message = error.to_string().trim_end().to_owned();
-    for (kind, words) in WHOLE_NUMBERS {
-        if let Some(above) = message.strip_suffix(kind) {
-            message = format!("{above}{words}");
-        }
-    }
-    let before = ", expected one of ";
-    let Some((above, list)) = message.rsplit_once(before) else { return message };
-    let listed: Vec<&str> = list.split(", ").collect();
-    let is_earlier = |name: &str| {
-        let mut names = RENAMED.into_iter().flat_map(|(_, names)| names);
-        names.any(|(earlier, present)| {
-            name == format!("`{earlier}`") && listed.contains(&format!("`{present}`").as_str())
-        })
-    };
-    let present: Vec<&str> = listed.iter().copied().filter(|name| !is_earlier(name)).collect();
-    format!("{above}{before}{}", present.join(", "))
 }
 
 /// The earlier name of an entry, if it has one.

@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use qube_hil::jobs::{Executor, JobEvent, LocalExecutor, TrainingJob};
+use qube_hil::learning::Trained;
 use qube_hil::policy::{Network, Policy};
 
 /// The shipped policy `robust`.
@@ -36,7 +37,7 @@ impl Executor for Given {
                 JobEvent::Finished { job, result } => {
                     let index = self.jobs.fetch_add(1, Ordering::SeqCst);
                     let network = &self.networks[index.min(self.networks.len() - 1)];
-                    let with_network = |mut trained: Box<qube_hil::learning::Trained>| {
+                    let with_network = |mut trained: Box<Trained>| {
                         trained.network = network.clone();
                         trained
                     };

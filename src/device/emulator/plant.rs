@@ -25,11 +25,6 @@ const CONTACT_STEP_US: u64 = 500;
 /// be resolved.
 const PLAY_STEP_US: u64 = 250;
 
-/// Longest step in time constants of the damping, of which friction near rest is the stiffest term.
-/// Runge-Kutta is stable up to 2.78, but inaccurate there: an arm that creeps and sticks moves
-/// otherwise than by its equations, which an identification from its motion sees.
-const LONGEST_STEP_IN_TIME_CONSTANTS: f64 = 0.5;
-
 /// Largest distance of the arm from its middle at the start, rad.
 const START_RANGE_RAD: f64 = 1.0;
 
@@ -378,11 +373,7 @@ fn tachometer_register(encoder: Encoder, rad_s: f64) -> u32 {
 
 /// The longest step, us, with which friction near rest is integrated accurately.
 fn accurate_step_us(dynamics: &NonidealDynamics) -> u64 {
-    let ideal = &dynamics.ideal;
-    let arm_inertia = ideal.arm_inertia - ideal.coupling * ideal.coupling / ideal.pendulum_inertia;
-    let friction_n_m_s = dynamics.friction_slope() + ideal.arm_damping;
-    let longest_s = LONGEST_STEP_IN_TIME_CONSTANTS * arm_inertia / friction_n_m_s;
-    MAX_STEP_US.min((longest_s * 1e6) as u64).max(1)
+    MAX_STEP_US.min((dynamics.accurate_step_s() * 1e6) as u64).max(1)
 }
 
 #[cfg(test)]

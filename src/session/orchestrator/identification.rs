@@ -135,10 +135,13 @@ impl Session {
         let scored = self.scored_candidates()?;
         let decision = decide(&scored, plan.candidates);
         let drives = matches!(decision, Decision::Propose | Decision::Verify { .. });
-        if drives && self.has_contradicted_profile() && self.excites_again(on_event)? {
+        let is_contradicted = drives && self.has_contradicted_profile();
+        if is_contradicted && self.excites_again(on_event)? {
             return Ok(());
         }
         match decision {
+            // The fit was just tried.
+            Decision::Propose if is_contradicted => self.propose_next(on_event),
             Decision::Propose => self.propose_around(on_event),
             Decision::Verify { candidate } => {
                 let incumbent = &self.ledger.state().candidates()[candidate as usize];
@@ -202,24 +205,30 @@ impl Session {
         Ok(())
     }
 
-    /// Proposes a candidate: first the distribution exactly as identified, then points of the
-    /// search around the identified Qube. Before each of these points the profile is updated with
-    /// the recordings so far.
+    /// Updates the profile with the recordings so far, unless nothing has been searched yet, and
+    /// proposes the next candidate.
     fn propose_around(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let searched = self.ledger.state().searched().count() as u32;
-        if searched == 0 {
-            let psi = self.settings.psi.as_identified();
-            return self.append_proposal(Proposal::of(Purpose::Initial, psi), on_event);
-        }
         let used = self.fitted_recordings();
-        if self.used_recordings().len() > used as usize
+        if self.ledger.state().searched().next().is_some()
+            && self.used_recordings().len() > used as usize
             && let Fitted::Found(found) = self.fitted()?
             && found.recordings > used
         {
             self.append_profile(*found, on_event)?;
+        }
+        self.propose_next(on_event)
+    }
+
+    /// Proposes a candidate: first the distribution exactly as identified, then points of the
+    /// search around the identified Qube.
+    fn propose_next(&mut self, on_event: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
+        let searched = self.ledger.state().searched().count() as u32;
+        if searched == 0 {
+            let psi = self.settings.psi.as_identified();
+            return self.append_proposal(Proposal::of(Purpose::Initial, psi), on_event);
         }
         let purpose = if searched < INITIAL_AROUND { Purpose::Initial } else { Purpose::Search };
         let mut strategy = self.settings.search()?;
