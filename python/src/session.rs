@@ -114,7 +114,7 @@ fn read(folder: PathBuf) -> Result<Value, String> {
             json!({
                 "number": it.candidate.number,
                 "purpose": it.candidate.purpose,
-                "psi": it.candidate.psi,
+                "psi": it.candidate.point,
                 "returns": it.verdicts.iter().map(|verdict| verdict.return_()).collect::<Vec<_>>(),
                 "successes": it.successes(),
                 "mean_return": it.mean_return(),

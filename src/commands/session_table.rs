@@ -63,7 +63,7 @@ impl SessionTable {
                 candidate.number,
                 scored.successes(),
                 scored.verdicts.len(),
-                digits(&report.psi, &candidate.psi),
+                digits(&report.psi, &candidate.point),
             );
             let _ = writeln!(text, "{}", row.trim_end());
         }
@@ -87,7 +87,7 @@ impl SessionTable {
             );
             text.push_str(&quietness_line(&scored.quietness));
             let longest = report.psi.names().map(|name| name.len()).max().unwrap_or(0);
-            for (dimension, value) in report.psi.dimensions().iter().zip(&candidate.psi) {
+            for (dimension, value) in report.psi.dimensions().iter().zip(&candidate.point) {
                 let name = dimension.target.to_string();
                 let line = match dimension.target.unit() {
                     "1" => format!("  {name:longest$}  {value:.5}"),
@@ -246,7 +246,7 @@ fn valued(psi: &PsiSpace, scored: &ScoredCandidate) -> Value {
     let mut value = json!({
         "candidate": scored.candidate.number,
         "purpose": scored.candidate.purpose,
-        "psi": psi.with_names(&scored.candidate.psi),
+        "psi": psi.with_names(&scored.candidate.point),
         "returns": scored.returns(),
         "mean_return": scored.mean_return(),
         "successes": scored.successes(),
@@ -268,11 +268,11 @@ fn valued(psi: &PsiSpace, scored: &ScoredCandidate) -> Value {
 
 /// The position of each entry of psi within its box, as a digit from 0 (lower end) to 9 (upper
 /// end).
-fn digits(space: &PsiSpace, psi: &[f64]) -> String {
+fn digits(space: &PsiSpace, point: &[f64]) -> String {
     space
         .dimensions()
         .iter()
-        .zip(psi)
+        .zip(point)
         .map(|(dimension, value)| {
             let place = (value - dimension.lower) / (dimension.upper - dimension.lower);
             ((place * 10.0) as u32).min(9).to_string()

@@ -67,7 +67,7 @@ pub(super) fn found_psi(
     }
     let mut candidates = view.state().candidates().iter();
     let recommended = candidates.find(|it| it.purpose == Purpose::Verification);
-    Ok(recommended.map(|candidate| settings.psi.psi(&candidate.psi)).transpose()?)
+    Ok(recommended.map(|candidate| settings.psi.psi(&candidate.point)).transpose()?)
 }
 
 /// The candidates of the search in order, each with the returns of its rollouts so far. The first

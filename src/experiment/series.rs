@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use super::folder::{PolicyFolders, make};
 use super::rollouts::{Record, Repeated};
 use super::{ExperimentError, Made, Plant, Recipe, RolloutResult};
-use crate::jobs::{CHOSEN_OF_STARTS, Executor, ROUNDS, SUCCEEDED, TrainingJob, worst_return};
+use crate::jobs::{CHOSEN_OF_STARTS, Competition, Executor, Score, TrainingJob};
 use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_on_new_starts};
 use crate::policy::{Policy, PolicyError, PolicyFault};
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
@@ -114,9 +114,7 @@ impl Series<'_> {
         self.recipe.simulation(self.psi)
     }
 
-    /// The best of a policy's competing trainings, by [`worst_return`] in simulation. Another round
-    /// of trainings follows until one has reached [`SUCCEEDED`], up to [`ROUNDS`] in all. A policy
-    /// with a single training has no rounds.
+    /// The best of a policy's competing trainings ([`Competition`]), one after the other.
     fn best_of_trainings(
         &self,
         policy: u32,
@@ -125,35 +123,30 @@ impl Series<'_> {
         let (distribution, simulation) = (self.distribution()?, self.simulation());
         let settings =
             TrainSettings { threads: 1, simulation, ..self.recipe.settings.training.clone() };
-        let mut train = |training: u32| {
-            let seed = derived_seed(self.seed, SeedFor::Training { candidate: policy, training });
-            let (distribution, settings) = (distribution.clone(), settings.clone());
-            let job = TrainingJob { distribution, settings, seed };
-            let mut watch = |update: &TrainUpdate| watch(training, update);
-            self.executor.train_one(&job, self.stop, &mut watch)
-        };
-        if self.trainings <= 1 {
-            return Ok(train(0)?);
-        }
         let fresh = derived_seed(self.seed, SeedFor::Evaluation { candidate: policy });
-        let mut scored = |training: u32| -> Result<(f64, Trained), ExperimentError> {
-            let trained = train(training)?;
+        let score = |trained: &Trained| {
             let (network, starts) = (&trained.network, CHOSEN_OF_STARTS);
             let simulated =
                 evaluate_on_new_starts(network, &distribution, &simulation, fresh, starts);
-            Ok((worst_return(&simulated), trained))
+            Score::of(&simulated)
         };
-        let mut best = scored(0)?;
-        for training in 1..ROUNDS * self.trainings {
-            if training % self.trainings == 0 && best.0 >= SUCCEEDED {
-                break;
+        let mut competition = Competition::new(self.trainings);
+        loop {
+            for training in competition.round() {
+                let seed_for = SeedFor::Training { candidate: policy, training };
+                let seed = derived_seed(self.seed, seed_for);
+                let (distribution, settings) = (distribution.clone(), settings.clone());
+                let job = TrainingJob { distribution, settings, seed };
+                let mut watch = |update: &TrainUpdate| watch(training, update);
+                let trained = self.executor.train_one(&job, self.stop, &mut watch)?;
+                let score =
+                    if competition.is_contested() { score(&trained) } else { Score::UNCONTESTED };
+                competition.enter(training, score, trained);
             }
-            let next = scored(training)?;
-            if next.0 > best.0 {
-                best = next;
+            if let Some(best) = competition.take_winner() {
+                return Ok(best);
             }
         }
-        Ok(best.1)
     }
 
     /// Runs a policy on an emulated plant. The emulated Qube of each attempt at a rollout follows

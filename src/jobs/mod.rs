@@ -26,6 +26,7 @@
 //! ```
 
 mod checksum;
+mod competition;
 mod error;
 mod executor;
 pub mod folder;
@@ -34,15 +35,14 @@ mod folder_executor;
 mod folder_executor_tests;
 mod local;
 mod patience;
-mod selection;
 pub mod starter;
 mod training_cores;
 mod training_job;
 mod worker_pool;
 
+pub use competition::{CHOSEN_OF_STARTS, Competition, ROUNDS, SUCCEEDED, Score, tenth_percentile};
 pub use error::{JobError, JobFolderError};
 pub use executor::{Executor, JobEvent};
 pub use folder_executor::FolderExecutor;
 pub use local::LocalExecutor;
-pub use selection::{CHOSEN_OF_STARTS, ROUNDS, SUCCEEDED, worst_return};
 pub use training_job::TrainingJob;

@@ -134,7 +134,7 @@ mod tests {
         let candidate = Candidate {
             number,
             purpose,
-            psi: vec![place],
+            point: vec![place],
             trained: true,
             finished: Vec::new(),
             void: 0,

@@ -21,10 +21,12 @@ pub enum Entry {
         candidate: u32,
         /// Reason of the proposal.
         purpose: Purpose,
-        /// Psi in the units and order of the search box; empty for an excitation and the baseline.
-        psi: Vec<f64>,
+        /// Point of the search space: one value for each entry of psi, in the order and units of
+        /// the space; empty for an excitation and the baseline.
+        #[serde(rename = "psi")]
+        point: Vec<f64>,
         /// Numbers of the candidates whose returns were still unknown to the search when it chose
-        /// psi.
+        /// this point.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         pending: Vec<u32>,
         /// Number of the searched candidate whose policy this one runs again, to verify it; `None`

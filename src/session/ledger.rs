@@ -296,7 +296,7 @@ mod tests {
             Entry::Proposed {
                 candidate: 0,
                 purpose: Purpose::Initial,
-                psi: vec![0.1, 1.0 / 3.0],
+                point: vec![0.1, 1.0 / 3.0],
                 pending: Vec::new(),
                 policy_of: None,
             },
@@ -385,7 +385,7 @@ mod tests {
         let beside = |candidate, pending| Entry::Proposed {
             candidate,
             purpose: Purpose::Initial,
-            psi: vec![],
+            point: vec![],
             pending,
             policy_of: None,
         };

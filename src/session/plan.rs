@@ -279,7 +279,7 @@ mod tests {
                         entries.push(Entry::Proposed {
                             candidate,
                             purpose,
-                            psi: vec![0.0],
+                            point: vec![0.0],
                             pending,
                             policy_of: None,
                         });
@@ -448,8 +448,8 @@ mod tests {
     }
 
     fn proposed(candidate: u32, purpose: Purpose) -> Entry {
-        let (psi, pending) = (Vec::new(), Vec::new());
-        Entry::Proposed { candidate, purpose, psi, pending, policy_of: None }
+        let (point, pending) = (Vec::new(), Vec::new());
+        Entry::Proposed { candidate, purpose, point, pending, policy_of: None }
     }
 
     /// The ledger's entries of a candidate that has finished this number of rollouts.

@@ -7,8 +7,9 @@ pub struct Candidate {
     pub number: u32,
     /// Reason of its proposal.
     pub purpose: Purpose,
-    /// Psi of the candidate: a point of the search space; empty for an excitation and the baseline.
-    pub psi: Vec<f64>,
+    /// Point of the search space: its psi's values, in the order of the space's dimensions
+    /// ([`crate::simulation::PsiSpace::psi`]). It is empty for an excitation and the baseline.
+    pub point: Vec<f64>,
     /// Whether its policy is on disk.
     pub trained: bool,
     /// Finished rollouts in order.
@@ -25,12 +26,12 @@ pub struct Candidate {
 
 impl Candidate {
     /// Whether this candidate runs the policy of `other` again, to verify it. A ledger of an older
-    /// program does not name the other candidate, so there it is found by its psi, which both share.
+    /// program does not name the other candidate, so there it is found by its point, which both share.
     #[must_use]
     pub fn runs_policy_of(&self, other: &Self) -> bool {
         let is_same = match self.policy_of {
             Some(number) => number == other.number,
-            None => self.psi == other.psi,
+            None => self.point == other.point,
         };
         self.purpose == Purpose::Incumbent && other.purpose.is_searched() && is_same
     }
@@ -160,7 +161,7 @@ impl SessionState {
                 return Err("a session begins in the first line");
             }
             Entry::Begun { .. } => {}
-            Entry::Proposed { candidate, purpose, ref psi, ref pending, policy_of } => {
+            Entry::Proposed { candidate, purpose, ref point, ref pending, policy_of } => {
                 if candidate as usize != self.candidates.len() {
                     return Err("candidates are not numbered in their order");
                 }
@@ -181,7 +182,7 @@ impl SessionState {
                 self.candidates.push(Candidate {
                     number: candidate,
                     purpose,
-                    psi: psi.clone(),
+                    point: point.clone(),
                     trained: false,
                     finished: Vec::new(),
                     void: 0,

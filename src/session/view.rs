@@ -167,10 +167,10 @@ impl ScoredCandidate {
         results.into_values().collect()
     }
 
-    /// The candidate's psi with its returns: the data of the search.
+    /// The candidate's point with its returns: the data of the search.
     #[must_use]
     pub fn observation(&self) -> Observation {
-        Observation { point: self.candidate.psi.clone(), returns: self.returns() }
+        Observation { point: self.candidate.point.clone(), returns: self.returns() }
     }
 
     /// The index of the verified candidate of the highest [`Self::rank`]; in a tie, of the one that

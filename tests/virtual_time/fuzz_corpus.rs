@@ -90,7 +90,7 @@ fn ledger() {
         Entry::Proposed {
             candidate: 0,
             purpose: Purpose::Initial,
-            psi: vec![0.1, 1.0 / 3.0],
+            point: vec![0.1, 1.0 / 3.0],
             pending: Vec::new(),
             policy_of: None,
         },

@@ -23,7 +23,8 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     let settings = source.search_settings(Some(trained_as));
     page.section("The distribution of simulations");
     let distribution =
-        match settings.psi.psi(&chosen.candidate.psi).and_then(|psi| settings.distribution(&psi)) {
+        match settings.psi.psi(&chosen.candidate.point).and_then(|psi| settings.distribution(&psi))
+        {
             Ok(distribution) => distribution,
             Err(error) => return page.paragraph(&format!("It cannot be computed: {error}")),
         };
@@ -78,17 +79,17 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         let heads = ["quantity", "nominal", "mean", "standard deviation", "mean / nominal", "unit"];
         page.table(&heads, &rows, None);
     });
-    add_psi(page, &settings, &chosen.candidate.psi);
+    add_psi(page, &settings, &chosen.candidate.point);
 }
 
 /// Adds the entries of the chosen psi with units and ranges.
-fn add_psi(page: &mut Page, settings: &SessionSettings, psi: &[f64]) {
+fn add_psi(page: &mut Page, settings: &SessionSettings, point: &[f64]) {
     page.details("Psi, which shapes the distribution", |page| {
         let rows: Vec<Vec<Cell>> = settings
             .psi
             .dimensions()
             .iter()
-            .zip(psi)
+            .zip(point)
             .map(|(dimension, value)| {
                 vec![
                     dimension.target.to_string().into(),

@@ -65,10 +65,10 @@ fn add_table(page: &mut Page, source: &SessionSource) {
                 format!("{} of {}", scored.successes(), scored.verdicts.len())
             };
             let names = source.search_settings(Some(candidate.number)).psi;
-            let psi: Vec<String> = if candidate.psi.len() == names.dimensions().len() {
+            let psi: Vec<String> = if candidate.point.len() == names.dimensions().len() {
                 names
                     .names()
-                    .zip(&candidate.psi)
+                    .zip(&candidate.point)
                     .map(|(name, value)| format!("{name} {}", significant(*value)))
                     .collect()
             } else {

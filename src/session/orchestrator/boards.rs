@@ -112,13 +112,13 @@ mod tests {
 
     /// Enters a rollout on the board `one` at this port into a new session.
     fn record(session: &mut Session, port: &str) {
-        let psi = session.settings.psi.lower();
+        let point = session.settings.psi.lower();
         session.folder.make_candidate(0).unwrap();
         for entry in [
             Entry::Proposed {
                 candidate: 0,
                 purpose: Purpose::Initial,
-                psi,
+                point,
                 pending: Vec::new(),
                 policy_of: None,
             },

@@ -65,8 +65,8 @@ mod tests {
         IdentificationSettings { excitations: 1, ..IdentificationSettings::DEFAULT };
 
     fn proposed(candidate: u32, purpose: Purpose) -> Entry {
-        let (psi, pending) = (Vec::new(), Vec::new());
-        Entry::Proposed { candidate, purpose, psi, pending, policy_of: None }
+        let (point, pending) = (Vec::new(), Vec::new());
+        Entry::Proposed { candidate, purpose, point, pending, policy_of: None }
     }
 
     fn identified(doubts: &[&str]) -> Entry {

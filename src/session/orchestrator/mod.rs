@@ -126,7 +126,7 @@ impl Session {
             return Err(SessionError::BeginningLost { path: session.folder.paths().ledger() });
         }
         for candidate in session.ledger.state().candidates().iter().filter(|it| has_psi(it)) {
-            session.settings.psi.psi(&candidate.psi)?;
+            session.settings.psi.psi(&candidate.point)?;
         }
         if let Step::GiveUp { candidate, rollout } = session.next_step() {
             let void = session.ledger.state().candidates()[candidate as usize].void;

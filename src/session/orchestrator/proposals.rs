@@ -1,4 +1,4 @@
-//! Chooses the psi of candidates from the returns so far.
+//! Chooses the points of candidates in the space of psi from the returns so far.
 
 use super::Session;
 use crate::search::{Observation, SearchError};
@@ -7,26 +7,26 @@ use crate::session::{Candidate, Entry, Purpose, SessionError, SessionEvent};
 /// A candidate that is to be proposed.
 pub(super) struct Proposal {
     purpose: Purpose,
-    psi: Vec<f64>,
+    point: Vec<f64>,
     /// Number of the candidate whose policy it runs again, if it does.
     policy_of: Option<u32>,
 }
 
 impl Proposal {
     /// A candidate with a policy of its own.
-    pub(super) fn of(purpose: Purpose, psi: Vec<f64>) -> Self {
-        Self { purpose, psi, policy_of: None }
+    pub(super) fn of(purpose: Purpose, point: Vec<f64>) -> Self {
+        Self { purpose, point, policy_of: None }
     }
 
     /// A candidate that runs the incumbent's policy again.
     pub(super) fn again(incumbent: &Candidate) -> Self {
-        let (psi, policy_of) = (incumbent.psi.clone(), Some(incumbent.number));
-        Self { purpose: Purpose::Incumbent, psi, policy_of }
+        let (point, policy_of) = (incumbent.point.clone(), Some(incumbent.number));
+        Self { purpose: Purpose::Incumbent, point, policy_of }
     }
 }
 
 impl Session {
-    /// Proposes `count` candidates for this purpose: chooses their psi, which is empty for an
+    /// Proposes `count` candidates for this purpose: chooses their points, which are empty for an
     /// excitation and the baseline, and enters them into the ledger. The purposes `Verification`
     /// and `Incumbent` have one candidate, whatever `count` is.
     pub(super) fn propose(
@@ -49,7 +49,7 @@ impl Session {
                 let data = self.observations()?;
                 let awaited = self.ledger.state().awaited(self.settings.extent.rollouts);
                 let (numbers, points): (Vec<u32>, Vec<Vec<f64>>) =
-                    awaited.map(|it| (it.number, it.psi.clone())).unzip();
+                    awaited.map(|it| (it.number, it.point.clone())).unzip();
                 pending = numbers;
                 strategy.propose(&data, &points, count as usize)?
             }
@@ -60,8 +60,8 @@ impl Session {
                 return self.append_proposal(again, on_event);
             }
         };
-        for psi in chosen {
-            let proposal = Proposal::of(purpose, psi);
+        for point in chosen {
+            let proposal = Proposal::of(purpose, point);
             self.append_proposal_beside(pending.clone(), proposal, on_event)?;
         }
         Ok(())
@@ -81,9 +81,9 @@ impl Session {
         proposal: Proposal,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let Proposal { purpose, psi, policy_of } = proposal;
+        let Proposal { purpose, point, policy_of } = proposal;
         let candidate = self.ledger.state().candidates().len() as u32;
-        self.ledger.append(Entry::Proposed { candidate, purpose, psi, pending, policy_of })?;
+        self.ledger.append(Entry::Proposed { candidate, purpose, point, pending, policy_of })?;
         let settings = &self.settings;
         let counts = self
             .ledger

@@ -330,7 +330,7 @@ impl Session {
             candidate: Some(turn.candidate),
             rollout: turn.rollout,
             attempt: turn.attempt,
-            psi: self.settings.psi.with_names(&candidate.psi),
+            psi: self.settings.psi.with_names(&candidate.point),
             seed: self.settings.seed,
             policy,
             estimator: self.settings.estimator,

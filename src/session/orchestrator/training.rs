@@ -6,7 +6,8 @@ use std::sync::atomic::AtomicBool;
 
 use super::prepared::{PreparedTraining, PreparedTrainings};
 use crate::jobs::{
-    CHOSEN_OF_STARTS, Executor, JobError, JobEvent, ROUNDS, SUCCEEDED, TrainingJob, worst_return,
+    CHOSEN_OF_STARTS, Competition, Executor, JobError, JobEvent, Score, TrainingJob,
+    tenth_percentile,
 };
 use crate::learning::{Origin, Preset, TrainSettings, Trained, curve_csv, evaluate_on_new_starts};
 use crate::policy::Network;
@@ -30,57 +31,31 @@ enum TrainedFor {
     Nominal,
 }
 
-/// The trainings of one candidate in one round, of which the best policy is kept.
-struct Competition {
-    /// Number of trainings that have not ended.
-    missing: u32,
-    /// Best policy so far with its score and the Qubes that it was trained for, until it is
-    /// written.
-    best: Option<(Score, Trained, TrainedFor)>,
-    /// Times of the candidate's trainings that have ended, also of earlier rounds.
+/// A candidate whose policy is being trained.
+struct Contest {
+    candidate: Candidate,
+    /// The kinds of Qubes of the trainings of a round, in order.
+    trainings: Vec<TrainedFor>,
+    competition: Competition<(Trained, TrainedFor)>,
+    /// Times of the trainings that have ended.
     times: Vec<TrainingTime>,
+    /// Whether the policy is written.
+    is_over: bool,
 }
 
 /// Factor on the width of the simulations by which policies around a doubted identification are
 /// compared: an effect that the model lacks makes the Qube differ by more than the fit's errors.
 const DOUBTED_WIDTH: f64 = 2.0;
 
-/// The returns that all but the worst tenth of a policy's fresh simulations reach.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Score {
-    /// In simulations of the identified Qube, by which a policy succeeds or needs another round.
-    as_identified: f64,
-    /// In the simulations by which policies are compared: those of the identified Qube, but
-    /// [`DOUBTED_WIDTH`] times as wide if the identification is doubted.
-    compared: f64,
-}
-
-impl Score {
-    /// The score of a policy that has no competitor and is not evaluated.
-    const UNCONTESTED: Self = Self { as_identified: SUCCEEDED, compared: SUCCEEDED };
-
-    fn succeeds(&self) -> bool {
-        self.as_identified >= SUCCEEDED
-    }
-
-    /// Whether this policy is kept instead of another: one that succeeds beats one that fails.
-    fn is_better_than(&self, other: &Self) -> bool {
-        (self.succeeds(), self.compared) > (other.succeeds(), other.compared)
-    }
-}
-
 /// A training of a round.
 #[derive(Clone, Copy)]
 struct Entrant {
-    /// Index of its candidate in the round.
-    index: usize,
+    /// Index of its contest.
+    contest: usize,
     /// Number of the training among those of its candidate.
     training: u32,
     trained_for: TrainedFor,
 }
-
-/// A candidate whose policy is to be trained, with the times of its trainings so far.
-type Due = (Candidate, Vec<TrainingTime>);
 
 /// Trains policies and writes them into the session's folder. It owns neither rig nor ledger, so it
 /// can run in another thread.
@@ -98,8 +73,8 @@ pub(super) struct Trainer {
 
 impl Trainer {
     /// Trains the policies of these candidates; a training that is prepared is not done again. A
-    /// candidate whose competing policies all fail in simulation is trained again with other seeds,
-    /// in at most [`ROUNDS`] rounds in all.
+    /// candidate whose competing policies all fail in simulation is trained again with other seeds
+    /// ([`Competition`]).
     pub(super) fn train(
         &self,
         candidates: Vec<Candidate>,
@@ -107,12 +82,15 @@ impl Trainer {
         stop: &AtomicBool,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let mut due: Vec<Due> = candidates.into_iter().map(|it| (it, Vec::new())).collect();
-        for round in 0..ROUNDS {
-            if due.is_empty() {
-                break;
-            }
-            due = self.train_round(due, round, prepared, stop, on_event)?;
+        let contest = |candidate: Candidate| {
+            let trainings = self.trainings(&candidate);
+            let competition = Competition::new(trainings.len() as u32);
+            Contest { candidate, trainings, competition, times: Vec::new(), is_over: false }
+        };
+        let mut contests: Vec<Contest> = candidates.into_iter().map(contest).collect();
+        while !contests.is_empty() {
+            self.train_round(&mut contests, prepared, stop, on_event)?;
+            contests.retain(|contest| !contest.is_over);
         }
         Ok(())
     }
@@ -132,7 +110,7 @@ impl Trainer {
             return vec![TrainedFor::Psi];
         };
         let mut trainings = vec![TrainedFor::Psi; plan.trainings as usize];
-        if self.is_doubted() && candidate.psi == self.settings.psi.as_identified() {
+        if self.is_doubted() && candidate.point == self.settings.psi.as_identified() {
             trainings.push(TrainedFor::Unknown);
         }
         trainings
@@ -142,27 +120,20 @@ impl Trainer {
         matches!(&self.identification, Identification::Found { doubts, .. } if !doubts.is_empty())
     }
 
-    /// Performs one round of each candidate's trainings and keeps the best policy as soon as all
-    /// trainings of the candidate have ended. Returns the candidates of which every policy failed
-    /// in simulation; in the last round their best policy is kept nonetheless.
+    /// Performs one round of each contest's trainings. A policy is written as soon as it is chosen.
     fn train_round(
         &self,
-        due: Vec<Due>,
-        round: u32,
+        contests: &mut [Contest],
         prepared: &mut PreparedTrainings,
         stop: &AtomicBool,
         on_event: &mut dyn FnMut(SessionEvent),
-    ) -> Result<Vec<Due>, SessionError> {
-        let is_last = round + 1 == ROUNDS;
+    ) -> Result<(), SessionError> {
         let (mut jobs, mut of_job, mut of_prepared) = (Vec::new(), Vec::new(), Vec::new());
-        let mut competitions = Vec::new();
-        let (candidates, times): (Vec<Candidate>, Vec<_>) = due.into_iter().unzip();
-        for (index, (candidate, times)) in candidates.iter().zip(times).enumerate() {
-            let trainings = self.trainings(candidate);
-            let missing = trainings.len() as u32;
-            for (training, trained_for) in (round * missing..).zip(trainings) {
-                let job = self.job(candidate.number, training, &candidate.psi, trained_for)?;
-                let entrant = Entrant { index, training, trained_for };
+        for (index, contest) in contests.iter().enumerate() {
+            let Contest { candidate, trainings, competition, .. } = contest;
+            for (training, &trained_for) in competition.round().zip(trainings) {
+                let job = self.job(candidate.number, training, &candidate.point, trained_for)?;
+                let entrant = Entrant { contest: index, training, trained_for };
                 if prepared.has(&job) {
                     of_prepared.push((job, entrant));
                 } else {
@@ -170,33 +141,14 @@ impl Trainer {
                     of_job.push(entrant);
                 }
             }
-            competitions.push(Competition { missing, best: None, times });
         }
         let mut began_unix_ns = vec![unix_ns(); jobs.len()];
         let mut failed = None;
-        let mut enter = |Entrant { index, trained_for, .. }: Entrant,
-                         time: TrainingTime,
-                         result: Result<Trained, JobError>,
-                         on_event: &mut dyn FnMut(SessionEvent)| {
-            let (candidate, competition) = (&candidates[index], &mut competitions[index]);
-            competition.times.push(time);
-            let kept = result.map_err(SessionError::from).and_then(|trained| {
-                self.compete(candidate, competition, (trained, trained_for), is_last)
-            });
-            match kept {
-                Ok(Some(best_return)) => {
-                    let (candidate, best_return) = (candidate.number, Some(best_return));
-                    on_event(SessionEvent::Trained { candidate, best_return });
-                }
-                Ok(None) => {}
-                Err(error) => failed = Some(error),
-            }
-        };
         self.executor.train(&jobs, stop, &mut |event| match event {
             JobEvent::Begun { job } => began_unix_ns[job] = unix_ns(),
             JobEvent::Update { job, update } => {
-                let Entrant { index, training, .. } = of_job[job];
-                let candidate = candidates[index].number;
+                let Entrant { contest, training, .. } = of_job[job];
+                let candidate = contests[contest].candidate.number;
                 on_event(SessionEvent::Training { candidate, training, update: &update });
             }
             JobEvent::Finished { job, result } => {
@@ -207,54 +159,50 @@ impl Trainer {
                     // A clock may be set back.
                     ended_unix_ns: unix_ns().max(began_unix_ns[job]),
                 };
-                enter(entrant, time, result.map(|trained| *trained), on_event);
+                let result = result.map(|trained| *trained);
+                let contest = &mut contests[entrant.contest];
+                if let Err(error) = self.enter(contest, entrant, time, result, on_event) {
+                    failed = Some(error);
+                }
             }
         });
         for (job, entrant) in of_prepared {
             let PreparedTraining { result, time } = prepared.take(&job, entrant.training, stop);
-            enter(entrant, time, result, on_event);
+            let contest = &mut contests[entrant.contest];
+            if let Err(error) = self.enter(contest, entrant, time, result, on_event) {
+                failed = Some(error);
+            }
         }
-        if let Some(error) = failed {
-            return Err(error);
-        }
-        let again = candidates.into_iter().zip(competitions).filter(|(_, it)| it.best.is_some());
-        Ok(again.map(|(candidate, competition)| (candidate, competition.times)).collect())
+        failed.map_or(Ok(()), Err)
     }
 
-    /// Enters a policy into its candidate's competition. After the last training the best policy is
-    /// written and its return is the result, unless that policy fails in simulation and another
-    /// round follows.
-    fn compete(
+    /// Enters a training into its contest and, if that decides it, writes the winner's policy.
+    fn enter(
         &self,
-        candidate: &Candidate,
-        competition: &mut Competition,
-        (trained, trained_for): (Trained, TrainedFor),
-        is_last: bool,
-    ) -> Result<Option<f64>, SessionError> {
-        let competes = competition.missing > 1 || competition.best.is_some();
-        let score = if competes {
-            self.score(candidate.number, &trained.network)?
-        } else {
-            // A candidate's only policy has no competitor: it is written without an evaluation.
-            Score::UNCONTESTED
+        contest: &mut Contest,
+        Entrant { training, trained_for, .. }: Entrant,
+        time: TrainingTime,
+        result: Result<Trained, JobError>,
+        on_event: &mut dyn FnMut(SessionEvent),
+    ) -> Result<(), SessionError> {
+        contest.times.push(time);
+        let (trained, candidate) = (result?, contest.candidate.number);
+        let score = match contest.competition.is_contested() {
+            true => self.score(candidate, &trained.network)?,
+            false => Score::UNCONTESTED,
         };
-        competition.missing -= 1;
-        if competition.best.as_ref().is_none_or(|(best, ..)| score.is_better_than(best)) {
-            competition.best = Some((score, trained, trained_for));
-        }
-        let decided = |(best, ..): &(Score, Trained, TrainedFor)| best.succeeds() || is_last;
-        if competition.missing > 0 || !competition.best.as_ref().is_some_and(decided) {
-            return Ok(None);
-        }
-        let Some((_, best, trained_for)) = competition.best.take() else { return Ok(None) };
-        let best_return = best.best_return;
+        contest.competition.enter(training, score, (trained, trained_for));
+        let Some((winner, trained_for)) = contest.competition.take_winner() else { return Ok(()) };
+        contest.is_over = true;
+        let best_return = Some(winner.best_return);
         // The times are written before the policy, so that no policy is on disk without its times.
         if self.in_real_time {
-            let path = self.paths.candidate(candidate.number).training_times();
-            TrainingTime::write_all(&competition.times, self.disk.as_ref(), &path)?;
+            let path = self.paths.candidate(candidate).training_times();
+            TrainingTime::write_all(&contest.times, self.disk.as_ref(), &path)?;
         }
-        self.save(candidate.number, best, self.origin(candidate, trained_for)?)?;
-        Ok(Some(best_return))
+        self.save(candidate, winner, self.origin(&contest.candidate, trained_for)?)?;
+        on_event(SessionEvent::Trained { candidate, best_return });
+        Ok(())
     }
 
     /// The training of the policy for an unidentified Qube that competes in the first round of this
@@ -278,31 +226,31 @@ impl Trainer {
         self.job(candidate, 0, &[], TrainedFor::Nominal)
     }
 
-    /// The training with this number among those of a candidate with this psi.
+    /// The training with this number among those of a candidate at this point.
     fn job(
         &self,
         candidate: u32,
         training: u32,
-        psi: &[f64],
+        point: &[f64],
         trained_for: TrainedFor,
     ) -> Result<TrainingJob, SessionError> {
-        let (distribution, settings) = self.training_of(psi, trained_for)?;
+        let (distribution, settings) = self.training_of(point, trained_for)?;
         let seed_for = SeedFor::Training { candidate, training };
         let seed = derived_seed(self.settings.seed, seed_for);
         Ok(TrainingJob { distribution, settings, seed })
     }
 
-    /// The distribution and settings of the training of a candidate with this psi.
+    /// The distribution and settings of the training of a candidate at this point.
     fn training_of(
         &self,
-        psi: &[f64],
+        point: &[f64],
         trained_for: TrainedFor,
     ) -> Result<(DomainDistribution, TrainSettings), SessionError> {
         let settings = &self.settings;
         let base = |model: Model| model.distribution(settings.plant(), settings.family, None, None);
         Ok(match trained_for {
             TrainedFor::Psi => {
-                let psi = settings.psi.psi(psi)?;
+                let psi = settings.psi.psi(point)?;
                 let simulation = settings.simulation(&psi);
                 let training = TrainSettings { simulation, ..settings.training.clone() };
                 (settings.distribution(&psi)?, training)
@@ -329,25 +277,27 @@ impl Trainer {
             preset: preset.name().into(),
         };
         Ok(match trained_for {
-            TrainedFor::Psi => self.settings.origin(&self.settings.psi.psi(&candidate.psi)?),
+            TrainedFor::Psi => self.settings.origin(&self.settings.psi.psi(&candidate.point)?),
             TrainedFor::Unknown => without_psi(Model::Robust, self.settings.preset()),
             TrainedFor::Nominal => without_psi(Model::Nominal, Preset::Quick),
         })
     }
 
-    /// The score of a policy of a candidate.
+    /// The score of a policy of a candidate. It succeeds in simulations of the identified Qube; if
+    /// the identification is doubted, policies are compared in simulations that are
+    /// [`DOUBTED_WIDTH`] times as wide.
     ///
     /// # Errors
     /// The base distribution cannot be simulated.
     fn score(&self, candidate: u32, network: &Network) -> Result<Score, SessionError> {
-        let as_identified = worst_return(&self.simulated(candidate, network)?);
+        let as_identified = self.simulated(candidate, network)?;
         if !self.is_doubted() {
-            return Ok(Score { as_identified, compared: as_identified });
+            return Ok(Score::of(&as_identified));
         }
         let base = self.settings.base_distribution()?;
         let doubted = base.widened(DOUBTED_WIDTH, self.settings.family);
-        let compared = worst_return(&self.simulated_from(&doubted, candidate, network));
-        Ok(Score { as_identified, compared })
+        let compared = tenth_percentile(&self.simulated_from(&doubted, candidate, network));
+        Ok(Score { tenth_percentile: tenth_percentile(&as_identified), compared })
     }
 
     /// Evaluates a policy of a candidate in fresh simulations from the search's base distribution.
@@ -415,15 +365,9 @@ mod tests {
         let Ok(Policy::Network(policy)) = Policy::load(&path) else { panic!("a network") };
         let score = |doubts| trainer(settings.clone(), found(doubts)).score(1, &policy.network);
         let (sure, doubted) = (score(Vec::new()).unwrap(), score(vec!["play".into()]).unwrap());
-        assert_eq!(sure.compared, sure.as_identified);
-        assert_eq!(doubted.as_identified, sure.as_identified);
-        assert!(doubted.compared < doubted.as_identified - 1.0, "{doubted:?}");
-
-        let fails = Score { as_identified: SUCCEEDED - 1.0, compared: 250.0 };
-        let wide = Score { as_identified: 400.0, compared: 200.0 };
-        let narrow = Score { as_identified: 500.0, compared: 100.0 };
-        assert!(wide.is_better_than(&fails) && !fails.is_better_than(&wide));
-        assert!(wide.is_better_than(&narrow) && !narrow.is_better_than(&wide));
+        assert_eq!(sure.compared, sure.tenth_percentile);
+        assert_eq!(doubted.tenth_percentile, sure.tenth_percentile);
+        assert!(doubted.compared < doubted.tenth_percentile - 1.0, "{doubted:?}");
     }
 
     #[test]
@@ -433,10 +377,10 @@ mod tests {
         let lab = Profile::lab();
         let around = settings.clone().around(&plan, &lab, &lab);
         let doubted = found(vec!["play".into()]);
-        let candidate = |number, purpose, psi| Candidate {
+        let candidate = |number, purpose, point| Candidate {
             number,
             purpose,
-            psi,
+            point,
             trained: false,
             finished: Vec::new(),
             void: 0,
@@ -450,7 +394,7 @@ mod tests {
         for (asked, early) in [(first, early), (baseline, later.baseline(3).unwrap())] {
             let jobs = (0..).zip(later.trainings(&asked));
             let mut jobs = jobs
-                .map(|(training, of)| later.job(asked.number, training, &asked.psi, of).unwrap());
+                .map(|(training, of)| later.job(asked.number, training, &asked.point, of).unwrap());
             assert!(jobs.any(|job| job == early), "{:?}", asked.purpose);
         }
     }
