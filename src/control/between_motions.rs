@@ -22,14 +22,14 @@ const SHORT_PAUSE_NS: Nanoseconds = 5_000_000_000;
 
 /// The motor's heat between motions.
 #[derive(Debug, Default)]
-pub(super) struct Motor {
+pub(super) struct MotorCooling {
     pub heat: MotorHeat,
     /// Time up to which `heat` is computed and since which the motor has had no current, ns; `None`
     /// before the first motion.
     off_since_ns: Option<Nanoseconds>,
 }
 
-impl Motor {
+impl MotorCooling {
     /// A motor with this heat whose current ends now.
     pub fn off_from_now(heat: MotorHeat, clock: &dyn Clock) -> Self {
         Self { heat, off_since_ns: Some(clock.now_ns()) }
@@ -73,7 +73,7 @@ pub(super) struct RestMonitor {
     pub left_at: Result<RestingCounts, Moved>,
     /// Encoders of the plant that was homed.
     pub encoders: Encoders,
-    /// Time at which they were seen at rest, ns.
+    /// Time at which `left_at` was determined, ns.
     pub left_ns: Nanoseconds,
     /// Whether the arm must be still after each motion, not only at rest: true from the first time
     /// that it was not where it had just been left, to the end of the program. A cable may pull it
@@ -185,14 +185,14 @@ mod tests {
     fn a_hot_motor_cools_down_before_the_next_motion_unless_a_stop_is_asked_for() {
         let clock = VirtualClock::default();
         let heat = MotorHeat { load: 0.85, ..MotorHeat::default() };
-        let mut motor = Motor { heat, off_since_ns: Some(0) };
+        let mut motor = MotorCooling { heat, off_since_ns: Some(0) };
         motor.cool_down(&clock, &AtomicBool::new(false));
         assert!((motor.heat.load - COOLED_LOAD).abs() < 1e-3, "{motor:?}");
         let waited_s = clock.now_ns() as f64 * 1e-9;
         assert!((waited_s - heat.cooling_s()).abs() < 1e-3, "{waited_s} s");
 
         let now_ns = clock.now_ns();
-        let mut motor = Motor { heat, off_since_ns: Some(now_ns) };
+        let mut motor = MotorCooling { heat, off_since_ns: Some(now_ns) };
         motor.cool_down(&clock, &AtomicBool::new(true));
         assert_eq!((clock.now_ns(), motor.heat), (now_ns, heat));
     }

@@ -119,13 +119,13 @@ impl Coefficients {
     }
 }
 
-/// A contradiction between the two encoders.
+/// The encoder that the other one contradicts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Contradiction {
+pub enum FrozenEncoder {
     /// The arm's count is constant, but the pendulum's motion shows that the arm moves.
-    ArmFrozen,
+    Arm,
     /// The pendulum's count is constant where a real pendulum would move.
-    PendulumFrozen,
+    Pendulum,
 }
 
 /// Cross-check of the two encoders: compares changes of the arm's velocity, as the arm's encoder
@@ -343,7 +343,7 @@ impl CrossCheck {
         sample: &Measurement,
         theta: f64,
         alpha: f64,
-    ) -> Option<Contradiction> {
+    ) -> Option<FrozenEncoder> {
         let next = |theta_counts, alpha_counts| {
             Some(Previous { sample: *sample, theta, alpha, theta_counts, alpha_counts })
         };
@@ -418,22 +418,22 @@ impl CrossCheck {
             || self.arm_constant_ticks > self.pendulum_constant_ticks
                 && self.last_step_counts < SWINGING_COUNTS;
         (self.streak >= STREAK).then_some(if is_the_arm {
-            Contradiction::ArmFrozen
+            FrozenEncoder::Arm
         } else {
-            Contradiction::PendulumFrozen
+            FrozenEncoder::Pendulum
         })
     }
 
     /// Whether the pendulum implies that the arm has gained velocity while the arm's count was
     /// constant.
     fn drifts(&self) -> bool {
-        let stood =
+        let constant =
             (self.arm_constant_ticks as usize).min(self.filled.saturating_sub(1)).min(DRIFT);
-        self.drifts_over(stood.min(DRIFT / 2)) || self.drifts_over(stood)
+        self.drifts_over(constant.min(DRIFT / 2)) || self.drifts_over(constant)
     }
 
-    fn drifts_over(&self, stood: usize) -> bool {
-        if stood < 2 * SHORT + 2 {
+    fn drifts_over(&self, ticks: usize) -> bool {
+        if ticks < 2 * SHORT + 2 {
             return false;
         }
         let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
@@ -444,12 +444,12 @@ impl CrossCheck {
             let pulled_rad_s = 0.5 * (at(back + 1).pulled_rad_s + at(back + 2).pulled_rad_s);
             ((end.swing_rad - start.swing_rad) / elapsed_s, pulled_rad_s)
         };
-        let (now, before) = (velocity_and_pull(0), velocity_and_pull(stood - SHORT));
+        let (now, before) = (velocity_and_pull(0), velocity_and_pull(ticks - SHORT));
         let (swung_rad_s, pulled_rad_s) = (now.0 - before.0, now.1 - before.1);
-        let stood_s = at(0).time_s - at(stood - SHORT).time_s;
+        let elapsed_s = at(0).time_s - at(ticks - SHORT).time_s;
         let unknown_rad_s = self.unknown_share * 0.5 * (swung_rad_s.abs() + pulled_rad_s.abs());
         let implied_rad_s = (swung_rad_s + pulled_rad_s).abs();
-        let zero_rad_s = self.coefficients.weight * self.zero_within_rad * stood_s;
+        let zero_rad_s = self.coefficients.weight * self.zero_within_rad * elapsed_s;
         implied_rad_s > DRIFT_RAD_S + zero_rad_s + unknown_rad_s
     }
 
@@ -500,10 +500,10 @@ impl CrossCheck {
 
 /// Returns the count about which an encoder is constant; `ticks` becomes the number of ticks for
 /// which it has been.
-fn constant_count(now: i32, stood: i32, ticks: &mut u32) -> i32 {
-    if now.wrapping_sub(stood).wrapping_abs() <= 1 {
+fn constant_count(now: i32, constant: i32, ticks: &mut u32) -> i32 {
+    if now.wrapping_sub(constant).wrapping_abs() <= 1 {
         *ticks = ticks.saturating_add(1);
-        stood
+        constant
     } else {
         *ticks = 0;
         now

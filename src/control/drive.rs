@@ -119,7 +119,7 @@ pub fn drive_warm(
 
         // Update the motor's heat by the voltage that acted until now.
         let measurement = input.measurement.as_ref();
-        heat.pass(skipped_periods, measurement, voltage_mv, output.state.theta_dot);
+        heat.pass(skipped_periods, measurement, voltage_mv, output.heating_theta_dot_rad_s);
         largest_motor_load = largest_motor_load.max(heat.load);
         voltage_mv = output.voltage_mv;
 

@@ -264,11 +264,11 @@ impl Homing {
 
     /// Acts on the response to a push: enters the next stage, waits, or asks for a second push.
     /// Returns the fault that the response proves, if any.
-    fn apply_response(&mut self, answer: PushResponse) -> Option<Fault> {
+    fn apply_response(&mut self, response: PushResponse) -> Option<Fault> {
         let cross_check = self.sensors.cross_check();
         let leads = cross_check.is_some_and(|own| own.lead_is_evident());
         let rather_leads = cross_check.is_some_and(|own| own.lead_is_likelier());
-        let wrong_sign = match answer {
+        let wrong_sign = match response {
             PushResponse::Waits => return None,
             PushResponse::Moves => return Some(Fault::ArmPushed),
             PushResponse::Stays => {
@@ -379,7 +379,7 @@ impl Homing {
 
     fn off(&mut self, ending: Ending) -> TickOutput {
         self.control.take(match ending {
-            Ending::Fault(_) => ControlEvent::ZeroFault,
+            Ending::Fault(_) => ControlEvent::SwitchOffFault,
             Ending::Stopped => ControlEvent::Stop,
             Ending::Completed | Ending::LeftBox(_) => ControlEvent::Homed,
         });
@@ -390,7 +390,7 @@ impl Homing {
     /// The fault that encoders and motor show together, if any.
     fn sensor_fault(&mut self, sample: &Measurement) -> Option<Fault> {
         let alarm = self.sensors.check(sample, None);
-        if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = alarm {
+        if let Some(Alarm::SwitchOff(fault) | Alarm::Brake(fault)) = alarm {
             return Some(fault);
         }
         // During the first pushes the probe decides which sign is wrong.
@@ -422,7 +422,7 @@ impl Motion for Homing {
         // The arm is slow here, so that the amplifier can go off at once, even after a fault that
         // would brake a rollout.
         let watched = self.watch.check(input);
-        let watched = watched.map(|(Alarm::Zero(fault) | Alarm::Brake(fault))| fault);
+        let watched = watched.map(|(Alarm::SwitchOff(fault) | Alarm::Brake(fault))| fault);
         let fault = watched
             .or_else(|| input.measurement.as_ref().and_then(|sample| self.sensor_fault(sample)));
         if let Some(fault) = fault {

@@ -66,7 +66,7 @@ pub enum ControlEvent {
     BrakeFault,
     /// A fault after which link, amplifier, motor or the arm's encoder cannot be trusted. In homing
     /// every fault is this event, because the arm is slow enough to be switched off at once.
-    ZeroFault,
+    SwitchOffFault,
     /// The arm's count is doubted, while link and amplifier can be trusted.
     CountDoubted,
 }
@@ -228,9 +228,9 @@ impl ControlState {
                 | S::Running
                 | S::Braking
                 | S::Faulting,
-                E::ZeroFault,
+                E::SwitchOffFault,
             ) => latched,
-            (S::Faulted, E::ZeroFault) => ignored,
+            (S::Faulted, E::SwitchOffFault) => ignored,
 
             (S::Settling | S::Running | S::Braking, E::CountDoubted) => faulting,
             (
@@ -272,7 +272,7 @@ impl ControlEvent {
         Self::Stop,
         Self::BrakingEnded,
         Self::BrakeFault,
-        Self::ZeroFault,
+        Self::SwitchOffFault,
         Self::CountDoubted,
     ];
 }
@@ -332,9 +332,9 @@ mod tests {
             if state.is_powered() && !next.is_powered() {
                 assert_eq!(action, A::Off, "{step}");
             }
-            // A ZeroFault leads to the latch at once, from every state. A BrakeFault leads there at
+            // A SwitchOffFault leads to the latch at once, from every state. A BrakeFault leads there at
             // once or through the brake; if the brake is already on, it changes nothing.
-            if event == E::ZeroFault {
+            if event == E::SwitchOffFault {
                 assert_eq!(next, S::Faulted, "{step}");
             }
             if event == E::BrakeFault {

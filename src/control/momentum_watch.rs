@@ -121,9 +121,9 @@ pub struct MomentumWatch {
     ring: [Entry; KEPT],
     newest: usize,
     filled: usize,
-    /// Ticks for which the arm's count has been within one count of `stood_at`.
-    stood_ticks: usize,
-    stood_at: i32,
+    /// Ticks for which the arm's count has been within one count of `constant_count`.
+    constant_ticks: usize,
+    constant_count: i32,
     last_counts: i32,
     /// Last step, counts, if it was large and came after a constant count; otherwise 0.
     resumed_counts: i32,
@@ -161,8 +161,8 @@ impl MomentumWatch {
             ring: [Entry::default(); KEPT],
             newest: 0,
             filled: 0,
-            stood_ticks: 0,
-            stood_at: 0,
+            constant_ticks: 0,
+            constant_count: 0,
             last_counts: 0,
             resumed_counts: 0,
             has_taken_current: false,
@@ -203,7 +203,7 @@ impl MomentumWatch {
             };
             self.ring[0] = Entry { time_s, alpha, ..Entry::default() };
             self.filled = 1;
-            (self.stood_at, self.last_counts) = (sample.theta_counts, sample.theta_counts);
+            (self.constant_count, self.last_counts) = (sample.theta_counts, sample.theta_counts);
             return false;
         }
         self.sent_v.rotate_right(1);
@@ -221,17 +221,17 @@ impl MomentumWatch {
         {
             return true;
         }
-        if sample.theta_counts.wrapping_sub(self.stood_at).wrapping_abs() > 1 {
-            if self.stood_ticks >= RESUMES_AFTER_TICKS
+        if sample.theta_counts.wrapping_sub(self.constant_count).wrapping_abs() > 1 {
+            if self.constant_ticks >= RESUMES_AFTER_TICKS
                 && step.wrapping_abs() >= self.of_qube(RESUMES_COUNTS)
             {
                 self.resumed_counts = step;
             }
-            (self.stood_at, self.stood_ticks) = (sample.theta_counts, 0);
+            (self.constant_count, self.constant_ticks) = (sample.theta_counts, 0);
             return false;
         }
-        self.stood_ticks += 1;
-        let longest = self.stood_ticks.min(self.filled.saturating_sub(3));
+        self.constant_ticks += 1;
+        let longest = self.constant_ticks.min(self.filled.saturating_sub(3));
         (LEAST_TICKS..=longest).any(|ticks| self.moves_over(ticks))
     }
 

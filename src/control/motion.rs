@@ -36,6 +36,9 @@ pub struct TickOutput {
     pub phase: Phase,
     /// The estimated state that a policy sees.
     pub state: State,
+    /// Speed of the arm from which the motor's heat is computed, rad/s: that of the state that the
+    /// guard sees, so that no wrong model of an observer falsifies it.
+    pub heating_theta_dot_rad_s: f64,
     /// Voltage that the controller asked for, V; `None` while the last voltage is held or the
     /// amplifier is off.
     pub wanted_v: Option<f64>,
@@ -50,7 +53,14 @@ impl TickOutput {
     /// The output of a motion other than a rollout, in a tick that keeps `voltage_mv`, mV, asks for
     /// no other voltage and does not end the motion.
     pub fn settling(state: State, voltage_mv: i16) -> Self {
-        Self { phase: Phase::Settling, state, wanted_v: None, voltage_mv, ending: None }
+        Self {
+            phase: Phase::Settling,
+            state,
+            heating_theta_dot_rad_s: state.theta_dot,
+            wanted_v: None,
+            voltage_mv,
+            ending: None,
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Detects that a motor voltage does not move the arm.
 
+use super::count_range::CountRange;
 use crate::qube::Measurement;
 
 /// Growth of cos(alpha) alpha_dot in the direction of the voltage above which the pendulum absorbs
@@ -21,39 +22,49 @@ pub struct ArmInput {
     pub swing_rad_s: f64,
 }
 
+/// The push that must move an arm.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PushLimits {
+    /// Smallest voltage in one direction, mV.
+    pub least_mv: i16,
+    /// Largest range within which the arm's count counts as constant, counts.
+    pub most_counts: i32,
+    /// Longest time for which the count may be constant, us.
+    pub longest_us: u64,
+}
+
 /// Detector of a voltage that keeps its direction while the arm hardly moves.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Push {
     since_us: Option<u64>,
     positive: bool,
-    lowest: i32,
-    highest: i32,
+    range: CountRange,
     first_swing_rad_s: f64,
 }
 
 impl Push {
-    /// Whether at least `least_mv` has been applied in one direction for `longest_us` while the arm
-    /// stayed within `most_counts`, and the pendulum has not absorbed the push.
+    /// Whether a voltage within these limits has not moved the arm, and the pendulum has not absorbed
+    /// the push.
     pub(super) fn moves_nothing(
         &mut self,
         sample: &Measurement,
-        drive: ArmInput,
-        (least_mv, most_counts, longest_us): (i16, i32, u64),
+        arm_input: ArmInput,
+        limits: PushLimits,
     ) -> bool {
-        let counts = sample.theta_counts;
-        let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));
-        let drives = drive.voltage_mv.saturating_abs() >= least_mv;
-        let positive = drive.voltage_mv > 0;
-        let stays = highest.wrapping_sub(lowest) <= most_counts && positive == self.positive;
+        let PushLimits { least_mv, most_counts, longest_us } = limits;
+        let range = self.range.with(sample.theta_counts);
+        let drives = arm_input.voltage_mv.saturating_abs() >= least_mv;
+        let positive = arm_input.voltage_mv > 0;
+        let stays = range.width() <= most_counts && positive == self.positive;
         if let Some(since_us) = self.since_us
             && drives
             && stays
         {
-            (self.lowest, self.highest) = (lowest, highest);
+            self.range = range;
             if sample.device_time_us.saturating_sub(since_us) < longest_us {
                 return false;
             }
-            let taken_rad_s = drive.swing_rad_s - self.first_swing_rad_s;
+            let taken_rad_s = arm_input.swing_rad_s - self.first_swing_rad_s;
             let carried = if positive { taken_rad_s } else { -taken_rad_s } > CARRIED_RAD_S;
             if !carried {
                 return true;
@@ -62,9 +73,8 @@ impl Push {
         *self = Self {
             since_us: drives.then_some(sample.device_time_us),
             positive,
-            lowest: counts,
-            highest: counts,
-            first_swing_rad_s: drive.swing_rad_s,
+            range: CountRange::at(sample.theta_counts),
+            first_swing_rad_s: arm_input.swing_rad_s,
         };
         false
     }

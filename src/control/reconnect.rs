@@ -24,9 +24,9 @@ pub struct HelloRetries {
 /// before each further attempt.
 ///
 /// # Errors
-/// The error of the last hello. What no waiting cures ends the attempts at once: a version
-/// mismatch, an emergency stop, and a Qube that was switched off, which somebody may be about to
-/// touch. So does a request to stop.
+/// The error of the last hello. Three errors end the attempts at once, because waiting does not
+/// cure them: a version mismatch, an emergency stop, and a Qube that was switched off, which
+/// somebody may be about to touch. A request to stop ends them, too.
 pub(super) fn greet_until_answered(
     device: &mut dyn Device,
     clock: &dyn Clock,

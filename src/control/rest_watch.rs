@@ -3,6 +3,7 @@
 
 use thiserror::Error;
 
+use super::count_range::CountRange;
 use crate::qube::{CONTROL_PERIOD_S, Encoder, Encoders, Measurement};
 
 /// Number of consecutive samples within the widths below that count as rest: 0.6 s, longer than a
@@ -122,33 +123,6 @@ struct Last {
     time_us: u64,
     theta_counts: i32,
     velocity: Option<f64>,
-}
-
-/// Range of some counts, relative to the first count.
-#[derive(Clone, Copy, Debug, Default)]
-struct CountRange {
-    origin: i32,
-    lowest: i32,
-    highest: i32,
-}
-
-impl CountRange {
-    fn at(counts: i32) -> Self {
-        Self { origin: counts, lowest: 0, highest: 0 }
-    }
-
-    fn with(self, counts: i32) -> Self {
-        let off = counts.wrapping_sub(self.origin);
-        Self { lowest: self.lowest.min(off), highest: self.highest.max(off), ..self }
-    }
-
-    fn width(self) -> i32 {
-        self.highest.saturating_sub(self.lowest)
-    }
-
-    fn middle(self) -> i32 {
-        self.origin.wrapping_add(self.lowest + self.width() / 2)
-    }
 }
 
 impl RestWatch {

@@ -1,7 +1,7 @@
-use super::cross_check::{Contradiction, CrossCheck, RIG_SHARE, WHOLE_DOMAIN_SHARE};
+use super::cross_check::{CrossCheck, FrozenEncoder, RIG_SHARE, WHOLE_DOMAIN_SHARE};
 use super::dead_motor::DeadMotor;
 use super::momentum_watch::MomentumWatch;
-use super::push::{ArmInput, Push};
+use super::push::{ArmInput, Push, PushLimits};
 use super::still_pendulum::StillPendulum;
 use super::watch::Alarm;
 use crate::estimation::Calibration;
@@ -16,14 +16,8 @@ const JUMP_COUNTS: f64 = 200.0;
 /// jump, too. A blow changes the arm's velocity for more than one period.
 const SPIKE_COUNTS: i32 = 40;
 
-/// Voltage from which on every arm must move, mV: no friction holds an arm against 1 V.
-const FROZEN_DRIVE_MV: i16 = 1000;
-
-/// Duration of `FROZEN_DRIVE_MV` in one direction within which the arm's count must move, us.
-const FROZEN_US: u64 = 300_000;
-
-/// Range within which an encoder counts as not moved, counts.
-const FROZEN_COUNTS: i32 = 2;
+/// The push that moves every arm: no friction holds an arm against 1 V.
+const FROZEN: PushLimits = PushLimits { least_mv: 1000, most_counts: 2, longest_us: 300_000 };
 
 /// Voltage that turns every arm faster than `STALL_RAD_S`, mV.
 const STALL_DRIVE_MV: i16 = 2000;
@@ -180,13 +174,13 @@ impl SensorWatch {
         }
     }
 
-    /// Checks one sample. `drive` is `None` during homing, which pushes the arm against its stops;
+    /// Checks one sample. `arm_input` is `None` during homing, which pushes the arm against its stops;
     /// the tests that compare the arm's motion with its voltage are then left out.
     ///
-    /// A fault of the arm gives [`Alarm::Zero`]: a brake would rely on the doubtful count, or work
+    /// A fault of the arm gives [`Alarm::SwitchOff`]: a brake would rely on the doubtful count, or work
     /// against the hand that holds the arm. A fault of the pendulum gives [`Alarm::Brake`]: the arm
     /// may be moving, and the brake does not need the pendulum.
-    pub fn check(&mut self, sample: &Measurement, drive: Option<ArmInput>) -> Option<Alarm> {
+    pub fn check(&mut self, sample: &Measurement, arm_input: Option<ArmInput>) -> Option<Alarm> {
         let Some(previous) = self.previous.replace(*sample) else {
             self.pendulum = StillPendulum::seen(sample);
             return None;
@@ -203,7 +197,7 @@ impl SensorWatch {
         let step = self.step(sample, &previous);
         let [of_theta, of_alpha] = self.counts_per_qube_count;
         if theta.abs() > of_theta * JUMP_COUNTS * periods {
-            return Some(Alarm::Zero(Fault::EncoderJump));
+            return Some(Alarm::SwitchOff(Fault::EncoderJump));
         }
         if alpha.abs() > of_alpha * JUMP_COUNTS * periods && self.cross_check.is_some() {
             self.cross_check = None;
@@ -228,24 +222,24 @@ impl SensorWatch {
         }
         if let Some(step) = step.filter(|_| self.cross_check.is_some()) {
             if is_spike(&mut self.theta_steps, step.theta_of_a_period(), of_theta) {
-                return Some(Alarm::Zero(Fault::EncoderJump));
+                return Some(Alarm::SwitchOff(Fault::EncoderJump));
             }
             if is_spike(&mut self.alpha_steps, step.alpha_of_a_period(), of_alpha) {
                 self.cross_check = None;
                 return Some(Alarm::Brake(Fault::PendulumJump));
             }
         }
-        if let (Some((calibration, _)), Some(drive)) = (&self.cross_check, drive) {
+        if let (Some((calibration, _)), Some(arm_input)) = (&self.cross_check, arm_input) {
             let (_, alpha) = calibration.angles_rad(sample);
             let sign = if calibration.voltage_inverted { -1.0 } else { 1.0 };
-            let voltage_v = f64::from(drive.voltage_mv) * 1e-3;
+            let voltage_v = f64::from(arm_input.voltage_mv) * 1e-3;
             if self.momentum.is_frozen(sample, alpha, voltage_v, sign * sample.current_a) {
-                return Some(Alarm::Zero(Fault::EncoderFrozen));
+                return Some(Alarm::SwitchOff(Fault::EncoderFrozen));
             }
         }
         match contradiction {
-            Some(Contradiction::ArmFrozen) => return Some(Alarm::Zero(Fault::EncoderFrozen)),
-            Some(Contradiction::PendulumFrozen) => {
+            Some(FrozenEncoder::Arm) => return Some(Alarm::SwitchOff(Fault::EncoderFrozen)),
+            Some(FrozenEncoder::Pendulum) => {
                 // The brake does not need the pendulum; the cross-check does and ends here.
                 self.cross_check = None;
                 return Some(Alarm::Brake(Fault::PendulumFrozen));
@@ -253,11 +247,11 @@ impl SensorWatch {
             None => {}
         }
         if self.cross_check.is_some() && self.motor.takes_no_current(sample) {
-            return Some(Alarm::Zero(Fault::MotorDead));
+            return Some(Alarm::SwitchOff(Fault::MotorDead));
         }
         let counts_s = theta / elapsed_s;
         if self.disagrees(sample, counts_s) {
-            return Some(Alarm::Zero(Fault::TachometerDisagrees));
+            return Some(Alarm::SwitchOff(Fault::TachometerDisagrees));
         }
         let pendulum_is_frozen = step.is_some_and(|step| {
             let rad_per_count = self.plant.encoders.theta.rad_per_count();
@@ -265,9 +259,9 @@ impl SensorWatch {
         });
         // The arm's tests come first: a fault of the pendulum lasts while the brake works and must
         // not hide a fault of the arm.
-        let held = drive.and_then(|drive| self.held(sample, drive, counts_s, elapsed_s));
+        let held = arm_input.and_then(|input| self.held(sample, input, counts_s, elapsed_s));
         if let Some(fault) = held {
-            return Some(Alarm::Zero(fault));
+            return Some(Alarm::SwitchOff(fault));
         }
         if alpha.abs() > of_alpha * JUMP_COUNTS * periods {
             return Some(Alarm::Brake(Fault::PendulumJump));
@@ -295,12 +289,13 @@ impl SensorWatch {
     fn held(
         &mut self,
         sample: &Measurement,
-        drive: ArmInput,
+        arm_input: ArmInput,
         counts_s: f64,
         elapsed_s: f64,
     ) -> Option<Fault> {
-        let is_dead = self.cross_check.is_some() && self.motor.is_dead(sample, drive.voltage_mv);
-        if self.frozen.moves_nothing(sample, drive, (FROZEN_DRIVE_MV, FROZEN_COUNTS, FROZEN_US)) {
+        let is_dead =
+            self.cross_check.is_some() && self.motor.is_dead(sample, arm_input.voltage_mv);
+        if self.frozen.moves_nothing(sample, arm_input, FROZEN) {
             return Some(match self.cross_check {
                 // The cross-check has not contradicted the count, so the arm does not move.
                 Some(_) if is_dead => Fault::MotorDead,
@@ -315,8 +310,12 @@ impl SensorWatch {
         if counts_s.abs() > STALL_RAD_S / rad_per_count + 1.0 / elapsed_s {
             self.stall = Push::default();
         }
-        let stalls =
-            self.stall.moves_nothing(sample, drive, (STALL_DRIVE_MV, crept_counts, STALL_US));
+        let limits = PushLimits {
+            least_mv: STALL_DRIVE_MV,
+            most_counts: crept_counts,
+            longest_us: STALL_US,
+        };
+        let stalls = self.stall.moves_nothing(sample, arm_input, limits);
         stalls.then_some(if is_dead { Fault::MotorDead } else { Fault::Stall })
     }
 
@@ -361,9 +360,9 @@ mod tests {
             let device_time_us = u64::from(tick) * 10_000;
             let mut sample = Measurement { device_time_us, ..Measurement::default() };
             at(tick, &mut sample);
-            let drive = ArmInput { voltage_mv: sample.applied_mv, swing_rad_s: 0.0 };
-            match watch.check(&sample, (!may_push).then_some(drive))? {
-                Alarm::Zero(fault) | Alarm::Brake(fault) => Some((tick, fault)),
+            let arm_input = ArmInput { voltage_mv: sample.applied_mv, swing_rad_s: 0.0 };
+            match watch.check(&sample, (!may_push).then_some(arm_input))? {
+                Alarm::SwitchOff(fault) | Alarm::Brake(fault) => Some((tick, fault)),
             }
         })
     }
@@ -448,7 +447,7 @@ mod tests {
         };
         assert_eq!(alarm(0.1, 3000), None);
         assert_eq!(alarm(-0.1, -3000), None);
-        let frozen = Some(Alarm::Zero(Fault::EncoderFrozen));
+        let frozen = Some(Alarm::SwitchOff(Fault::EncoderFrozen));
         for (swing, voltage_mv) in [(-0.1, 3000), (0.1, -3000), (0.05, 3000), (0.0, 3000)] {
             assert_eq!(alarm(swing, voltage_mv), frozen);
         }
@@ -514,7 +513,7 @@ mod tests {
             );
         }
         assert_eq!(alarms[0], Alarm::Brake(Fault::PendulumFrozen));
-        assert!(alarms.contains(&Alarm::Zero(Fault::EncoderFrozen)), "{alarms:?}");
+        assert!(alarms.contains(&Alarm::SwitchOff(Fault::EncoderFrozen)), "{alarms:?}");
     }
 
     #[test]

@@ -296,7 +296,7 @@ impl SignProbe {
 
 impl Motion for SignProbe {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
-        if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = self.watch.check(input) {
+        if let Some(Alarm::SwitchOff(fault) | Alarm::Brake(fault)) = self.watch.check(input) {
             return self.off(Ending::Fault(fault));
         }
         self.ticks += input.skipped_periods;

@@ -1,5 +1,6 @@
 //! Detects a frozen pendulum encoder: its count is constant although the arm throws the pendulum.
 
+use super::count_range::CountRange;
 use crate::qube::Measurement;
 
 /// Range within which the pendulum's count is taken as constant, counts.
@@ -19,8 +20,7 @@ const CONSTANT_US: u64 = 300_000;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct StillPendulum {
     since_us: u64,
-    lowest: i32,
-    highest: i32,
+    range: CountRange,
     slowest_rad_s: f64,
     fastest_rad_s: f64,
 }
@@ -30,8 +30,7 @@ impl StillPendulum {
     pub(super) fn seen(sample: &Measurement) -> Self {
         Self {
             since_us: sample.device_time_us,
-            lowest: sample.alpha_counts,
-            highest: sample.alpha_counts,
+            range: CountRange::at(sample.alpha_counts),
             ..Self::default()
         }
     }
@@ -40,21 +39,18 @@ impl StillPendulum {
     /// constant for at least [`CONSTANT_US`] while the arm's velocity changed by more than
     /// [`VELOCITY_STEP_RAD_S`].
     pub(super) fn is_frozen(&mut self, sample: &Measurement, arm_rad_s: f64) -> bool {
-        let counts = sample.alpha_counts;
-        let (lowest, highest) = (self.lowest.min(counts), self.highest.max(counts));
-        if highest.wrapping_sub(lowest) > STAYS_COUNTS {
+        let range = self.range.with(sample.alpha_counts);
+        if range.width() > STAYS_COUNTS {
             *self = Self {
                 since_us: sample.device_time_us,
-                lowest: counts,
-                highest: counts,
+                range: CountRange::at(sample.alpha_counts),
                 slowest_rad_s: arm_rad_s,
                 fastest_rad_s: arm_rad_s,
             };
             return false;
         }
         *self = Self {
-            lowest,
-            highest,
+            range,
             since_us: self.since_us,
             slowest_rad_s: self.slowest_rad_s.min(arm_rad_s),
             fastest_rad_s: self.fastest_rad_s.max(arm_rad_s),

@@ -150,7 +150,7 @@ impl StopPress {
 impl Motion for StopPress {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.ticks += 1 + input.skipped_periods;
-        if let Some(Alarm::Zero(fault) | Alarm::Brake(fault)) = self.watch.check(input) {
+        if let Some(Alarm::SwitchOff(fault) | Alarm::Brake(fault)) = self.watch.check(input) {
             return self.off(Ending::Fault(fault));
         }
         if input.stop_requested {

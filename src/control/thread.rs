@@ -4,7 +4,7 @@ use std::thread::JoinHandle;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
-use super::between_motions::{Motor, RestMonitor};
+use super::between_motions::{MotorCooling, RestMonitor};
 use super::reconnect::{HelloRetries, greet_until_answered};
 use super::{
     ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
@@ -31,7 +31,7 @@ pub struct Homed {
 enum Command {
     Hello(HelloRetries),
     Cool,
-    Motor(MotorHeat),
+    SetHeat(MotorHeat),
     Home(Box<HomingSettings>),
     Rollout(Box<TickSettings>, Box<dyn Controller>, rtrb::Producer<TickRecord>),
     Lend(Borrower),
@@ -46,7 +46,7 @@ enum Event {
     Homed(Result<(DriveReport, Homed), ControlError>),
     Finished(Result<DriveReport, ControlError>),
     Returned(Result<(), ControlError>),
-    Cooled(MotorHeat),
+    Heat(MotorHeat),
 }
 
 /// Handle of the thread that owns the device. The thread executes one command at a time; in between
@@ -79,7 +79,7 @@ impl ControlThread {
             let report = if realtime { enter_realtime() } else { RealtimeRefusals::default() };
             let _ = ready.send(report);
             let mut state = ControlState::default();
-            let mut motor = Motor::default();
+            let mut motor = MotorCooling::default();
             let mut rest_monitor = RestMonitor::default();
             for command in inbox {
                 let (device, clock) = (device.as_mut(), clock.as_ref());
@@ -182,7 +182,7 @@ impl ControlThread {
     /// # Errors
     /// The thread is gone.
     pub fn set_motor(&self, heat: MotorHeat) -> Result<(), ThreadGone> {
-        self.ask(Command::Motor(heat)).map(|_| ())
+        self.ask(Command::SetHeat(heat)).map(|_| ())
     }
 
     /// Waits until the motor is cool enough for the next motion, or `stop` is set. Returns the heat
@@ -192,7 +192,7 @@ impl ControlThread {
     /// The thread is gone.
     pub fn cool_motor(&self) -> Result<MotorHeat, ThreadGone> {
         match self.ask(Command::Cool)? {
-            Event::Cooled(heat) => Ok(heat),
+            Event::Heat(heat) => Ok(heat),
             _ => Err(ThreadGone),
         }
     }
@@ -241,7 +241,7 @@ impl Drop for ControlThread {
 
 fn execute(
     state: &mut ControlState,
-    motor: &mut Motor,
+    motor: &mut MotorCooling,
     rest_monitor: &mut RestMonitor,
     command: Command,
     device: &mut dyn Device,
@@ -263,21 +263,26 @@ fn execute(
         }
         Command::Cool => {
             motor.cool_down(clock, stop);
-            Event::Cooled(motor.heat)
+            Event::Heat(motor.heat)
         }
-        Command::Motor(heat) => {
-            *motor = Motor::off_from_now(heat, clock);
-            Event::Cooled(motor.heat)
+        Command::SetHeat(heat) => {
+            *motor = MotorCooling::off_from_now(heat, clock);
+            Event::Heat(motor.heat)
         }
         Command::Home(settings) => {
-            motor.cool_down(clock, stop);
+            let home = allowed(state, ControlEvent::Home);
+            // A homing that is refused does not wait until the motor has cooled.
+            if home.is_ok() {
+                motor.cool_down(clock, stop);
+            }
             rest_monitor.encoders = settings.plant.encoders;
             let mut homing = match state {
                 ControlState::Cleared => Homing::after_fault(&settings),
                 _ => Homing::new(&settings),
             };
-            let driven = allowed(state, ControlEvent::Home)
-                .and_then(|()| driven(state, motor, device, clock, &mut homing, None, stop));
+            let driven = home.and_then(|()| {
+                drive_and_adopt_state(state, motor, device, clock, &mut homing, None, stop)
+            });
             if let (Ok(report), ControlState::Ready) = (&driven, *state) {
                 rest_monitor.keep(report.last_measurement.as_ref(), device, clock, stop);
             }
@@ -295,7 +300,15 @@ fn execute(
                     return Err(error);
                 }
                 let mut tick = Tick::new(&settings, controller);
-                driven(state, motor, device, clock, &mut tick, Some(&mut records), stop)
+                drive_and_adopt_state(
+                    state,
+                    motor,
+                    device,
+                    clock,
+                    &mut tick,
+                    Some(&mut records),
+                    stop,
+                )
             });
             rest_monitor.left_at = Err(Moved::Unseen);
             if let (Ok(report), ControlState::Ready) = (&driven, *state) {
@@ -331,9 +344,9 @@ fn allowed(state: &mut ControlState, wanted: ControlEvent) -> Result<(), Control
 ///
 /// # Errors
 /// The device could not be armed; the fault is latched.
-fn driven(
+fn drive_and_adopt_state(
     state: &mut ControlState,
-    motor: &mut Motor,
+    motor: &mut MotorCooling,
     device: &mut dyn Device,
     clock: &dyn Clock,
     motion: &mut dyn Motion,

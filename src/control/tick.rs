@@ -239,7 +239,7 @@ impl<C: Controller> Tick<C> {
         };
         let time_is_up = self.periods_in_phase >= most_ticks;
         if !is_at_rest && time_is_up && speed_rad_s > RUNAWAY_RAD_S {
-            Some((ControlEvent::ZeroFault, Ending::Fault(Fault::BrakingTimedOut)))
+            Some((ControlEvent::SwitchOffFault, Ending::Fault(Fault::BrakingTimedOut)))
         } else if is_at_rest || time_is_up {
             Some((ControlEvent::BrakingEnded, self.reason))
         } else {
@@ -296,7 +296,7 @@ impl<C: Controller> Tick<C> {
         let asking = self.asking.as_mut().filter(|_| self.phase == Phase::Running)?;
         let (_, alpha) = self.settings.calibration.angles_rad(sample);
         let unanswered = asking.is_unanswered(sample, self.voltage_mv, alpha);
-        unanswered.then(|| Alarm::Zero(self.sensors.why_arm_rests(sample, self.voltage_mv)))
+        unanswered.then(|| Alarm::SwitchOff(self.sensors.why_arm_rests(sample, self.voltage_mv)))
     }
 
     /// How the last motion of the Qube contradicts the profile that foresight simulates.
@@ -339,9 +339,12 @@ impl<C: Controller> Tick<C> {
     }
 
     fn output(&self) -> TickOutput {
+        let Estimates { seen, guarded } = self.estimates;
+        let by_guard = self.settings.rules >= TickRules::HeatByGuardedSpeed;
         TickOutput {
             phase: self.phase,
-            state: self.estimates.seen,
+            state: seen,
+            heating_theta_dot_rad_s: if by_guard { guarded.theta_dot } else { seen.theta_dot },
             wanted_v: None,
             voltage_mv: self.voltage_mv,
             ending: None,
@@ -355,7 +358,7 @@ impl<C: Controller> Tick<C> {
 fn most_urgent(alarms: [Option<Alarm>; 3], rules: TickRules) -> Option<Alarm> {
     let mut given = alarms.into_iter().flatten();
     let distrusts_brake =
-        |alarm: &Alarm| rules >= TickRules::FaultsFirst && matches!(alarm, Alarm::Zero(_));
+        |alarm: &Alarm| rules >= TickRules::FaultsFirst && matches!(alarm, Alarm::SwitchOff(_));
     given.clone().find(distrusts_brake).or_else(|| given.next())
 }
 
@@ -399,13 +402,15 @@ impl<C: Controller> Motion for Tick<C> {
         self.remember_sent(input.skipped_periods);
 
         // Watch link, clock, the device's status flags, and sensors.
-        let drive = ArmInput {
+        let arm_input = ArmInput {
             voltage_mv: self.voltage_mv,
             swing_rad_s: Scalar::sin_cos(self.estimates.guarded.alpha).1
                 * self.estimates.guarded.alpha_dot,
         };
-        let seen =
-            input.measurement.as_ref().and_then(|sample| self.sensors.check(sample, Some(drive)));
+        let seen = input
+            .measurement
+            .as_ref()
+            .and_then(|sample| self.sensors.check(sample, Some(arm_input)));
         let unanswered = input.measurement.as_ref().and_then(|sample| self.unanswered(sample));
         // The count may be right although a test doubts it; with the motor off, a moving arm would
         // then coast into its stop. The brake damps such an arm by its velocity. For an arm at rest
@@ -415,14 +420,16 @@ impl<C: Controller> Motion for Tick<C> {
         let damps = self.settings.rules >= since;
         let alarms = [self.watch.check(input), seen, unanswered];
         let off = match most_urgent(alarms, self.settings.rules) {
-            Some(Alarm::Zero(fault)) if damps && fault.doubts_count() => {
+            Some(Alarm::SwitchOff(fault)) if damps && fault.doubts_count() => {
                 if !self.damps {
                     self.damps = true;
                     self.brake = brake_of(&self.settings, true);
                 }
                 self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
             }
-            Some(Alarm::Zero(fault)) => self.take(ControlEvent::ZeroFault, Ending::Fault(fault)),
+            Some(Alarm::SwitchOff(fault)) => {
+                self.take(ControlEvent::SwitchOffFault, Ending::Fault(fault))
+            }
             Some(Alarm::Brake(fault)) => self.take(ControlEvent::BrakeFault, Ending::Fault(fault)),
             None => false,
         };

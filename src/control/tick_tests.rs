@@ -11,7 +11,7 @@ use crate::qube::{
     DomainParameters, Measurement, PlantModel, QubeModel, State, Status, wrap_angle,
 };
 use crate::safety::{Limit, SafetyBox};
-use crate::telemetry::{Ending, Fault, Phase, TickRecord, TickSettings};
+use crate::telemetry::{Ending, Fault, Phase, TickRecord, TickRules, TickSettings};
 
 fn settings() -> TickSettings {
     TickSettings {
@@ -22,7 +22,7 @@ fn settings() -> TickSettings {
         start_theta_rad: 0.05,
         stops: None,
         foresight: None,
-        rules: crate::telemetry::TickRules::NEWEST,
+        rules: TickRules::NEWEST,
         plant: PlantModel::QUBE,
     }
 }
@@ -300,4 +300,32 @@ fn the_same_rollout_gives_the_same_records() {
         rollout(&mut device, classical(), false).1
     };
     assert_eq!(run(), run());
+}
+
+#[test]
+fn the_motors_heat_follows_the_speed_that_the_guard_sees() {
+    // The policy's filter is ten times as slow as the guard's.
+    let estimator = EstimatorSettings { corner_rad_s: 5.0, ..EstimatorSettings::default() };
+    let speeds = |rules: TickRules| {
+        let mut tick = Tick::new(&TickSettings { estimator, rules, ..settings() }, classical());
+        let mut output = None;
+        for number in 0..10_u32 {
+            let measurement = Measurement {
+                device_time_us: u64::from(number) * 10_000,
+                theta_counts: 5 * number as i32,
+                status: Status { armed: true, ..Status::default() },
+                ..Measurement::default()
+            };
+            let deadline_ns = u64::from(number) * 10_000_000;
+            let measurement = Some(measurement);
+            output =
+                Some(tick.decide(&TickInput { deadline_ns, measurement, ..TickInput::default() }));
+        }
+        let output = output.unwrap();
+        (output.state.theta_dot, output.heating_theta_dot_rad_s)
+    };
+    let (seen, heating) = speeds(TickRules::NEWEST);
+    assert!(heating > 1.5 * seen && seen > 0.0, "{seen} {heating}");
+    let (seen, heating) = speeds(TickRules::RestByEncoders);
+    assert_eq!(seen, heating, "an older recording replays as it was recorded");
 }

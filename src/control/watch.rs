@@ -18,21 +18,21 @@ const CLOCK_LEAP_US: u64 = 1_000_000;
 /// Consecutive odd intervals that prove a wrong device clock. An interval is odd if it is less than
 /// half or more than twice the computer's: less than 5 ms or more than 20 ms for a tick of 10 ms.
 /// Fewer odd intervals can result from one late and one early sample.
-const MAX_ODD_PACES: u32 = 3;
+const MAX_ODD_INTERVALS: u32 = 3;
 
 /// Interval of the second, more precise comparison of the clocks, us.
-const LONG_PACE_US: u64 = 500_000;
+const RATE_WINDOW_US: u64 = 500_000;
 
 /// Tolerance of the second comparison, as a fraction: a crystal is off by 0.005, and answers come
 /// up to 10 ms late.
-const LONG_PACE_SHARE: f64 = 0.1;
+const RATE_TOLERANCE: f64 = 0.1;
 
 /// The reaction that a fault requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alarm {
     /// Switch the amplifier off at once, because link, clock, amplifier, motor or the arm's count
     /// cannot be trusted. A rollout first damps the arm if only the arm's count is in doubt.
-    Zero(Fault),
+    SwitchOff(Fault),
     /// Stop the arm first, because link, amplifier and the arm's count can be trusted; then switch
     /// the amplifier off.
     Brake(Fault),
@@ -70,7 +70,7 @@ impl ClockWatch {
         self.odd_in_a_row = if is_odd { self.odd_in_a_row + 1 } else { 0 };
         elapsed_us == 0
             || elapsed_us > host_us + CLOCK_LEAP_US
-            || self.odd_in_a_row >= MAX_ODD_PACES
+            || self.odd_in_a_row >= MAX_ODD_INTERVALS
             || self.is_wrong_for_long(asked_ns, device_us)
     }
 
@@ -78,12 +78,12 @@ impl ClockWatch {
     fn is_wrong_for_long(&mut self, asked_ns: u64, device_us: u64) -> bool {
         let (since_ns, since_us) = *self.long_since.get_or_insert((asked_ns, device_us));
         let host_us = asked_ns.saturating_sub(since_ns) / 1000;
-        if host_us < LONG_PACE_US {
+        if host_us < RATE_WINDOW_US {
             return false;
         }
         self.long_since = Some((asked_ns, device_us));
         let elapsed_us = device_us.saturating_sub(since_us);
-        elapsed_us.abs_diff(host_us) as f64 > LONG_PACE_SHARE * host_us as f64
+        elapsed_us.abs_diff(host_us) as f64 > RATE_TOLERANCE * host_us as f64
     }
 }
 
@@ -98,40 +98,40 @@ impl Watch {
     /// Checks one tick's input; returns the first alarm.
     pub fn check(&mut self, input: &TickInput) -> Option<Alarm> {
         if input.link_gone {
-            return Some(Alarm::Zero(Fault::LinkGone));
+            return Some(Alarm::SwitchOff(Fault::LinkGone));
         }
         if input.board_restarted {
-            return Some(Alarm::Zero(Fault::BoardRestarted));
+            return Some(Alarm::SwitchOff(Fault::BoardRestarted));
         }
         if input.qube_off {
-            return Some(Alarm::Zero(Fault::QubeOff));
+            return Some(Alarm::SwitchOff(Fault::QubeOff));
         }
         let last_valid_ns = *self.last_valid_ns.get_or_insert(input.deadline_ns);
         let Some(measurement) = &input.measurement else {
             let blind_ns = input.deadline_ns.saturating_sub(last_valid_ns);
-            return (blind_ns > MAX_BLIND_NS).then_some(Alarm::Zero(Fault::NoSample));
+            return (blind_ns > MAX_BLIND_NS).then_some(Alarm::SwitchOff(Fault::NoSample));
         };
         self.last_valid_ns = Some(input.deadline_ns);
         // Before all else that may be wrong, also after a sleep of the computer: no program goes on
         // by itself after this.
         if measurement.status.emergency_stop {
-            return Some(Alarm::Zero(Fault::EmergencyStop));
+            return Some(Alarm::SwitchOff(Fault::EmergencyStop));
         }
         let asked_ns = input.deadline_ns + input.lateness_ns;
         if !self.ignores_clock && self.clock.is_wrong(asked_ns, measurement.device_time_us) {
-            return Some(Alarm::Zero(Fault::DeviceClock));
+            return Some(Alarm::SwitchOff(Fault::DeviceClock));
         }
         if measurement.status.watchdog_tripped {
-            return Some(Alarm::Zero(Fault::WatchdogTripped));
+            return Some(Alarm::SwitchOff(Fault::WatchdogTripped));
         }
         if measurement.status.amplifier_fault {
-            return Some(Alarm::Zero(Fault::Amplifier));
+            return Some(Alarm::SwitchOff(Fault::Amplifier));
         }
         if measurement.status.stall_error {
-            return Some(Alarm::Zero(Fault::StallError));
+            return Some(Alarm::SwitchOff(Fault::StallError));
         }
         if !measurement.status.armed {
-            return Some(Alarm::Zero(Fault::NotArmed));
+            return Some(Alarm::SwitchOff(Fault::NotArmed));
         }
         if input.motor_overheated {
             return Some(Alarm::Brake(Fault::MotorOverheated));
@@ -168,7 +168,7 @@ mod tests {
             let sample = input.measurement.as_mut().unwrap();
             sample.device_time_us = device_time_us(tick);
             let alarm = watch.check(&input);
-            assert!(alarm.is_none() || alarm == Some(Alarm::Zero(Fault::DeviceClock)));
+            assert!(alarm.is_none() || alarm == Some(Alarm::SwitchOff(Fault::DeviceClock)));
             alarm.is_some()
         })
     }
@@ -198,7 +198,7 @@ mod tests {
             assert_eq!(watch.check(&input(tick)), None);
         }
         let repeated = TickInput { deadline_ns: 18 * PERIOD_NS, ..input(16) };
-        assert_eq!(watch.check(&repeated), Some(Alarm::Zero(Fault::DeviceClock)));
+        assert_eq!(watch.check(&repeated), Some(Alarm::SwitchOff(Fault::DeviceClock)));
     }
 
     #[test]
@@ -215,7 +215,7 @@ mod tests {
         let status = Status { emergency_stop: true, ..Status::default() };
         let measurement = Some(Measurement { status, ..Measurement::default() });
         let alarm = Watch::default().check(&TickInput { measurement, ..input(0) });
-        assert_eq!(alarm, Some(Alarm::Zero(Fault::EmergencyStop)));
+        assert_eq!(alarm, Some(Alarm::SwitchOff(Fault::EmergencyStop)));
     }
 
     #[test]
@@ -227,14 +227,14 @@ mod tests {
         sample.device_time_us += 60_000_000;
         let mut stopped = slept;
         stopped.measurement.as_mut().unwrap().status.emergency_stop = true;
-        assert_eq!(watch.check(&stopped), Some(Alarm::Zero(Fault::EmergencyStop)));
-        assert_eq!(watch.check(&slept), Some(Alarm::Zero(Fault::DeviceClock)));
+        assert_eq!(watch.check(&stopped), Some(Alarm::SwitchOff(Fault::EmergencyStop)));
+        assert_eq!(watch.check(&slept), Some(Alarm::SwitchOff(Fault::DeviceClock)));
     }
 
     #[test]
     fn a_qube_that_is_switched_off_is_named_at_once() {
         let off = TickInput { measurement: None, qube_off: true, ..input(1) };
-        assert_eq!(Watch::default().check(&off), Some(Alarm::Zero(Fault::QubeOff)));
+        assert_eq!(Watch::default().check(&off), Some(Alarm::SwitchOff(Fault::QubeOff)));
     }
 
     #[test]
@@ -245,7 +245,7 @@ mod tests {
             assert_eq!(watch.check(&TickInput { measurement: None, ..input(tick) }), None);
         }
         let fourth = TickInput { measurement: None, ..input(14) };
-        assert_eq!(watch.check(&fourth), Some(Alarm::Zero(Fault::NoSample)));
+        assert_eq!(watch.check(&fourth), Some(Alarm::SwitchOff(Fault::NoSample)));
     }
 
     #[test]
@@ -281,7 +281,7 @@ mod tests {
         let alarm = Watch::default().check(&hot);
         assert_eq!(alarm, Some(Alarm::Brake(Fault::MotorOverheated)));
         let gone = TickInput { link_gone: true, ..hot };
-        assert_eq!(Watch::default().check(&gone), Some(Alarm::Zero(Fault::LinkGone)));
+        assert_eq!(Watch::default().check(&gone), Some(Alarm::SwitchOff(Fault::LinkGone)));
     }
 
     #[test]
@@ -297,7 +297,7 @@ mod tests {
         ] {
             let measurement = Some(Measurement { status, ..Measurement::default() });
             let alarm = Watch::default().check(&TickInput { measurement, ..input(0) });
-            assert_eq!(alarm, Some(Alarm::Zero(fault)));
+            assert_eq!(alarm, Some(Alarm::SwitchOff(fault)));
         }
     }
 }

@@ -43,6 +43,21 @@ use crate::qube::Measurement;
 /// [`Identity::kind`] of an emulated Qube's board.
 pub const EMULATOR_KIND: &str = "emulator";
 
+/// Largest age of the sample that an act answers, ns, by the computer's clock. A board refuses older
+/// samples as well, unless its clock is wrong.
+const MAX_SAMPLE_AGE_NS: Nanoseconds = firmware_protocol::MAX_SAMPLE_AGE_US as Nanoseconds * 1000;
+
+/// The amplifier's state as far as the host knows it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum AmplifierState {
+    /// Off without a fault.
+    Off,
+    /// Follows acts.
+    Armed,
+    /// Switched off by its watchdog.
+    Tripped,
+}
+
 /// Access to a Qube as the control thread needs it: hello, arm, sample, act and disarm, and
 /// settings of the link.
 ///

@@ -3,12 +3,15 @@ mod device_time;
 use std::sync::Arc;
 
 use firmware_protocol::{
-    Decoder, DeviceKind, DeviceState, HelloReply, MAX_SAMPLE_AGE_US, NO_ACT_US, PROTOCOL_VERSION,
-    QUBE_MODULE_ID, RefusalReason, Reply, Request, SampleReply, StatusBits,
+    Decoder, DeviceKind, DeviceState, HelloReply, NO_ACT_US, PROTOCOL_VERSION, QUBE_MODULE_ID,
+    RefusalReason, Reply, Request, SampleReply, StatusBits,
 };
 
 use self::device_time::DeviceTime;
-use super::{Device, DeviceError, EMULATOR_KIND, Identity, LinkFault, Transport};
+use super::{
+    AmplifierState, Device, DeviceError, EMULATOR_KIND, Identity, LinkFault, MAX_SAMPLE_AGE_NS,
+    Transport,
+};
 use crate::clock::{Clock, Nanoseconds};
 use crate::qube::{Measurement, Status};
 
@@ -22,10 +25,6 @@ const ANSWER_TIME_NS: Nanoseconds = 100 * MS;
 
 /// Number of attempts to arm or disarm: a healthy line may lose a frame.
 const ATTEMPTS: u32 = 3;
-
-/// Largest age of the sample that an act answers, ns, by the computer's clock. The device refuses
-/// older samples as well, unless its clock is wrong.
-const MAX_SAMPLE_AGE_NS: Nanoseconds = MAX_SAMPLE_AGE_US as Nanoseconds * 1000;
 
 /// Size of a read, bytes: several frames of the largest size.
 const READ_BYTES: usize = 256;
@@ -52,7 +51,7 @@ pub struct SerialLink<T: Transport> {
     seen: Seen,
     /// Whether the port was opened again since the last answered hello.
     was_reopened: bool,
-    motor: Motor,
+    amplifier: AmplifierState,
     device_time: DeviceTime,
     /// Last sample since the last hello, the only one that an act may answer.
     last_sample: Option<LastSample>,
@@ -61,14 +60,6 @@ pub struct SerialLink<T: Transport> {
     broken_frame: bool,
     heard: Traffic,
     sample_time_ns: Option<Nanoseconds>,
-}
-
-/// The amplifier's state as far as the link knows it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Motor {
-    Off,
-    Armed,
-    Tripped,
 }
 
 /// The operator's actions at the Qube's switches since the first hello, as far as an answer has shown
@@ -117,7 +108,7 @@ impl<T: Transport> SerialLink<T> {
             has_restarted: false,
             seen: Seen::default(),
             was_reopened: false,
-            motor: Motor::Off,
+            amplifier: AmplifierState::Off,
             device_time: DeviceTime::default(),
             last_sample: None,
             broken_frame: false,
@@ -189,9 +180,9 @@ impl<T: Transport> SerialLink<T> {
             return;
         }
         match reason {
-            RefusalReason::WatchdogTripped => self.motor = Motor::Tripped,
+            RefusalReason::WatchdogTripped => self.amplifier = AmplifierState::Tripped,
             RefusalReason::NotGreeted | RefusalReason::NotArmed | RefusalReason::Faulted => {
-                self.motor = Motor::Off;
+                self.amplifier = AmplifierState::Off;
             }
             _ => {}
         }
@@ -207,11 +198,7 @@ impl<T: Transport> SerialLink<T> {
     fn greet(&mut self) -> Result<HelloReply, DeviceError> {
         // Any device may have restarted a moment ago, even if it has answered before.
         let wait_ns = self.transport.boot_time_ns();
-        self.nonce = None;
-        self.last_sample = None;
-        self.is_emulator = false;
-        self.motor = Motor::Off;
-        self.device_time = DeviceTime::default();
+        self.forget_start();
         let end_ns = self.clock.now_ns() + wait_ns;
         let (mut hellos, mut is_refused) = (0, false);
         while self.clock.now_ns() < end_ns {
@@ -234,15 +221,23 @@ impl<T: Transport> SerialLink<T> {
                 Err(fault) => return Err(self.link_error(fault)),
             }
         }
-        Err(self.silence(hellos, is_refused, wait_ns))
+        let nothing = if is_refused { "only refusals as" } else { "no" };
+        Err(self.silence(&format!("{nothing} answer to {hellos} hellos"), wait_ns))
     }
 
-    /// The error for hellos that were not answered, or refused.
-    fn silence(&self, hellos: u32, is_refused: bool, wait_ns: Nanoseconds) -> DeviceError {
+    /// Forgets what holds only for the start that the last hello greeted.
+    fn forget_start(&mut self) {
+        self.nonce = None;
+        self.last_sample = None;
+        self.is_emulator = false;
+        self.amplifier = AmplifierState::Off;
+        self.device_time = DeviceTime::default();
+    }
+
+    /// The error for requests without an answer, or with none of use, for `wait_ns`.
+    fn silence(&self, nothing: &str, wait_ns: Nanoseconds) -> DeviceError {
         let Traffic { answered_ns, bytes, requests } = self.heard;
-        let nothing = if is_refused { "only refusals as" } else { "no" };
-        let nothing =
-            format!("{nothing} answer to {hellos} hellos in {:.1} s", wait_ns as f64 * 1e-9);
+        let nothing = format!("{nothing} in {:.1} s", wait_ns as f64 * 1e-9);
         if let Some(answered_ns) = answered_ns {
             let silent_s = (self.clock.now_ns() - answered_ns) as f64 * 1e-9;
             let since =
@@ -297,7 +292,8 @@ impl<T: Transport> SerialLink<T> {
     /// Sends a hello; returns its answer, and whether the Qube's counters have begun anew without a
     /// restart of the board. Every hello but the first is preceded by a sample, because a hello
     /// clears the device's latch of an emergency-stop switch that is closed again, and the state of
-    /// a device whose Qube was off (PROTOCOL.md, "No Qube").
+    /// a device whose Qube was off (PROTOCOL.md, "No Qube"). Without an answer to the sample no
+    /// hello is sent: an operator may have used the switch while nothing was heard.
     ///
     /// # Errors
     /// The errors of [`greet`](Self::greet); or the switch was opened, or the Qube switched off,
@@ -306,25 +302,15 @@ impl<T: Transport> SerialLink<T> {
     fn greet_unless_stopped(&mut self) -> Result<(HelloReply, bool), DeviceError> {
         let Some(boot_id) = self.boot_id else { return Ok((self.greet()?, false)) };
         let mut wants_hello = false;
-        for _ in 0..ATTEMPTS {
-            // A delimiter ends the partial frame that a broken exchange may have left.
-            self.broken_frame = true;
-            match self.exchange(Request::Sample, ANSWER_TIME_NS) {
-                Ok(Reply::Sample(sample)) => {
-                    self.see_stop(sample.status.has(StatusBits::EMERGENCY_STOP));
-                    break;
-                }
-                Ok(Reply::Refusal { reason: RefusalReason::NotGreeted, .. }) => {
-                    wants_hello = true;
-                    break;
-                }
-                Ok(Reply::Refusal { reason: RefusalReason::QubeAbsent, .. }) => {
-                    self.seen.qube_off |= !self.was_reopened;
-                    break;
-                }
-                Err(LinkFault::Gone) => break,
-                Ok(_) | Err(_) => {}
+        match self.first_answer()? {
+            Reply::Sample(sample) => {
+                self.see_stop(sample.status.has(StatusBits::EMERGENCY_STOP));
             }
+            Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => wants_hello = true,
+            Reply::Refusal { reason: RefusalReason::QubeAbsent, .. } => {
+                self.seen.qube_off |= !self.was_reopened;
+            }
+            _ => {}
         }
         let port = self.name();
         if self.seen.stop_opened {
@@ -340,6 +326,30 @@ impl<T: Transport> SerialLink<T> {
             return Err(DeviceError::SwitchedOff { port });
         }
         Ok((reply, counts_anew))
+    }
+
+    /// The answer to the first of several samples that is answered, within the transport's boot
+    /// time.
+    fn first_answer(&mut self) -> Result<Reply, DeviceError> {
+        let wait_ns = self.transport.boot_time_ns();
+        let end_ns = self.clock.now_ns() + wait_ns;
+        let mut samples = 0;
+        while self.clock.now_ns() < end_ns {
+            // A delimiter ends the partial frame that a broken exchange may have left.
+            self.broken_frame = true;
+            let next_ns = self.clock.now_ns() + HELLO_INTERVAL_NS;
+            samples += 1;
+            match self.exchange(Request::Sample, ANSWER_TIME_NS) {
+                Ok(answer) => return Ok(answer),
+                Err(LinkFault::Gone) => {
+                    self.forget_start();
+                    return Err(self.link_error(LinkFault::Gone));
+                }
+                Err(_) => self.clock.sleep_until(next_ns.min(end_ns)),
+            }
+        }
+        self.forget_start();
+        Err(self.silence(&format!("no answer to {samples} samples"), wait_ns))
     }
 
     fn see_stop(&mut self, is_open: bool) {
@@ -383,8 +393,9 @@ impl<T: Transport> SerialLink<T> {
             stop_switch_fitted: sample.status.has(StatusBits::STOP_SWITCH_FITTED),
         };
         self.see_stop(status.emergency_stop);
-        if self.motor == Motor::Armed && !status.armed {
-            self.motor = if status.watchdog_tripped { Motor::Tripped } else { Motor::Off };
+        if self.amplifier == AmplifierState::Armed && !status.armed {
+            self.amplifier =
+                if status.watchdog_tripped { AmplifierState::Tripped } else { AmplifierState::Off };
         }
         let device_time_us = self.device_time.unwrap_us(sample.device_time_us);
         self.last_sample = Some(LastSample { device_time_us, asked_ns });
@@ -443,7 +454,7 @@ impl<T: Transport> Device for SerialLink<T> {
                 Err(fault) => return Err(self.link_error(fault)),
             }
         }
-        self.motor = Motor::Armed;
+        self.amplifier = AmplifierState::Armed;
         Ok(())
     }
 
@@ -454,11 +465,11 @@ impl<T: Transport> Device for SerialLink<T> {
             Reply::Sample(sample) => Ok(self.measurement(&sample, asked_ns)),
             // The device has restarted and has had no hello since.
             Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => {
-                self.motor = Motor::Off;
+                self.amplifier = AmplifierState::Off;
                 Err(LinkFault::NotArmed)
             }
             Reply::Refusal { reason: RefusalReason::QubeAbsent, .. } => {
-                self.motor = Motor::Off;
+                self.amplifier = AmplifierState::Off;
                 self.seen.qube_off |= !self.was_reopened;
                 Err(LinkFault::QubeOff)
             }
@@ -467,10 +478,10 @@ impl<T: Transport> Device for SerialLink<T> {
     }
 
     fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
-        match self.motor {
-            Motor::Armed => {}
-            Motor::Tripped => return Err(LinkFault::WatchdogTripped),
-            Motor::Off => return Err(LinkFault::NotArmed),
+        match self.amplifier {
+            AmplifierState::Armed => {}
+            AmplifierState::Tripped => return Err(LinkFault::WatchdogTripped),
+            AmplifierState::Off => return Err(LinkFault::NotArmed),
         }
         let now_ns = self.clock.now_ns();
         let is_fresh = self.last_sample.is_some_and(|last| {
@@ -493,8 +504,8 @@ impl<T: Transport> Device for SerialLink<T> {
     }
 
     fn disarm(&mut self) -> Result<(), DeviceError> {
-        let was_armed = self.motor == Motor::Armed;
-        self.motor = Motor::Off;
+        let was_armed = self.amplifier == AmplifierState::Armed;
+        self.amplifier = AmplifierState::Off;
         for attempt in 1.. {
             match self.exchange(Request::Disarm, ANSWER_TIME_NS) {
                 Ok(Reply::Disarm(reply)) => {
@@ -518,7 +529,7 @@ impl<T: Transport> Device for SerialLink<T> {
 
     fn reopen(&mut self) -> Result<(), DeviceError> {
         self.was_reopened = true;
-        self.motor = Motor::Off;
+        self.amplifier = AmplifierState::Off;
         self.nonce = None;
         self.last_sample = None;
         self.decoder.reset();
@@ -534,7 +545,7 @@ impl<T: Transport> Drop for SerialLink<T> {
     /// Disarms at once when an armed link is dropped, for instance by a panic, rather than leave it
     /// to the watchdog.
     fn drop(&mut self) {
-        if self.motor == Motor::Armed {
+        if self.amplifier == AmplifierState::Armed {
             let _ = self.send(Request::Disarm);
         }
     }

@@ -133,7 +133,8 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
         });
         if let Some(heat) = &mut heat {
             let measurement = recorded.measurement.as_ref();
-            heat.pass(recorded.skipped_periods, measurement, voltage_mv, output.state.theta_dot);
+            let theta_dot_rad_s = output.heating_theta_dot_rad_s;
+            heat.pass(recorded.skipped_periods, measurement, voltage_mv, theta_dot_rad_s);
         }
         voltage_mv = output.voltage_mv;
         if let Some(foreseen) = tick.foreseen_angle()

@@ -108,7 +108,7 @@ fn recorded_under(
             ..TickInput::default()
         };
         let output = tick.decide(&input);
-        heat.pass(0, measurement.as_ref(), voltage_mv, output.state.theta_dot);
+        heat.pass(0, measurement.as_ref(), voltage_mv, output.heating_theta_dot_rad_s);
         voltage_mv = output.voltage_mv;
         let record = TickRecord {
             tick: number,

@@ -77,11 +77,14 @@ pub enum TickRules {
     /// As [`SettlingGainReducing`](Self::SettlingGainReducing); in addition, encoders with fewer
     /// counts than a Qube's may flicker by one count at rest.
     RestByEncoders,
+    /// As [`RestByEncoders`](Self::RestByEncoders); in addition, the motor's heat follows the speed
+    /// that the guard sees, and not the one that the policy sees.
+    HeatByGuardedSpeed,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::RestByEncoders;
+    pub const NEWEST: Self = Self::HeatByGuardedSpeed;
 }
 
 /// The record that precedes a rollout.

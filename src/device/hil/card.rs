@@ -62,6 +62,8 @@ const NAMES: [&str; 16] = [
 /// Bits of the index in [`Calling`].
 const INDEX_BITS: u32 = 4;
 
+const _: () = assert!(NAMES.len() <= 1 << INDEX_BITS);
+
 /// The call that is under way, if any, readable by another thread: one word holds the function's
 /// index and the time, ns, at which the call began; 0 means no call.
 #[derive(Debug, Default)]

@@ -40,7 +40,7 @@ pub enum HilError {
     NoCard {
         /// Address of the card.
         port: String,
-        /// Words of the library.
+        /// Error text of the vendor's library.
         reason: String,
     },
     /// Another program has opened the card.
@@ -48,7 +48,7 @@ pub enum HilError {
     Busy {
         /// Address of the card.
         port: String,
-        /// Words of the library.
+        /// Error text of the vendor's library.
         reason: String,
     },
     /// The library has no licence for this card.
@@ -56,7 +56,7 @@ pub enum HilError {
     NoLicence {
         /// Address of the card.
         port: String,
-        /// Words of the library.
+        /// Error text of the vendor's library.
         reason: String,
     },
     /// The user may not open the card.
@@ -67,7 +67,7 @@ pub enum HilError {
     NotPermitted {
         /// Address of the card.
         port: String,
-        /// Words of the library.
+        /// Error text of the vendor's library.
         reason: String,
     },
     /// The card has no watchdog, so nothing would switch the motor off if this program died.
@@ -78,7 +78,7 @@ pub enum HilError {
     NoWatchdog {
         /// Address of the card.
         port: String,
-        /// Words of the library.
+        /// Error text of the vendor's library.
         reason: String,
     },
     /// A function failed for another reason.
@@ -88,7 +88,7 @@ pub enum HilError {
         port: String,
         /// Function of the library.
         function: &'static str,
-        /// Words of the library.
+        /// Error text of the vendor's library.
         reason: String,
     },
     /// A call of the library has not returned in time.

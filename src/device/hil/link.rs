@@ -1,13 +1,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use firmware_protocol::MAX_SAMPLE_AGE_US;
-
 use super::panel::NoSample;
-use super::worker::{Job, Request, RequestKind, Worker};
+use super::worker::{Job, Request, RequestKind, Unperformed, Worker};
 use super::{HilAddress, HilError};
 use crate::clock::{Clock, Nanoseconds};
-use crate::device::{Device, DeviceError, Identity, LinkFault};
+use crate::device::{Device, DeviceError, Identity, LinkFault, MAX_SAMPLE_AGE_NS};
 use crate::qube::Measurement;
 
 /// Longest wait for a hello: opening a card, or connecting to a virtual one, may take seconds.
@@ -15,11 +13,9 @@ const HELLO_TIME: Duration = Duration::from_secs(5);
 
 /// Longest wait for an arm, which makes several calls of the library.
 const ARM_TIME: Duration = Duration::from_secs(1);
+
 /// Longest wait for the amplifier to go off.
 const OFF_TIME: Duration = Duration::from_millis(500);
-
-/// Largest age of the sample that an act answers, ns.
-const MAX_SAMPLE_AGE_NS: Nanoseconds = MAX_SAMPLE_AGE_US as Nanoseconds * 1000;
 
 /// A Qube with the USB panel, as a [`Device`] over the vendor's library.
 ///
@@ -67,10 +63,10 @@ impl HilLink {
         job: impl FnOnce(crossbeam_channel::Sender<Result<T, HilError>>) -> Job,
         longest: Duration,
     ) -> Result<T, DeviceError> {
-        let Some(result) = self.worker.perform(job, longest) else {
-            return Err(self.hung(longest).into());
-        };
-        Ok(result?)
+        self.worker.perform(job, longest).map_err(|unperformed| match unperformed {
+            Unperformed::NoResult => self.hung(longest).into(),
+            Unperformed::Failed(error) => error.into(),
+        })
     }
 
     fn hung(&self, longest: Duration) -> HilError {
@@ -110,7 +106,7 @@ impl Device for HilLink {
         let number = self.ask(deadline_ns, RequestKind::Sample)?;
         let reply = self.worker.wait(number, deadline_ns).ok_or(LinkFault::Timeout)?;
         let measurement = match reply.sample {
-            Ok(reading) => reading.measurement,
+            Ok(measurement) => measurement,
             Err(NoSample::Gone) => return Err(LinkFault::Gone),
             Err(NoSample::Failed) => return Err(LinkFault::Timeout),
         };

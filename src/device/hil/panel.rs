@@ -7,7 +7,7 @@ use super::card::{CallFailed, Calling, Card};
 use super::library::{Channels, Library, TextProperty};
 use super::{HilAddress, HilError};
 use crate::clock::{Clock, Nanoseconds};
-use crate::device::Identity;
+use crate::device::{AmplifierState, Identity};
 use crate::qube::{MAX_VOLTAGE_V, Measurement, Status};
 
 /// Time limit of the library's watchdog, s, equal to that of the boards' firmware.
@@ -22,14 +22,6 @@ const DOUBTED_NS: Nanoseconds = 30_000_000;
 /// reached the motor, which keeps an older one.
 const MAX_FAILED_ACTS: u32 = 2;
 
-/// The state of the amplifier as far as it is known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Motor {
-    Off,
-    Armed,
-    Tripped,
-}
-
 /// The reason why the library gave no sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NoSample {
@@ -39,12 +31,6 @@ pub(super) enum NoSample {
     Failed,
 }
 
-/// A sample in the form in which the tick gets it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Reading {
-    pub(super) measurement: Measurement,
-}
-
 /// A Qube's panel behind the vendor's library. It belongs to the one thread that calls the library.
 pub(super) struct Panel {
     library: Arc<Library>,
@@ -52,7 +38,7 @@ pub(super) struct Panel {
     calling: Arc<Calling>,
     clock: Arc<dyn Clock>,
     card: Option<Card>,
-    motor: Motor,
+    amplifier: AmplifierState,
     /// Counts at the first read since the card was opened; all counts are reported relative to
     /// them. The card's own counters are never set, because a Servo 3 loses counts when they are.
     base_counts: Option<[i32; 2]>,
@@ -81,7 +67,7 @@ impl Panel {
             calling,
             clock,
             card: None,
-            motor: Motor::Off,
+            amplifier: AmplifierState::Off,
             base_counts: None,
             boot_id: since_1970.as_millis() as u16,
             last: Measurement::default(),
@@ -183,41 +169,41 @@ impl Panel {
             .and_then(|()| card.enable(true));
         enabled.map_err(|failed| self.error(failed))?;
         self.fed_ns = self.clock.now_ns();
-        (self.motor, self.applied_mv, self.failed_acts) = (Motor::Armed, 0, 0);
+        (self.amplifier, self.applied_mv, self.failed_acts) = (AmplifierState::Armed, 0, 0);
         self.sample_to_act_us = None;
         Ok(())
     }
 
     /// Reads one sample. An expired watchdog shows in the sample's flags; if the library gives no
     /// counts in that state, the counts are those of the sample before.
-    pub(super) fn sample(&mut self) -> Result<Reading, NoSample> {
+    pub(super) fn sample(&mut self) -> Result<Measurement, NoSample> {
         let Some(card) = &self.card else { return Err(NoSample::Gone) };
         let asked_ns = self.clock.now_ns();
-        if self.motor == Motor::Armed
+        if self.amplifier == AmplifierState::Armed
             && asked_ns.saturating_sub(self.fed_ns) > DOUBTED_NS
             && card.watchdog_is_expired()
         {
-            self.motor = Motor::Tripped;
+            self.amplifier = AmplifierState::Tripped;
         }
         let asked_ns = self.clock.now_ns();
         match card.read() {
             Ok(channels) => self.take(&channels),
-            Err(_) if self.motor == Motor::Armed && card.watchdog_is_expired() => {
-                self.motor = Motor::Tripped;
+            Err(_) if self.amplifier == AmplifierState::Armed && card.watchdog_is_expired() => {
+                self.amplifier = AmplifierState::Tripped;
             }
-            Err(_) if self.motor == Motor::Tripped => {}
+            Err(_) if self.amplifier == AmplifierState::Tripped => {}
             Err(_) if !card.is_valid() => return Err(NoSample::Gone),
             Err(_) => return Err(NoSample::Failed),
         }
-        if self.motor != Motor::Armed {
+        if self.amplifier != AmplifierState::Armed {
             self.applied_mv = 0;
         }
         self.last.device_time_us = asked_ns / 1000;
         self.last.applied_mv = self.applied_mv;
         self.last.sample_to_act_us = self.sample_to_act_us.take();
-        self.last.status.armed = self.motor == Motor::Armed;
-        self.last.status.watchdog_tripped = self.motor == Motor::Tripped;
-        Ok(Reading { measurement: self.last })
+        self.last.status.armed = self.amplifier == AmplifierState::Armed;
+        self.last.status.watchdog_tripped = self.amplifier == AmplifierState::Tripped;
+        Ok(self.last)
     }
 
     fn take(&mut self, channels: &Channels) {
@@ -240,7 +226,7 @@ impl Panel {
     /// the voltage is within [`MAX_VOLTAGE_V`].
     pub(super) fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) {
         let voltage_v = f64::from(voltage_mv) * 1e-3;
-        if self.motor != Motor::Armed || voltage_v.abs() > MAX_VOLTAGE_V {
+        if self.amplifier != AmplifierState::Armed || voltage_v.abs() > MAX_VOLTAGE_V {
             return;
         }
         let Some(card) = &self.card else { return };
@@ -252,8 +238,8 @@ impl Panel {
                 let late_us = (now_ns / 1000).saturating_sub(sampled_at_us);
                 self.sample_to_act_us = Some(u32::try_from(late_us).unwrap_or(u32::MAX));
             }
-            Ok(false) => self.motor = Motor::Tripped,
-            Err(_) if card.watchdog_is_expired() => self.motor = Motor::Tripped,
+            Ok(false) => self.amplifier = AmplifierState::Tripped,
+            Err(_) if card.watchdog_is_expired() => self.amplifier = AmplifierState::Tripped,
             Err(_) => {
                 self.failed_acts += 1;
                 if self.failed_acts >= MAX_FAILED_ACTS {
@@ -268,7 +254,7 @@ impl Panel {
     /// amplifier cannot be switched off even so, starts the watchdog, waits until it has had time
     /// to do that, and closes the card.
     pub(super) fn off(&mut self) -> Result<(), HilError> {
-        self.motor = Motor::Off;
+        self.amplifier = AmplifierState::Off;
         self.applied_mv = 0;
         let Some(card) = &self.card else { return Ok(()) };
         let mut off = switched_off(card);
@@ -296,7 +282,7 @@ impl Panel {
         if let Some(card) = self.card.take() {
             card.close();
         }
-        self.motor = Motor::Off;
+        self.amplifier = AmplifierState::Off;
         self.base_counts = None;
     }
 }

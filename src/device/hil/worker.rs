@@ -8,11 +8,12 @@ use rustix::io::Errno;
 
 use super::card::Calling;
 use super::library::Library;
-use super::panel::{NoSample, Panel, Reading};
+use super::panel::{NoSample, Panel};
 use super::thread;
 use super::{HilAddress, HilError};
 use crate::clock::{Clock, Nanoseconds, enter_realtime};
 use crate::device::Identity;
+use crate::qube::Measurement;
 
 /// Number of requests, and of replies, that fit into their rings. Requests wait there while a call
 /// of the library has not returned.
@@ -45,7 +46,7 @@ pub(super) enum RequestKind {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reply {
     pub(super) number: u64,
-    pub(super) sample: Result<Reading, NoSample>,
+    pub(super) sample: Result<Measurement, NoSample>,
 }
 
 /// A job for the card between motions, with the channel for its result.
@@ -56,6 +57,15 @@ pub(super) enum Job {
     /// Switches the amplifier off and closes the card. After this job the thread is free for
     /// another worker.
     End(Sender<Result<(), HilError>>),
+}
+
+/// The reason why a job has no result.
+#[derive(Debug)]
+pub(super) enum Unperformed {
+    /// It took too long, or the thread has ended.
+    NoResult,
+    /// It failed.
+    Failed(HilError),
 }
 
 /// The control thread's handle of the thread that calls the vendor's library for one card.
@@ -161,13 +171,15 @@ impl Worker {
         }
     }
 
-    /// Runs a job and returns its result; `None` if the job takes longer than `longest`, or the
-    /// thread has ended.
+    /// Runs a job and returns its result.
+    ///
+    /// # Errors
+    /// The job fails, takes longer than `longest`, or the thread has ended.
     pub(super) fn perform<T>(
         &self,
         job: impl FnOnce(Sender<Result<T, HilError>>) -> Job,
         longest: Duration,
-    ) -> Option<Result<T, HilError>> {
+    ) -> Result<T, Unperformed> {
         self.shared.perform(job, longest)
     }
 
@@ -208,11 +220,12 @@ impl Shared {
         &self,
         job: impl FnOnce(Sender<Result<T, HilError>>) -> Job,
         longest: Duration,
-    ) -> Option<Result<T, HilError>> {
+    ) -> Result<T, Unperformed> {
         let (result, done) = crossbeam_channel::bounded(1);
-        self.jobs.send(job(result)).ok()?;
+        self.jobs.send(job(result)).map_err(|_| Unperformed::NoResult)?;
         wake(&self.asked);
-        done.recv_timeout(longest).ok()
+        let result = done.recv_timeout(longest).map_err(|_| Unperformed::NoResult)?;
+        result.map_err(Unperformed::Failed)
     }
 }
 

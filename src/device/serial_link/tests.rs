@@ -250,10 +250,9 @@ fn a_device_that_falls_silent_is_not_called_another_device() {
     }
     let error = link.hello().unwrap_err();
     let DeviceError::FellSilent { silent_s, .. } = error else { panic!("{error}") };
-    // One second of unanswered samples, three more of 0.1 s before the hello, then 25 hellos at
-    // intervals of 0.1 s.
-    assert!((3.7..3.9).contains(&silent_s), "{error}");
-    assert!(error.to_string().contains("no answer to 25 hellos"), "{error}");
+    // One second of unanswered samples, then 25 at intervals of 0.1 s before a hello.
+    assert!((3.4..3.6).contains(&silent_s), "{error}");
+    assert!(error.to_string().contains("no answer to 25 samples"), "{error}");
 }
 
 #[test]
@@ -369,6 +368,58 @@ fn no_hello_clears_an_emergency_stop_that_was_opened_since_the_first() {
         let refused = link.hello().unwrap_err();
         assert!(matches!(refused, DeviceError::StopOpened { .. }), "{refused}");
     }
+}
+
+/// A wire on which nothing arrives until a time.
+struct SilentWire {
+    wire: InProcessWire,
+    clock: VirtualClock,
+    silent_until_ns: Nanoseconds,
+}
+
+impl SilentWire {
+    fn is_silent(&self) -> bool {
+        self.clock.now_ns() < self.silent_until_ns
+    }
+}
+
+impl Transport for SilentWire {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        if self.is_silent() {
+            self.clock.sleep_until(deadline_ns.min(self.silent_until_ns));
+            return Ok(0);
+        }
+        self.wire.read(buffer, deadline_ns)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        if self.is_silent() { Ok(()) } else { self.wire.write(bytes) }
+    }
+
+    fn name(&self) -> &str {
+        "silent wire"
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        self.wire.boot_time_ns()
+    }
+}
+
+#[test]
+fn no_hello_clears_an_emergency_stop_that_was_used_while_the_link_was_silent() {
+    // Pressed from 0.1 to 2.1 s.
+    let fault = Some(EmulatorFault::EmergencyStop { after_s: 0.1 });
+    let settings = EmulatorSettings { fault, seed: 7, ..EmulatorSettings::default() };
+    let clock = VirtualClock::default();
+    let wire = InProcessWire::new(settings, clock.clone());
+    let wire = SilentWire { wire, clock: clock.clone(), silent_until_ns: 0 };
+    let mut link = SerialLink::new(wire, Arc::new(clock.clone()));
+    link.hello().unwrap();
+    link.sample(clock.now_ns() + 10 * MS).unwrap();
+    link.transport.silent_until_ns = 2200 * MS;
+    let refused = link.hello().unwrap_err();
+    assert!(matches!(refused, DeviceError::StopOpened { .. }), "{refused}");
+    assert!(clock.now_ns() > 2200 * MS);
 }
 
 #[test]
