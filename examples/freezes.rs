@@ -1,5 +1,5 @@
 //! Measures how soon a frozen arm encoder is found during a rollout, and how wrong the zero is
-//! where the freeze is not found: `cargo run --release --example freezes -- SEEDS [FIRST_SEED]`.
+//! where the freeze is not found: `cargo run --release --example freezes -- [SEEDS [FIRST_SEED]]`.
 //!
 //! In each rollout the encoder freezes while the policy runs: for good, with its tachometer at 0 or
 //! at its last value, or for 500 ms in which counts are lost.

@@ -160,7 +160,7 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Whether the record is that of this search with this effort.
+/// Whether the record is that of this search with as many episodes as this effort has.
 fn is_of(record: &SearchRecord, search: &AdversarySearch, effort: &Effort) -> bool {
     let scenario = &record.scenario;
     let episodes = u64::from(effort.generations) * effort.population as u64;

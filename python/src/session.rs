@@ -99,7 +99,7 @@ fn read(folder: PathBuf) -> Result<Value, String> {
     // errors of the first profile.
     let settings = match view.state().identification() {
         Identification::Found { profiles, .. } if !profiles.is_empty() => {
-            let first = profile(&paths.profile(profiles[0].0))?;
+            let first = profile(&paths.profile(profiles[0].recordings))?;
             let plan = settings.identification.unwrap_or_default();
             settings.around(&plan, &first, &first)
         }

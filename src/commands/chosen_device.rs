@@ -1,3 +1,4 @@
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -152,10 +153,13 @@ impl ChosenDevice {
             .map_err(|error| Failure::usage(format!("--plant: {}", too_wide(&error))))
     }
 
-    /// Checks that a serial port exists, before a command says what it is going to do with it.
+    /// Checks that a serial port exists, before a command says what it is going to do with it. The
+    /// port is not opened, because that may restart its board.
     pub fn check_port_exists(&self) -> Result<(), Failure> {
+        let is_port =
+            |path: &str| Path::new(path).metadata().is_ok_and(|it| it.file_type().is_char_device());
         match &self.choice {
-            DeviceChoice::Port(port) if !Path::new(port).exists() => self.check_port(),
+            DeviceChoice::Port(port) if !is_port(port) => self.check_port(),
             _ => Ok(()),
         }
     }

@@ -200,26 +200,21 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let profile = device.profile.as_ref().map(Profile::model);
     let stop = Stop::on_signals()?;
     let root = folder.paths().root().display().to_string();
+    let attached = device.check_port_exists().and_then(|()| {
+        let live = arguments.live.serve("session", &stop)?;
+        Ok((live, arguments.executor.executor(folder.paths().root(), &stop)?))
+    });
+    let (mut live, executor) = match attached {
+        Ok(attached) => attached,
+        Err(failure) => {
+            if begins {
+                folder.withdraw();
+            }
+            return Err(failure);
+        }
+    };
     let screen = arguments.screen.open(&format!("qube-hil session in {root}"), output, &stop);
     let resume = several_rigs::resume_command(folder.paths().root(), std::slice::from_ref(&device));
-    let mut live = match arguments.live.serve("session", &stop) {
-        Ok(live) => live,
-        Err(failure) => {
-            if begins {
-                folder.withdraw();
-            }
-            return Err(failure);
-        }
-    };
-    let executor = match arguments.executor.executor(folder.paths().root(), &stop) {
-        Ok(executor) => executor,
-        Err(failure) => {
-            if begins {
-                folder.withdraw();
-            }
-            return Err(failure);
-        }
-    };
     let viewers = screen.viewer().into_iter().chain(live.viewer()).collect();
     screen.progress().update(|state| state.live = live.url());
     let rig_settings = RigSettings { viewers, ..rig_settings };

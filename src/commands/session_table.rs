@@ -11,7 +11,8 @@ use crate::experiment::statistics::{Interval, wilson_interval};
 use crate::qube::{DomainParameter, Profile, Quantity};
 use crate::scoring::Verdict;
 use crate::session::{
-    BestPolicy, Identification, Purpose, RigResults, ScoredCandidate, SearchEnd, SessionReport,
+    BestPolicy, EndedSearch, Identification, Purpose, RigResults, ScoredCandidate, SearchEnd,
+    SessionReport, TakenOutRig,
 };
 use crate::simulation::PsiSpace;
 use crate::telemetry::Ending;
@@ -139,7 +140,9 @@ impl SessionTable {
         }
         for (rig, device) in (1..).zip(&report.rigs) {
             let _ = writeln!(text, "rig {rig}: {device}");
-            if let Some((_, reason)) = report.taken_out.iter().find(|(out, _)| *out == rig) {
+            if let Some(TakenOutRig { reason, .. }) =
+                report.taken_out.iter().find(|out| out.rig == rig)
+            {
                 let _ = writeln!(text, "  it was taken out: {}", one_line(reason));
             }
         }
@@ -169,12 +172,12 @@ impl SessionTable {
             }
         };
         text.push_str(&least_certain(report.profile.as_ref()));
-        if let Some((reason, gain)) = report.ended {
-            let _ = writeln!(text, "the search ended: {reason}");
-            if reason != SearchEnd::Candidates(1) {
+        if let Some(EndedSearch { end, expected_gain }) = report.ended {
+            let _ = writeln!(text, "the search ended: {end}");
+            if end != SearchEnd::Candidates(1) {
                 let _ = writeln!(
                     text,
-                    "one more candidate was expected to raise the return by {gain:.1}"
+                    "one more candidate was expected to raise the return by {expected_gain:.1}"
                 );
             }
         }
@@ -205,8 +208,8 @@ impl SessionTable {
             "excitations": all(|purpose| purpose == Purpose::Excitation),
             "baseline": all(|purpose| purpose == Purpose::Baseline),
             "identification": identification(&report.identification),
-            "expected_gain": report.ended.map(|(_, gain)| gain),
-            "search_ended": report.ended.map(|(reason, _)| reason.to_string()),
+            "expected_gain": report.ended.map(|ended| ended.expected_gain),
+            "search_ended": report.ended.map(|ended| ended.end.to_string()),
             "real_rollouts": report.real_rollouts(),
             "rollouts": report.rollouts(),
             "void_rollouts": report.void_rollouts,
@@ -226,8 +229,8 @@ impl SessionTable {
 
     /// One of several rigs as JSON.
     fn rig(&self, rig: u32, device: &str) -> Value {
-        let taken_out = self.0.taken_out.iter().find(|(out, _)| *out == rig);
-        json!({ "rig": rig, "device": device, "taken_out": taken_out.map(|(_, reason)| reason) })
+        let taken_out = self.0.taken_out.iter().find(|out| out.rig == rig);
+        json!({ "rig": rig, "device": device, "taken_out": taken_out.map(|out| &out.reason) })
     }
 }
 

@@ -233,7 +233,7 @@ mod tests {
         let model = real();
         let mut ride = Ride::new(&model);
         let mut estimator = Estimator::new(settings, Calibration::IDENTITY);
-        let (mut theta, mut alpha) = (0.0, 0.0);
+        let (mut theta, mut alpha, mut samples) = (0.0, 0.0, 0.0);
         for tick in 0..300_u64 {
             // Every ninth sample is lost together with its command.
             if tick % 9 == 4 {
@@ -244,13 +244,14 @@ mod tests {
             ride.now_us = now_us;
             let Estimates { seen, .. } = estimator.update(&ride.sample());
             let then = ride.at(&model, now_us + ahead_us);
-            theta += (seen.theta_dot - then.theta_dot).powi(2) / 300.0;
-            alpha += (seen.alpha_dot - then.alpha_dot).powi(2) / 300.0;
+            theta += (seen.theta_dot - then.theta_dot).powi(2);
+            alpha += (seen.alpha_dot - then.alpha_dot).powi(2);
+            samples += 1.0;
             let voltage_v = 3.0 * (0.13 * tick as f64).sin().signum();
             estimator.send(voltage_v);
             ride.sent.send(now_us, voltage_v);
         }
-        (theta.sqrt(), alpha.sqrt())
+        ((theta / samples).sqrt(), (alpha / samples).sqrt())
     }
 
     #[test]

@@ -111,7 +111,7 @@ impl<'a> Fit<'a> {
         next.scatter = self.scatter;
         for (stretch, start) in next.stretches.iter().zip(&mut next.starts) {
             let pairs = || self.stretches.iter().zip(&self.starts);
-            if let Some((_, own)) = pairs().find(|(own, _)| own.is(stretch)) {
+            if let Some((_, own)) = pairs().find(|(own, _)| own.is_same_as(stretch)) {
                 *start = *own;
             }
         }
@@ -334,7 +334,8 @@ impl<'a> Fit<'a> {
             linearised(stretch, self.unknowns, self.plant, &model, start, scale);
         here.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad / scale[1]);
         let slopes = self.with_homing_offsets(slopes, scale[1]);
-        let weight = robust_weight(here.norm_squared() / here.len() as f64) / noise.correlated;
+        let weight =
+            robust_weight(here.norm_squared() / here.len() as f64) / noise.autocorrelation_samples;
         let count = slopes.ncols() - STARTS;
         let (square, gradient) = (weight * slopes.tr_mul(&slopes), weight * slopes.tr_mul(&here));
         let ss = square.view((count, count), (STARTS, STARTS));

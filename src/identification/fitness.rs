@@ -24,6 +24,7 @@ const LEAST_VOLTAGE_V: f64 = 0.5;
 /// Largest voltage that can be meant in V, V: the supply of a motor several times as large as a
 /// Qube's.
 const LARGEST_VOLTAGE_V: f64 = 48.0;
+
 /// Smallest range of the motion of each angle in a recording, rad.
 const LEAST_MOTION_RAD: f64 = 0.1;
 

@@ -21,7 +21,7 @@ const SHARES: [f64; 4] = [0.4, 0.5, 0.7, 1.0];
 /// and its model.
 const WIDEST_RAD: f64 = 1.6;
 
-/// An excitation and what it is expected to tell.
+/// An excitation with its expected information.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExpectedExcitation {
     /// Form of the voltage.

@@ -43,20 +43,20 @@ pub(super) struct Noise {
     /// Standard deviations of the residuals.
     pub scale: ResidualScale,
     /// Number of samples worth one independent sample: the integrated autocorrelation time.
-    pub correlated: f64,
+    pub autocorrelation_samples: f64,
 }
 
 impl Default for Noise {
     fn default() -> Self {
         let scale = ResidualScale { theta_rad: 0.01, alpha_rad: 0.01 };
-        Self { scale, correlated: 1.0 }
+        Self { scale, autocorrelation_samples: 1.0 }
     }
 }
 
 impl Noise {
     /// Independent residuals of about the encoders' resolution.
     pub fn of_resolution(encoders: Encoders) -> Self {
-        Self { scale: ResidualScale::smallest(encoders), correlated: 1.0 }
+        Self { scale: ResidualScale::smallest(encoders), autocorrelation_samples: 1.0 }
     }
 }
 
@@ -76,7 +76,7 @@ pub(super) fn robust_cost(noise: &Noise, residuals: &[Residual]) -> f64 {
         2.0 * BAD_STRETCH * square.sqrt() - BAD_STRETCH * BAD_STRETCH
     };
     // 0 times an infinite square is NaN, by which the fit recognises a motion that diverges.
-    2.0 * residuals.len() as f64 * bounded / noise.correlated + 0.0 * square
+    2.0 * residuals.len() as f64 * bounded / noise.autocorrelation_samples + 0.0 * square
 }
 
 /// The mean squared residual in squared scales.
@@ -98,19 +98,19 @@ pub(super) fn noise_of(
     let smallest = ResidualScale::smallest(encoders);
     let mut noise = *before;
     for regime in Regime::ALL {
-        let of: Vec<&Vec<Residual>> = stretches
+        let own_residuals: Vec<&Vec<Residual>> = stretches
             .iter()
             .zip(residuals)
             .filter(|(stretch, _)| stretch.regime == regime)
             .map(|(_, residuals)| residuals)
             .collect();
-        if of.is_empty() {
+        if own_residuals.is_empty() {
             continue;
         }
         let own = &mut noise[regime as usize];
         let rms = |angle: usize| {
             let (mut squares, mut count) = (0.0, 0.0);
-            for residuals in &of {
+            for residuals in &own_residuals {
                 let weight = robust_weight(mean_square(own, residuals));
                 squares += weight * residuals.iter().map(|r| r[angle].powi(2)).sum::<f64>();
                 count += weight * residuals.len() as f64;
@@ -121,7 +121,7 @@ pub(super) fn noise_of(
             theta_rad: rms(0).max(smallest.theta_rad),
             alpha_rad: rms(1).max(smallest.alpha_rad),
         };
-        *own = Noise { scale, correlated: correlated(&of) };
+        *own = Noise { scale, autocorrelation_samples: autocorrelation_samples(&own_residuals) };
     }
     noise
 }
@@ -138,7 +138,7 @@ pub(super) fn scale_of(residuals: &[Vec<Residual>]) -> ResidualScale {
 
 /// Integrated autocorrelation time in samples: 1 + 2 (r1 + r2 + ...) up to the first r that is not
 /// above 0, averaged over both angles and all stretches.
-fn correlated(residuals: &[&Vec<Residual>]) -> f64 {
+fn autocorrelation_samples(residuals: &[&Vec<Residual>]) -> f64 {
     let of_angle = |angle: usize| {
         let (mut total, mut weight) = (0.0, 0.0);
         for stretch in residuals {

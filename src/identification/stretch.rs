@@ -108,7 +108,7 @@ impl<'a> Stretch<'a> {
     }
 
     /// Whether both stretches are the same samples of the same recording.
-    pub fn is(&self, other: &Self) -> bool {
+    pub fn is_same_as(&self, other: &Self) -> bool {
         self.is_beside(other) && self.range() == other.range()
     }
 

@@ -363,21 +363,31 @@ impl Shared {
         }
     }
 
-    /// Removes a caller that stops waiting for a job, and the job too if no other caller waits for
-    /// it and workers are not to outlive this process. The lock is held meanwhile, as in
-    /// [`Self::release`].
+    /// Removes a caller that stops waiting for a job or reading its result, and the job too if no
+    /// other caller needs it and workers are not to outlive this process. The lock is held
+    /// meanwhile, as in [`Self::release`].
     fn withdraw(&self, name: &str, index: usize, sender: &Sender<Notice>) {
         let mut state = self.lock();
-        if let Some(callers) = state.waiting.get_mut(name) {
-            callers.retain(|(it, other)| *it != index || !other.same_channel(sender));
-            if callers.is_empty() {
-                state.waiting.remove(name);
-                if !self.leave
-                    && let Err(error) = self.folder.remove_job(name)
-                {
-                    tracing::warn!("{error}");
+        let place = |callers: &mut Vec<(usize, Sender<Notice>)>| {
+            callers.iter().position(|(it, other)| *it == index && other.same_channel(sender))
+        };
+        let callers = state.waiting.get_mut(name);
+        let is_last = match callers.and_then(|callers| Some((place(callers)?, callers))) {
+            Some((place, callers)) => {
+                callers.swap_remove(place);
+                if callers.is_empty() {
+                    state.waiting.remove(name);
                 }
+                !state.waiting.contains_key(name) && !state.reading.contains_key(name)
             }
+            // The result was announced to the caller, which has not read it.
+            None => self.release_reading(&mut state, name),
+        };
+        if is_last
+            && !self.leave
+            && let Err(error) = self.folder.remove_job(name)
+        {
+            tracing::warn!("{error}");
         }
     }
 
@@ -485,8 +495,11 @@ impl Shared {
             if tries.next_try(most) != NextTry::GivenUp || self.folder.has_result(&job) {
                 continue;
             }
+            // The lock is held meanwhile, as in [`Self::release`].
+            let mut state = self.lock();
             self.folder.remove_job(&job)?;
-            let callers = self.lock().waiting.remove(&job);
+            let callers = state.waiting.remove(&job);
+            drop(state);
             for (index, sender) in callers.into_iter().flatten() {
                 let (job, reasons) = (job.clone(), tries.failures.join("; "));
                 let failed = JobError::GivenUp { job, tries: tries.failures.len() as u32, reasons };

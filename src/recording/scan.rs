@@ -209,13 +209,15 @@ impl Scan {
                     let declared = channels.get(&id).or_else(|| self.channels.get(&id));
                     let topic = *declared.ok_or("a message of an unknown channel")?;
                     let message = Message { topic, json: fields.0 };
-                    if let Some(timing) = message.take_into(&mut messages)? {
+                    let completing = message.take_into(&mut messages)?;
+                    if *open.get_or_insert(tick) != tick {
+                        return Err("messages of two ticks are mixed".to_owned());
+                    }
+                    if let Some(timing) = completing {
                         let whole = std::mem::take(&mut messages);
                         let record = whole.into_record(tick, &timing);
                         ticks.push(record.ok_or("a tick lacks one of its messages")?);
                         open = None;
-                    } else if *open.get_or_insert(tick) != tick {
-                        return Err("messages of two ticks are mixed".to_owned());
                     }
                 }
                 other => return Err(format!("a block holds a record of kind {other:#04x}")),

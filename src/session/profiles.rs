@@ -1,19 +1,17 @@
 use std::io::ErrorKind;
 
-use super::{FolderError, SessionError, SessionPaths, file_checksum};
+use super::{FolderError, SessionError, SessionPaths, StoredProfile, file_checksum};
 use crate::qube::Profile;
 use crate::storage::{Disk, SETTINGS_BYTES};
 
-/// Reads, from a session's folder, a profile that the session identified. The last argument is the
-/// ledger's record of the profile: the number of recordings that it was fitted to, and the checksum
-/// of its file.
+/// Reads a profile that a session identified from the session's folder.
 ///
 /// # Errors
 /// The file is missing, does not have this checksum, or is not a valid profile.
 pub fn identified_profile(
     disk: &dyn Disk,
     paths: &SessionPaths,
-    (recordings, checksum): &(u32, String),
+    StoredProfile { recordings, checksum }: &StoredProfile,
 ) -> Result<Profile, SessionError> {
     let path = paths.profile(*recordings);
     let lost = |reason: String| SessionError::ProfileLost { path: path.clone(), reason };

@@ -2,6 +2,7 @@ use std::path::PathBuf;
 
 use super::{
     Candidate, Identification, Purpose, ScoredCandidate, SearchEnd, Session, SessionError,
+    TakenOutRig,
 };
 use crate::policy::{Policy, PolicyError};
 use crate::qube::Profile;
@@ -27,17 +28,25 @@ pub struct SessionReport {
     pub identification: Identification,
     /// Latest profile of the Qube, if it was identified.
     pub profile: Option<Profile>,
-    /// Reason for which the search around an identified Qube ended, and the gain in return that one
-    /// more candidate was expected to bring then; `None` before its end and for other searches.
-    pub ended: Option<(SearchEnd, f64)>,
+    /// End of the search around an identified Qube; `None` before its end and for other searches.
+    pub ended: Option<EndedSearch>,
     /// Devices of the rigs that share the session, as they were named when it began; empty if there
     /// is one rig.
     pub rigs: Vec<String>,
-    /// Rigs that were taken out, by their numbers from 1, each with the reason.
-    pub taken_out: Vec<(u32, String)>,
+    /// Rigs that were taken out.
+    pub taken_out: Vec<TakenOutRig>,
     /// Policy to use: the verified policy of the highest [`ScoredCandidate::rank`]; `None` before a
     /// verification.
     pub best: Option<BestPolicy>,
+}
+
+/// The end of a search around an identified Qube.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EndedSearch {
+    /// Reason of the end.
+    pub end: SearchEnd,
+    /// Gain in return that one more candidate was expected to bring.
+    pub expected_gain: f64,
 }
 
 /// The policy that a session recommends for use.
@@ -77,13 +86,13 @@ impl SessionReport {
             profile: session.latest_profile()?,
             ended: session.state().settled().map(|expected_gain| {
                 let plan = session.settings().identification.unwrap_or_default();
-                (SearchEnd::of(&candidates, plan.candidates), expected_gain)
+                EndedSearch { end: SearchEnd::of(&candidates, plan.candidates), expected_gain }
             }),
             rigs: session.settings().rigs.iter().map(|rig| rig.device.clone()).collect(),
             taken_out: session.state().taken_out().to_vec(),
             best: ScoredCandidate::best_verified(&candidates).map(|candidate| BestPolicy {
                 candidate,
-                policy: paths.candidate(candidate as u32).policy(),
+                policy: paths.candidate(candidates[candidate].candidate.number).policy(),
             }),
             candidates: Vec::new(),
         };
@@ -110,9 +119,12 @@ impl SessionReport {
         candidates.find(|it| again.runs_policy_of(it)).unwrap_or(again).number
     }
 
-    /// The candidates whose purpose `is` accepts.
-    pub fn of_purpose(&self, is: fn(Purpose) -> bool) -> impl Iterator<Item = &ScoredCandidate> {
-        self.candidates.iter().filter(move |it| is(it.candidate.purpose))
+    /// The candidates of the purposes that `accepts` is true for.
+    pub fn of_purpose(
+        &self,
+        accepts: fn(Purpose) -> bool,
+    ) -> impl Iterator<Item = &ScoredCandidate> {
+        self.candidates.iter().filter(move |it| accepts(it.candidate.purpose))
     }
 
     /// Number of real rollouts whose data the method used: excitations and rollouts of the search,

@@ -48,6 +48,24 @@ pub struct Finished {
     pub rig: Option<u32>,
 }
 
+/// A profile that a session identified, as a file in its folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StoredProfile {
+    /// Number of recordings that it was fitted to.
+    pub recordings: u32,
+    /// Checksum of its file.
+    pub checksum: String,
+}
+
+/// A rig that was taken out of a session.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TakenOutRig {
+    /// Number of the rig, from 1.
+    pub rig: u32,
+    /// Fault for which it was taken out.
+    pub reason: String,
+}
+
 /// The state of a session's identification of its Qube.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Identification {
@@ -62,10 +80,9 @@ pub enum Identification {
         verdict: String,
         /// Names of the effects that the model lacks according to the verdict.
         doubts: Vec<String>,
-        /// Profiles in the order in which they were found: the number of recordings that each was
-        /// fitted to, and the checksum of its file. Psi shifts the simulations along directions of
-        /// the errors of the first.
-        profiles: Vec<(u32, String)>,
+        /// Profiles in the order in which they were found. Psi shifts the simulations along
+        /// directions of the errors of the first.
+        profiles: Vec<StoredProfile>,
     },
     /// The recordings identify no Qube, for this reason.
     Refused(String),
@@ -79,7 +96,7 @@ pub struct SessionState {
     identification: Identification,
     settled: Option<f64>,
     took_in_verification: bool,
-    taken_out: Vec<(u32, String)>,
+    taken_out: Vec<TakenOutRig>,
 }
 
 impl SessionState {
@@ -135,17 +152,16 @@ impl SessionState {
         self.took_in_verification
     }
 
-    /// The numbers of the rigs that were taken out, from 1, each with the reason, in the order of
-    /// these events.
+    /// The rigs that were taken out, in the order of these events.
     #[must_use]
-    pub fn taken_out(&self) -> &[(u32, String)] {
+    pub fn taken_out(&self) -> &[TakenOutRig] {
         &self.taken_out
     }
 
     /// Whether the rig with this number was taken out.
     #[must_use]
     pub fn is_taken_out(&self, rig: u32) -> bool {
-        self.taken_out.iter().any(|(out, _)| *out == rig)
+        self.taken_out.iter().any(|out| out.rig == rig)
     }
 
     /// Applies the next entry. An entry that cannot follow the earlier ones changes nothing.
@@ -212,7 +228,7 @@ impl SessionState {
                     }
                     _ => return Err("the Qube is identified from these recordings already"),
                 };
-                profiles.push((recordings, checksum.clone()));
+                profiles.push(StoredProfile { recordings, checksum: checksum.clone() });
                 self.identification = Identification::Found {
                     recordings,
                     verdict: verdict.clone(),
@@ -246,7 +262,7 @@ impl SessionState {
                 if self.is_taken_out(rig) {
                     return Err("the rig is taken out already");
                 }
-                self.taken_out.push((rig, reason.clone()));
+                self.taken_out.push(TakenOutRig { rig, reason: reason.clone() });
                 self.candidates.iter_mut().for_each(|it| it.void_before = it.void);
             }
         }

@@ -15,6 +15,15 @@ fn ports_that_are_none() {
     };
     run("/dev/ttyNOWHERE", &["no such port", "/dev/ttyNOWHERE", "plugged in"]);
     run("/dev/null", &["/dev/null"]);
+    // The sentence is the only one: nothing is announced that then does not happen.
+    for command in [&["session"][..], &["check"], &["run", "--policy", "classical"]] {
+        for (port, words) in [("/dev/ttyNOWHERE", "no such port"), ("/tmp", "not a serial port")] {
+            let output = qube_hil(directory.path(), &[command, &["--device", port]].concat());
+            let told = String::from_utf8(output.stderr).unwrap();
+            assert!(told.contains(words) && told.lines().count() == 1, "{command:?}: {told}");
+        }
+    }
+    assert!(!directory.path().join("logs/session").exists());
 }
 
 #[test]

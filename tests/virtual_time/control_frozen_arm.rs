@@ -54,7 +54,7 @@ fn a_freeze_in_a_swing_is_found_within_300_ms() {
         for (alpha, amplitude_v) in [(1.5, 2.0), (2.0, 4.0), (2.5, 3.0)] {
             let found = first_alarm(Nonidealities::default(), alpha, amplitude_v, Some(at));
             let is_found = found.is_some_and(|(tick, alarm)| {
-                (at..=at + 30).contains(&tick) && alarm == Alarm::Zero(Fault::EncoderFrozen)
+                (at..=at + 30).contains(&tick) && alarm == Alarm::SwitchOff(Fault::EncoderFrozen)
             });
             assert!(is_found, "{at}, {alpha}: {found:?}");
         }

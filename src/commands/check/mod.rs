@@ -97,6 +97,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     // The file that --write replaces may belong to another board, so its board is not checked.
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };
+    device.check_port_exists()?;
     print_message(&format!(
         "checking {}: the arm is pushed a little, then homed",
         device.described()

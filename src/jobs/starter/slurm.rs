@@ -9,9 +9,9 @@ use super::{StartError, Starter, WorkerCount, log_folder};
 use crate::jobs::checksum::checksum;
 use crate::jobs::folder::JobFolder;
 
-/// Longest time that a command of Slurm may take. The coordinator writes no heartbeat meanwhile,
-/// and by default its folder counts as abandoned after 60 s without one.
-const LONGEST_COMMAND: Duration = Duration::from_secs(30);
+/// Longest time that a command of Slurm may take. The coordinator writes no heartbeat during two of
+/// them in a row, and by default its folder counts as abandoned after 60 s without one.
+const LONGEST_COMMAND: Duration = Duration::from_secs(15);
 
 /// The options with which workers are submitted, each in the form that Slurm's commands take.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

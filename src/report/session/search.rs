@@ -4,7 +4,7 @@ use super::SessionSource;
 use crate::report::chart::{Chart, Mark};
 use crate::report::page::{Cell, Page, significant};
 use crate::report::returns::{CandidateReturns, returns_chart};
-use crate::session::{Purpose, ScoredCandidate};
+use crate::session::{Purpose, ScoredCandidate, TakenOutRig};
 
 /// Adds the returns of all candidates whose policy has a result, and the table of all candidates,
 /// excitations included.
@@ -118,7 +118,7 @@ fn add_rigs(page: &mut Page, source: &SessionSource) {
     for (name, rig) in names.iter().zip(rigs) {
         page.paragraph(&format!("{name}: {}.", rig.device));
     }
-    for (rig, reason) in source.state.taken_out() {
+    for TakenOutRig { rig, reason } in source.state.taken_out() {
         page.paragraph(&format!(
             "Rig {rig} was taken out, and the others made its rollouts: {reason}"
         ));

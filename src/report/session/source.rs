@@ -97,7 +97,7 @@ impl SessionSource {
         if let Identification::Found { profiles, .. } = source.state.identification() {
             for found in profiles {
                 match identified_profile(disk, &paths, found) {
-                    Ok(profile) => source.profiles.push((found.0, profile)),
+                    Ok(profile) => source.profiles.push((found.recordings, profile)),
                     Err(error) => source.problems.push(error.to_string()),
                 }
             }

@@ -28,7 +28,7 @@ const GROUP: usize = 4;
 /// for some control periods, then the brake takes over. Each of these Qubes is a particle with its
 /// own delay, and its brake acts on the velocities that the estimator would show.
 ///
-/// Trap: the simulation ends at its horizon, and an arm may reach an end later. With a horizon of
+/// The simulation ends at its horizon, and an arm may reach an end later. With a horizon of
 /// 0.5 s this happens: of the arms of Qubes at +-30 % that are then neither calm (`calm.rs`) nor at
 /// an end, one in forty reaches an end within 1.5 s, because a pendulum that comes to rest nearly
 /// upright falls later.
@@ -232,20 +232,21 @@ impl ParticleLanes {
         brake: &impl BrakeLaw,
         ends: &Ends,
     ) -> Self {
-        let of = |number: fn(&Particle) -> f64| particles.map(|particle| number(particle) as f32);
+        let column =
+            |number: fn(&Particle) -> f64| particles.map(|particle| number(particle) as f32);
         let error = State {
-            theta: of(|particle| particle.error.theta),
-            alpha: of(|particle| particle.error.alpha),
-            theta_dot: of(|particle| particle.error.theta_dot),
-            alpha_dot: of(|particle| particle.error.alpha_dot),
+            theta: column(|particle| particle.error.theta),
+            alpha: column(|particle| particle.error.alpha),
+            theta_dot: column(|particle| particle.error.theta_dot),
+            alpha_dot: column(|particle| particle.error.alpha_dot),
         };
         let periods = |particle: &&Particle| {
             (particle.model.nonidealities.command_delay_s / CONTROL_PERIOD_S).ceil() as u32 + 1
         };
         Self {
             error,
-            positive_share: of(|particle| particle.positive_share),
-            negative_share: of(|particle| particle.negative_share),
+            positive_share: column(|particle| particle.positive_share),
+            negative_share: column(|particle| particle.negative_share),
             calm: CalmLanes::new(particles, qubes, brake, ends),
             settled: particles.iter().map(periods).max().unwrap_or(0),
             largest_v: brake.largest_v() as f32,

@@ -18,7 +18,7 @@ use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
     Candidate, Entry, Finished, FolderError, Identification, Purpose, ScoredCandidate,
-    SessionError, SessionEvent, file_checksum, identified_profile,
+    SessionError, SessionEvent, StoredProfile, file_checksum, identified_profile,
 };
 use crate::storage::write_whole;
 
@@ -85,8 +85,9 @@ impl Session {
                 self.append_proposal(Proposal::of(Purpose::Excitation, Vec::new()), on_event)
             }
             Fitted::Unfit(reason) | Fitted::Refused(reason) => {
+                self.ledger.append(Entry::NotIdentified { reason: reason.clone() })?;
                 on_event(SessionEvent::NotIdentified(&reason));
-                Ok(self.ledger.append(Entry::NotIdentified { reason })?)
+                Ok(())
             }
         }
     }
@@ -105,8 +106,9 @@ impl Session {
             Fitted::Found(_) => "none of its recordings can be fitted".to_owned(),
             Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
         };
+        self.ledger.append(Entry::NotUpdated { reason: reason.clone() })?;
         on_event(SessionEvent::NotUpdated(&reason));
-        Ok(self.ledger.append(Entry::NotUpdated { reason })?)
+        Ok(())
     }
 
     /// Number of recordings that the latest profile was fitted to.
@@ -136,7 +138,7 @@ impl Session {
         let decision = decide(&scored, plan.candidates);
         let drives = matches!(decision, Decision::Propose | Decision::Verify { .. });
         let is_contradicted = drives && self.has_contradicted_profile();
-        if is_contradicted && self.excites_again(on_event)? {
+        if is_contradicted && self.fits_or_excites_again(on_event)? {
             return Ok(());
         }
         match decision {
@@ -171,9 +173,9 @@ impl Session {
     }
 
     /// Fits the Qube anew after it has contradicted its profile. If that gives no new profile,
-    /// proposes another excitation, if one is left, and returns true. Under a profile that is not
+    /// proposes another excitation, if one is left; returns whether it did. Under a profile that is not
     /// trusted the guard would take the Qube for an unknown one and end nearly every swing-up.
-    fn excites_again(
+    fn fits_or_excites_again(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<bool, SessionError> {
@@ -314,9 +316,10 @@ impl Session {
         let text = toml::to_string_pretty(&profile).map_err(io)?;
         write_whole(self.folder.disk(), &path, text.as_bytes())?;
         let verdict = found.assessment.verdict.name().to_owned();
-        on_event(SessionEvent::Identified { recordings, doubts: &doubts });
         let checksum = file_checksum(text.as_bytes());
+        let doubted = doubts.clone();
         self.ledger.append(Entry::Identified { recordings, verdict, doubts, checksum })?;
+        on_event(SessionEvent::Identified { recordings, doubts: &doubted });
         self.search_around_identified()
     }
 
@@ -334,7 +337,7 @@ impl Session {
     }
 
     /// Reads a profile from the session's folder and checks it against the ledger.
-    fn profile_of(&self, found: &(u32, String)) -> Result<Profile, SessionError> {
+    fn profile_of(&self, found: &StoredProfile) -> Result<Profile, SessionError> {
         identified_profile(self.folder.disk(), self.folder.paths(), found)
     }
 

@@ -74,7 +74,7 @@ impl Session {
     /// Index of the rig that makes this rollout. At least one rig always remains.
     pub(super) fn index_of(&self, rollout: u32) -> usize {
         let taken_out: Vec<u32> =
-            self.ledger.state().taken_out().iter().map(|(rig, _)| *rig).collect();
+            self.ledger.state().taken_out().iter().map(|out| out.rig).collect();
         let rig = rig_of_rollout(rollout, self.rigs.len() as u32, &taken_out);
         rig.map_or(0, |rig| rig as usize - 1)
     }
@@ -92,8 +92,9 @@ impl Session {
         }
         let (rig, reason) = (index as u32 + 1, fault.to_string());
         self.rigs[index].opened = None;
+        self.ledger.append(Entry::RigTakenOut { rig, reason: reason.clone() })?;
         on_event(SessionEvent::RigTakenOut { rig, reason: &reason });
-        Ok(self.ledger.append(Entry::RigTakenOut { rig, reason })?)
+        Ok(())
     }
 
     /// Makes the rollout that is due and, at the same time, the candidate's next rollouts on the

@@ -63,7 +63,7 @@ struct Moments {
 impl MixtureDensity {
     /// Fits the density of targets given features by maximum likelihood over `passes` passes; each
     /// sample has its weight. One sample in ten is held out, and the network with the highest
-    /// likelihood of these samples is kept.
+    /// likelihood of these samples is kept; with fewer than ten samples, the last network.
     pub fn fit(
         features: &[DVector<f64>],
         targets: &[DVector<f64>],
@@ -93,10 +93,10 @@ impl MixtureDensity {
         let (held_out, learned): (Vec<usize>, Vec<usize>) =
             (0..inputs.len()).partition(|index| index % HELD_OUT_EVERY == HELD_OUT_EVERY - 1);
         let loss = |network: &Self, samples: &[usize]| {
-            let of = |&index: &usize| {
+            let weighted = |&index: &usize| {
                 -weights[index] * network.mixture(&inputs[index]).log_density(&targets[index])
             };
-            samples.iter().map(of).sum::<f64>() / samples.len().max(1) as f64
+            samples.iter().map(weighted).sum::<f64>() / samples.len().max(1) as f64
         };
         let mut best = network.clone();
         let mut least = loss(&network, &held_out);
@@ -121,7 +121,7 @@ impl MixtureDensity {
                 }
             }
             let now = loss(&network, &held_out);
-            if now < least {
+            if held_out.is_empty() || now < least {
                 (least, best) = (now, network.clone());
             }
         }
@@ -373,6 +373,17 @@ mod tests {
             let difference = (moved(1e-5) - moved(-1e-5)) / 2e-5;
             assert!((slope - difference).abs() < 1e-6, "{layer} {entry}: {slope} {difference}");
         }
+    }
+
+    #[test]
+    fn samples_too_few_to_hold_one_out_are_learned() {
+        let (inputs, targets) =
+            ([vector(&[0.3]), vector(&[-1.2])], [vector(&[0.5]), vector(&[-0.7])]);
+        let density = |passes| {
+            let network = MixtureDensity::fit(&inputs, &targets, &[1.0; 2], passes, 1);
+            network.given(&inputs[0]).log_density(&targets[0])
+        };
+        assert!(density(200) > density(1) + 0.5, "{} {}", density(200), density(1));
     }
 
     /// theta is standard normal in two dimensions, and x = theta_1 + theta_2 + noise: the posterior
