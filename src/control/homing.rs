@@ -103,7 +103,8 @@ impl Homing {
             estimator: None,
             provisional: settings.signs,
             watch: Watch::default(),
-            sensors: SensorWatch::of(&settings.plant),
+            // A contact with a stop may leave a tachometer at its last velocity for 0.21 s.
+            sensors: SensorWatch::of(&settings.plant).without_drift_test(),
             current: CurrentWatch::default(),
             control: ControlState::Identified.on(ControlEvent::Home).0,
             stillness: StillnessDetector::default(),

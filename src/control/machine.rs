@@ -67,7 +67,8 @@ pub enum ControlEvent {
     /// A fault after which link, amplifier, motor or the arm's encoder cannot be trusted. In homing
     /// every fault is this event, because the arm is slow enough to be switched off at once.
     SwitchOffFault,
-    /// The arm's count is doubted, while link and amplifier can be trusted.
+    /// A count is doubted, while link and amplifier can be trusted: the arm's in any phase, or the
+    /// pendulum's while the arm is braked because of it.
     CountDoubted,
 }
 

@@ -9,6 +9,7 @@
 
 mod asking_push;
 mod between_motions;
+mod count_drift;
 mod count_range;
 mod cross_check;
 mod current_watch;

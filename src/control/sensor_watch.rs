@@ -1,3 +1,6 @@
+use std::time::Duration;
+
+use super::count_drift::CountDrift;
 use super::cross_check::{CrossCheck, FrozenEncoder, RIG_SHARE, WHOLE_DOMAIN_SHARE};
 use super::dead_motor::DeadMotor;
 use super::momentum_watch::MomentumWatch;
@@ -76,6 +79,9 @@ pub struct SensorWatch {
     pendulum: StillPendulum,
     /// Device time since which counter and tachometer disagree, us.
     disagree_since_us: Option<u64>,
+    /// Test of the arm's count against the tachometer's integral; `None` before
+    /// [`TickRules::DriftTested`](crate::telemetry::TickRules::DriftTested).
+    drift: Option<CountDrift>,
 }
 
 /// Motion of both encoders over an interval, counts.
@@ -116,7 +122,15 @@ impl SensorWatch {
             stall: Push::default(),
             pendulum: StillPendulum::default(),
             disagree_since_us: None,
+            drift: Some(CountDrift::default()),
         }
+    }
+
+    /// This watch by the rules before
+    /// [`TickRules::DriftTested`](crate::telemetry::TickRules::DriftTested).
+    #[must_use]
+    pub fn without_drift_test(self) -> Self {
+        Self { drift: None, ..self }
     }
 
     /// This watch by the rules before
@@ -253,6 +267,10 @@ impl SensorWatch {
         if self.disagrees(sample, counts_s) {
             return Some(Alarm::SwitchOff(Fault::TachometerDisagrees));
         }
+        // The arm is slow by then, and the velocity of its count is wrong: it is not damped by it.
+        if self.has_drifted(sample, theta, elapsed_us) {
+            return Some(Alarm::SwitchOff(Fault::EncoderDrifts));
+        }
         let pendulum_is_frozen = step.is_some_and(|step| {
             let rad_per_count = self.plant.encoders.theta.rad_per_count();
             self.pendulum.is_frozen(sample, step.theta / step.elapsed_s * rad_per_count)
@@ -331,6 +349,17 @@ impl SensorWatch {
         let since_us = *self.disagree_since_us.get_or_insert(sample.device_time_us);
         sample.device_time_us.saturating_sub(since_us) >= TACHOMETER_US
     }
+
+    /// Whether the arm's count, which has moved by `theta_counts` since the last sample, has drifted
+    /// away from the tachometer.
+    fn has_drifted(&mut self, sample: &Measurement, theta_counts: f64, elapsed_us: u64) -> bool {
+        let rad_per_count = self.plant.encoders.theta.rad_per_count();
+        let tachometer_rad_s = f64::from(sample.tachometer_counts_s) * rad_per_count;
+        let (moved_rad, elapsed) =
+            (theta_counts * rad_per_count, Duration::from_micros(elapsed_us));
+        let drift = self.drift.as_mut();
+        drift.is_some_and(|drift| drift.has_drifted(moved_rad, elapsed, tachometer_rad_s))
+    }
 }
 
 /// Appends the next step of a count, counts a period, and returns whether the step before it was a
@@ -394,6 +423,7 @@ mod tests {
                         sample.theta_counts = counts;
                         // Motion that pendulum and tachometer confirm.
                         sample.alpha_counts = 5 * tick as i32;
+                        sample.tachometer_counts_s = if tick == 10 { 100 * step } else { 0 };
                     }
                 };
                 assert_eq!(first_alarm(30, at, false), jumps.then_some((10, fault)));
@@ -459,6 +489,7 @@ mod tests {
             let at = move |tick: u32, sample: &mut Measurement| {
                 sample.applied_mv = millivolts;
                 sample.theta_counts = (f64::from(tick) * counts_per_tick) as i32;
+                sample.tachometer_counts_s = (100.0 * counts_per_tick) as i32;
             };
             first_alarm(200, at, false).map(|(_, fault)| fault)
         };

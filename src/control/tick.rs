@@ -40,6 +40,10 @@ const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
 /// up.
 const RUNAWAY_RAD_S: f64 = 5.0;
 
+/// Number of periods of braking within which a jump of the pendulum's count shows that made the guard
+/// brake.
+const JUMP_KNOWN_TICKS: u32 = 2;
+
 /// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it. The table
 /// of [`ControlState`] holds the transitions.
 ///
@@ -219,6 +223,16 @@ impl<C: Controller> Tick<C> {
         }
     }
 
+    /// Whether this fault is the reason for which the guard or the box has just begun to brake: that a
+    /// step of the pendulum's count was a jump is certain one sample later.
+    fn explains_brake(&self, fault: Fault) -> bool {
+        self.settings.rules >= TickRules::DriftTested
+            && fault == Fault::PendulumJump
+            && self.phase == Phase::Braking
+            && self.periods_in_phase <= JUMP_KNOWN_TICKS
+            && matches!(self.reason, Ending::LeftBox(_))
+    }
+
     /// The event that ends braking, once the arm has stopped or time is up; a fault if the arm is
     /// still faster than `RUNAWAY_RAD_S` then.
     fn braking_end(&mut self) -> Option<(ControlEvent, Ending)> {
@@ -379,6 +393,8 @@ fn sensor_watch(settings: &TickSettings) -> SensorWatch {
     } else {
         SensorWatch::of(&settings.plant)
     };
+    let tests_drift = settings.rules >= TickRules::DriftTested;
+    let watch = if tests_drift { watch } else { watch.without_drift_test() };
     let allows = settings.rules >= TickRules::AlternatingAllowed;
     if allows { watch } else { watch.by_earlier_rules() }
 }
@@ -429,6 +445,9 @@ impl<C: Controller> Motion for Tick<C> {
             }
             Some(Alarm::SwitchOff(fault)) => {
                 self.take(ControlEvent::SwitchOffFault, Ending::Fault(fault))
+            }
+            Some(Alarm::Brake(fault)) if self.explains_brake(fault) => {
+                self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
             }
             Some(Alarm::Brake(fault)) => self.take(ControlEvent::BrakeFault, Ending::Fault(fault)),
             None => false,

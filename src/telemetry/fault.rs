@@ -151,6 +151,9 @@ faults! {
     TachometerDisagrees: Examine,
         "the arm's counter and its tachometer disagreed for 300 ms",
         "Check the arm's encoder and its cable.";
+    EncoderDrifts: Examine,
+        "the arm's count and its tachometer have moved apart by more than 0.4 rad: counts were lost, or disturbances were counted",
+        "Check the arm's encoder, its cable and its plug.";
     SettlingTimedOut: Examine,
         "arm and pendulum did not come to rest within 15 s",
         "Check whether something moves or holds arm or pendulum.";

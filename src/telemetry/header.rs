@@ -80,11 +80,15 @@ pub enum TickRules {
     /// As [`RestByEncoders`](Self::RestByEncoders); in addition, the motor's heat follows the speed
     /// that the guard sees, and not the one that the policy sees.
     HeatByGuardedSpeed,
+    /// As [`HeatByGuardedSpeed`](Self::HeatByGuardedSpeed); in addition, an arm's count that drifts
+    /// away from the tachometer is a fault, and so is a jump of the pendulum's count for which the
+    /// guard has begun to brake.
+    DriftTested,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::HeatByGuardedSpeed;
+    pub const NEWEST: Self = Self::DriftTested;
 }
 
 /// The record that precedes a rollout.

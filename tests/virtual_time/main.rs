@@ -19,6 +19,7 @@ mod control_late_computer;
 mod control_motor_heat;
 mod control_stale_samples;
 mod control_virtual_time;
+mod control_wrong_counts;
 mod experiment_rivals;
 mod folders;
 mod fuzz_corpus;

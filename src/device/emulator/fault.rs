@@ -141,6 +141,14 @@ pub enum EmulatorFault {
         /// Size of the jump, counts.
         counts: i32,
     },
+    /// Disturbances on the cable of the arm's encoder are counted as motion; the tachometer does not
+    /// show them.
+    DriftingTheta {
+        /// Onset, s.
+        after_s: f64,
+        /// Counts a second, not 0.
+        counts_s: i32,
+    },
     /// The motor has a bad contact: only a fraction of the current flows.
     WeakMotor {
         /// Fraction of the current, above 0 and at most 1.
@@ -186,7 +194,7 @@ pub enum EmulatorFault {
 
 /// The text form of each fault, and its effect. S, D, N, F and V are numbers: S is a time after the
 /// start, s, D a duration, s, N a number of counts or replies, F a factor, V a voltage, V.
-const FORMS: [(&str, &str); 25] = [
+const FORMS: [(&str, &str); 26] = [
     ("silent@S", "answers nothing from S on"),
     ("garble@N", "a bit of each N-th reply is flipped"),
     ("wrong-version", "answers with the previous version of the protocol"),
@@ -195,6 +203,7 @@ const FORMS: [(&str, &str); 25] = [
     ("frozen-alpha@S[+D]", "the pendulum's count stays [for D]"),
     ("jump-theta@S[:N]", "the arm's count jumps by 300 or N"),
     ("jump-alpha@S[:N]", "the pendulum's count jumps by 300 or N"),
+    ("drifting-theta@S[:N]", "the arm's count gains 300 or N counts a second"),
     ("scaled-theta@F", "the arm's encoder gives F times as many counts"),
     ("flipped-theta", "the arm's encoder is wired in reverse"),
     ("flipped-alpha", "the pendulum's encoder is wired in reverse"),
@@ -248,6 +257,7 @@ impl EmulatorFault {
             | Self::LapsingAlpha { after_s, .. }
             | Self::JumpTheta { after_s, .. }
             | Self::JumpAlpha { after_s, .. }
+            | Self::DriftingTheta { after_s, .. }
             | Self::DeadMotor { after_s }
             | Self::OneSidedMotor { after_s, .. }
             | Self::PushedArm { after_s, .. }
@@ -314,6 +324,9 @@ impl fmt::Display for EmulatorFault {
             }
             Self::JumpAlpha { after_s, counts } => {
                 write!(formatter, "jump-alpha@{after_s}:{counts}")
+            }
+            Self::DriftingTheta { after_s, counts_s } => {
+                write!(formatter, "drifting-theta@{after_s}:{counts_s}")
             }
             Self::WeakMotor { share } => write!(formatter, "weak-motor@{share}"),
             Self::OneSidedMotor { after_s, positive } => {
@@ -389,6 +402,11 @@ impl FromStr for EmulatorFault {
             "jump-alpha" => {
                 let (after_s, counts) = jump().ok_or_else(unknown)?;
                 Self::JumpAlpha { after_s, counts }
+            }
+            "drifting-theta" => {
+                let (after_s, counts_s) =
+                    jump().filter(|(_, counts_s)| *counts_s != 0).ok_or_else(unknown)?;
+                Self::DriftingTheta { after_s, counts_s }
             }
             "weak-motor" => Self::WeakMotor {
                 share: seconds()
@@ -483,6 +501,7 @@ mod tests {
             "frozen-alpha@3+0.5",
             "jump-theta@4:300",
             "jump-alpha@4:-120",
+            "drifting-theta@4:-150",
             "weak-motor@0.3",
             "one-sided-motor@2:+",
             "one-sided-motor@0:-",

@@ -55,6 +55,12 @@ impl FaultProgress {
     /// Time at which the fault begins or ends, whichever is next, us; `None` if neither will come.
     pub fn next_us(&self) -> Option<u64> {
         let fault = self.fault?;
+        if let (Stage::During, EmulatorFault::DriftingTheta { counts_s, .. }) = (self.stage, fault)
+        {
+            let counted = u64::from(self.theta_shift.unsigned_abs()) + 1;
+            let after_us = counted.saturating_mul(1_000_000) / u64::from(counts_s.unsigned_abs());
+            return Some(fault.onset_us().saturating_add(after_us));
+        }
         let lasts_s = match fault {
             EmulatorFault::LapsingTheta { lasts_s, .. }
             | EmulatorFault::LapsingAlpha { lasts_s, .. }
@@ -82,6 +88,9 @@ impl FaultProgress {
                     EmulatorFault::WeakMotor { share } => return Some(share),
                     _ => {}
                 }
+            }
+            (Stage::During, EmulatorFault::DriftingTheta { counts_s, .. }) => {
+                self.theta_shift = self.theta_shift.wrapping_add(counts_s.signum());
             }
             (Stage::During, EmulatorFault::LapsingTheta { .. }) => {
                 self.stage = Stage::After;

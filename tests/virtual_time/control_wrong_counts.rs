@@ -1,0 +1,70 @@
+//! Tests that counts that are gained or lost during a rollout are found and void it.
+
+use std::sync::atomic::AtomicBool;
+
+use qube_hil::clock::{Clock, VirtualClock};
+use qube_hil::control::{Homing, HomingSettings, Tick, drive};
+use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
+use qube_hil::device::{Device, SerialLink};
+use qube_hil::policy::{ClassicalController, ClassicalGains};
+use qube_hil::qube::Profile;
+use qube_hil::safety::SafetyBox;
+use qube_hil::session::RolloutPlan;
+use qube_hil::telemetry::{Ending, Fault, TickSettings};
+
+/// A rollout of the classical controller on `lab`, in the box alone.
+struct Rollout {
+    ending: Ending,
+    /// Start and end, s since the Qube was switched on.
+    began_s: f64,
+    ended_s: f64,
+}
+
+fn rollout(fault: Option<EmulatorFault>) -> Rollout {
+    let clock = VirtualClock::default();
+    let now_s = || clock.now_ns() as f64 * 1e-9;
+    let model = Profile::lab().model();
+    let emulator = EmulatorSettings { model, fault, seed: 1000, ..EmulatorSettings::default() };
+    let mut device = SerialLink::in_process(emulator, clock.clone());
+    device.hello().unwrap();
+    let stop = AtomicBool::new(false);
+    let mut homing = Homing::new(&HomingSettings::default());
+    let homed = drive(&mut device, &clock, &mut homing, None, &stop).unwrap();
+    assert_eq!(homed.outcome.ending, Ending::Completed);
+    let settings = TickSettings {
+        calibration: homing.calibration().unwrap(),
+        safety_box: SafetyBox::THESIS,
+        ..RolloutPlan::single("counts", "classical").header().settings
+    };
+    let policy = ClassicalController::new(ClassicalGains::default());
+    let began_s = now_s();
+    let mut tick = Tick::new(&settings, policy);
+    let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    Rollout { ending: report.outcome.ending, began_s, ended_s: now_s() }
+}
+
+#[test]
+fn a_count_that_drifts_away_from_its_tachometer_is_found() {
+    let Rollout { began_s, .. } = rollout(None);
+    for counts_s in [-300, -150, 150, 300] {
+        let after_s = began_s + 2.0;
+        let fault = EmulatorFault::DriftingTheta { after_s, counts_s };
+        let Rollout { ending, ended_s, .. } = rollout(Some(fault));
+        assert_eq!(ending, Ending::Fault(Fault::EncoderDrifts), "{counts_s}");
+        assert!(ended_s < after_s + 3.0, "{counts_s}: {ended_s}");
+    }
+}
+
+#[test]
+fn a_jump_of_the_pendulums_count_is_a_fault_also_where_the_box_brakes_because_of_it() {
+    let Rollout { began_s, ended_s, .. } = rollout(None);
+    let mut instant_s = began_s + 1.5;
+    while instant_s < ended_s - 1.0 {
+        for counts in [-150, 150] {
+            let fault = EmulatorFault::JumpAlpha { after_s: instant_s, counts };
+            let Rollout { ending, .. } = rollout(Some(fault));
+            assert_eq!(ending, Ending::Fault(Fault::PendulumJump), "{instant_s} s, {counts}");
+        }
+        instant_s += 0.37;
+    }
+}
