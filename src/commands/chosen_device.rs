@@ -105,9 +105,12 @@ impl ChosenDevice {
     /// The option that keeps the homing of this command line when the work is resumed, with a space
     /// before it; empty where the resumed work homes in the same way without it.
     pub fn home_option(&self) -> String {
-        // Without a file, resumed work keeps the method that it recorded.
+        // Without a file, resumed work keeps the method that it recorded; but a real Qube is homed
+        // by hand only where its operator says so each time.
+        let by_hand = self.home == Some(HomingMethod::Hand) && self.choice.is_hardware();
         match (self.home, &self.file) {
             (Some(method), Some(_)) => format!(" --home {}", method_name(method)),
+            (Some(method), None) if by_hand => format!(" --home {}", method_name(method)),
             _ => String::new(),
         }
     }
@@ -137,6 +140,13 @@ impl ChosenDevice {
             return Err(Failure::usage(format!(
                 "{work} keeps the homing that it began with: give --home {}",
                 method_name(homing.method)
+            )));
+        }
+        let by_hand = homing.method == HomingMethod::Hand && self.choice.is_hardware();
+        if by_hand && self.home.is_none() {
+            return Err(Failure::usage(format!(
+                "{work} that is homed by hand takes the place of the arm at its start as the middle: put the arm \
+                 there, then give --home hand"
             )));
         }
         Ok(())

@@ -201,6 +201,15 @@ impl OutputFolder {
             .map_err(|error| failures::not_written(&self.path, &error))?
             .filter_map(|entry| Some(entry.ok()?.file_name()));
         for name in names {
+            if [SessionPaths::CONFIGURATION, ExperimentFolder::SETTINGS]
+                .iter()
+                .any(|it| name == *it)
+            {
+                return Err(Failure::usage(format!(
+                    "{} is the folder of a session or an experiment: name another folder",
+                    self.path.display()
+                )));
+            }
             if rollout_of(&name).is_some_and(|rollout| rollout < rollouts) {
                 return Err(Failure::usage(format!(
                     "{} exists already: name another folder",

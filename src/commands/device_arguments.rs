@@ -249,6 +249,7 @@ fn check_boards(path: &Path, file: &QubeFile, profile: &Profile) -> Result<(), F
 mod tests {
     use super::*;
     use crate::commands::chosen_device::method_name;
+    use crate::control::HomingSettings;
 
     #[test]
     fn a_profile_that_was_identified_on_another_board_is_refused() {
@@ -296,6 +297,23 @@ mod tests {
         assert_eq!(by_hand.home_option(), " --home hand");
         assert_eq!(chosen(Some(&path), None).home_option(), "");
         assert_eq!(chosen(None, Some(HomeArgument::Hand)).home_option(), "");
+    }
+
+    #[test]
+    fn resumed_work_on_a_real_qube_is_homed_by_hand_only_where_the_command_line_says_so() {
+        let by_hand = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
+        let checked = |device: &str, home| {
+            let treatment = TreatmentArguments { home, unidentified: false };
+            let one = QubeArguments::of_one(Some(device.to_owned()), None, treatment);
+            let chosen = one.choose_specimen(&PlantModel::QUBE).unwrap();
+            (chosen.check_resumed("a session", false, by_hand), chosen.home_option())
+        };
+        let (refused, _) = checked("/dev/ttyACM0", None);
+        assert!(refused.unwrap_err().to_string().contains("give --home hand"));
+        let (admitted, option) = checked("/dev/ttyACM0", Some(HomeArgument::Hand));
+        assert!(admitted.is_ok());
+        assert_eq!(option, " --home hand", "the command to resume needs it");
+        assert!(checked(EMULATED, None).0.is_ok());
     }
 
     #[test]

@@ -17,7 +17,7 @@ use crate::jobs::{JobError, JobFolderError};
 use crate::policy::PolicyError;
 use crate::recording::RecordingError;
 use crate::rig::RigError;
-use crate::session::{FolderError, RigSessions, SessionError, SessionPaths};
+use crate::session::{FolderError, LedgerError, RigSessions, SessionError, SessionPaths};
 
 /// The failure for an error of a rig.
 pub fn rig(error: RigError, stop: &Stop) -> Failure {
@@ -141,6 +141,9 @@ pub fn folder(error: &FolderError) -> Failure {
         FolderError::NotASession { .. } => ". Give the folder of a session to --resume".into(),
         FolderError::NotBegun { path } => format!(". Begin it with --out {}", word(path)),
         FolderError::InUse { .. } => String::new(),
+        FolderError::Io { source, .. } if is_full(source) => {
+            return Failure::failed(format!("{error}. Make room, then continue"));
+        }
         FolderError::Io { source, .. } if !is_bad_place(source) => return Failure::failed(error),
         FolderError::Io { .. } => String::new(),
     };
@@ -163,6 +166,10 @@ fn resuming_command(folder: &Path) -> Option<&'static str> {
 pub fn not_written(path: &Path, error: &io::Error) -> Failure {
     let message = format!("{} cannot be written: {error}", path.display());
     if is_bad_place(error) { Failure::usage(message) } else { Failure::failed(message) }
+}
+
+fn is_full(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded)
 }
 
 /// Whether the place itself is wrong, so that this user cannot write there at any time; false for a
@@ -207,6 +214,12 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         }
         SessionError::Folder(error) => folder(&error),
         SessionError::Training(error) => job(error, stop),
+        SessionError::Ledger(LedgerError::Io { ref source, .. }) if is_full(source) => {
+            Failure::failed(format!("{error}. Make room, then continue with {resume}"))
+        }
+        SessionError::Ledger(LedgerError::Damaged { .. } | LedgerError::TooLong { .. }) => {
+            Failure::data_lost(error)
+        }
         SessionError::Ledger(_) | SessionError::Search(_) => Failure::failed(error),
         SessionError::Policy(error) => policy(&error),
         SessionError::ProfileLost { .. }

@@ -73,8 +73,8 @@ impl Keyboard {
     /// The sentence on keys that the operator needs before anything moves.
     pub fn hint(&self) -> &'static str {
         match self.watched {
-            Some(_) => "space bar or Ctrl-C: the arm is braked and the state is kept",
-            None => "Ctrl-C: the arm is braked and the state is kept",
+            Some(_) => "the space bar or Ctrl-C brakes the arm and keeps the state",
+            None => "Ctrl-C brakes the arm and keeps the state",
         }
     }
 

@@ -6,6 +6,7 @@ use serde_json::json;
 use super::exit::Failure;
 use super::failures;
 use super::output::Output;
+use super::printable::one_line;
 use super::replay::recording_failure;
 use crate::recording::{RecordingError, Recovered, recover};
 use crate::storage::MachineDisk;
@@ -46,7 +47,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             }
             error => recording_failure(&error),
         })?;
-    let path = arguments.file.display();
+    let path = arguments.file.display().to_string();
+    let path = one_line(&path);
     match recovered {
         Recovered::WasWhole { loss } => {
             output.print(
@@ -57,7 +59,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         }
         Recovered::Saved { ticks, lost_bytes, has_outcome } => {
             output.print(
-                &format!("{}: {ticks} ticks saved", out.display()),
+                &format!("{}: {ticks} ticks saved", one_line(&out.display().to_string())),
                 &json!({
                     "path": arguments.file.to_string_lossy(),
                     "was_whole": false,

@@ -118,7 +118,8 @@ impl Report {
         lines.extend(self.rmse.map(rmse_text));
         let picture = self.picture.as_ref().map(|picture| picture.display());
         lines.extend(picture.map(|picture| format!("its motion is drawn in {picture}")));
-        lines.into_iter().map(|line| format!("{}: {line}\n", self.path.display())).collect()
+        let path = self.path.display().to_string();
+        lines.into_iter().map(|line| format!("{}: {line}\n", one_line(&path))).collect()
     }
 }
 

@@ -77,7 +77,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             }
             let page = match ExperimentFolder::is_in(folder) {
                 true => of_experiment(folder)?,
-                false => of_session(folder)?,
+                false => {
+                    let (page, incomplete) = of_session(folder)?;
+                    lost = incomplete;
+                    page
+                }
             };
             (page, folder.join(REPORT))
         }
@@ -137,7 +141,7 @@ fn write_into(folder: &Path, page: &str) -> Result<PathBuf, String> {
 /// # Errors
 /// A file cannot be read or written; the text says which and why.
 pub fn write_into_session(folder: &Path) -> Result<PathBuf, String> {
-    let page = of_session(folder).map_err(|failure| failure.cause().to_owned())?;
+    let (page, _) = of_session(folder).map_err(|failure| failure.cause().to_owned())?;
     write_into(folder, &page)
 }
 
@@ -184,12 +188,21 @@ fn of_experiment(folder: &Path) -> Result<String, Failure> {
     page_of_experiment(&results, &experiment).map_err(Failure::failed)
 }
 
-fn of_session(folder: &Path) -> Result<String, Failure> {
+/// The page of a session, and the failure to report if some of its data cannot be read.
+fn of_session(folder: &Path) -> Result<(String, Option<Failure>), Failure> {
     let source = SessionSource::read(&MachineDisk, folder).map_err(failure)?;
     let name = folder.canonicalize().ok();
     let name = name.as_deref().unwrap_or(folder).file_name().unwrap_or(folder.as_os_str());
     let commands = session_commands(&source, folder);
-    session_page(&source, &name.to_string_lossy(), &commands).map_err(failure)
+    let page = session_page(&source, &name.to_string_lossy(), &commands).map_err(failure)?;
+    let lost = source.problems().first().map(|problem| {
+        let more = match source.problems().len() - 1 {
+            0 => String::new(),
+            more => format!(" (and {more} more, which the page names)"),
+        };
+        Failure::data_lost(one_line(&format!("{problem}{more}")))
+    });
+    Ok((page, lost))
 }
 
 /// The page of some recordings, and the failure to report if one of them lacks a part.

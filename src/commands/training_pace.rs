@@ -39,7 +39,8 @@ impl TrainingPace {
         self.trained += u32::from(by_this_process);
     }
 
-    /// Time left for a session of this number of candidates; `None` before the second update.
+    /// Time left for a session of this number of candidates; `None` before the second update, and
+    /// when all are trained: only their rollouts are left, whose time the trainings do not tell.
     pub fn time_left(&self, candidates: u32, now: Instant) -> Option<Duration> {
         let (began, first) = self.began?;
         // A training that failed and began again makes more updates than planned; it counts at most
@@ -48,6 +49,9 @@ impl TrainingPace {
         let parts = self.in_training.values().map(part).sum::<f64>();
         let done = f64::from(self.trained) + parts / f64::from(self.updates.max(1));
         let to_do = f64::from(candidates.saturating_sub(first)) - done;
+        if to_do <= 0.0 {
+            return None;
+        }
         time_left(now.saturating_duration_since(began), done, to_do)
     }
 }
@@ -80,6 +84,6 @@ mod tests {
             pace.update(4, after_s(60));
         }
         assert_eq!(pace.time_left(12, after_s(90)), Some(Duration::from_secs(240)));
-        assert_eq!(pace.time_left(3, after_s(90)), Some(Duration::ZERO));
+        assert_eq!(pace.time_left(3, after_s(90)), None);
     }
 }

@@ -37,7 +37,9 @@ impl CountDrift {
         self.difference_rad *= (1.0 - elapsed_s / FORGOTTEN_S).max(0.0);
         self.difference_rad += moved_rad - mean_rad_s * elapsed_s;
         let fastest_rad_s = (moved_rad / elapsed_s).abs().max(tachometer_rad_s.abs());
-        fastest_rad_s < SLOW_RAD_S && self.difference_rad.abs() > LARGEST_RAD
+        // A count that is constant although the tachometer moves is a frozen encoder's.
+        let is_slow = moved_rad != 0.0 && fastest_rad_s < SLOW_RAD_S;
+        is_slow && self.difference_rad.abs() > LARGEST_RAD
     }
 }
 

@@ -27,10 +27,11 @@ pub enum Recovered {
 }
 
 /// Writes the intact part of `damaged` as a complete recording to the new file `saved`, which
-/// appears whole or not at all. The old file is never changed.
+/// appears whole or not at all. The old file is never changed. A policy that is damaged is left out:
+/// the new recording then has an empty one.
 ///
 /// # Errors
-/// The old file cannot be read, or its header or policy is missing or damaged; or the new file
+/// The old file cannot be read, or its header is missing or damaged; or the new file
 /// exists already and stays as it is; or the new file cannot be written, and nothing remains of it.
 pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
@@ -38,6 +39,9 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
     let mut scan = checked_scan(&bytes).map_err(unreadable)?;
     let (damage, lost_bytes) = (scan.first_damage(), scan.lost_bytes);
     let last_ticks = scan.last_ticks.take();
+    if damage.is_some() && !scan.ticks.is_empty() {
+        scan.policy.get_or_insert_default();
+    }
     let recording = recording(scan).map_err(unreadable)?;
     let Some(damage) = damage else { return Ok(Recovered::WasWhole { loss: recording.loss() }) };
     let (ticks, has_outcome) = (recording.ticks.len(), recording.outcome.is_some());
@@ -109,6 +113,46 @@ mod tests {
                 loss: Some("lacks 10 of the first 40 ticks of its rollout".into())
             }
         );
+    }
+
+    #[test]
+    fn a_policy_that_is_damaged_costs_no_tick() {
+        let directory = tempfile::tempdir().unwrap();
+        let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
+        let mut bytes = recorded(&ticks(40));
+        let inside_policy = find_all(&bytes, POLICY)[0] + 1;
+        bytes[inside_policy] ^= 0x55;
+        std::fs::write(&damaged, &bytes).unwrap();
+        let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
+        assert!(matches!(recovered, Recovered::Saved { ticks: 40, .. }), "{recovered:?}");
+        let recording = read(&saved).unwrap();
+        assert_eq!(all_bits(&recording.ticks), all_bits(&ticks(40)));
+        assert!(recording.policy.is_empty());
+    }
+
+    #[test]
+    fn a_block_whose_length_is_damaged_costs_its_own_ticks_only() {
+        let directory = tempfile::tempdir().unwrap();
+        let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
+        let bytes = recorded(&ticks(40));
+        // The kind and the length of a block begin 41 bytes before the name of its compression.
+        let third = find_all(&bytes, b"lz4").into_iter().nth(3).unwrap();
+        for (first, last) in
+            [(third - 41, third - 40), (third - 45, third - 30), (third - 40, third - 38)]
+        {
+            let mut bytes = bytes.clone();
+            bytes[first..=last].iter_mut().for_each(|byte| *byte ^= 0x55);
+            std::fs::write(&damaged, &bytes).unwrap();
+            let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
+            assert!(
+                matches!(
+                    recovered,
+                    Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true }
+                ),
+                "{first}: {recovered:?}"
+            );
+            std::fs::remove_file(&saved).unwrap();
+        }
     }
 
     #[test]

@@ -64,8 +64,14 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
     while offset < bytes.len() {
         let Some(record) = frame(bytes, offset) else {
             let of_data = if summary_start.is_none() { bytes.len() - offset } else { 0 };
-            scan.lose(offset, of_data, "the file ends within a record");
-            return scan;
+            let next = next_block(bytes, offset + 1).filter(|_| summary_start.is_none());
+            let Some(next) = next else {
+                scan.lose(offset, of_data, "the file ends within a record");
+                return scan;
+            };
+            scan.lose(offset, next - offset, "the length of a record is damaged");
+            offset = next;
+            continue;
         };
         match record.opcode {
             // A file has one such record. If each of many had its checksum tested, the time would grow
@@ -83,19 +89,49 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
             }
             // The records after the data are an index, over which the footer has a checksum.
             _ if summary_start.is_some() => {}
-            0 => {
-                scan.lose(offset, bytes.len() - offset, "no record starts with a zero");
-                return scan;
-            }
             _ => {
                 if let Err(reason) = scan.record(&record) {
-                    scan.lose(offset, record.end() - offset, reason);
+                    // Where the length is damaged too, no record begins at its end.
+                    let end = match begins_record(bytes, record.end()) {
+                        true => record.end(),
+                        false => next_block(bytes, offset + 1).unwrap_or(bytes.len()),
+                    };
+                    scan.lose(offset, end - offset, reason);
+                    offset = end;
+                    continue;
                 }
             }
         }
         offset = record.end();
     }
     scan
+}
+
+/// Whether a record of a kind that this program writes begins here, and ends within the file.
+fn begins_record(bytes: &[u8], offset: usize) -> bool {
+    const KINDS: [u8; 6] = [
+        opcode::CHUNK,
+        opcode::MESSAGE_INDEX,
+        opcode::ATTACHMENT,
+        opcode::METADATA,
+        opcode::DATA_END,
+        opcode::FOOTER,
+    ];
+    frame(bytes, offset).is_some_and(|record| KINDS.contains(&record.opcode))
+}
+
+/// The offset of the first block from `from` on: its kind stands 41 bytes before the name of its
+/// compression, after length, times, size and checksum.
+fn next_block(bytes: &[u8], from: usize) -> Option<usize> {
+    const NAMED: [u8; 7] = [3, 0, 0, 0, b'l', b'z', b'4'];
+    const BEFORE: usize = FRAME_BYTES + 28;
+    let searched = bytes.get(from + BEFORE..)?;
+    let mut windows = searched.windows(NAMED.len()).enumerate();
+    windows.find_map(|(place, window)| {
+        let offset = from + place;
+        (window == NAMED && bytes[offset] == opcode::CHUNK && begins_record(bytes, offset))
+            .then_some(offset)
+    })
 }
 
 impl Scan {
@@ -153,6 +189,7 @@ impl Scan {
             }
             // The message indexes repeat what the blocks contain, so they are not read.
             opcode::HEADER | opcode::MESSAGE_INDEX => Ok(()),
+            0 => Err("no record starts with a zero".to_owned()),
             other => Err(format!("a record of unknown kind {other:#04x}")),
         }
     }

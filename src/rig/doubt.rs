@@ -59,8 +59,10 @@ impl DoubtStore {
     /// counts as none if its fault leaves no doubt by this release's table of faults.
     #[must_use]
     pub fn load(&self, board: &str) -> Option<Doubt> {
-        let read = match MachineDisk.read(&self.path(board), MAX_FILE_BYTES) {
-            Err(error) if is_absence(&error) => return None,
+        let path = self.path(board);
+        let read = match MachineDisk.read(&path, MAX_FILE_BYTES) {
+            // A link whose file is missing is a record that cannot be read.
+            Err(error) if is_absence(&error) && !MachineDisk.is_link(&path) => return None,
             read => read,
         };
         let doubt: Doubt = read
@@ -154,6 +156,8 @@ mod tests {
         // Nothing can be found out about this file, not even whether it exists.
         std::os::unix::fs::symlink(memory.path("b"), memory.path("b")).unwrap();
         assert_eq!(memory.load("b").unwrap().fault, None);
+        std::os::unix::fs::symlink(memory.path("nowhere"), memory.path("c")).unwrap();
+        assert_eq!(memory.load("c").unwrap().fault, None);
         assert_eq!(memory.path("../../a").parent(), Some(directory.path()));
         for (one, other) in [("../a", "a"), ("hil:1-2", "hil:12"), ("a_2e", "a.")] {
             assert_ne!(memory.path(one), memory.path(other));

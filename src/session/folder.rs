@@ -59,6 +59,12 @@ pub struct SessionFolder {
 }
 
 impl SessionFolder {
+    /// Whether this value has created the session's configuration.
+    #[must_use]
+    pub fn is_new(&self) -> bool {
+        self.is_new
+    }
+
     /// Creates a new folder on this computer's disk with the session's configuration. An existing
     /// folder is accepted if it is empty or holds only the leftovers of a session that was killed
     /// at its start.

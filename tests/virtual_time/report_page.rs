@@ -102,7 +102,9 @@ fn a_search_becomes_a_page_that_a_browser_shows_and_a_shell_repeats() {
     let folder = directory.join(HOSTILE);
     fs::remove_file(folder.join("candidates/001/rollout-0-attempt-0.mcap")).unwrap();
     fs::write(folder.join("candidates/002/curve.csv"), "update,steps\n<b>\n").unwrap();
-    succeeds(directory, &["report", HOSTILE, "--out", "poorer.html"]);
+    let output = qube_hil(directory, &["report", HOSTILE, "--out", "poorer.html"]);
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(3) && told.contains("(and 1 more"), "{told}");
     let poorer = fs::read_to_string(directory.join("poorer.html")).unwrap();
     assert_eq!(poorer.matches("Left out of this page: ").count(), 2);
     look_at(&[&path, &directory.join("poorer.html")]);

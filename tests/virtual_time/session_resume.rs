@@ -197,6 +197,22 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     assert_eq!(std::fs::read_to_string(&ledger).unwrap(), older);
 }
 
+#[test]
+fn settings_that_were_cut_before_the_ledger_began_are_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
+    let whole = std::fs::read_to_string(directory.path().join("mine/session.toml")).unwrap();
+    std::fs::create_dir(directory.path().join("cut")).unwrap();
+    let before_extent = whole.split("[extent]").next().unwrap();
+    for (settings, expected) in [("", 2), (before_extent, 2), (whole.as_str(), 0)] {
+        std::fs::write(directory.path().join("cut/session.toml"), settings).unwrap();
+        let (code, told) = resume(directory.path(), "cut");
+        assert_eq!(code, Some(expected), "{told}");
+        assert_eq!(expected == 2, told.contains("session.toml was changed"), "{told}");
+        assert_eq!(expected == 0, directory.path().join("cut/candidates").exists());
+    }
+}
+
 /// A line of a ledger as older programs wrote it: its checksum is of its entry alone.
 fn unchained(line: &str) -> String {
     let (_, entry) = line.split_once("\"entry\":").unwrap();

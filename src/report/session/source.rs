@@ -108,6 +108,12 @@ impl SessionSource {
         Ok(source)
     }
 
+    /// What could not be read, each in a sentence that names the file; the page names them, too.
+    #[must_use]
+    pub fn problems(&self) -> &[String] {
+        &self.problems
+    }
+
     fn read_candidate(&mut self, disk: &dyn Disk, paths: &SessionPaths, candidate: Candidate) {
         let of_candidate = paths.candidate(candidate.number);
         let number = candidate.number;

@@ -428,7 +428,8 @@ fn bound_ledger(folder: &SessionFolder) -> Result<Ledger, SessionError> {
 
 /// Binds a ledger to its settings: the empty ledger of a new session records their checksum; a
 /// ledger whose recorded checksum differs from that of the folder's settings is refused. So is an
-/// empty one beside candidates, whose policies may have been trained with other settings.
+/// empty one beside candidates, whose policies may have been trained with other settings, or beside
+/// settings that were not written by a session, such as a file that was emptied.
 fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError> {
     let path = folder.paths().configuration();
     let bytes = folder
@@ -440,12 +441,22 @@ fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError>
         None if folder.has_candidates()? => {
             Err(SessionError::BeginningLost { path: folder.paths().ledger() })
         }
+        None if !folder.is_new() && !is_written_by_session(&bytes) => {
+            Err(SessionError::SettingsChanged { path })
+        }
         None => Ok(ledger.append(Entry::Begun { settings: found, chained: true })?),
         Some(Entry::Begun { settings, .. }) if *settings != found => {
             Err(SessionError::SettingsChanged { path })
         }
         Some(_) => Ok(()),
     }
+}
+
+/// Whether these are settings as a session writes them: complete, and in this form.
+fn is_written_by_session(bytes: &[u8]) -> bool {
+    let text = std::str::from_utf8(bytes).unwrap_or_default();
+    let settings = toml::from_str::<SessionSettings>(text);
+    settings.is_ok_and(|settings| settings.to_toml().is_ok_and(|written| written == text))
 }
 
 /// The doubt that the ending of a recorded rollout leaves, if it leaves one.
