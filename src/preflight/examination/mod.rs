@@ -20,6 +20,7 @@ mod watchdog;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use self::watchdog::WatchdogTest;
 use crate::clock::Clock;
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::Calibration;
@@ -130,7 +131,8 @@ fn look_at_everything(
     found.start_theta_counts = round_trips.theta_counts;
     found.results.push(link::latency_timer(&identity.port, &round_trips));
     found.results.push(link::latency(&identity.port, &round_trips));
-    let (watchdog, expired_ms) = watchdog::check(device, clock, stop, &identity.port)?;
+    let WatchdogTest { result: watchdog, expired_ms } =
+        watchdog::check(device, clock, stop, &identity.port)?;
     let may_move = !watchdog.failed();
     found.results.push(watchdog);
     if !may_move {

@@ -44,16 +44,28 @@ const REMEDY: &str = "do not run anything with it: flash the firmware of this re
 /// Largest age of a sample when it is requested, us.
 const SAMPLE_AGE_US: u64 = 5_000;
 
+/// The result of the test of the watchdog.
+pub(super) struct WatchdogTest {
+    pub result: CheckResult,
+    /// Time from the act until the watchdog had expired, ms; `None` if the test failed.
+    pub expired_ms: Option<f64>,
+}
+
+impl WatchdogTest {
+    fn failed(value: impl Into<String>, remedy: &str) -> Self {
+        Self { result: CheckResult::fail(NAME, value, remedy), expired_ms: None }
+    }
+}
+
 /// Arms the device, sends a small voltage and then nothing more: the motor must go off by the
 /// watchdog. For a board, the device's own report and clock decide. A device without a clock only
-/// reports that its watchdog has expired, and the time is by the computer's clock. Returns the
-/// result and, if the check passed, the time from the act until the watchdog had expired, ms.
+/// reports that its watchdog has expired, and the time is by the computer's clock.
 pub(super) fn check(
     device: &mut dyn Device,
     clock: &dyn Clock,
     stop: &AtomicBool,
     port: &str,
-) -> Result<(CheckResult, Option<f64>), Interruption> {
+) -> Result<WatchdogTest, Interruption> {
     for _ in 0..ATTEMPTS {
         ensure_going(stop)?;
         device.hello()?;
@@ -66,7 +78,7 @@ pub(super) fn check(
                     "switch the Qube's power off and on, then check again"
                 };
                 let value = format!("the device refuses to be armed: {}", reason.describe());
-                return Ok((CheckResult::fail(NAME, value, remedy), None));
+                return Ok(WatchdogTest::failed(value, remedy));
             }
             Err(error) => return Err(error.into()),
         }
@@ -74,13 +86,11 @@ pub(super) fn check(
             return Ok(result);
         }
     }
-    let result = CheckResult::fail(
-        NAME,
+    Ok(WatchdogTest::failed(
         "computer or link was too slow to see the motor on before the watchdog switched it off",
         "close other programs that keep this computer busy, and plug the board in without a hub, \
          then check again",
-    );
-    Ok((result, None))
+    ))
 }
 
 /// Makes one attempt; `Ok(None)` if the computer or the link was too slow.
@@ -89,11 +99,11 @@ fn try_once(
     clock: &dyn Clock,
     stop: &AtomicBool,
     port: &str,
-) -> Result<Option<(CheckResult, Option<f64>)>, Interruption> {
+) -> Result<Option<WatchdogTest>, Interruption> {
     let is_board = device.has_device_clock();
     let (latest_us, remedy) =
         if is_board { (LATEST_US, REMEDY) } else { (LIBRARY_LATEST_US, LIBRARY_REMEDY) };
-    let failed = |value: String| Ok(Some((CheckResult::fail(NAME, value, remedy), None)));
+    let failed = |value: String| Ok(Some(WatchdogTest::failed(value, remedy)));
     let Some(before) = sampled(device, clock, port)? else { return Ok(None) };
     let voltage_mv = clamp_to_mv(VOLTAGE_V, VOLTAGE_V).unwrap_or(0);
     match device.act(voltage_mv, before.device_time_us) {
@@ -128,7 +138,8 @@ fn try_once(
             } else {
                 format!("the library calls it expired {ms:.1} ms after the last act")
             };
-            return Ok(Some((CheckResult::pass(NAME, value), Some(ms))));
+            let result = CheckResult::pass(NAME, value);
+            return Ok(Some(WatchdogTest { result, expired_ms: Some(ms) }));
         }
         if elapsed_us > latest_us + SAMPLE_AGE_US {
             // The motor does not stay on after this failure: it has 48 mV, and the hello that ends
