@@ -22,15 +22,14 @@ from .errors import (
     SettingsError,
     TrainingError,
 )
-from .learning import (
+from .identification import (
     Estimate,
     Identified,
     IncompleteRecording,
     LeftOutRecording,
-    Trained,
     identify,
-    train,
 )
+from .learning import Trained, train
 from .policies import Policy
 from .recordings import Recording, recording
 from .sessions import Candidate, Session, Surrogate

@@ -28,7 +28,13 @@ MAX_STEPS: Final[int]
 @final
 class Simulation:
     def __new__(
-        cls, num_envs: int, model: str, distributions: str, settings: str, guard: str
+        cls,
+        num_envs: int,
+        model: str | None,
+        profile: dict[str, Any] | None,
+        distributions: str,
+        settings: str,
+        guard: str,
     ) -> Simulation: ...
     @property
     def observation_size(self) -> int: ...
@@ -123,7 +129,8 @@ def identify(paths: list[str], name: str, fixed: list[str]) -> str: ...
 def read_recording(path: str) -> dict[str, Any]: ...
 def read_session(folder: str) -> str: ...
 def train(
-    model: str,
+    model: str | None,
+    profile: dict[str, Any] | None,
     distributions: str,
     preset: str,
     simulation: str | None,

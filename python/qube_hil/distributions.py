@@ -25,9 +25,12 @@ def _finite(number: object) -> float:
 
 @dataclass(frozen=True)
 class Constant:
-    """Always the same value, in the quantity's SI unit."""
+    """Always the same value, in the quantity's SI unit. A value that is not a finite number raises a `SettingsError`."""
 
     value: float
+
+    def __post_init__(self) -> None:
+        _finite(self.value)
 
     def _fields(self) -> dict[str, object]:
         return {"type": "constant", "value": _finite(self.value)}
@@ -36,10 +39,18 @@ class Constant:
 @dataclass(frozen=True)
 class Normal:
     """A normal distribution in the quantity's SI unit. Draws lie between 0.1 and 1.9 times the mean for a parameter such as
-    ``M_p``, and as far from the mean on both sides as its range allows for a nonideality such as ``command_delay_s``."""
+    ``M_p``, and as far from the mean on both sides as its range allows for a nonideality such as ``command_delay_s``. Numbers that are
+    not finite, and a negative standard deviation, raise a `SettingsError`."""
 
     mean: float
     standard_deviation: float
+
+    def __post_init__(self) -> None:
+        _finite(self.mean)
+        if _finite(self.standard_deviation) < 0.0:
+            raise SettingsError(
+                f"Normal({self.mean!r}, {self.standard_deviation!r}): give a standard deviation of 0 or more"
+            )
 
     def _fields(self) -> dict[str, object]:
         return {
@@ -53,15 +64,18 @@ class Normal:
 class Uniform:
     """A uniform distribution between two values, in the quantity's SI unit. For a parameter such as ``M_p`` the larger value
     is at most 19 times the smaller one, because draws of a parameter lie between 0.1 and 1.9 times the mean; a wider
-    distribution is refused."""
+    distribution is refused where it is used. Ends that are not finite, and a larger one first, raise a `SettingsError`."""
 
     lower: float
     upper: float
 
-    def _fields(self) -> dict[str, object]:
+    def __post_init__(self) -> None:
         lower, upper = _finite(self.lower), _finite(self.upper)
         if not lower <= upper:
-            raise SettingsError(f"Uniform({lower}, {upper}): give the smaller value first")
+            raise SettingsError(f"Uniform({self.lower!r}, {self.upper!r}): give the smaller value first")
+
+    def _fields(self) -> dict[str, object]:
+        lower, upper = _finite(self.lower), _finite(self.upper)
         half_width = 0.5 * (upper - lower)
         return {
             "type": "uniform",
@@ -87,7 +101,7 @@ def read(fields: Mapping[str, Any]) -> Distribution:
 def written(distributions: Mapping[str, Distribution | float] | None) -> str:
     """The distributions by quantity as JSON; a number is a constant."""
     if not isinstance(distributions, Mapping | None):
-        raise SettingsError(f"the distributions are {distributions!r}: give a mapping from names of quantities")
+        raise SettingsError(f"distributions = {distributions!r}: give a mapping from names of quantities")
     named = {}
     given: Any
     for name, given in (distributions or {}).items():

@@ -1,5 +1,6 @@
 """Gymnasium environments over the program's simulation."""
 
+import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,7 +15,9 @@ from . import distributions as _distributions
 from . import settings as _settings
 from ._core import Simulation
 from .distributions import Distribution
-from .errors import ActionError, EpisodeOverError, SettingsError
+from .errors import ActionError, ClosedError, EpisodeOverError, QubeHilError, SettingsError
+from .identification import Identified
+from .profiles import around
 
 Float32s = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
@@ -84,23 +87,55 @@ def _whole(name: str, value: object, smallest: int, largest: int) -> int:
 
 def _simulation(
     num_envs: int,
-    model: str,
+    model: str | None,
+    profile: str | os.PathLike[str] | Identified | None,
+    spread: float | None,
     distributions: Mapping[str, Distribution | float] | None,
     settings: str | Mapping[str, Any],
     guard: str,
 ) -> Simulation:
     return Simulation(
-        num_envs, model, _distributions.written(distributions), _settings.written(settings), guard
+        num_envs,
+        _settings.as_model(model),
+        around(profile, spread),
+        _distributions.written(distributions),
+        _settings.written(settings, "settings"),
+        _settings.as_text("guard", guard, "box or foresight"),
     )
+
+
+def _refuse_options(options: object) -> None:
+    _settings.refuse_options(
+        options,
+        "Give seed for other episodes, and make another environment for other Qubes; all Qubes of a vector environment "
+        "are reset together",
+    )
+
+
+def _not_running(is_closed: bool) -> QubeHilError:
+    """The error of a step without an episode."""
+    if is_closed:
+        return _closed()
+    return EpisodeOverError("no episode is running: call reset() first")
+
+
+def _closed() -> ClosedError:
+    return ClosedError("the environment is closed: make another one")
 
 
 class QubeEnv(gymnasium.Env[Any, Any]):
     """One simulated Qube: swing the pendulum up and balance it, 600 steps of 10 ms.
 
     Args:
-        model: Distribution of the simulated Qubes: ``nominal``, ``handcrafted``, ``nominal-handcrafted`` or ``robust``.
+        model: Distribution of the simulated Qubes: ``nominal``, ``handcrafted``, ``nominal-handcrafted`` or ``robust``; None
+            stands for ``nominal``, or for the Qubes around ``profile``.
         distributions: Distributions of quantities that replace those of the model, by name, such as
             ``{"M_p": Normal(0.024, 0.005), "command_delay_s": Uniform(0.0, 0.016)}``.
+        profile: Identified Qube in place of a model: the path of a profile, ``lab``, ``ideal``, or the result of `identify`.
+            Each episode's Qube differs from it by the errors of the identification with their correlations, and by
+            ``spread``.
+        spread: Standard deviation of each quantity around the profile as a fraction of its value, 0 to 1, in addition to
+            the errors that the profile names; None stands for 0.1.
         settings: Sensors, history, reward and box: ``thesis``, ``machine``, ``robust``, or a mapping.
         seed: Seed of the episodes until ``reset`` names another.
         guard: ``box``, or ``foresight`` as on a machine: before each voltage the brake is simulated for many Qubes that this
@@ -109,27 +144,32 @@ class QubeEnv(gymnasium.Env[Any, Any]):
     An observation is ``float32 [6 + history]``, an action ``float32 [1]``, a fraction of 5 V. The reward of a step is
     in (0, 1]. An episode is terminated where the state leaves the box or the guard takes over, and truncated after 600
     steps. ``info["episode_number"]`` of ``reset`` is the number of the episode under its seed. With foresight,
-    ``info["guarded"]`` of ``step`` says whether the guard took over; the voltage of that step is the brake's.
+    ``info["guarded"]`` of ``step`` says whether the guard took over; the voltage of that step is the brake's. A refused
+    argument raises a `SettingsError`. An environment cannot be pickled or copied.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 100}
 
     def __init__(
         self,
-        model: str = "nominal",
+        model: str | None = None,
         distributions: Mapping[str, Distribution | float] | None = None,
         settings: str | Mapping[str, Any] = "thesis",
         seed: int = 0,
         guard: str = "box",
         render_mode: None = None,
+        *,
+        profile: str | os.PathLike[str] | Identified | None = None,
+        spread: float | None = None,
     ) -> None:
         if render_mode is not None:
             raise SettingsError(f"render_mode = {render_mode!r}: there is none, give None")
         self.render_mode = None
-        self._simulation = _simulation(1, model, distributions, settings, guard)
+        self._simulation = _simulation(1, model, profile, spread, distributions, settings, guard)
         self._is_guarded = guard != "box"
         self._first_seed = _as_seed(seed)
         self._is_running = False
+        self._is_closed = False
         size = self._simulation.observation_size
         self._observations: Float32s = np.zeros((1, size), np.float32)
         self.observation_space = observation_space(size)
@@ -138,7 +178,12 @@ class QubeEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Float32s, dict[str, Any]]:
-        """Begins the next episode of the seed, or the first one of another seed."""
+        """Begins the next episode of the seed, or the first one of another seed. Returns the observation, ``float32
+        [6 + history]``. ``options`` other than None or an empty mapping raise a `SettingsError`, and a closed environment
+        raises a `ClosedError`."""
+        _refuse_options(options)
+        if self._is_closed:
+            raise _closed()
         super().reset(seed=seed)
         given = self._first_seed if seed is None else _as_seed(seed)
         self._first_seed = None
@@ -149,13 +194,18 @@ class QubeEnv(gymnasium.Env[Any, Any]):
     def step(self, action: Float32s) -> tuple[Float32s, float, bool, bool, dict[str, Any]]:
         """Applies a voltage, a fraction of 5 V, for 10 ms."""
         if not self._is_running:
-            raise EpisodeOverError("no episode is running: call reset() first")
+            raise _not_running(self._is_closed)
         if type(action) is not np.ndarray or action.dtype != np.float32 or action.ndim != 1:
             action = _as_actions(action, (1,))
         observation, reward, terminated, truncated, guarded = self._simulation.step_one(action)
         self._is_running = not (terminated or truncated)
         info = {"guarded": guarded} if self._is_guarded else {}
         return observation, reward, terminated, truncated, info
+
+    def close(self) -> None:
+        """Closes the environment: a later ``reset`` or ``step`` raises a `ClosedError`. May be called again."""
+        self._is_closed = True
+        self._is_running = False
 
     @property
     def state(self) -> Float32s:
@@ -188,19 +238,24 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
     def __init__(
         self,
         num_envs: int = 1,
-        model: str = "nominal",
+        model: str | None = None,
         distributions: Mapping[str, Distribution | float] | None = None,
         settings: str | Mapping[str, Any] = "thesis",
         seed: int = 0,
         guard: str = "box",
         copy: bool = True,
         render_mode: None = None,
+        *,
+        profile: str | os.PathLike[str] | Identified | None = None,
+        spread: float | None = None,
     ) -> None:
         if render_mode is not None:
             raise SettingsError(f"render_mode = {render_mode!r}: there is none, give None")
         self.render_mode = None
         num_envs = _whole("num_envs", num_envs, 1, _MAX_ENVS)
-        self._simulation = _simulation(num_envs, model, distributions, settings, guard)
+        self._simulation = _simulation(
+            num_envs, model, profile, spread, distributions, settings, guard
+        )
         self._first_seed = _as_seed(seed)
         self._has_begun = False
         self._is_guarded = guard != "box"
@@ -221,7 +276,12 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Float32s, dict[str, Any]]:
-        """Begins the next episode of the seed in every Qube, or the first ones of another seed."""
+        """Begins the next episode of the seed in every Qube, or the first ones of another seed. Returns the observations,
+        ``float32 [num_envs, 6 + history]``. ``options`` other than None or an empty mapping, such as Gymnasium's
+        ``reset_mask``, raise a `SettingsError`, and a closed environment raises a `ClosedError`."""
+        _refuse_options(options)
+        if self.closed:
+            raise _closed()
         given = self._first_seed if seed is None else _as_seed(seed)
         self._first_seed = None
         self._simulation.reset(given, self._observations)
@@ -233,7 +293,7 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> tuple[Float32s, Float32s, Bools, Bools, dict[str, Any]]:
         """Applies voltages, fractions of 5 V of shape ``[num_envs, 1]``, for 10 ms."""
         if not self._has_begun:
-            raise EpisodeOverError("no episode is running: call reset() first")
+            raise _not_running(self.closed)
         if type(actions) is not np.ndarray or actions.dtype != np.float32:
             actions = _as_actions(actions, (self.num_envs, 1))
         elif actions.ndim != 2:
@@ -268,6 +328,10 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
             self._handed(self._truncated),
             info,
         )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Part of ``close``, after which ``reset`` and ``step`` raise a `ClosedError`."""
+        self._has_begun = False
 
     def _handed(self, array: Any) -> Any:
         return array.copy() if self._copy else array

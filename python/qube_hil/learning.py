@@ -1,9 +1,9 @@
-"""Training by the program's PPO, and identification."""
+"""Training by the program's PPO."""
 
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,9 @@ from . import distributions as _distributions
 from . import settings as _settings
 from .distributions import Distribution
 from .errors import SettingsError
+from .identification import Identified
 from .policies import Policy
+from .profiles import around
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,10 @@ class Trained:
 
 
 def train(
-    model: str = "nominal",
+    model: str | None = None,
     *,
+    profile: str | os.PathLike[str] | Identified | None = None,
+    spread: float | None = None,
     distributions: Mapping[str, Distribution | float] | None = None,
     preset: str = "quick",
     simulation: str | Mapping[str, Any] | None = None,
@@ -44,9 +48,11 @@ def train(
     """Trains one policy by PPO, as the command ``train`` does: the same arguments give the same bytes.
 
     Args:
-        model, distributions: Distribution of the simulated Qubes, as for `QubeEnv`.
+        model, profile, spread, distributions: Distribution of the simulated Qubes, as for `QubeEnv`. ``profile`` and
+            ``spread`` are the options of the command.
         preset: Budget and settings: ``quick`` (seconds), ``robust`` (half a minute) or ``thesis``.
-        simulation: Sensors, history, reward and box, as for `QubeEnv`; None stands for the preset's.
+        simulation: Sensors, history, reward and box, as for ``settings`` of `QubeEnv`; None stands for the preset's, with the
+            last two commands in the observation if there is a ``profile`` or the model is ``robust``.
         seed: Seed of every random number.
         initial: Policy whose weights the training starts from, as the option `--from`. It must see the same observation
             and have the layers of a trained policy; otherwise `train` raises a `PolicyError`. The command's
@@ -57,12 +63,19 @@ def train(
             command too. ``largest_gradient_norm=math.inf`` limits no gradient.
 
     Ctrl-C ends the training with a ``KeyboardInterrupt``.
+
+    Raises:
+        SettingsError: An argument is refused.
+        PolicyError: The training cannot start from ``initial``.
+        TrainingError: The training failed.
     """
 
     def on_update(update: str) -> None:
         if callback is not None:
             callback(json.loads(update))
 
+    if callback is not None and not callable(callback):
+        raise SettingsError(f"callback = {callback!r}: give a function of one argument, or None")
     if initial is not None and not isinstance(initial, Policy):
         raise SettingsError(f"initial = {initial!r}: give a Policy; Policy.load reads a file")
     # JSON has no number for no limit: null stands for it.
@@ -72,10 +85,11 @@ def train(
     if not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**64:
         raise SettingsError(f"seed = {seed!r}: give one whole number from 0 to 2^64 - 1")
     core, best_return, curve = _core.train(
-        model,
+        _settings.as_model(model),
+        around(profile, spread),
         _distributions.written(distributions),
-        preset,
-        None if simulation is None else _settings.written(simulation),
+        _settings.as_text("preset", preset, "quick, robust or thesis"),
+        None if simulation is None else _settings.written(simulation, "simulation"),
         changed,
         int(seed),
         None if initial is None else initial._core,
@@ -84,81 +98,3 @@ def train(
     points = json.loads(curve)
     columns = {name: np.array([point[name] for point in points], np.float64) for name in points[0]}
     return Trained(Policy(core), best_return, columns)
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """The estimate of one quantity of a Qube."""
-
-    value: float
-    """Value in its SI unit."""
-    standard_error: float
-    """Standard error in the same unit."""
-    told_by_data: float
-    """Share of the prior variance that the data removed; near 0, the value is the prior's."""
-
-
-@dataclass(frozen=True)
-class IncompleteRecording:
-    """A recording that holds only a part of its rollout."""
-
-    file: str
-    """Path of the file."""
-    reason: str
-    """Why: its end or ticks are missing, or the rollout ended early."""
-    used_s: float
-    """Duration of the motion that was fitted, s."""
-
-
-@dataclass(frozen=True)
-class LeftOutRecording:
-    """A recording that was not used: it is too short, or too little moves in it."""
-
-    file: str
-    """Path of the file."""
-    reason: str
-    """What it lacks, in a sentence that names the file."""
-
-
-@dataclass(frozen=True)
-class Identified:
-    """The result of an identification."""
-
-    estimates: dict[str, Estimate]
-    """Estimates by the quantity's name."""
-    verdict: str
-    """Whether the model describes the Qube: ``fits``, ``fits_but`` or ``does_not_fit``."""
-    doubts: list[str]
-    """Names of the effects that the model seems to lack."""
-    profile: str
-    """The profile as TOML, as the program's commands read it."""
-    incomplete: list[IncompleteRecording]
-    """Recordings that hold only a part of their rollouts; the fit used that part."""
-    left_out: list[LeftOutRecording]
-    """Recordings that are too short, or in which too little moves; the fit did not use them."""
-
-
-def identify(
-    recordings: Iterable[str | os.PathLike[str]],
-    *,
-    name: str = "identified",
-    fixed: Iterable[str] = (),
-) -> Identified:
-    """Fits a Qube to recordings by maximum likelihood.
-
-    Args:
-        recordings: Files, each named once, of the same plant: MCAP, or CSV with the columns of
-            `docs/reference/files.md`. A CSV file is taken to be of the plant of the files before it, else of the Qube.
-        name: Name of the profile.
-        fixed: Names of the quantities that keep their nominal values.
-    """
-    if isinstance(recordings, (str, os.PathLike)):
-        recordings = [recordings]
-    paths = [os.fspath(path) for path in recordings]
-    read = json.loads(_core.identify(paths, name, list(fixed)))
-    estimates = {it.pop("name"): Estimate(**it) for it in read["estimates"]}
-    incomplete = [IncompleteRecording(**it) for it in read["incomplete"]]
-    left_out = [LeftOutRecording(**it) for it in read["left_out"]]
-    return Identified(
-        estimates, read["verdict"], read["doubts"], read["profile"], incomplete, left_out
-    )

@@ -26,3 +26,14 @@ pub fn bad_settings(error: impl Display) -> PyErr {
 pub fn bad_policy(error: impl Display) -> PyErr {
     PolicyError::new_err(error.to_string())
 }
+
+/// A number with at most six digits, in scientific notation where that is shorter to read.
+pub fn shown(value: f64) -> String {
+    let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
+    match rounded.abs() {
+        // Half a width that was computed from a standard deviation is not exact.
+        size if size < 1e-12 => "0".into(),
+        size if size < 1e7 => format!("{rounded}"),
+        _ => format!("{rounded:e}"),
+    }
+}

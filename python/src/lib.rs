@@ -7,6 +7,7 @@
 
 mod device;
 mod device_thread;
+mod distribution;
 mod errors;
 mod exchange;
 mod guard;
@@ -15,6 +16,7 @@ mod policy;
 mod program;
 mod recording;
 mod session;
+mod settings;
 mod simulation;
 mod training;
 

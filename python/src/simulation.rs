@@ -7,26 +7,18 @@ use numpy::{
     PyReadwriteArray, PyReadwriteArray2, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use qube_hil::estimation::SettingsError as EstimatorError;
-use qube_hil::qube::{Distribution, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity};
+use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity};
 use qube_hil::simulation::{
-    DomainDistribution, Family, LANES_MULTIPLE, LaneStatus, Model, Pendulums, SensorModel,
-    SimulationSettings, TRUNCATION, Trajectory, range_of_draws,
+    DomainDistribution, LANES_MULTIPLE, LaneStatus, Pendulums, SimulationSettings, Trajectory,
 };
 
+use crate::distribution::{Around, Qubes, read_qubes};
 use crate::errors::{ActionError, BusyError, bad_settings};
 use crate::guard::Guard;
+use crate::settings::read_settings;
 
 /// Most Qubes that one simulation advances.
 const MAX_ENVS: usize = 1 << 20;
-
-/// Qubes of a distribution whose motions are checked.
-const MOTIONS_CHECKED: usize = 64;
-
-/// Control periods for which the motion of a Qube is checked, and those between two changes of the
-/// sign of its voltage.
-const STEPS_CHECKED: usize = 40;
-const STEPS_OF_A_PUSH: usize = 10;
 
 /// Largest number of entries of an observation.
 const LONGEST: usize = OBSERVATION_SIZE + MAX_HISTORY;
@@ -57,9 +49,9 @@ struct Episodes {
 }
 
 /// The simulated pendulums, one a lane, and the arrays that they read and write.
-struct Lanes {
-    pendulums: Pendulums,
-    voltages_v: Vec<f32>,
+pub struct Lanes {
+    pub pendulums: Pendulums,
+    pub voltages_v: Vec<f32>,
     rewards: Vec<f32>,
     statuses: Vec<LaneStatus>,
     /// Feature-major observations, `[observation_size][lanes]`.
@@ -71,13 +63,15 @@ type Stepped<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, bool, bool);
 
 #[pymethods]
 impl Simulation {
-    /// Makes a simulation of `num_envs` Qubes. `model` is the name of a distribution of Qubes, and
-    /// `distributions`, JSON, replaces those of single quantities. `settings`, JSON too, are those
-    /// of the simulation. `guard` is `box` or `foresight`.
+    /// Makes a simulation of `num_envs` Qubes. `model` is the name of a distribution of Qubes, or
+    /// `profile` an identified Qube around which they are drawn, and `distributions`, JSON, replaces
+    /// those of single quantities. `settings`, JSON too, are those of the simulation. `guard` is
+    /// `box` or `foresight`.
     #[new]
     fn new(
         num_envs: usize,
-        model: &str,
+        model: Option<&str>,
+        profile: Option<Around>,
         distributions: &str,
         settings: &str,
         guard: &str,
@@ -85,8 +79,9 @@ impl Simulation {
         if !(1..=MAX_ENVS).contains(&num_envs) {
             return Err(bad_settings(format!("num_envs = {num_envs}: give 1 to {MAX_ENVS}")));
         }
-        let settings = read_settings(settings)?;
-        let distribution = read_distribution(model, distributions, &settings)?;
+        let settings = read_settings("settings", settings)?;
+        let Qubes { distribution, .. } =
+            read_qubes(model, profile.as_ref(), distributions, &settings)?;
         let guard = match guard {
             "box" => None,
             "foresight" => Some(Guard::new(num_envs, &settings)),
@@ -94,23 +89,10 @@ impl Simulation {
                 return Err(bad_settings(format!("guard = {other:?}: give box or foresight")));
             }
         };
-        let pendulums = Pendulums::new(num_envs, &settings);
-        let lanes = pendulums.lanes();
-        let observation_size = pendulums.observation_size();
-        let episodes = Episodes {
-            lanes: Lanes {
-                voltages_v: vec![0.0; lanes],
-                rewards: vec![0.0; lanes],
-                statuses: vec![LaneStatus::Running; lanes],
-                observations: vec![0.0; lanes * pendulums.observation_size()],
-                pendulums,
-            },
-            guard,
-            distribution,
-            seed: 0,
-            next: 0,
-            numbers: vec![0; num_envs],
-        };
+        let lanes = Lanes::new(num_envs, &settings);
+        let observation_size = lanes.pendulums.observation_size();
+        let episodes =
+            Episodes { lanes, guard, distribution, seed: 0, next: 0, numbers: vec![0; num_envs] };
         Ok(Self { num_envs, observation_size, episodes: Mutex::new(episodes) })
     }
 
@@ -358,6 +340,19 @@ impl Episodes {
 }
 
 impl Lanes {
+    /// Pendulums in this many lanes or a few more, at 0 V.
+    pub fn new(num_envs: usize, settings: &SimulationSettings) -> Self {
+        let pendulums = Pendulums::new(num_envs, settings);
+        let lanes = pendulums.lanes();
+        Self {
+            voltages_v: vec![0.0; lanes],
+            rewards: vec![0.0; lanes],
+            statuses: vec![LaneStatus::Running; lanes],
+            observations: vec![0.0; lanes * pendulums.observation_size()],
+            pendulums,
+        }
+    }
+
     /// Converts the actions to voltages, which are limited to the motor's range; an error if one is
     /// not a finite number.
     fn take_actions(&mut self, actions: impl Iterator<Item = f32> + Clone) -> PyResult<()> {
@@ -377,13 +372,13 @@ impl Lanes {
         ActionError::new_err(format!("the action{place} is not a finite number: give -1 to 1"))
     }
 
-    fn step(&mut self) {
+    pub fn step(&mut self) {
         let Self { pendulums, voltages_v, rewards, statuses, observations } = self;
         pendulums.step(voltages_v, rewards, statuses, observations);
     }
 
     /// The first of the first `count` lanes with an observation that is not a finite number.
-    fn first_not_finite(&self, count: usize) -> Option<usize> {
+    pub fn first_not_finite(&self, count: usize) -> Option<usize> {
         let lanes = self.pendulums.lanes();
         // Zero times a finite number is zero. Sums side by side are faster than tests of each number.
         let (blocks, _) = self.observations.as_chunks::<LANES_MULTIPLE>();
@@ -436,133 +431,4 @@ fn slice_of<'a>(
         return Err(bad_settings(format!("an array of observations is {given:?}: give {shape:?}")));
     }
     array.as_slice_mut().map_err(bad_settings)
-}
-
-/// Settings of simulations by name, in the order in which messages list them.
-fn named_settings() -> [(&'static str, SimulationSettings); 3] {
-    [
-        ("thesis", SimulationSettings::default()),
-        ("machine", SimulationSettings::machine()),
-        ("robust", SimulationSettings::robust()),
-    ]
-}
-
-/// Parses the settings of a simulation from JSON, either a name or an object, and checks them. A
-/// setting that the object leaves out has its default.
-pub fn read_settings(json: &str) -> PyResult<SimulationSettings> {
-    if let Ok(name) = serde_json::from_str::<String>(json) {
-        let known = named_settings().into_iter().find(|(known, _)| *known == name);
-        return known.map(|(_, settings)| settings).ok_or_else(|| {
-            let names = named_settings().map(|(known, _)| known).join(", ");
-            bad_settings(format!(
-                "there are no settings {name:?}: give a mapping or one of {names}"
-            ))
-        });
-    }
-    let settings: SimulationSettings = serde_json::from_str(json)
-        .map_err(|error| bad_settings(format!("the simulation's settings: {error}")))?;
-    if settings.history > MAX_HISTORY {
-        let history = settings.history;
-        return Err(bad_settings(format!("history = {history}: give 0 to {MAX_HISTORY}")));
-    }
-    if let SensorModel::Encoders { estimator } = &settings.sensors {
-        let named = |error: EstimatorError| bad_settings(format!("sensors.estimator: {error}"));
-        estimator.check().map_err(named)?;
-    }
-    Ok(settings)
-}
-
-/// A model's distribution with some quantities' distributions replaced by those in JSON.
-pub fn read_distribution(
-    model: &str,
-    replaced: &str,
-    settings: &SimulationSettings,
-) -> PyResult<DomainDistribution> {
-    let plain = [Model::Nominal, Model::Handcrafted, Model::NominalHandcrafted, Model::Robust];
-    let known = plain.into_iter().find(|known| known.name() == model).ok_or_else(|| {
-        let names = plain.map(Model::name).join(", ");
-        bad_settings(format!("there is no model {model:?}: give one of {names}"))
-    })?;
-    let mut distribution =
-        known.distribution(&settings.plant, Family::Normal, None, None).map_err(bad_settings)?;
-    let replaced: std::collections::BTreeMap<String, Distribution> = serde_json::from_str(replaced)
-        .map_err(|error| bad_settings(format!("the distributions: {error}")))?;
-    for (name, own) in &replaced {
-        let quantity = Quantity::from_name(name).ok_or_else(|| {
-            let names: Vec<_> = Quantity::all().map(Quantity::name).collect();
-            bad_settings(format!("there is no quantity {name:?}: give one of {}", names.join(", ")))
-        })?;
-        check_drawn_whole(quantity, own)?;
-        distribution = distribution.with(quantity, *own).map_err(bad_settings)?;
-    }
-    if !replaced.is_empty() && !moves(&distribution, settings) {
-        let names: Vec<_> = replaced.into_keys().collect();
-        return Err(bad_settings(format!(
-            "a Qube of these distributions cannot be simulated, its motion is not a finite number: give values nearer to \
-             those of a Qube for {}",
-            names.join(", ")
-        )));
-    }
-    Ok(distribution)
-}
-
-/// Checks that draws reach to both ends of a uniform distribution, which the library narrows where
-/// they do not.
-fn check_drawn_whole(quantity: Quantity, distribution: &Distribution) -> PyResult<()> {
-    let &Distribution::Uniform { mean, standard_deviation } = distribution else { return Ok(()) };
-    let half_width = 3.0_f64.sqrt() * standard_deviation;
-    let (lower, upper) = (mean - half_width, mean + half_width);
-    let (smallest, largest) = range_of_draws(quantity, mean);
-    let rounding = 1e-9 * half_width;
-    if lower >= smallest - rounding && upper <= largest + rounding {
-        return Ok(());
-    }
-    let name = quantity.name();
-    let given = format!("{name}: Uniform({}, {})", shown(lower), shown(upper));
-    Err(bad_settings(match quantity {
-        Quantity::Parameter(_) if mean > 0.0 => format!(
-            "{given} is too wide: a parameter is drawn between {:.1} and {:.1} times the mean, here between {} and {}. \
-             Give ends whose ratio is at most {:.0}",
-            1.0 - TRUNCATION,
-            1.0 + TRUNCATION,
-            shown(smallest),
-            shown(largest),
-            (1.0 + TRUNCATION) / (1.0 - TRUNCATION)
-        ),
-        Quantity::Parameter(_) => format!("{given} has values below 0: give values above 0"),
-        Quantity::Nonideality(_) => {
-            let (smallest, largest) = (shown(smallest), shown(largest));
-            format!("{given} cannot be simulated: give values from {smallest} to {largest}")
-        }
-    }))
-}
-
-/// A number with at most six digits.
-fn shown(value: f64) -> String {
-    let rounded = format!("{value:.5e}").parse().unwrap_or(value);
-    // Half a width that was computed from a standard deviation is not exact.
-    if f64::abs(rounded) < 1e-12 { "0".into() } else { format!("{rounded}") }
-}
-
-/// Whether the motion of some Qubes of a distribution, which the full voltage pushes to and fro, is
-/// a finite number.
-fn moves(distribution: &DomainDistribution, settings: &SimulationSettings) -> bool {
-    let pendulums = Pendulums::new(MOTIONS_CHECKED, settings);
-    let lanes = pendulums.lanes();
-    let mut tried = Lanes {
-        voltages_v: vec![0.0; lanes],
-        rewards: vec![0.0; lanes],
-        statuses: vec![LaneStatus::Running; lanes],
-        observations: vec![0.0; lanes * pendulums.observation_size()],
-        pendulums,
-    };
-    for lane in 0..MOTIONS_CHECKED {
-        tried.pendulums.restart(lane, &Trajectory::draw(distribution, 0, lane as u64));
-    }
-    (0..STEPS_CHECKED).all(|step| {
-        let sign = if (step / STEPS_OF_A_PUSH).is_multiple_of(2) { 1.0 } else { -1.0 };
-        tried.voltages_v.fill(sign * MAX_VOLTAGE_V as f32);
-        tried.step();
-        tried.first_not_finite(MOTIONS_CHECKED).is_none()
-    })
 }

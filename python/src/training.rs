@@ -8,17 +8,19 @@ use qube_hil::learning::{
     Origin, Preset, TrainError, TrainSettings, TrainUpdate, Trained, train as train_on, train_from,
 };
 use qube_hil::policy::Network;
-use qube_hil::simulation::{DomainDistribution, SimulationSettings};
+use qube_hil::simulation::{DomainDistribution, Model, SimulationSettings};
 use serde_json::{Map, Value};
 
 use crate::POLL_INTERVAL;
+use crate::distribution::{Around, Qubes, read_qubes};
 use crate::errors::{TrainingError, bad_policy, bad_settings};
 use crate::policy::Policy;
-use crate::simulation::{read_distribution, read_settings};
+use crate::settings::read_settings;
 
 /// Trains a policy and calls `on_update` with each update as JSON. Ctrl-C, or an exception in
 /// `on_update`, ends the training.
 ///
+/// `profile` is an identified Qube around which the simulated ones are drawn, in place of `model`.
 /// `simulation` is JSON, or `None` for the preset's simulation; `changes` are settings of the
 /// training as JSON; `initial` is a policy to continue from. Returns the policy, its best return,
 /// and the learning curve as JSON.
@@ -29,7 +31,8 @@ use crate::simulation::{read_distribution, read_settings};
 )]
 pub fn train(
     py: Python<'_>,
-    model: &str,
+    model: Option<&str>,
+    profile: Option<Around>,
     distributions: &str,
     preset: &str,
     simulation: Option<&str>,
@@ -46,16 +49,17 @@ pub fn train(
     let of_preset = named.settings_or(TrainSettings::default());
     let mut settings = changed(&of_preset, changes)?;
     settings.simulation = match simulation {
-        Some(json) => read_settings(json)?,
-        // As in the command `train`, the model `robust` brings its own history of commands, and the
-        // preset the rest.
-        None if model == "robust" => {
+        Some(json) => read_settings("simulation", json)?,
+        // As in the command `train`, a profile and the model `robust` bring their own history of
+        // commands, and the preset the rest.
+        None if profile.is_some() || model == Some(Model::Robust.name()) => {
             let history = SimulationSettings::robust().history;
             SimulationSettings { history, ..of_preset.simulation }
         }
         None => of_preset.simulation,
     };
-    let distribution = read_distribution(model, distributions, &settings.simulation)?;
+    let Qubes { distribution, origin } =
+        read_qubes(model, profile.as_ref(), distributions, &settings.simulation)?;
     settings.check().map_err(bad_settings)?;
     let without = || bad_policy("the policy to start from has no network");
     let initial =
@@ -64,11 +68,8 @@ pub fn train(
     // The command has an option for this weight too, and records the preset that it changes.
     let voltage_change_weight = of_preset.voltage_change_weight;
     let compared = TrainSettings { voltage_change_weight, ..settings.clone() };
-    let origin = Origin {
-        model: origin(model, distributions) + from,
-        psi: None,
-        preset: Preset::of(&compared).name().to_owned(),
-    };
+    let origin =
+        Origin { model: origin + from, psi: None, preset: Preset::of(&compared).name().to_owned() };
     let trained = supervised(py, initial.as_ref(), &distribution, &settings, seed, on_update)?;
     let best_return = trained.best_return;
     let curve = serde_json::to_string(&trained.curve).map_err(bad_settings)?;
@@ -138,29 +139,21 @@ fn follow(
     }
 }
 
-/// Replaces the settings that `changes`, a JSON object, names. A name that no setting has is refused
-/// where the settings are read again.
+/// Replaces the settings that `changes`, a JSON object, names. Each is read alone, so that an error
+/// names it.
 fn changed(settings: &TrainSettings, changes: &str) -> PyResult<TrainSettings> {
     let changes: Map<String, Value> = serde_json::from_str(changes).map_err(bad_settings)?;
-    if changes.contains_key("simulation") {
-        return Err(bad_settings("a training has no setting \"simulation\""));
-    }
-    let mut all = serde_json::to_value(settings).map_err(bad_settings)?;
-    // The preset's settings lack those that are left out at their defaults, so a name that is not
-    // there may be a setting's all the same.
+    let mut settings = settings.clone();
     for (name, value) in changes {
-        all[name] = value;
+        if name == "simulation" {
+            return Err(bad_settings("a training has no setting \"simulation\""));
+        }
+        let mut all = serde_json::to_value(&settings).map_err(bad_settings)?;
+        // The preset's settings lack those that are left out at their defaults, so a name that is
+        // not there may be a setting's all the same.
+        all[&name] = value;
+        settings = serde_json::from_value(all)
+            .map_err(|error| bad_settings(format!("the training's setting {name}: {error}")))?;
     }
-    let named = |error| bad_settings(format!("the training's settings: {error}"));
-    serde_json::from_value(all).map_err(named)
-}
-
-/// The name under which the policy's file records the distribution.
-fn origin(model: &str, distributions: &str) -> String {
-    let replaced: Map<String, Value> = serde_json::from_str(distributions).unwrap_or_default();
-    if replaced.is_empty() {
-        return model.to_owned();
-    }
-    let names: Vec<String> = replaced.into_iter().map(|(name, _)| name).collect();
-    format!("{model} with its own {}", names.join(", "))
+    Ok(settings)
 }

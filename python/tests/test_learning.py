@@ -17,6 +17,27 @@ from qube_hil import Normal, Policy, QubeVectorEnv
 
 SMALL = {"updates": 3, "epochs": 1, "num_envs": 16}
 
+#: A profile with correlated errors.
+PROFILE = """
+name = "mine"
+
+[parameters]
+R_m = 9.1
+k_m = 0.037
+
+[gap]
+coulomb_torque_n_m = 0.0004
+command_delay_s = 0.004
+
+[standard_errors]
+R_m = 0.5
+k_m = 0.002
+
+[correlations]
+names = ["R_m", "k_m"]
+rows = [[1.0], [0.9, 1.0]]
+"""
+
 
 def test_a_training_gives_the_bytes_of_the_command(tmp_path):
     file = tmp_path / "mine.safetensors"
@@ -29,13 +50,77 @@ def test_a_training_gives_the_bytes_of_the_command(tmp_path):
     assert trained.best_return == trained.curve["mean_return"].max()
     assert trained.policy.training["best_return"] == trained.best_return
     randomisation = trained.policy.randomisation
-    assert randomisation["R_m"] == Normal(8.4, pytest.approx(0.84))
+    resistance = randomisation["R_m"]
+    assert (resistance.mean, resistance.standard_deviation) == (8.4, pytest.approx(0.84))
     assert randomisation["g"] == qube_hil.Constant(9.81)
     delay = randomisation["command_delay_s"]
     assert (delay.lower, delay.upper) == pytest.approx((0.0, 0.016))
     again = qube_hil.train("nominal", seed=3, distributions=randomisation, **SMALL).policy
     assert again.randomisation.keys() == randomisation.keys()
     assert again.randomisation["M_p"] == randomisation["M_p"]
+
+
+def test_a_training_around_a_profile_gives_the_bytes_of_the_command(tmp_path):
+    profile = tmp_path / "mine.toml"
+    profile.write_text(PROFILE)
+    found = qube_hil.Identified({}, "fits", [], profile.read_text(), [], [])
+    for given, named in [("lab", {}), (profile, {"spread": 0.2}), (found, {"spread": 0.2})]:
+        file = tmp_path / "around.safetensors"
+        given_to_command = profile if given is found else given
+        options = [it for name, value in named.items() for it in (f"--{name}", value)]
+        program(
+            "train", "--profile", given_to_command, *options, "--preset", "quick", "--seed", 3, "--out", file, "--force",
+        )
+        policy = qube_hil.train(profile=given, seed=3, **named).policy
+        assert policy.sizes[0] == 8 and policy.randomisation["R_m"].standard_deviation > 0.0
+        if given is found:
+            assert policy.training["model"] == "around mine"
+            observations = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 8)).astype(np.float32)
+            assert (policy.act(observations) == Policy.load(file).act(observations)).all()
+        else:
+            assert policy == Policy.load(file)
+
+
+def test_arguments_of_another_type_are_named():
+    for wrong in [{"model": 3}, {"preset": 3}, {"simulation": 3}, {"callback": 3}, {"profile": 3}, {"updates": "many"}]:
+        (name,) = wrong
+        with pytest.raises(qube_hil.SettingsError, match=name):
+            qube_hil.train(**wrong)
+    with pytest.raises(qube_hil.SettingsError, match="learning_rate = nan"):
+        qube_hil.train(learning_rate=math.nan)
+    for wrong, told in [
+        ({"recordings": 3}, "recordings = 3"),
+        ({"recordings": [3]}, "recordings"),
+        ({"recordings": [], "fixed": 3}, "fixed = 3"),
+        ({"recordings": [], "fixed": "R_x"}, '"R_x"'),
+        ({"recordings": [], "name": 3}, "name = 3"),
+    ]:
+        with pytest.raises(qube_hil.SettingsError, match=told):
+            qube_hil.identify(**wrong)
+
+
+def test_policies_with_the_same_bytes_are_equal():
+    policy = qube_hil.train(**SMALL).policy
+    for data in [policy.to_bytes(), bytearray(policy.to_bytes()), memoryview(policy.to_bytes())]:
+        assert Policy.from_bytes(data) == policy and hash(Policy.from_bytes(data)) == hash(policy)
+    assert policy != qube_hil.train(**SMALL, seed=1).policy and policy != "policy"
+    with pytest.raises(qube_hil.SettingsError, match="data = 3"):
+        Policy.from_bytes(3)
+
+
+def test_an_observation_may_be_a_tensor_with_a_gradient():
+    class Tensor:
+        def detach(self):
+            return self
+
+        def cpu(self):
+            return np.zeros(6)
+
+        def __array__(self, *_, **__):
+            raise RuntimeError("Can't call numpy() on Tensor that requires grad.")
+
+    policy = qube_hil.train(**SMALL).policy
+    assert policy.act(Tensor()) == policy.act(np.zeros(6))
 
 
 def test_a_training_whose_settings_the_command_knows_gives_its_bytes_too(tmp_path):
@@ -289,6 +374,11 @@ def test_a_qube_is_identified_from_its_recordings(tmp_path):
     program("train", "--profile", file, "--preset", "quick", "--out", tmp_path / "around.safetensors")
     with pytest.raises(qube_hil.SettingsError, match="R_x"):
         qube_hil.identify(recordings, fixed=["R_x"])
+    held = qube_hil.identify(str(recordings[0]), fixed="R_m")
+    assert "R_m" not in held.estimates or held.estimates["R_m"].standard_error == 0.0
+    env = QubeVectorEnv(2, profile=found, settings="robust")
+    env.reset(seed=1)
+    assert env.qube(0)["R_m"] != env.qube(1)["R_m"]
     with pytest.raises(qube_hil.IdentificationError):
         qube_hil.identify([])
     with pytest.raises(qube_hil.IdentificationError, match="missing.mcap"):

@@ -1,5 +1,6 @@
 """The environments over the simulation."""
 
+import json
 import threading
 import warnings
 
@@ -285,6 +286,10 @@ def test_an_action_that_is_none_is_refused_and_moves_nothing(action, told):
     assert (env.states == before).all()
 
 
+#: Weights of the reward, of which none has a default.
+REWARD = {"theta": 0.2, "alpha": 1.0, "theta_dot": 0.02, "alpha_dot": 0.005, "voltage": 0.003}
+
+
 @pytest.mark.parametrize(
     "settings, told",
     [
@@ -303,18 +308,39 @@ def test_an_action_that_is_none_is_refused_and_moves_nothing(action, told):
         ({"settings": {"histroy": 2}}, "histroy"),
         ({"guard": "envelope"}, "box or foresight"),
         ({"settings": {"history": 5}}, "0 to 4"),
-        ({"settings": {"reward": float("nan")}}, "JSON"),
+        ({"settings": {"reward": float("nan")}}, "settings: reward = nan: give a finite"),
+        ({"settings": {"reward": {**REWARD, "alpha": np.float32("inf")}}}, r"settings: reward\.alpha = inf"),
+        ({"settings": {"reward": {"theta": 1.0}}}, "settings: reward has no alpha"),
+        ({"settings": {"reward": {**REWARD, "alpha": "a"}}}, r'reward\.alpha = "a": give a number'),
+        ({"settings": {"sensors": 3}}, "settings: sensors = 3: give a mapping with entries of .*type"),
+        ({"settings": {"sensors": {"type": "camera"}}}, "sensors.type = .camera.: give true_state or encoders"),
+        ({"settings": {"sensors": {}}}, "sensors has no type: give true_state or encoders"),
+        ({"settings": {"sensors": {"type": "encoders", "filter": 1}}}, "no entry sensors.filter: give some of"),
+        ({"settings": {"safety_box": {"theta_rad": None}}}, "safety_box.theta_rad = null: give a number"),
+        ({"settings": {"safety_box": {"beta_rad": 1.0}}}, "no entry safety_box.beta_rad: .*theta_rad"),
+        ({"settings": {"history": 1.5}}, "history = 1.5: give a whole number from 0 to 4"),
+        ({"settings": 3}, "settings = 3: give thesis, machine, robust"),
+        ({"settings": {"sensors": {"type": "encoders", "estimator": {"corner_rad_s": 1e300}}}}, "= 1e300: "),
+        ({"model": 3}, "model = 3: give nominal"),
+        ({"model": "profiles/lab.toml"}, "profile='profiles/lab.toml'|profile=\"profiles/lab.toml\""),
+        ({"model": "lab"}, 'profile="lab"'),
+        ({"model": "robust", "profile": "lab"}, "beside profile"),
+        ({"profile": "missing.toml"}, "profile: missing.toml.*identify wrote"),
+        ({"profile": 3}, "profile = 3"),
+        ({"profile": "lab", "spread": 2.0}, "spread = 2.0: give a number from 0 to 1"),
+        ({"profile": "lab", "spread": "a"}, "spread = 'a'"),
+        ({"spread": 0.1}, "spread = 0.1 without profile"),
+        ({"guard": 3}, "guard = 3"),
         ({"settings": {"sensors": {"type": "encoders", "estimator": {"corner_rad_s": -1.0}}}}, "corner"),
         ({"distributions": {"M_x": 1.0}}, "M_x"),
         ({"distributions": {"M_p": "heavy"}}, "heavy"),
         ({"distributions": {"M_p": -1.0}}, "M_p"),
         ({"distributions": {"M_p": float("nan")}}, "finite"),
-        ({"distributions": {"M_p": Uniform(float("nan"), 1.0)}}, "M_p.*finite"),
         ({"distributions": {"M_p": 10**400}}, "finite"),
-        ({"distributions": {"M_p": qube_hil.Constant("x")}}, "M_p.*'x'.*number"),
-        ({"distributions": {"M_p": Uniform("a", "b")}}, "'a'.*number"),
-        ({"distributions": {"M_p": Uniform(2.0, 1.0)}}, "smaller"),
-        ({"distributions": {"command_delay_s": Uniform(0.0, 0.2)}}, "delay"),
+        ({"distributions": {"command_delay_s": Uniform(0.0, 0.2)}}, "command_delay_s"),
+        ({"distributions": {"command_delay_s": 0.2}}, "mean of command_delay_s is 0.2"),
+        ({"distributions": {"coulomb_torque_n_m": Normal(0.001, 0.1)}}, "deviation of coulomb_torque_n_m is 0.1"),
+        ({"distributions": {"M_p": 1e300}}, "M_p is 1e300, "),
         ({"seed": -1}, "seed"),
         ({"seed": 1.5}, "seed"),
         ({"render_mode": "human"}, "render_mode"),
@@ -336,3 +362,63 @@ def test_nothing_moves_before_a_reset():
     for number in [-1, 2**64, 1.5]:
         with pytest.raises(qube_hil.SettingsError, match="episode_number"):
             QubeEnv().qube(number)
+
+
+@pytest.mark.parametrize(
+    "kind, numbers, told",
+    [
+        (qube_hil.Constant, ("x",), "'x'.*number"),
+        (Normal, (float("nan"), 1.0), "nan.*finite"),
+        (Normal, (0.0, float("inf")), "inf.*finite"),
+        (Normal, (1.0, -1.0), "0 or more"),
+        (Uniform, (0.0, float("inf")), "inf.*finite"),
+        (Uniform, ("a", "b"), "'a'.*number"),
+        (Uniform, (2.0, 1.0), "smaller"),
+    ],
+)
+def test_a_distribution_of_numbers_that_cannot_be_is_refused_where_it_is_made(kind, numbers, told):
+    with pytest.raises(qube_hil.SettingsError, match=told):
+        kind(*numbers)
+
+
+def test_an_option_of_reset_is_refused():
+    for env in [QubeEnv(), QubeVectorEnv(2)]:
+        env.reset(seed=0, options={})
+        with pytest.raises(qube_hil.SettingsError, match="reset_mask.*reset takes none"):
+            env.reset(options={"reset_mask": np.array([True, False])})
+
+
+def test_a_closed_simulation_refuses_further_calls():
+    for env in [QubeEnv(), QubeVectorEnv(2)]:
+        env.reset(seed=0)
+        env.close()
+        env.close()
+        for call in [env.reset, lambda: env.step(np.zeros(env.action_space.shape, np.float32))]:
+            with pytest.raises(qube_hil.ClosedError, match="make another"):
+                call()
+
+
+def test_qubes_around_a_profile_differ_by_its_errors_with_their_correlations():
+    env = QubeEnv(profile="lab", spread=0.0)
+    distribution = json.loads(env._simulation.distribution)
+    directions = distribution["directions"]
+    assert len(directions) > 3
+    env.reset(seed=1)
+    drawn = [env.qube(number) for number in range(4000)]
+
+    def deviation(one, other):
+        return sum(direction.get(one, 0.0) * direction.get(other, 0.0) for direction in directions)
+
+    one, other = "R_m", "k_m"
+    expected = deviation(one, other) / np.sqrt(deviation(one, one) * deviation(other, other))
+    assert abs(expected) > 0.2
+    found = np.corrcoef([qube[one] for qube in drawn], [qube[other] for qube in drawn])[0, 1]
+    assert abs(found - expected) < 0.05
+    mean = distribution[one]["mean"]
+    assert np.mean([qube[one] for qube in drawn]) == pytest.approx(mean, rel=0.01)
+    # A wider spread comes on top, and a distribution of one's own replaces that of the profile.
+    wide = QubeVectorEnv(2, profile="lab", distributions={"command_delay_s": 0.01})
+    wide.reset(seed=1)
+    assert np.std([wide.qube(number)[one] for number in range(1000)]) > np.std([qube[one] for qube in drawn])
+    assert json.loads(wide._simulation.distribution)["command_delay_s"] == {"type": "constant", "value": 0.01}
+    assert QubeEnv(profile="ideal", spread=0.0).qube(0) == QubeEnv().qube(0)

@@ -1,0 +1,152 @@
+//! Settings of simulations as Python's arguments name them. An error names the entry and what it
+//! accepts.
+
+use pyo3::prelude::*;
+use qube_hil::estimation::{EstimatorSettings, ObserverSettings, SettingsError};
+use qube_hil::qube::MAX_HISTORY;
+use qube_hil::simulation::{SensorModel, SimulationSettings};
+use serde_json::{Map, Value};
+
+use crate::errors::{bad_settings, shown};
+
+/// Entries whose values are names, with the names that are accepted.
+const CHOICES: [(&str, &[&str]); 2] = [
+    ("sensors.type", &["true_state", "encoders"]),
+    ("safety_box.guard", &["box", "envelope", "foresight"]),
+];
+
+/// Tables of which no entry has a default.
+const WITHOUT_DEFAULTS: [&str; 1] = ["reward"];
+
+/// Entries that may be left out by a null.
+const MAY_BE_NULL: [&str; 1] = ["sensors.estimator.observer"];
+
+/// Names that files of earlier versions have, by their table.
+const EARLIER_NAMES: [(&str, &[&str]); 2] = [
+    ("safety_box", &["theta", "alpha", "theta_dot", "alpha_dot"]),
+    ("sensors.estimator.observer", &["astray_rad"]),
+];
+
+/// Settings of simulations by name, in the order in which messages list them.
+fn named_settings() -> [(&'static str, SimulationSettings); 3] {
+    [
+        ("thesis", SimulationSettings::default()),
+        ("machine", SimulationSettings::machine()),
+        ("robust", SimulationSettings::robust()),
+    ]
+}
+
+/// Parses the settings of a simulation from JSON, either a name or an object, and checks them. A
+/// setting that the object leaves out has its default. `argument` is the name of Python's argument.
+pub fn read_settings(argument: &str, json: &str) -> PyResult<SimulationSettings> {
+    let refused = |message: String| bad_settings(format!("{argument}: {message}"));
+    let names = named_settings().map(|(known, _)| known).join(", ");
+    let given: Value = serde_json::from_str(json).map_err(|error| refused(error.to_string()))?;
+    let table = match &given {
+        Value::Object(table) => table,
+        Value::String(name) => {
+            let known = named_settings().into_iter().find(|(known, _)| known == name);
+            return known.map(|(_, settings)| settings).ok_or_else(|| {
+                refused(format!("there are no settings {name:?}: give a mapping or one of {names}"))
+            });
+        }
+        other => return Err(refused(format!("{other}: give a mapping or one of {names}"))),
+    };
+    check_table("", table, &every_entry()).map_err(refused)?;
+    // The message of serde_json ends with a place in the text that Python never sees.
+    let settings: SimulationSettings = serde_json::from_value(given.clone())
+        .map_err(|error| refused(error.to_string().replace(" at line 0 column 0", "")))?;
+    if settings.history > MAX_HISTORY {
+        let history = settings.history;
+        return Err(refused(format!("history = {history}: give 0 to {MAX_HISTORY}")));
+    }
+    if let SensorModel::Encoders { estimator } = &settings.sensors {
+        estimator.check().map_err(|error| match error {
+            SettingsError::OutOfRange { name, value, largest } => refused(format!(
+                "sensors.estimator.{name} = {}: give a number above 0 and up to {}",
+                shown(value),
+                shown(largest)
+            )),
+            other @ SettingsError::Model(_) => refused(format!("sensors.estimator.{other}")),
+        })?;
+    }
+    Ok(settings)
+}
+
+/// Settings in which every entry has a value, of the type that is accepted.
+fn every_entry() -> Map<String, Value> {
+    let observer = EstimatorSettings::observer(ObserverSettings::default());
+    let settings = SimulationSettings {
+        sensors: SensorModel::Encoders { estimator: observer },
+        ..SimulationSettings::default()
+    };
+    let Ok(Value::Object(mut all)) = serde_json::to_value(settings) else { return Map::new() };
+    // The built-in Qube is left out of files.
+    if let Ok(plant) = serde_json::to_value(settings.plant) {
+        all.insert("plant".into(), plant);
+    }
+    all
+}
+
+/// Checks that each entry of a table is known and of the type that the entry of `all` has. `path`
+/// is the table's own name, empty for the settings themselves. The error names the first entry
+/// that is refused, and what it accepts.
+fn check_table(
+    path: &str,
+    table: &Map<String, Value>,
+    all: &Map<String, Value>,
+) -> Result<(), String> {
+    let names = || all.keys().cloned().collect::<Vec<_>>().join(", ");
+    for (name, value) in table {
+        let entry = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+        match all.get(name) {
+            Some(known) => check_value(&entry, value, known)?,
+            None if of(&EARLIER_NAMES, path).is_some_and(|own| own.contains(&name.as_str())) => {}
+            None => return Err(format!("there is no entry {entry}: give some of {}", names())),
+        }
+    }
+    let missing = all.keys().find(|name| !table.contains_key(*name));
+    match missing {
+        Some(name) if WITHOUT_DEFAULTS.contains(&path) => {
+            Err(format!("{path} has no {name}: give all of {}", names()))
+        }
+        _ if path == "sensors" && !table.contains_key("type") => {
+            Err("sensors has no type: give true_state or encoders".into())
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Checks that a value is of the type of `known`.
+fn check_value(entry: &str, value: &Value, known: &Value) -> Result<(), String> {
+    let choices = of(&CHOICES, entry);
+    let wanted = match (known, value) {
+        (_, Value::Null) if MAY_BE_NULL.contains(&entry) => return Ok(()),
+        (Value::Object(known), Value::Object(table)) => return check_table(entry, table, known),
+        (Value::Object(known), _) => {
+            let names = known.keys().cloned().collect::<Vec<_>>().join(", ");
+            format!("a mapping with entries of {names}")
+        }
+        (Value::Number(known), Value::Number(number)) if known.is_f64() || number.is_u64() => {
+            return Ok(());
+        }
+        (Value::Number(_), _) if entry == "history" => {
+            format!("a whole number from 0 to {MAX_HISTORY}")
+        }
+        (Value::Number(known), _) if known.is_f64() => "a number".into(),
+        (Value::Number(_), _) => "a whole number that is not negative".into(),
+        (Value::String(_), Value::String(name))
+            if choices.is_none_or(|names| names.contains(&name.as_str())) =>
+        {
+            return Ok(());
+        }
+        (Value::String(_), _) => choices.map_or("a text".into(), |names| names.join(" or ")),
+        _ => return Ok(()),
+    };
+    Err(format!("{entry} = {value}: give {wanted}"))
+}
+
+/// The names that belong to an entry.
+fn of<'a>(table: &[(&str, &'a [&'a str])], entry: &str) -> Option<&'a [&'a str]> {
+    table.iter().find(|(name, _)| *name == entry).map(|(_, names)| *names)
+}
