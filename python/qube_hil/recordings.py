@@ -7,6 +7,7 @@ from typing import Any
 import numpy.typing as npt
 
 from . import _core
+from .errors import RecordingError
 from .policies import Policy
 
 
@@ -25,9 +26,10 @@ class Recording(dict[str, npt.NDArray[Any]]):
     header: dict[str, Any]
     """The record before the rollout: device, settings, seed, versions."""
     outcome: dict[str, Any] | None
-    """The record after the rollout: ending, steps, latencies; None in a recording that is cut off."""
+    """The record after the rollout: ``ending``, ``steps``, latencies; None if the recording does not say how the rollout
+    ended: it was cut off before."""
     return_: float
-    """Sum of the rewards."""
+    """Sum of the rewards of the ticks that the file has: of a part of the rollout if the recording is not whole."""
     is_whole: bool
     """Whether the file is complete; false for a recording that was cut off, even if it was recovered since."""
     _policy: bytes
@@ -38,9 +40,24 @@ class Recording(dict[str, npt.NDArray[Any]]):
         return Policy.from_bytes(self._policy)
 
 
-def recording(path: str | os.PathLike[str]) -> Recording:
-    """Reads a recording and checks every byte of it."""
+def recording(path: str | os.PathLike[str], *, partial: bool = False) -> Recording:
+    """Reads a recording and checks every byte of it.
+
+    Args:
+        path: File of the recording.
+        partial: Whether a recording that is cut off gives its whole ticks. ``is_whole`` is then false.
+
+    Raises:
+        RecordingError: The file cannot be read, a byte of it has changed, or it is cut off and ``partial`` is false. A
+            recording that ``qube-hil recover`` has saved is not cut off, although ``is_whole`` is false.
+    """
     read = _core.read_recording(os.fspath(path))
+    if read["cut"] and not partial:
+        ticks = len(read["columns"]["tick"])
+        raise RecordingError(
+            f"{os.fspath(path)}: the recording is cut off, and {ticks} ticks of it are whole ({read['cut']}): give partial=True "
+            "to read these, or save them by `qube-hil recover`"
+        )
     made = Recording(read["columns"])
     made.header = json.loads(read["header"])
     made.outcome = None if read["outcome"] is None else json.loads(read["outcome"])

@@ -14,7 +14,8 @@ use crate::errors::RecordingError;
 
 /// Reads a recording and checks every byte. Returns a dictionary: `columns`; `header` and `outcome`
 /// as JSON (`outcome` is `None` in a recording that is cut off); `policy`, the bytes of its file;
-/// `return`; and `whole`, false for a recording that was cut off, even if it was recovered since.
+/// `return`; `whole`, false for a recording that was cut off, even if it was recovered since; and
+/// `cut`, the place and reason of the first defect in a recording that is cut off, otherwise `None`.
 #[pyfunction]
 pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
     let recording =
@@ -28,6 +29,11 @@ pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDic
     read.set_item("policy", PyBytes::new(py, &recording.policy))?;
     read.set_item("return", return_of(&recording.ticks, &recording.header.reward))?;
     read.set_item("whole", recording.completeness == Completeness::Whole)?;
+    let cut = match recording.completeness {
+        Completeness::CutOff { reason, .. } => Some(reason),
+        Completeness::Whole | Completeness::Recovered => None,
+    };
+    read.set_item("cut", cut)?;
     Ok(read)
 }
 

@@ -61,8 +61,13 @@ def test_a_damaged_recording_is_refused_and_a_cut_one_gives_what_is_there(swing_
     data = swing_up.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) * 2 // 3])
-    read = qube_hil.recording(cut)
+    read = qube_hil.recording(cut, partial=True)
+    with pytest.raises(qube_hil.RecordingError, match=f"cut.mcap.*{len(read['tick'])} ticks.*partial=True"):
+        qube_hil.recording(cut)
     assert read.outcome is None and not read.is_whole and len(read["tick"]) > 50
+    program("recover", cut, "--out", tmp_path / "saved.mcap", code=3)
+    saved = qube_hil.recording(tmp_path / "saved.mcap")
+    assert saved.outcome is None and not saved.is_whole and (saved["tick"] == read["tick"]).all()
     changed = tmp_path / "changed.mcap"
     middle = len(data) // 2
     changed.write_bytes(data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :])
