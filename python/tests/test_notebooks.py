@@ -1,6 +1,4 @@
-"""The notebooks, each run from top to bottom in a folder of its own."""
-
-import shutil
+"""The notebooks, each run from top to bottom, in a copy of its own folder and in the root of a clone."""
 
 import nbformat
 import pytest
@@ -25,9 +23,13 @@ def test_there_is_a_notebook_for_each_use():
 @pytest.mark.filterwarnings("default")
 def test_every_notebook_runs(path, tmp_path):
     (tmp_path / "policies").symlink_to(SHIPPED)
-    shutil.copy(ONNX / "elu-normalised.onnx", tmp_path / "model.onnx")
+    (tmp_path / "tests" / "fixtures").mkdir(parents=True)
+    (tmp_path / "tests" / "fixtures" / "onnx").symlink_to(ONNX)
+    own = tmp_path / "python" / "notebooks"
+    own.mkdir(parents=True)
     notebook = nbformat.read(path, as_version=4)
     assert not any(cell.get("outputs") for cell in notebook.cells)
-    NotebookClient(
-        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
-    ).execute()
+    for folder in [own, tmp_path]:
+        NotebookClient(
+            notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}}
+        ).execute()
