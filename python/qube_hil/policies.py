@@ -2,6 +2,7 @@
 
 import json
 import os
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,12 +14,12 @@ from . import distributions as _distributions
 from ._core import MAX_VOLTAGE_V
 from .distributions import Distribution
 from .envs import Float32s
-from .errors import ActionError, PolicyError
+from .errors import ActionError, PolicyError, SettingsError
 
 
 class Policy:
     """A policy: a network, the classical controller, an excitation, or the name of a controller outside of this program.
-    Its files are those of the program."""
+    Its files are those of the program. Policies are equal if the bytes of their files are."""
 
     def __init__(self, core: _core.Policy) -> None:
         """Use `Policy.load`, `Policy.from_bytes` or `qube_hil.train`."""
@@ -30,9 +31,14 @@ class Policy:
         return cls(_core.Policy.load(os.fspath(path)))
 
     @classmethod
-    def from_bytes(cls, data: bytes) -> "Policy":
-        """Reads the bytes of a policy file, such as those that `to_bytes` returns."""
-        return cls(_core.Policy.from_bytes(data))
+    def from_bytes(cls, data: bytes | bytearray | memoryview) -> "Policy":
+        """Reads the bytes of a policy file, such as those that `to_bytes` returns, from any bytes-like object. Raises a
+        `PolicyError` if they are no policy, and a `SettingsError` if ``data`` has no bytes."""
+        try:
+            read = bytes(memoryview(data))
+        except TypeError as error:
+            raise SettingsError(f"data = {data!r}: give the bytes of a policy file") from error
+        return cls(_core.Policy.from_bytes(read))
 
     @classmethod
     def from_layers(
@@ -62,21 +68,16 @@ class Policy:
                 200.
             clip_observation: Magnitude at which each entry of the observation, as the network sees it, is clipped; None
                 clips nothing.
+
+        Raises:
+            PolicyError: Layers of these shapes or numbers make no network of 1 to 4 hidden layers of at most 256 neurons,
+                an entry of the observation is unknown or named twice, or another argument is refused.
         """
-        arrays = []
-        for layer in _listed(layers, "layers"):
-            try:
-                weight, bias = layer
-                matrix = np.asarray(weight, np.float32)
-                vector = np.zeros(len(matrix), np.float32) if bias is None else np.asarray(bias, np.float32)
-            except (TypeError, ValueError) as error:
-                raise PolicyError(f"a layer is not made of arrays of numbers: {error}") from error
-            if matrix.ndim != 2 or vector.ndim != 1:
-                raise PolicyError(
-                    f"a layer has the shapes {matrix.shape} and {vector.shape}: give [outputs, inputs] and [outputs]"
-                )
-            arrays.append((matrix, vector))
         names, history = _named(observation), _as_history(history)
+        _refuse_duplicates(names)
+        arrays = _as_layers(layers)
+        entries = len(names.split(",")) if names is not None else 6 + (history or 0)
+        _check_chain(arrays, entries)
         return cls(
             _core.Policy.from_layers(
                 arrays,
@@ -121,13 +122,35 @@ class Policy:
         )
 
     @classmethod
-    def from_sb3(cls, model: Any, *, action_scale_v: float = 5.0, **named: Any) -> "Policy":
+    def from_sb3(
+        cls,
+        model: Any,
+        *,
+        action_scale_v: float = 5.0,
+        normalised: bool | None = None,
+        **named: Any,
+    ) -> "Policy":
         """Makes a policy of the actor of a Stable-Baselines3 model: PPO or A2C, SAC, or TD3, with a policy of the kind
-        ``MlpPolicy``. An action of 1 is ``action_scale_v``, as in the environments of this package. Observations that
-        ``VecNormalize`` has scaled, a features extractor other than the default one, and ``squash_output`` of PPO or
-        A2C are refused. ``named`` is as for `from_layers`."""
-        if getattr(model, "get_vec_normalize_env", lambda: None)() is not None:
-            raise PolicyError("the model sees observations that VecNormalize has scaled: train it without")
+        ``MlpPolicy`` and at most 256 neurons a layer. The default layers of TD3 have 400 and 300: train it with
+        ``policy_kwargs=dict(net_arch=[256, 256])``.
+
+        Args:
+            model: The model, in memory or from the ``load`` of its class.
+            action_scale_v: Voltage for an action of 1, V; 5 in the environments of this package.
+            normalised: Whether ``VecNormalize`` scaled the observations in training. Give False if it did not. None asks
+                the model's environment. A model without one, such as one that ``load`` has read without ``env``, does not
+                know: then a ``UserWarning`` says so.
+            named: As for `from_layers`.
+
+        Raises:
+            PolicyError: ``VecNormalize`` scales the observations of the model's environment, or ``normalised`` is true; the
+                features extractor is not the default one; PPO or A2C has ``squash_output``; or as for `from_layers`.
+        """
+        normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
+        if normalised or (normaliser is not None and getattr(normaliser, "norm_obs", True)):
+            raise PolicyError(
+                "the model sees observations that VecNormalize has scaled: train it without, or with norm_obs=False"
+            )
         policy = getattr(model, "policy", None)
         if policy is None:
             raise PolicyError(f"{model!r} has no policy: give a model of Stable-Baselines3")
@@ -151,9 +174,24 @@ class Policy:
         else:
             raise PolicyError(f"the policy {type(policy).__name__} has no known actor: give a model of PPO, A2C, SAC or TD3")
         layers, activation, output = _layers_of(modules)
-        return cls.from_layers(
+        widest = max(len(bias if bias is not None else weight) for weight, bias in layers) if layers else 0
+        if widest > _MAX_WIDTH:
+            raise PolicyError(
+                f"the actor has a layer of {widest} neurons, and a policy here at most {_MAX_WIDTH}: train the model with "
+                "policy_kwargs=dict(net_arch=[256, 256])"
+            )
+        made = cls.from_layers(
             layers, action_scale_v=action_scale_v, activation=activation, output=output, **named
         )
+        if normalised is None and getattr(model, "env", None) is None:
+            warnings.warn(
+                "the model has no environment, so that it cannot be known whether VecNormalize scaled its observations; if it "
+                "did, this policy gives wrong voltages. Give normalised=False if it did not, or load the model with its "
+                "environment (env=...)",
+                UserWarning,
+                stacklevel=2,
+            )
+        return made
 
     def to_bytes(self) -> bytes:
         """The bytes of the policy's file; equal policies give equal bytes."""
@@ -186,8 +224,11 @@ class Policy:
 
     def voltage_v(self, observation: npt.ArrayLike) -> Float32s:
         """The voltage for an observation, V, within 5 V. The shapes are those of `act`."""
+        given: Any = observation
         try:
-            observations = np.asarray(observation, np.float32)
+            # A tensor of torch that requires a gradient gives no array.
+            given = given.detach().cpu() if hasattr(given, "detach") else given
+            observations = np.asarray(given, np.float32)
         except (TypeError, ValueError) as error:
             raise ActionError(f"the observation is not an array of numbers: {error}") from error
         if observations.ndim not in (1, 2):
@@ -236,6 +277,15 @@ class Policy:
         """Pickles and copies by the bytes of the file: a copy begins with no memory of an episode."""
         return type(self).from_bytes, (self.to_bytes(),)
 
+    def __eq__(self, other: object) -> bool:
+        """Whether the other policy has the same bytes; the memory of an episode does not count."""
+        if not isinstance(other, Policy):
+            return NotImplemented
+        return self.to_bytes() == other.to_bytes()
+
+    def __hash__(self) -> int:
+        return hash(self.to_bytes())
+
     def __repr__(self) -> str:
         sizes = "" if self.sizes is None else f" {self.sizes}"
         return f"<qube_hil.Policy: {self.kind}{sizes}>"
@@ -251,9 +301,67 @@ def _named(observation: Sequence[str] | None) -> str | None:
         raise PolicyError(f"observation = {observation!r}: give names of entries") from error
 
 
+def _refuse_duplicates(names: str | None) -> None:
+    """Refuses an observation that names a quantity twice."""
+    quantities = [entry.split("*")[-1].strip() for entry in names.split(",")] if names else []
+    for quantity in quantities:
+        if quantities.count(quantity) > 1:
+            raise PolicyError(f"observation names {quantity} twice: name each entry once")
+
+
+def _as_layers(layers: Any) -> list[tuple[Float32s, Float32s]]:
+    """Weights ``[outputs, inputs]`` and biases ``[outputs]`` of each layer as arrays of finite numbers."""
+    arrays = []
+    for number, layer in enumerate(_listed(layers, "layers"), 1):
+        try:
+            weight, bias = layer
+            with np.errstate(over="ignore"):
+                matrix = np.asarray(weight, np.float32)
+                vector = np.zeros(len(matrix), np.float32) if bias is None else np.asarray(bias, np.float32)
+        except (TypeError, ValueError) as error:
+            raise PolicyError(
+                f"layer {number} is not made of arrays of numbers: {error}. Give (weight, bias) for each layer"
+            ) from error
+        if matrix.ndim != 2 or vector.ndim != 1:
+            raise PolicyError(
+                f"layer {number} has the shapes {matrix.shape} and {vector.shape}: give [outputs, inputs] and [outputs]"
+            )
+        for name, array in [("weight", matrix), ("bias", vector)]:
+            if not np.isfinite(array).all():
+                raise PolicyError(
+                    f"the {name} of layer {number} has an entry that is not a finite number in single precision: give finite "
+                    "numbers"
+                )
+        arrays.append((matrix, vector))
+    if not arrays:
+        raise PolicyError("there are no layers: give at least one hidden layer and the output")
+    return arrays
+
+
+def _check_chain(layers: list[tuple[Float32s, Float32s]], entries: int) -> None:
+    """Checks that each layer has as many inputs as the layer before has outputs, and that each bias fits its weight. Of
+    the first layer it finds weights that are transposed; the compiled part compares it with the observation."""
+    source = f"the observation has {entries} entries"
+    for number, (matrix, vector) in enumerate(layers, 1):
+        outputs, inputs = matrix.shape
+        if inputs != entries and (number > 1 or outputs == entries):
+            hint = ""
+            if outputs == entries:
+                hint = ": the weights seem to be transposed, give [outputs, inputs]"
+            raise PolicyError(f"layer {number} has a weight of {outputs} outputs and {inputs} inputs, and {source}{hint}")
+        if len(vector) != outputs:
+            raise PolicyError(
+                f"layer {number} has a bias of {len(vector)} entries and a weight of {outputs} outputs: give one entry for "
+                "each output"
+            )
+        entries, source = outputs, f"layer {number} has {outputs} outputs"
+    if entries != 1:
+        raise PolicyError(f"the last layer has {entries} outputs: give one, the voltage")
+
+
 def _as_history(history: int | None) -> int | None:
-    """A number of last commands that the compiled part can take; it knows the largest one."""
-    if history is None or (isinstance(history, (int, np.integer)) and 0 <= history < 2**63):
+    """A number of last commands in an observation."""
+    if history is None or (isinstance(history, (int, np.integer)) and 0 <= history <= 4):
         return history
     raise PolicyError(f"history = {history!r}: give 0 to 4")
 
@@ -263,6 +371,10 @@ def _listed(given: Any, wanted: str) -> list[Any]:
         return list(given)
     except TypeError as error:
         raise PolicyError(f"{given!r} cannot be listed: give {wanted}") from error
+
+
+#: Most neurons of a layer.
+_MAX_WIDTH = 256
 
 
 class _LastTanh:

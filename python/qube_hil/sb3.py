@@ -4,12 +4,20 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv
 
 from .envs import QubeVectorEnv
 
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError as error:
+    if error.name != "stable_baselines3":
+        raise
+    raise ModuleNotFoundError(
+        "qube_hil.sb3 needs Stable-Baselines3: install it by pip install stable-baselines3", name=error.name
+    ) from error
 
-class QubeVecEnv(VecEnv):  # type: ignore[misc]
+
+class QubeVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
     """A `QubeVectorEnv` in the interface of Stable-Baselines3; the arguments are the same.
 
     The last observation of an episode is in ``infos[i]["terminal_observation"]``, and ``infos[i]["TimeLimit.truncated"]``

@@ -19,7 +19,7 @@ use qube_hil::qube::{
 };
 use qube_hil::storage::{Disk, MachineDisk, read_bounded, write_whole};
 
-use crate::errors::{ActionError, bad_policy};
+use crate::errors::{ActionError, bad_policy, shown};
 
 /// A policy: a network, the classical controller, an excitation, or the name of a controller
 /// outside of this program.
@@ -319,11 +319,12 @@ fn foreign(
     let corner_rad_s = corner_rad_s.unwrap_or(EstimatorSettings::default().corner_rad_s);
     if !(action_scale_v.abs() > 0.0 && action_scale_v.abs() <= 100.0) {
         return Err(bad_policy(format!(
-            "action_scale_v = {action_scale_v}: give a voltage from -100 to 100 that is not 0"
+            "action_scale_v = {}: give a voltage from -100 to 100 that is not 0",
+            shown(action_scale_v)
         )));
     }
     if !(1.0..=10_000.0).contains(&corner_rad_s) {
-        return Err(bad_policy(format!("filter_rad_s = {corner_rad_s}: give 1 to 10000")));
+        return Err(bad_policy(format!("filter_rad_s = {}: give 1 to 10000", shown(corner_rad_s))));
     }
     if history > MAX_HISTORY {
         return Err(bad_policy(format!("history = {history}: give 0 to {MAX_HISTORY}")));

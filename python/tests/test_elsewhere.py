@@ -1,5 +1,8 @@
 """Policies from other libraries. The classes here stand for torch's: the package reads only names and attributes."""
 
+import importlib
+import importlib.util
+
 import numpy as np
 import pytest
 
@@ -102,26 +105,58 @@ def test_the_actors_of_ppo_sac_and_td3_are_found():
             action_net=action,
             features_extractor=FlattenExtractor(),
             squash_output=False,
-        )
+        ),
+        env=object(),
     )
     observations = RANDOM.uniform(-1.0, 1.0, size=(50, 6)).astype(np.float32)
     expected = computed([*hidden, action], observations)
     assert np.abs(Policy.from_sb3(ppo).act(observations) - np.clip(expected, -1.0, 1.0)).max() < 1e-6
     hidden = [Linear(6, 12), ReLU(), Linear(12, 12), ReLU()]
     flat = FlattenExtractor()
-    sac = Named(policy=Named(actor=Named(latent_pi=hidden, mu=action, features_extractor=flat), squash_output=True))
+    sac = Named(policy=Named(actor=Named(latent_pi=hidden, mu=action, features_extractor=flat), squash_output=True), env=object())
     expected = np.tanh(computed([*hidden, action], observations))
     assert np.abs(Policy.from_sb3(sac).act(observations) - expected).max() < 1e-6
     # The actor of TD3 has its tanh within its modules.
     modules = [*hidden, action, Tanh()]
-    td3 = Named(policy=Named(actor=Named(mu=modules, features_extractor=flat), squash_output=True))
+    td3 = Named(policy=Named(actor=Named(mu=modules, features_extractor=flat), squash_output=True), env=object())
     assert np.abs(Policy.from_sb3(td3).act(observations) - expected).max() < 1e-6
+
+
+def test_a_model_without_its_environment_warns_of_observations_that_may_be_scaled():
+    hidden, action = [Linear(6, 12), Tanh()], Linear(12, 1)
+    policy = Named(mlp_extractor=Named(policy_net=hidden), action_net=action)
+    loaded = Named(policy=policy, env=None, get_vec_normalize_env=lambda: None)
+    with pytest.warns(UserWarning, match="VecNormalize.*normalised=False") as warned:
+        known = Policy.from_sb3(loaded)
+    assert len(warned) == 1 and warned[0].filename == __file__
+    # Warnings are errors here.
+    assert Policy.from_sb3(loaded, normalised=False) == known
+    for model, named in [
+        (loaded, {"normalised": True}),
+        (Named(policy=policy, get_vec_normalize_env=lambda: Named(norm_obs=True)), {}),
+    ]:
+        with pytest.raises(qube_hil.PolicyError, match="VecNormalize"):
+            Policy.from_sb3(model, **named)
+    only_rewards = Named(policy=policy, env=object(), get_vec_normalize_env=lambda: Named(norm_obs=False))
+    assert Policy.from_sb3(only_rewards) == known
+
+
+def test_the_default_layers_of_td3_are_refused_with_layers_that_are_not():
+    modules = [Linear(6, 400), ReLU(), Linear(400, 300), ReLU(), Linear(300, 1), Tanh()]
+    with pytest.raises(qube_hil.PolicyError, match=r"400 neurons.*policy_kwargs=dict\(net_arch=\[256, 256\]\)"):
+        Policy.from_sb3(Named(policy=Named(actor=Named(mu=modules)), env=object()))
+
+
+def test_the_adapter_says_how_to_install_the_library_that_it_needs():
+    if importlib.util.find_spec("stable_baselines3") is None:
+        with pytest.raises(ModuleNotFoundError, match="pip install stable-baselines3"):
+            importlib.import_module("qube_hil.sb3")
 
 
 def test_an_actor_with_computations_outside_of_its_modules_is_refused():
     hidden, action = [Linear(6, 12), Tanh()], Linear(12, 1)
     ppo = {"mlp_extractor": Named(policy_net=hidden), "action_net": action}
-    Policy.from_sb3(Named(policy=Named(**ppo)))
+    Policy.from_sb3(Named(policy=Named(**ppo)), normalised=False)
     with pytest.raises(qube_hil.PolicyError, match="VecNormalize"):
         Policy.from_sb3(Named(policy=Named(**ppo), get_vec_normalize_env=lambda: object()))
     with pytest.raises(qube_hil.PolicyError, match="squash_output"):
@@ -145,10 +180,10 @@ def test_an_actor_with_computations_outside_of_its_modules_is_refused():
         ([Linear(6, 4), Linear(4, 1)], "follow each other"),
         ([Linear(6, 4), Tanh(), Linear(4, 1), ReLU()], "no Tanh"),
         ([Linear(6, 4), Tanh(), Linear(4, 4), ReLU(), Linear(4, 1)], "several"),
-        ([Linear(6, 4), Tanh(), Linear(4, 2)], "1 output"),
+        ([Linear(6, 4), Tanh(), Linear(4, 2)], "2 outputs"),
         ([Linear(6, 300), Tanh(), Linear(300, 1)], "256"),
         ([Linear(7, 4), Tanh(), Linear(4, 1)], "7 inputs"),
-        ([], "0 inputs"),
+        ([], "no layers"),
     ],
 )
 def test_a_module_that_is_no_policy_is_named(modules, told):
@@ -172,7 +207,16 @@ def test_arrays_and_names_that_cannot_be_are_named():
         ({"layers": [3]}, "arrays"),
         ({"observation": ["sin_theta"], "history": 1}, "beside observation"),
         ({"filter_rad_s": 0.0}, "filter"),
-        ({"layers": [(np.full((4, 6), np.nan), None), layers[1]]}, "NaN"),
+        ({"layers": []}, "no layers"),
+        ({"layers": [(np.full((4, 6), np.nan), None), layers[1]]}, "weight of layer 1.*finite"),
+        ({"layers": [layers[0], (np.ones((1, 4)), [np.inf])]}, "bias of layer 2.*finite"),
+        ({"layers": [(np.full((4, 6), 1e300), None), layers[1]]}, "weight of layer 1.*single precision"),
+        ({"layers": [(np.ones((4, 6)), np.zeros(5)), layers[1]]}, "layer 1 has a bias of 5 entries.*4 outputs"),
+        ({"layers": [(np.ones((6, 4)), None), (np.ones((4, 1)), None)]}, r"transposed, give \[outputs, inputs\]"),
+        ({"layers": [layers[0], (np.ones((4, 1)), None)]}, r"layer 2.*layer 1 has 4 outputs.*transposed"),
+        ({"layers": [layers[0], (np.ones((1, 5)), None)]}, r"layer 2.*5 inputs.*layer 1 has 4 outputs"),
+        ({"observation": "sin_theta, 2*sin_theta"}, "sin_theta twice"),
+        ({"action_scale_v": 1e300}, r"action_scale_v = 1e300: "),
         ({"layers": [(np.ones(6), None)]}, "shapes"),
         ({"layers": [("x", None)]}, "numbers"),
     ]:
