@@ -1,8 +1,11 @@
 """A real or emulated Qube as a Gymnasium environment, at 100 Hz."""
 
 import atexit
+import difflib
 import os
+import re
 import weakref
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,8 @@ import gymnasium
 from . import _core
 from ._core import MAX_VOLTAGE_V
 from .envs import Float32s, _as_actions, _as_seed, _whole, action_space, observation_space
-from .errors import BusyError, QubeHilError, SettingsError
+from .errors import BusyError, DeviceError, QubeHilError, SettingsError
+from .settings import refuse_options
 
 
 class QubeDeviceEnv(gymnasium.Env[Any, Any]):
@@ -43,6 +47,10 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
     be called from any thread and from the handler of a signal, for example by a stop button: the arm is braked at once, and
     the thread that is in ``step`` or ``reset`` gets a `ClosedError`.
 
+    Raises:
+        SettingsError: An argument or option is refused, or the folder of ``recordings`` cannot be made.
+        DeviceError: The Qube cannot be opened.
+
     ``info`` has ``late_answers``, and at the end of an episode ``ending``, ``return`` and ``recording``.
     """
 
@@ -65,11 +73,20 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
         self.render_mode = None
         self._seed = _as_seed(seed) or 0
         self._number = -1
-        self._folder = Path(recordings)
         self._recording: Path | None = None
         history = _whole("history", history, 0, 4)
-        named = {"device": device, "clock": clock, "seed": self._seed, **options}
-        self._device = _core.Device(_as_options(named), deadline_ms, history)
+        if device is not None and not isinstance(device, str):
+            raise SettingsError(f"device = {device!r}: give a text such as /dev/ttyACM0, or None")
+        if clock not in ("wall", "virtual"):
+            raise SettingsError(f"clock = {clock!r}: give wall or virtual")
+        if deadline_ms is not None and (isinstance(deadline_ms, bool) or not isinstance(deadline_ms, Real)):
+            raise SettingsError(f"deadline_ms = {deadline_ms!r}: give a number from 0.1 to 8.5, or None")
+        given = _as_options({"device": device, "clock": clock, "seed": self._seed, **options})
+        self._folder = _as_folder(recordings)
+        try:
+            self._device = _core.Device(given, deadline_ms, history)
+        except (SettingsError, DeviceError) as error:
+            raise type(error)(_in_words_of_python(str(error))) from None
         self.observation_space = observation_space(6 + history)
         self.action_space = action_space()
         _OPEN.add(self._device)
@@ -84,14 +101,16 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
     ) -> tuple[Float32s, dict[str, Any]]:
         """Brakes a running episode, settles arm and pendulum, and begins the next episode. A seed restarts the sequence
         of start angles, and nothing else: a Qube and its emulation go on from where they are, so that the observations
-        after a second ``reset`` with the same seed differ."""
+        after a second ``reset`` with the same seed differ. ``options`` other than None or an empty mapping raise a
+        `SettingsError`. An error of the Qube is a `DeviceError`."""
         try:
+            refuse_options(options, "Give the options of the Qube to the constructor")
             super().reset(seed=seed)
             given = _as_seed(seed)
             if given is not None:
                 self._seed, self._number = given, -1
             self._number += 1
-            self._folder.mkdir(parents=True, exist_ok=True)
+            _make(self._folder)
             taken = {path.name for path in self._folder.iterdir()}
             number = 0
             while (name := f"episode-{number:04}.mcap") in taken:
@@ -132,18 +151,76 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
         self._device.close()
 
 
+#: Options of the command ``run`` that choose a controller, which is Python here.
+_CONTROLLERS = ("policy", "excite", "volts")
+
+
 def _as_options(named: dict[str, Any]) -> list[str]:
     """The options as on the command line."""
+    known = dict(_core.device_options())
     options = []
     for name, value in named.items():
+        if name in _CONTROLLERS:
+            raise SettingsError(
+                f"{name} = {value!r}: the controller of this environment is Python, which gives the voltages to step: leave "
+                f"{name} out"
+            )
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(known))}"
+            raise SettingsError(f"there is no option {name}: {hint}")
         option = "--" + name.replace("_", "-")
-        if value is True:
-            options.append(option)
-        elif isinstance(value, (list, tuple)):
-            options.extend(f"{option}={one}" for one in value)
-        elif value is not None and value is not False:
-            options.append(f"{option}={os.fspath(value) if isinstance(value, os.PathLike) else value}")
+        if not known[name]:
+            if value is not None and not isinstance(value, bool):
+                raise SettingsError(f"{name} = {value!r}: give True or False")
+            options += [option] if value else []
+        elif isinstance(value, bool):
+            raise SettingsError(f"{name} = {value!r}: give a value, or leave it out")
+        elif value is not None:
+            values = value if isinstance(value, (list, tuple)) else [value]
+            options.extend(f"{option}={_as_word(name, one)}" for one in values)
     return options
+
+
+def _as_word(name: str, value: object) -> str:
+    """The value of an option as on the command line."""
+    if isinstance(value, os.PathLike):
+        return str(os.fspath(value))
+    if isinstance(value, (str, Real)):
+        return str(value)
+    raise SettingsError(f"{name} = {value!r}: give a text, a path or a number")
+
+
+def _in_words_of_python(message: str) -> str:
+    """A message of the command ``run`` with the names of arguments, except in a command that it cites."""
+    parts = message.split("`")
+    for index, part in enumerate(parts):
+        if not part.startswith("qube-hil"):
+            parts[index] = re.sub(
+                r"(?<![\w-])--([a-z][a-z-]*)", lambda option: option[1].replace("-", "_"), part
+            )
+    return "`".join(parts)
+
+
+def _as_folder(recordings: object) -> Path:
+    """The folder for recordings, which is made where it does not exist."""
+    if not isinstance(recordings, (str, os.PathLike)):
+        raise SettingsError(f"recordings = {recordings!r}: give the path of a folder")
+    folder = Path(recordings)
+    _make(folder)
+    return folder
+
+
+def _make(folder: Path) -> None:
+    """Makes a folder for recordings, and checks that files can be made in it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SettingsError(
+            f"recordings = {str(folder)!r}: the folder cannot be made: {error.strerror}. Name another folder"
+        ) from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise SettingsError(f"recordings = {str(folder)!r}: no file can be made there. Name another folder")
 
 
 #: Devices that are closed at the end of the interpreter.

@@ -18,6 +18,7 @@ use crate::POLL_INTERVAL;
 use crate::device_thread::{DeviceThread, Episode, Order, Reply};
 use crate::errors::{
     ActionError, BusyError, ClosedError, DeviceError, EpisodeOverError, LateError, bad_settings,
+    shown,
 };
 use crate::exchange::{Exchange, Slot};
 
@@ -92,7 +93,10 @@ impl Device {
             return Err(bad_settings(format!("history = {history}: give 0 to {MAX_HISTORY}")));
         }
         if let Some(ms) = deadline_ms.filter(|ms| !(0.1..=8.5).contains(ms)) {
-            return Err(bad_settings(format!("deadline_ms = {ms}: give 0.1 to 8.5, or None")));
+            return Err(bad_settings(format!(
+                "deadline_ms = {}: give 0.1 to 8.5, or None",
+                shown(ms)
+            )));
         }
         let (settings, plan) = qube_hil::commands::rollouts_asked(options).map_err(bad_settings)?;
         let requests = Requests {
@@ -247,6 +251,14 @@ impl Device {
             self.close_now(py, &mut turn.state);
         }
     }
+}
+
+/// Names of the options of a device, which are those of the command `run`, with `_` for `-`, and
+/// whether each takes a value.
+#[pyfunction]
+pub fn device_options() -> Vec<(String, bool)> {
+    let options = qube_hil::commands::run_options().into_iter();
+    options.map(|(name, takes_value)| (name.replace('-', "_"), takes_value)).collect()
 }
 
 /// Closes several devices. All of them brake at the same time, whatever happens to the others.

@@ -31,7 +31,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::device::{Device, close_all};
+    use super::device::{Device, close_all, device_options};
     #[pymodule_export]
     use super::identification::identify;
     #[pymodule_export]

@@ -11,7 +11,7 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import PROGRAM, program
+from conftest import PROGRAM, beside, program
 
 import qube_hil
 from qube_hil import QubeDeviceEnv
@@ -288,7 +288,21 @@ def test_a_number_that_is_too_large_for_single_precision_is_clipped(virtual):
         ({"device": "/dev/missing", "clock": "wall"}, "missing"),
         ({"device": "/dev/missing"}, "virtual"),
         ({"clock": "sundial"}, "sundial"),
-        ({"unknown_option": 1}, "unknown-option"),
+        ({"clock": None}, "clock = None: give wall or virtual"),
+        ({"unknown_option": 1}, "unknown_option"),
+        ({"acknowlege": False}, "acknowlege: did you mean acknowledge"),
+        ({"qub": None}, "qub: did you mean qube"),
+        ({"acknowledge": "yes"}, "acknowledge = 'yes': give True or False"),
+        ({"guard": True}, "guard = True: give a value"),
+        ({"profile": 3 + 0j}, "profile = .*: give a text"),
+        ({"policy": "classical"}, "policy = 'classical': the controller of this environment is Python"),
+        ({"excite": "chirp"}, "excite = 'chirp': the controller"),
+        ({"home": "nowhere"}, "'nowhere' for 'home"),
+        ({"device": 3}, "device = 3"),
+        ({"deadline_ms": "a"}, "deadline_ms = 'a'"),
+        ({"deadline_ms": 1e300}, "deadline_ms = 1e300: "),
+        ({"recordings": 3}, "recordings = 3"),
+        ({"recordings": __file__}, "recordings = .*cannot be made"),
         ({"deadline_ms": 20.0}, "8.5"),
         ({"history": 9}, "history"),
         ({"history": -1}, "history"),
@@ -299,6 +313,20 @@ def test_a_number_that_is_too_large_for_single_precision_is_clipped(virtual):
 def test_options_that_open_no_qube_are_named(virtual, options, told):
     with pytest.raises((qube_hil.SettingsError, qube_hil.DeviceError), match=told):
         virtual(**options)
+
+
+def test_messages_about_options_name_the_arguments(virtual, tmp_path):
+    for options in [{"home": "nowhere"}, {"plant": tmp_path / "missing.toml"}, {"delay_ms": -1}]:
+        with pytest.raises((qube_hil.SettingsError, qube_hil.DeviceError)) as refused:
+            virtual(**options)
+        assert "--" not in str(refused.value)
+
+
+def test_an_option_of_reset_is_refused(virtual):
+    env = virtual()
+    env.reset(options={})
+    with pytest.raises(qube_hil.SettingsError, match="angle.*constructor"):
+        env.reset(options={"angle": 1.0})
 
 
 #: Code for another interpreter, to go before its own: an episode in real time, whose first answer a busy computer may
@@ -355,6 +383,27 @@ def test_an_interpreter_that_ends_brakes(tmp_path):
     assert code == 5, errors
     read = qube_hil.recording(tmp_path / "episodes/episode-0000.mcap")
     assert read.outcome["ending"]["kind"] == "stopped" and read["phase"][-1] == "braking"
+
+
+def test_sigterm_brakes_with_the_handler_that_the_page_names(tmp_path):
+    handler = "signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))"
+    assert handler in (beside("docs") / "python.md").read_text()
+    code, _, errors = in_a_process(
+        f"""
+        import signal, sys
+        {handler}
+        env = qube_hil.QubeDeviceEnv()
+        begin(env)
+        print("drives", flush=True)
+        while True:
+            env.step(np.zeros(1, np.float32))
+        """,
+        tmp_path,
+        send=signal.SIGTERM,
+    )
+    assert code == 143, errors
+    last = qube_hil.recording(sorted((tmp_path / "episodes").glob("*.mcap"))[-1])
+    assert last.outcome["ending"]["kind"] == "stopped" and last["phase"][-1] == "braking"
 
 
 def test_at_the_end_of_the_interpreter_every_qube_brakes_also_one_that_a_thread_uses(tmp_path):

@@ -201,6 +201,19 @@ pub fn rollouts_asked(options: Vec<OsString>) -> Result<(RigSettings, RolloutPla
     }
 }
 
+/// Names of the options of the command `run`, without their dashes, and whether each takes a value.
+#[must_use]
+pub fn run_options() -> Vec<(String, bool)> {
+    let command = command_line::command();
+    let options = command.find_subcommand("run").into_iter().flat_map(clap::Command::get_arguments);
+    options
+        .filter_map(|option| {
+            let name = option.get_long()?.to_owned();
+            Some((name, option.get_action().takes_values()))
+        })
+        .collect()
+}
+
 /// Sends the log to stderr: warnings; with one `-v` information, too; with two, debug messages. The
 /// environment variable `RUST_LOG` replaces this choice.
 fn log_to_stderr(verbose: u8) {
