@@ -8,8 +8,8 @@ from typing import Any
 from .errors import SettingsError
 from .identification import Identified
 
+#: Spread without the argument, that of the command ``train``.
 _SPREAD = 0.1
-"""Spread without the argument, that of the command ``train``."""
 
 
 def around(
@@ -20,13 +20,13 @@ def around(
         if spread is not None:
             raise SettingsError(f"spread = {spread!r} without profile: give profile too, or no spread")
         return None
-    given: Any = _SPREAD if spread is None else spread
-    if not isinstance(given, Real) or math.isnan(given) or not 0 <= given <= 1:
+    width = float(spread) if isinstance(spread, Real) else _SPREAD if spread is None else math.nan
+    if not 0.0 <= width <= 1.0:
         raise SettingsError(f"spread = {spread!r}: give a number from 0 to 1")
     if isinstance(profile, Identified):
-        return {"path": None, "text": profile.profile, "spread": float(given)}
+        return {"path": None, "text": profile.profile, "spread": width}
     if isinstance(profile, (str, os.PathLike)):
-        return {"path": os.fspath(profile), "text": None, "spread": float(given)}
+        return {"path": os.fspath(profile), "text": None, "spread": width}
     raise SettingsError(
         f"profile = {profile!r}: give the path of a profile, lab, ideal, or the result of identify"
     )
