@@ -107,10 +107,12 @@ impl ChosenDevice {
     pub fn home_option(&self) -> String {
         // Without a file, resumed work keeps the method that it recorded; but a real Qube is homed
         // by hand only where its operator says so each time.
-        let by_hand = self.home == Some(HomingMethod::Hand) && self.choice.is_hardware();
+        let of_file = self.file.as_ref().map(|file| file.homing.method);
+        let by_hand =
+            self.home.or(of_file) == Some(HomingMethod::Hand) && self.choice.is_hardware();
         match (self.home, &self.file) {
+            _ if by_hand => format!(" --home {}", method_name(HomingMethod::Hand)),
             (Some(method), Some(_)) => format!(" --home {}", method_name(method)),
-            (Some(method), None) if by_hand => format!(" --home {}", method_name(method)),
             _ => String::new(),
         }
     }

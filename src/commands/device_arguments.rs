@@ -302,12 +302,20 @@ mod tests {
     #[test]
     fn resumed_work_on_a_real_qube_is_homed_by_hand_only_where_the_command_line_says_so() {
         let by_hand = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
-        let checked = |device: &str, home| {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("qube.toml");
+        std::fs::write(&path, "[homing]\nmethod = \"hand\"\n").unwrap();
+        let checked_with = |file: Option<&Path>, device: &str, home| {
             let treatment = TreatmentArguments { home, unidentified: false };
-            let one = QubeArguments::of_one(Some(device.to_owned()), None, treatment);
+            let file = file.map(Path::to_owned);
+            let one = QubeArguments::of_one(Some(device.to_owned()), file, treatment);
             let chosen = one.choose_specimen(&PlantModel::QUBE).unwrap();
             (chosen.check_resumed("a session", false, by_hand), chosen.home_option())
         };
+        let checked = |device: &str, home| checked_with(None, device, home);
+        let (refused, option) = checked_with(Some(&path), "/dev/ttyACM0", None);
+        assert!(refused.is_err());
+        assert_eq!(option, " --home hand", "the file says hand");
         let (refused, _) = checked("/dev/ttyACM0", None);
         assert!(refused.unwrap_err().to_string().contains("give --home hand"));
         let (admitted, option) = checked("/dev/ttyACM0", Some(HomeArgument::Hand));

@@ -6,24 +6,31 @@ use std::time::Duration;
 const FORGOTTEN_S: f64 = 2.0;
 
 /// Largest difference between the motion that the count shows and the one that the tachometer shows,
-/// rad. A tachometer whose scale is wrong by a tenth differs by less, as does one that measures the
-/// time between edges and shows the last velocity for 0.21 s at each turn.
+/// rad. A tachometer whose scale is wrong by a tenth differs by less.
 const LARGEST_RAD: f64 = 0.4;
 
 /// Velocity up to which the difference is judged, rad/s. A tachometer that is late by a time differs
 /// by the velocity times this time, which is no drift.
 const SLOW_RAD_S: f64 = 2.0;
 
-/// The difference between both, since the first sample.
+/// Time after which a constant count ends the evidence, s. A tachometer that measures the time between
+/// edges shows the last velocity for 0.21 s after a sudden stop, and a frozen count has tests of its
+/// own.
+const CONSTANT_S: f64 = 0.05;
+
+/// The leaky integral of the count's velocity minus the tachometer's.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct CountDrift {
     difference_rad: f64,
     tachometer_rad_s: Option<f64>,
+    /// Time for which the count has been constant, s.
+    constant_s: f64,
 }
 
 impl CountDrift {
     /// Takes the motion of the count over the time since the last sample, rad, and the tachometer's
-    /// velocity at its end, rad/s. Returns whether the count has drifted.
+    /// velocity at its end, rad/s. Returns whether the difference is too large while the arm is slow
+    /// and its count changes.
     pub(super) fn has_drifted(
         &mut self,
         moved_rad: f64,
@@ -37,7 +44,10 @@ impl CountDrift {
         self.difference_rad *= (1.0 - elapsed_s / FORGOTTEN_S).max(0.0);
         self.difference_rad += moved_rad - mean_rad_s * elapsed_s;
         let fastest_rad_s = (moved_rad / elapsed_s).abs().max(tachometer_rad_s.abs());
-        // A count that is constant although the tachometer moves is a frozen encoder's.
+        self.constant_s = if moved_rad == 0.0 { self.constant_s + elapsed_s } else { 0.0 };
+        if self.constant_s >= CONSTANT_S && mean_rad_s != 0.0 {
+            self.difference_rad = 0.0;
+        }
         let is_slow = moved_rad != 0.0 && fastest_rad_s < SLOW_RAD_S;
         is_slow && self.difference_rad.abs() > LARGEST_RAD
     }
@@ -47,7 +57,7 @@ impl CountDrift {
 mod tests {
     use super::*;
 
-    /// Time, s, after which the count of an arm that swings with 1 rad and 1 Hz has drifted; `shown`
+    /// Time, s, after which the count of an arm that swings with 1 rad at 1 Hz has drifted; `shown`
     /// gives the count's angle and the tachometer's velocity, from time, angle and velocity.
     fn drifted_after(shown: impl Fn(f64, f64, f64) -> (f64, f64)) -> Option<f64> {
         let mut drift = CountDrift::default();
@@ -74,5 +84,38 @@ mod tests {
             (angle, std::f64::consts::TAU * (std::f64::consts::TAU * (time_s - 0.03)).cos())
         });
         assert_eq!([exact, by_a_tenth, late], [None; 3]);
+    }
+
+    #[test]
+    fn a_count_that_loses_a_fifth_of_one_direction_has_drifted() {
+        let mut drift = CountDrift::default();
+        let omega = 0.01 * std::f64::consts::TAU;
+        let found = (1..1000).find(|tick| {
+            let angle_rad = |tick: i32| (omega * f64::from(tick)).sin();
+            let moved_rad = angle_rad(*tick) - angle_rad(tick - 1);
+            let counted_rad = if moved_rad > 0.0 { 0.8 * moved_rad } else { moved_rad };
+            let shown_rad_s = std::f64::consts::TAU * (omega * f64::from(*tick)).cos();
+            drift.has_drifted(counted_rad, Duration::from_millis(10), shown_rad_s)
+        });
+        assert!(found.is_some_and(|tick| tick < 300), "{found:?}");
+    }
+
+    #[test]
+    fn a_tachometer_that_holds_its_last_velocity_after_a_sudden_stop_is_no_drift() {
+        let mut drift = CountDrift::default();
+        let elapsed = Duration::from_millis(10);
+        for _ in 0..3 {
+            for _ in 0..20 {
+                assert!(!drift.has_drifted(0.05, elapsed, 5.0));
+            }
+            // A stop catches the arm; then it creeps on.
+            for tick in 0..100 {
+                let shown_rad_s = if tick < 21 { 5.0 } else { 0.0 };
+                assert!(!drift.has_drifted(0.0, elapsed, shown_rad_s));
+            }
+            for _ in 0..100 {
+                assert!(!drift.has_drifted(0.003, elapsed, 0.3));
+            }
+        }
     }
 }

@@ -267,7 +267,8 @@ impl SensorWatch {
         if self.disagrees(sample, counts_s) {
             return Some(Alarm::SwitchOff(Fault::TachometerDisagrees));
         }
-        // The arm is slow by then, and the velocity of its count is wrong: it is not damped by it.
+        // The arm is slow here. The brake would act on the wrong velocity, so the motor goes off at
+        // once.
         if self.has_drifted(sample, theta, elapsed_us) {
             return Some(Alarm::SwitchOff(Fault::EncoderDrifts));
         }

@@ -40,8 +40,8 @@ const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
 /// up.
 const RUNAWAY_RAD_S: f64 = 5.0;
 
-/// Number of periods of braking within which a jump of the pendulum's count shows that made the guard
-/// brake.
+/// Periods of braking within which a jump of the pendulum's count is taken for the reason of the
+/// brake. A jump is recognised one sample later than the guard acts on it.
 const JUMP_KNOWN_TICKS: u32 = 2;
 
 /// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it. The table
@@ -223,8 +223,8 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    /// Whether this fault is the reason for which the guard or the box has just begun to brake: that a
-    /// step of the pendulum's count was a jump is certain one sample later.
+    /// Whether this fault is the reason why box or guard began to brake. A step of the pendulum's
+    /// count is known to be a jump only one sample later.
     fn explains_brake(&self, fault: Fault) -> bool {
         self.settings.rules >= TickRules::DriftTested
             && fault == Fault::PendulumJump
@@ -442,6 +442,10 @@ impl<C: Controller> Motion for Tick<C> {
                     self.brake = brake_of(&self.settings, true);
                 }
                 self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
+            }
+            // The damping of a doubted count ends here, and its reason stays.
+            Some(Alarm::SwitchOff(Fault::EncoderDrifts)) if self.damps => {
+                self.take(ControlEvent::SwitchOffFault, self.reason)
             }
             Some(Alarm::SwitchOff(fault)) => {
                 self.take(ControlEvent::SwitchOffFault, Ending::Fault(fault))

@@ -31,7 +31,8 @@ const RATE_TOLERANCE: f64 = 0.1;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alarm {
     /// Switch the amplifier off at once, because link, clock, amplifier, motor or the arm's count
-    /// cannot be trusted. A rollout first damps the arm if only the arm's count is in doubt.
+    /// cannot be trusted. A rollout first damps the arm after a fault for which
+    /// [`Fault::doubts_count`] is true.
     SwitchOff(Fault),
     /// Stop the arm first, because link, amplifier and the arm's count can be trusted; then switch
     /// the amplifier off.

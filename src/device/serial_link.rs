@@ -328,8 +328,8 @@ impl<T: Transport> SerialLink<T> {
         Ok((reply, counts_anew))
     }
 
-    /// The answer to the first of several samples that is answered, within the transport's boot
-    /// time.
+    /// The first answer to a sample that tells the device's state, within the transport's boot time:
+    /// the sample, or the refusal of a device that was not greeted or has no Qube.
     fn first_answer(&mut self) -> Result<Reply, DeviceError> {
         let wait_ns = self.transport.boot_time_ns();
         let end_ns = self.clock.now_ns() + wait_ns;
@@ -340,12 +340,18 @@ impl<T: Transport> SerialLink<T> {
             let next_ns = self.clock.now_ns() + HELLO_INTERVAL_NS;
             samples += 1;
             match self.exchange(Request::Sample, ANSWER_TIME_NS) {
-                Ok(answer) => return Ok(answer),
+                Ok(
+                    answer @ (Reply::Sample(_)
+                    | Reply::Refusal {
+                        reason: RefusalReason::NotGreeted | RefusalReason::QubeAbsent,
+                        ..
+                    }),
+                ) => return Ok(answer),
                 Err(LinkFault::Gone) => {
                     self.forget_start();
                     return Err(self.link_error(LinkFault::Gone));
                 }
-                Err(_) => self.clock.sleep_until(next_ns.min(end_ns)),
+                Ok(_) | Err(_) => self.clock.sleep_until(next_ns.min(end_ns)),
             }
         }
         self.forget_start();

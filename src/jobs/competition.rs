@@ -64,11 +64,11 @@ impl Score {
 pub struct Competition<T> {
     trainings: u32,
     ended: u32,
-    best: Option<Entrant<T>>,
+    best: Option<Kept<T>>,
 }
 
 #[derive(Debug)]
-struct Entrant<T> {
+struct Kept<T> {
     number: u32,
     score: Score,
     trained: T,
@@ -98,12 +98,12 @@ impl<T> Competition<T> {
     /// round end does not matter: of equal scores, the lowest number wins.
     pub fn enter(&mut self, number: u32, score: Score, trained: T) {
         self.ended += 1;
-        let beats = |best: &Entrant<T>| {
+        let beats = |best: &Kept<T>| {
             score.is_better_than(&best.score)
                 || (number < best.number && !best.score.is_better_than(&score))
         };
         if self.best.as_ref().is_none_or(beats) {
-            self.best = Some(Entrant { number, score, trained });
+            self.best = Some(Kept { number, score, trained });
         }
     }
 
@@ -112,7 +112,7 @@ impl<T> Competition<T> {
     pub fn take_winner(&mut self) -> Option<T> {
         let is_complete = self.ended.is_multiple_of(self.trainings);
         let is_last = self.ended >= ROUNDS * self.trainings;
-        let wins = |best: &mut Entrant<T>| is_complete && (best.score.succeeds() || is_last);
+        let wins = |best: &mut Kept<T>| is_complete && (best.score.succeeds() || is_last);
         self.best.take_if(wins).map(|best| best.trained)
     }
 }

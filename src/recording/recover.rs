@@ -27,11 +27,12 @@ pub enum Recovered {
 }
 
 /// Writes the intact part of `damaged` as a complete recording to the new file `saved`, which
-/// appears whole or not at all. The old file is never changed. A policy that is damaged is left out:
-/// the new recording then has an empty one.
+/// appears whole or not at all. The old file is never changed. If ticks are intact, a policy that is
+/// missing or damaged is replaced by an empty one.
 ///
 /// # Errors
-/// The old file cannot be read, or its header is missing or damaged; or the new file
+/// The old file cannot be read, its header is missing or damaged, or neither policy nor tick is
+/// intact; or the new file
 /// exists already and stays as it is; or the new file cannot be written, and nothing remains of it.
 pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
@@ -153,6 +154,16 @@ mod tests {
             );
             std::fs::remove_file(&saved).unwrap();
         }
+        // The last block, whose kind becomes that of the end of the data: the outcome is after it.
+        let last = *find_all(&bytes, b"lz4").last().unwrap();
+        let mut bytes = bytes;
+        bytes[last - 41] = 0x0f;
+        std::fs::write(&damaged, &bytes).unwrap();
+        let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
+        assert!(
+            matches!(recovered, Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true }),
+            "{recovered:?}"
+        );
     }
 
     #[test]

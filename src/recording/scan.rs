@@ -24,6 +24,10 @@ const MAX_METADATA_BYTES: usize = 1 << 20;
 /// reads.
 const MAX_ATTACHMENT_BYTES: usize = 1 << 24;
 
+/// Largest number of places at which the next record is searched in a file. Without a limit the time
+/// for a hostile file would grow with the square of its size.
+const MAX_SEARCHES: u32 = 100;
+
 /// The intact records of a recording's file, and its first defect.
 #[derive(Default)]
 pub(super) struct Scan {
@@ -61,10 +65,16 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
     let mut scan = Scan { channels: indexed_channels(bytes), ..Scan::default() };
     let mut offset = MAGIC.len();
     let mut summary_start = None;
+    let mut searches = 0;
+    let mut next_after = |offset: usize, search: fn(&[u8], usize) -> Option<usize>| {
+        searches += 1;
+        (searches <= MAX_SEARCHES).then(|| search(bytes, offset + 1)).flatten()
+    };
     while offset < bytes.len() {
         let Some(record) = frame(bytes, offset) else {
             let of_data = if summary_start.is_none() { bytes.len() - offset } else { 0 };
-            let next = next_block(bytes, offset + 1).filter(|_| summary_start.is_none());
+            let in_data = summary_start.is_none();
+            let next = in_data.then(|| next_after(offset, next_block)).flatten();
             let Some(next) = next else {
                 scan.lose(offset, of_data, "the file ends within a record");
                 return scan;
@@ -76,9 +86,9 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
         match record.opcode {
             // A file has one such record. If each of many had its checksum tested, the time would grow
             // with the square of the file.
-            opcode::DATA_END if summary_start.is_none() => {
+            opcode::DATA_END if summary_start.is_none() && record.body.len() == 4 => {
                 let stored = Fields(record.body).u32();
-                if record.body.len() != 4 || stored != Some(CRC_32.checksum(&bytes[..offset])) {
+                if stored != Some(CRC_32.checksum(&bytes[..offset])) {
                     scan.note(offset, "the checksum over everything before does not match");
                 }
                 summary_start = Some(record.end());
@@ -94,7 +104,7 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
                     // Where the length is damaged too, no record begins at its end.
                     let end = match begins_record(bytes, record.end()) {
                         true => record.end(),
-                        false => next_block(bytes, offset + 1).unwrap_or(bytes.len()),
+                        false => next_after(offset, next_record).unwrap_or(bytes.len()),
                     };
                     scan.lose(offset, end - offset, reason);
                     offset = end;
@@ -118,6 +128,16 @@ fn begins_record(bytes: &[u8], offset: usize) -> bool {
         opcode::FOOTER,
     ];
     frame(bytes, offset).is_some_and(|record| KINDS.contains(&record.opcode))
+}
+
+/// The offset of the first block from `from` on, or else of the first record after which another one
+/// begins; `None` if there is none.
+fn next_record(bytes: &[u8], from: usize) -> Option<usize> {
+    let is_followed = |offset: &usize| {
+        begins_record(bytes, *offset)
+            && frame(bytes, *offset).is_some_and(|record| begins_record(bytes, record.end()))
+    };
+    next_block(bytes, from).or_else(|| (from..bytes.len()).find(is_followed))
 }
 
 /// The offset of the first block from `from` on: its kind stands 41 bytes before the name of its
@@ -187,8 +207,14 @@ impl Scan {
                 }
                 Ok(())
             }
-            // The message indexes repeat what the blocks contain, so they are not read.
-            opcode::HEADER | opcode::MESSAGE_INDEX => Ok(()),
+            // The message indexes repeat what the blocks contain, so they are not read. One that
+            // contains a block has a damaged length.
+            opcode::HEADER | opcode::MESSAGE_INDEX if next_block(record.body, 0).is_none() => {
+                Ok(())
+            }
+            opcode::HEADER | opcode::MESSAGE_INDEX => {
+                Err("the length of a record is damaged".to_owned())
+            }
             0 => Err("no record starts with a zero".to_owned()),
             other => Err(format!("a record of unknown kind {other:#04x}")),
         }

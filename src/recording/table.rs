@@ -55,9 +55,10 @@ pub enum Field {
 /// deadline of the first tick. `phase` is 0 while the arm settles, 1 under the policy and 2 while
 /// braking: a number, because many tools read nothing else.
 ///
-/// A field has no value in these cases: `wanted_v` and the fields of the measurement in a tick
-/// whose sample did not come, `wanted_v` also in the tick that switches the amplifier off, `sample_to_act_us` also where no command answered the previous
-/// sample, the reward in a tick outside the policy's phase, and any number that is not finite.
+/// A field has no value in these cases: `wanted_v` in a tick whose sample did not come, and in the
+/// tick that switches the amplifier off; the fields of the measurement in a tick whose sample did
+/// not come; `sample_to_act_us` also where no command answered the previous sample; the reward in a
+/// tick outside the policy's phase; and any number that is not finite.
 pub fn table_rows(recording: &Recording) -> impl Iterator<Item = [Field; COLUMNS.len()]> + '_ {
     let first_ns = recording.ticks.first().map_or(0, |tick| tick.deadline_ns);
     recording.ticks.iter().map(move |tick| row(recording, tick, first_ns))

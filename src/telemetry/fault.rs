@@ -227,9 +227,10 @@ impl Fault {
         self.consequence() == Consequence::TryAgain
     }
 
-    /// Whether the fault doubts the arm's count, which may be right all the same, but neither the
-    /// link nor the motor. Such an arm is damped before the motor goes off
-    /// ([`TickRules::Damped`](super::TickRules::Damped)).
+    /// Whether the arm is damped by its count's velocity before the motor goes off, because the count
+    /// may be right although a test doubts it ([`TickRules::Damped`](super::TickRules::Damped)).
+    /// [`EncoderDrifts`](Self::EncoderDrifts) is not among these faults: the count's velocity is
+    /// wrong there.
     #[must_use]
     pub fn doubts_count(self) -> bool {
         matches!(

@@ -146,7 +146,7 @@ pub enum EmulatorFault {
     DriftingTheta {
         /// Onset, s.
         after_s: f64,
-        /// Counts a second, not 0.
+        /// Counts a second, 1 to 100 000 in either direction.
         counts_s: i32,
     },
     /// The motor has a bad contact: only a fraction of the current flows.
@@ -203,7 +203,7 @@ const FORMS: [(&str, &str); 26] = [
     ("frozen-alpha@S[+D]", "the pendulum's count stays [for D]"),
     ("jump-theta@S[:N]", "the arm's count jumps by 300 or N"),
     ("jump-alpha@S[:N]", "the pendulum's count jumps by 300 or N"),
-    ("drifting-theta@S[:N]", "the arm's count gains 300 or N counts a second"),
+    ("drifting-theta@S[:N]", "the arm's count gains 300 or N counts a second, 1 to 100000"),
     ("scaled-theta@F", "the arm's encoder gives F times as many counts"),
     ("flipped-theta", "the arm's encoder is wired in reverse"),
     ("flipped-alpha", "the pendulum's encoder is wired in reverse"),
@@ -404,8 +404,9 @@ impl FromStr for EmulatorFault {
                 Self::JumpAlpha { after_s, counts }
             }
             "drifting-theta" => {
-                let (after_s, counts_s) =
-                    jump().filter(|(_, counts_s)| *counts_s != 0).ok_or_else(unknown)?;
+                let (after_s, counts_s) = jump()
+                    .filter(|(_, counts_s)| (1..=100_000).contains(&counts_s.abs()))
+                    .ok_or_else(unknown)?;
                 Self::DriftingTheta { after_s, counts_s }
             }
             "weak-motor" => Self::WeakMotor {
@@ -531,6 +532,8 @@ mod tests {
             "wrong-version@1",
             "x@1",
             "jump-theta",
+            "drifting-theta@2:0",
+            "drifting-theta@2:2000000000",
             "weak-motor@2",
             "one-sided-motor@2",
             "scaled-theta@0",
