@@ -32,8 +32,8 @@ pub enum Recovered {
 ///
 /// # Errors
 /// The old file cannot be read, its header is missing or damaged, or neither policy nor tick is
-/// intact; or the new file
-/// exists already and stays as it is; or the new file cannot be written, and nothing remains of it.
+/// intact; or the new file exists already and stays as it is; or the new file cannot be written, and
+/// nothing remains of it.
 pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
     let bytes = read_bytes(disk, damaged)?;
@@ -154,6 +154,22 @@ mod tests {
             );
             std::fs::remove_file(&saved).unwrap();
         }
+    }
+
+    #[test]
+    fn a_block_that_looks_like_the_end_of_the_data_ends_nothing() {
+        let directory = tempfile::tempdir().unwrap();
+        let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
+        let mut bytes = recorded(&ticks(40));
+        // The fifth block is the last; the names after it are in the index.
+        let last = find_all(&bytes, b"lz4")[4];
+        bytes[last - 41] = 0x0f;
+        std::fs::write(&damaged, &bytes).unwrap();
+        let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
+        assert!(
+            matches!(recovered, Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true }),
+            "{recovered:?}"
+        );
     }
 
     #[test]
