@@ -101,7 +101,8 @@ fn check_table(
         let entry = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
         match all.get(name) {
             Some(known) => check_value(&entry, value, known)?,
-            None if of(&EARLIER_NAMES, path).is_some_and(|own| own.contains(&name.as_str())) => {}
+            None if names_of(&EARLIER_NAMES, path)
+                .is_some_and(|own| own.contains(&name.as_str())) => {}
             None => return Err(format!("there is no entry {entry}: give some of {}", names())),
         }
     }
@@ -119,7 +120,7 @@ fn check_table(
 
 /// Checks that a value is of the type of `known`.
 fn check_value(entry: &str, value: &Value, known: &Value) -> Result<(), String> {
-    let choices = of(&CHOICES, entry);
+    let choices = names_of(&CHOICES, entry);
     let wanted = match (known, value) {
         (_, Value::Null) if MAY_BE_NULL.contains(&entry) => return Ok(()),
         (Value::Object(known), Value::Object(table)) => return check_table(entry, table, known),
@@ -147,6 +148,6 @@ fn check_value(entry: &str, value: &Value, known: &Value) -> Result<(), String> 
 }
 
 /// The names that belong to an entry.
-fn of<'a>(table: &[(&str, &'a [&'a str])], entry: &str) -> Option<&'a [&'a str]> {
+fn names_of<'a>(table: &[(&str, &'a [&'a str])], entry: &str) -> Option<&'a [&'a str]> {
     table.iter().find(|(name, _)| *name == entry).map(|(_, names)| *names)
 }

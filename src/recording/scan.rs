@@ -72,10 +72,10 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
     };
     while offset < bytes.len() {
         let Some(record) = frame(bytes, offset) else {
-            let of_data = if summary_start.is_none() { bytes.len() - offset } else { 0 };
             let in_data = summary_start.is_none();
             let next = in_data.then(|| next_after(offset, next_block)).flatten();
             let Some(next) = next else {
+                let of_data = if in_data { bytes.len() - offset } else { 0 };
                 scan.lose(offset, of_data, "the file ends within a record");
                 return scan;
             };
