@@ -20,6 +20,7 @@
 mod heartbeat;
 mod holder;
 mod job_folder;
+mod job_loop;
 mod sealed;
 mod tries;
 mod worker;
