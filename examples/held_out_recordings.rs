@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use qube_hil::identification::{
-    HorizonError, Phase, Unknown, comes_upright, horizon_error, identify, phase_error, series_of,
+    HorizonError, Regime, Unknown, comes_upright, horizon_error, identify, regime_error, series_of,
 };
 use qube_hil::qube::{Profile, QubeModel};
 use qube_hil::replay::MotionLog;
@@ -52,8 +52,8 @@ type Scores = [Pool; 3];
 fn score(scores: &mut Scores, log: &MotionLog, model: &QubeModel) {
     let log = std::slice::from_ref(log);
     if comes_upright(&log[0]) {
-        scores[0].add(&phase_error(log, model, Phase::Swing));
-        scores[1].add(&phase_error(log, model, Phase::Balance));
+        scores[0].add(&regime_error(log, model, Regime::Swing));
+        scores[1].add(&regime_error(log, model, Regime::Balance));
     } else {
         scores[2].add(&horizon_error(log, model, CHIRP_S));
     }

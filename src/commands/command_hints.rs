@@ -1,10 +1,11 @@
 //! Hints that name the program's commands and options, for errors of the library, which knows no
 //! command.
 
+use crate::identification::Drift;
 use crate::recording::{RecordingError, Unreadable};
 use crate::rig::RigSettings;
 use crate::safety::{Guard, HardwareRefusal, Limit};
-use crate::session::{Drift, PowerTest, PowerWarning, power_warning};
+use crate::session::{PowerTest, PowerWarning, power_warning};
 use crate::telemetry::{CheckResult, Fault};
 
 /// The command that helps after a fault; `None` if there is none.

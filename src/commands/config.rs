@@ -6,7 +6,7 @@ use toml::Value;
 
 use super::exit::Failure;
 use super::output::Output;
-use super::session::Preset;
+use super::session::SessionPreset;
 use crate::session::{IdentificationSettings, SessionSettings};
 
 /// Explain the settings of a session, or check a file of them
@@ -29,8 +29,8 @@ enum Action {
     /// Print every setting with default, unit, accepted values and meaning
     Print {
         /// Preset whose settings are printed as the defaults
-        #[arg(long, value_enum, default_value_t = Preset::Quick)]
-        preset: Preset,
+        #[arg(long, value_enum, default_value_t = SessionPreset::Quick)]
+        preset: SessionPreset,
     },
     /// Check files of settings; exit code 2 and the line of the first error if one is invalid
     Check {
@@ -39,8 +39,8 @@ enum Action {
         files: Vec<PathBuf>,
 
         /// Preset whose settings the files override
-        #[arg(long, value_enum, default_value_t = Preset::Quick)]
-        preset: Preset,
+        #[arg(long, value_enum, default_value_t = SessionPreset::Quick)]
+        preset: SessionPreset,
     },
 }
 
@@ -61,15 +61,15 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 /// The settings that `print` shows: those of the preset, and for `quick` also the table
 /// `[identification]`, because a session without arguments identifies its Qube.
-fn printed(preset: Preset) -> SessionSettings {
+fn printed(preset: SessionPreset) -> SessionSettings {
     let identification = match preset {
-        Preset::Quick => Some(IdentificationSettings::DEFAULT),
-        Preset::Thesis => None,
+        SessionPreset::Quick => Some(IdentificationSettings::DEFAULT),
+        SessionPreset::Thesis => None,
     };
     SessionSettings { identification, ..preset.settings() }
 }
 
-fn print(preset: Preset, output: &Output) -> Result<(), Failure> {
+fn print(preset: SessionPreset, output: &Output) -> Result<(), Failure> {
     let settings = printed(preset);
     let list = settings.list().map_err(Failure::failed)?;
     let rows: Vec<_> = list
@@ -89,7 +89,7 @@ fn print(preset: Preset, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-fn check(files: &[PathBuf], preset: Preset, output: &Output) -> Result<(), Failure> {
+fn check(files: &[PathBuf], preset: SessionPreset, output: &Output) -> Result<(), Failure> {
     let (mut texts, mut rows) = (Vec::new(), Vec::new());
     for file in files {
         let settings = preset.settings().configured_by(file).map_err(Failure::usage)?;

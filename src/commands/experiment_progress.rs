@@ -6,7 +6,8 @@ use std::time::Instant;
 use super::screen::{Progress, ScreenState, in_words, time_left};
 use super::stop::Stop;
 use crate::experiment::{
-    ExperimentEvent, ExperimentSettings, Made, Recipe, RecommendationResult, Repetition, Score,
+    ExperimentEvent, ExperimentSettings, Made, Recipe, RecommendationResult, RecommendationScore,
+    Repetition,
 };
 use crate::learning::TrainUpdate;
 use crate::scoring::Behaviour;
@@ -181,7 +182,7 @@ impl ExperimentProgress {
 
     fn scored(&self, repetition: &Repetition, recommendation: &RecommendationResult) {
         let item = match &recommendation.score {
-            Ok(Score { balanced, ran }) => {
+            Ok(RecommendationScore { balanced, ran }) => {
                 let word = if recommendation.succeeds { "succeeds" } else { "does not succeed" };
                 format!("the recommendation {word}, {balanced} of {ran} scored rollouts balanced")
             }

@@ -14,8 +14,8 @@ use super::profile;
 use crate::charts::{correlations_svg, motion_svg};
 use crate::identification::{
     Blind, Estimate, ExpectedExcitation, HorizonError, Identified, IncompleteRecording, LeftOut,
-    ModelVerdict, Phase, PredictionBand, Recordings, Unknown, comes_upright, horizon_error,
-    identify, next_excitations, phase_error, prediction_errors, read_recordings, series_of,
+    ModelVerdict, PredictionBand, Recordings, Regime, Unknown, comes_upright, horizon_error,
+    identify, next_excitations, prediction_errors, read_recordings, regime_error, series_of,
     start_state,
 };
 use crate::qube::QubeModel;
@@ -381,8 +381,8 @@ struct Errors {
     name: &'static str,
     /// Errors for the recordings whose pendulum never comes upright, by horizon.
     horizons: [HorizonError; 3],
-    /// Errors for the other recordings, by phase.
-    phases: [(Phase, HorizonError); 2],
+    /// Errors for the other recordings, by regime.
+    regimes: [(Regime, HorizonError); 2],
 }
 
 impl Errors {
@@ -396,21 +396,21 @@ impl Errors {
                 .collect();
             HorizonError::pooled(horizon_s, &parts)
         };
-        let phase = |phase: Phase| {
+        let regime = |regime: Regime| {
             let parts: Vec<HorizonError> = pairs()
-                .map(|(log, model)| phase_error(std::slice::from_ref(log), model, phase))
+                .map(|(log, model)| regime_error(std::slice::from_ref(log), model, regime))
                 .collect();
-            let [_, horizon_s] = phase.times_s();
-            (phase, HorizonError::pooled(horizon_s, &parts))
+            let [_, horizon_s] = regime.times_s();
+            (regime, HorizonError::pooled(horizon_s, &parts))
         };
-        Self { name, horizons: HORIZONS_S.map(horizon), phases: Phase::ALL.map(phase) }
+        Self { name, horizons: HORIZONS_S.map(horizon), regimes: Regime::ALL.map(regime) }
     }
 
     fn lines(&self) -> String {
         let horizons = self.horizons.iter().map(|error| ("", error));
-        let phases = self.phases.iter().map(|(phase, error)| (phase.name(), error));
+        let regimes = self.regimes.iter().map(|(regime, error)| (regime.name(), error));
         let errors: Vec<_> =
-            horizons.chain(phases).filter(|(_, error)| error.predictions > 0).collect();
+            horizons.chain(regimes).filter(|(_, error)| error.predictions > 0).collect();
         if errors.is_empty() {
             return String::new();
         }
@@ -458,12 +458,12 @@ fn result(
         })
     };
     let phases = |errors: &Errors| {
-        let of = |(phase, error): &(Phase, HorizonError)| {
+        let of = |(regime, error): &(Regime, HorizonError)| {
             let mut value = horizon(error);
-            value["phase"] = json!(phase.name());
+            value["phase"] = json!(regime.name());
             value
         };
-        errors.phases.iter().map(of).collect::<Vec<_>>()
+        errors.regimes.iter().map(of).collect::<Vec<_>>()
     };
     json!({
         "estimates": identified.estimates.iter().map(estimate).collect::<Vec<_>>(),

@@ -9,7 +9,7 @@ use super::exit::Failure;
 use super::printable::print_message;
 use super::stop::Stop;
 use crate::experiment::ExperimentEvent;
-use crate::live::{LiveError, LiveSettings, LiveView, Status};
+use crate::live::{LiveError, LiveSettings, LiveStatus, LiveView};
 use crate::recording::Viewer;
 use crate::session::{Purpose, SessionEvent};
 
@@ -232,14 +232,14 @@ impl Live {
         }
     }
 
-    fn change(&self, change: impl FnOnce(&mut Status)) {
+    fn change(&self, change: impl FnOnce(&mut LiveStatus)) {
         if let Some(view) = &self.view {
             view.update_status(change);
         }
     }
 }
 
-fn better(status: &mut Status, return_: Option<f64>) {
+fn better(status: &mut LiveStatus, return_: Option<f64>) {
     // `None` is less than any number.
     if status.best_return < return_ {
         status.best_return = return_;

@@ -11,8 +11,8 @@ use serde_json::json;
 
 pub use self::controller::policy;
 use self::controller::{RunController, randomisation};
-use self::results::Results;
-use self::series::Series;
+use self::results::RunResults;
+use self::series::RolloutSeries;
 use super::check_arguments::CheckArguments;
 use super::chosen_device::ChosenDevice;
 use super::command_hints::unidentified;
@@ -174,8 +174,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ));
     }
     let plan = RolloutPlan { steps: controller.steps, policy: controller.name.clone(), ..plan };
-    let mut results = Results::new(arguments.excite.map(|_| device.described()));
-    let mut series = Series {
+    let mut results = RunResults::new(arguments.excite.map(|_| device.described()));
+    let mut series = RolloutSeries {
         settings,
         plan,
         controller,

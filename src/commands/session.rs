@@ -74,14 +74,14 @@ use crate::simulation::SensorModel;
     in addition to the delay")]
 pub struct Arguments {
     /// Extent: `quick` takes minutes, `thesis` is the published extent and budget
-    #[arg(long, value_enum, default_value_t = Preset::Quick, conflicts_with = "resume")]
-    pub(super) preset: Preset,
+    #[arg(long, value_enum, default_value_t = SessionPreset::Quick, conflicts_with = "resume")]
+    pub(super) preset: SessionPreset,
 
     /// Method: `identified` excites and identifies the Qube and searches around it; `posterior`
     /// identifies, trains once and does not search; `bayrn` searches psi as configured, for an unknown Qube
     /// [default: identified; bayrn with --preset thesis or --config, unless the file has the table identification]
     #[arg(long, value_enum, conflicts_with = "resume")]
-    pub(super) method: Option<Method>,
+    pub(super) method: Option<SessionMethod>,
 
     /// Largest number of candidates around the identified Qube [default: 10, or as --config says]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "resume")]
@@ -147,14 +147,14 @@ pub struct Arguments {
 
 /// The extent of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Preset {
+pub enum SessionPreset {
     /// Training of half a minute; with --method bayrn 6 initial candidates, 4 by the search, 2 rollouts each
     Quick,
     /// Published training budget; with --method bayrn 15 initial candidates, 10 by the search, 5 rollouts each
     Thesis,
 }
 
-impl Preset {
+impl SessionPreset {
     /// The settings of a session of this extent.
     pub fn settings(self) -> SessionSettings {
         match self {
@@ -166,7 +166,7 @@ impl Preset {
 
 /// How a session comes to its policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Method {
+pub enum SessionMethod {
     /// Identify the Qube, then search around it.
     Identified,
     /// Identify the Qube and train once, without a search.

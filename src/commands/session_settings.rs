@@ -6,7 +6,7 @@ use std::path::Path;
 use super::chosen_device::ChosenDevice;
 use super::exit::Failure;
 use super::failures;
-use super::session::{Arguments, Method, Preset};
+use super::session::{Arguments, SessionMethod, SessionPreset};
 use crate::qube::Profile;
 use crate::safety::{Guard, GuardConsent};
 use crate::session::{
@@ -82,27 +82,27 @@ fn identification(
     settings: &SessionSettings,
 ) -> Result<Option<IdentificationSettings>, Failure> {
     let configured = settings.identification;
-    let by_default = arguments.preset == Preset::Quick && arguments.config.is_none();
+    let by_default = arguments.preset == SessionPreset::Quick && arguments.config.is_none();
     let method = arguments.method.unwrap_or(match configured {
-        None if !by_default => Method::Bayrn,
-        _ => Method::Identified,
+        None if !by_default => SessionMethod::Bayrn,
+        _ => SessionMethod::Identified,
     });
     let mut plan = configured.unwrap_or_default();
     match (method, arguments.candidates) {
-        (Method::Bayrn, None) => return Ok(None),
-        (Method::Bayrn, Some(_)) => {
+        (SessionMethod::Bayrn, None) => return Ok(None),
+        (SessionMethod::Bayrn, Some(_)) => {
             return Err(Failure::usage(
                 "--candidates goes with --method identified; the extent of bayrn is in the table extent of --config",
             ));
         }
-        (Method::Posterior, Some(more)) if more > 1 => {
+        (SessionMethod::Posterior, Some(more)) if more > 1 => {
             return Err(Failure::usage(
                 "--method posterior trains one candidate: leave --candidates out, or give --method identified",
             ));
         }
-        (Method::Posterior, _) => plan.candidates = 1,
-        (Method::Identified, Some(candidates)) => plan.candidates = candidates,
-        (Method::Identified, None) => {}
+        (SessionMethod::Posterior, _) => plan.candidates = 1,
+        (SessionMethod::Identified, Some(candidates)) => plan.candidates = candidates,
+        (SessionMethod::Identified, None) => {}
     }
     Ok(Some(plan))
 }

@@ -2,7 +2,9 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
-use crate::experiment::{RecommendationResult, Repetition, Score, StrategyResult, StrategyResults};
+use crate::experiment::{
+    RecommendationResult, RecommendationScore, Repetition, StrategyResult, StrategyResults,
+};
 
 /// The table for people: a line of at most 80 columns for each method, then the reasons why
 /// recommendations could not be scored.
@@ -94,7 +96,7 @@ pub fn csv(results: &StrategyResults) -> String {
             for recommendation in &repetition.recommendations {
                 let RecommendationResult { real_rollouts, score, succeeds } = recommendation;
                 let (balanced, ran, refused) = match score {
-                    Ok(Score { balanced, ran }) => (*balanced, *ran, String::new()),
+                    Ok(RecommendationScore { balanced, ran }) => (*balanced, *ran, String::new()),
                     Err(reason) => (0, 0, format!("\"{}\"", reason.replace('"', "'"))),
                 };
                 let _ = writeln!(
@@ -125,7 +127,7 @@ mod tests {
                 },
                 RecommendationResult {
                     real_rollouts: 2,
-                    score: Ok(Score { balanced: 18, ran: 19 }),
+                    score: Ok(RecommendationScore { balanced: 18, ran: 19 }),
                     succeeds: number % 2 == 0,
                 },
             ],

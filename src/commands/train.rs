@@ -18,7 +18,7 @@ use super::printable::print_message;
 use super::profile;
 use super::screen::ScreenArgument;
 use super::stop::Stop;
-use super::training_progress::TrainingProgress;
+use super::training_progress::TrainingDisplay;
 use crate::elementary::Level;
 use crate::estimation::EstimatorSettings;
 use crate::jobs::{Executor, JobError, LocalExecutor, SUCCEEDED, TrainingJob};
@@ -116,8 +116,8 @@ pub struct Arguments {
     threads: u8,
 
     /// Best instruction set to use among those of the processor; avx512 and avx2 give the same policy
-    #[arg(long, value_enum, default_value_t = InstructionSet::Avx512)]
-    instruction_set: InstructionSet,
+    #[arg(long, value_enum, default_value_t = InstructionSetName::Avx512)]
+    instruction_set: InstructionSetName,
 
     #[command(flatten)]
     plant: PlantArgument,
@@ -142,7 +142,7 @@ const CHECKPOINT_EVERY: u32 = 10;
 
 /// The instruction sets by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum InstructionSet {
+pub enum InstructionSetName {
     /// AVX-512, or the best that this processor has
     Avx512,
     /// AVX2 with fused multiply-add
@@ -151,12 +151,12 @@ pub enum InstructionSet {
     Plain,
 }
 
-impl From<InstructionSet> for Level {
-    fn from(named: InstructionSet) -> Self {
+impl From<InstructionSetName> for Level {
+    fn from(named: InstructionSetName) -> Self {
         match named {
-            InstructionSet::Avx512 => Self::Avx512,
-            InstructionSet::Avx2 => Self::Avx2,
-            InstructionSet::Plain => Self::Plain,
+            InstructionSetName::Avx512 => Self::Avx512,
+            InstructionSetName::Avx2 => Self::Avx2,
+            InstructionSetName::Plain => Self::Plain,
         }
     }
 }
@@ -209,7 +209,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let screen = arguments.screen.open(&title, output, &stop);
     let keyboard = Keyboard::of_screen(&stop, &screen.progress());
     let keeps = arguments.checkpoint.is_some();
-    let mut progress = TrainingProgress::new(job.settings.updates, keeps, &screen.progress());
+    let mut progress = TrainingDisplay::new(job.settings.updates, keeps, &screen.progress());
 
     let started = Instant::now();
     let mut on_update = |update: &TrainUpdate| progress.update(update);

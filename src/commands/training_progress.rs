@@ -7,7 +7,7 @@ use crate::learning::TrainUpdate;
 const LINES: u32 = 10;
 
 /// The display of a single training: a curve on the screen, or at most ten lines.
-pub struct TrainingProgress {
+pub struct TrainingDisplay {
     progress: Progress,
     updates: u32,
     best_return: f64,
@@ -15,7 +15,7 @@ pub struct TrainingProgress {
     first: Option<(u32, Instant)>,
 }
 
-impl TrainingProgress {
+impl TrainingDisplay {
     /// A display of a training with this number of updates. `has_checkpoint` says whether a stopped
     /// training can be resumed.
     pub fn new(updates: u32, has_checkpoint: bool, progress: &Progress) -> Self {

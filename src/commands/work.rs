@@ -10,7 +10,7 @@ use super::number_arguments::between;
 use super::output::Output;
 use super::printable::print_message;
 use super::stop::Stop;
-use super::train::InstructionSet;
+use super::train::InstructionSetName;
 use crate::jobs::JobFolderError;
 use crate::jobs::folder::{Holder, JobFolder, Slot, Worker, WorkerEvent};
 use crate::storage::MachineDisk;
@@ -40,8 +40,8 @@ pub struct Arguments {
 
     /// Best instruction set to use among those of the processor; avx512 and avx2 give the same policies, and plain is
     /// refused
-    #[arg(long, value_enum, default_value_t = InstructionSet::Avx512)]
-    instruction_set: InstructionSet,
+    #[arg(long, value_enum, default_value_t = InstructionSetName::Avx512)]
+    instruction_set: InstructionSetName,
 }
 
 /// Parses a time from 0 s to a day.

@@ -46,7 +46,7 @@ pub use results::{PolicyResult, RecipeResult, Results};
 pub use rollouts::RolloutResult;
 pub use settings::ExperimentSettings;
 pub use strategies::{
-    ALL_PLANTS, Method, RecommendationResult, Repetition, Score, StrategyResult, StrategyResults,
-    StrategySettings,
+    ALL_PLANTS, Method, RecommendationResult, RecommendationScore, Repetition, StrategyResult,
+    StrategyResults, StrategySettings,
 };
 pub use work::{Experiment, SearchReturns, TrainingProgress};

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use super::folder::{PolicyFolders, make};
 use super::rollouts::{Record, Repeated};
 use super::{ExperimentError, Made, Plant, Recipe, RolloutResult};
-use crate::jobs::{CHOSEN_OF_STARTS, Competition, Executor, Score, TrainingJob};
+use crate::jobs::{CHOSEN_OF_STARTS, Competition, Executor, TrainingJob, TrainingScore};
 use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_on_new_starts};
 use crate::policy::{Policy, PolicyError, PolicyFault};
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
@@ -16,7 +16,7 @@ use crate::telemetry::Ending;
 
 /// The policies of one recipe and one psi: each is trained with its own seed and run on plants.
 /// Work that is complete on disk is not repeated.
-pub(super) struct Series<'a> {
+pub(super) struct PolicySeries<'a> {
     /// Name of the experiment.
     pub experiment: &'a str,
     /// Recipe of the policies.
@@ -47,7 +47,7 @@ pub(super) struct Ran {
     pub made: Made,
 }
 
-impl Series<'_> {
+impl PolicySeries<'_> {
     /// Trains a policy and returns its best return in training, or `None` if the policy is on disk.
     /// `watch` gets the number of the training and each of its updates.
     ///
@@ -128,7 +128,7 @@ impl Series<'_> {
             let (network, starts) = (&trained.network, CHOSEN_OF_STARTS);
             let simulated =
                 evaluate_on_new_starts(network, &distribution, &simulation, fresh, starts);
-            Score::of(&simulated)
+            TrainingScore::of(&simulated)
         };
         let mut competition = Competition::new(self.trainings);
         loop {
@@ -139,8 +139,11 @@ impl Series<'_> {
                 let job = TrainingJob { distribution, settings, seed };
                 let mut watch = |update: &TrainUpdate| watch(training, update);
                 let trained = self.executor.train_one(&job, self.stop, &mut watch)?;
-                let score =
-                    if competition.is_contested() { score(&trained) } else { Score::UNCONTESTED };
+                let score = if competition.is_contested() {
+                    score(&trained)
+                } else {
+                    TrainingScore::UNCONTESTED
+                };
                 competition.enter(training, score, trained);
             }
             if let Some(best) = competition.take_winner() {

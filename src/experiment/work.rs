@@ -6,7 +6,7 @@ use super::event::{ExperimentEvent, OnEvent};
 use super::folder::make;
 use super::queue::Queue;
 use super::search::{RecipePsi, found_psi, open_search, searched};
-use super::series::Series;
+use super::series::PolicySeries;
 use super::strategies::{Access, Followed, Trial};
 use super::{ExperimentError, ExperimentFolder, ExperimentSettings, Made, Method, Recipe};
 use crate::jobs::{Executor, LocalExecutor};
@@ -305,8 +305,8 @@ impl Experiment {
         Ok(all)
     }
 
-    fn series<'a>(&'a self, recipe: &'a Recipe, psi: Option<&'a Psi>) -> Series<'a> {
-        Series {
+    fn series<'a>(&'a self, recipe: &'a Recipe, psi: Option<&'a Psi>) -> PolicySeries<'a> {
+        PolicySeries {
             experiment: &self.settings.name,
             recipe,
             psi,
@@ -350,7 +350,7 @@ impl Experiment {
         let plant = &self.settings.plants[0];
         for recipe in &self.settings.recipes {
             let psi = self.psi(recipe)?;
-            let series = Series { rig: &settings, ..self.series(recipe, psi.value()) };
+            let series = PolicySeries { rig: &settings, ..self.series(recipe, psi.value()) };
             for policy in 0..self.settings.policies {
                 let rollouts = self.settings.rollouts;
                 let ran = series.run_on_device(&mut rig, policy, plant, rollouts)?;

@@ -3,10 +3,10 @@
 //! [`identify()`] estimates parameters and nonidealities by maximum likelihood over windows, each
 //! with its own start state (multiple shooting). It gives standard errors and the combinations that
 //! the recordings do not determine, and tests whether the model describes the Qube.
-//! [`next_excitations`] says which excitation would tell most about it. [`drift()`] estimates the
-//! quantities that change from day to day. Only [`read_recordings`] and [`duplicate`] look at files;
-//! the rest of the room is pure computation. It may import `policy` (the excitations), `qube`,
-//! `replay` and `elementary`.
+//! [`next_excitations`] says which excitation would tell most about it. [`Drift`] compares the
+//! quantities that change from day to day with a profile. Only [`read_recordings`] and [`duplicate`]
+//! look at files; the rest of the room is pure computation. It may import `policy` (the excitations),
+//! `recording`, `telemetry`, `qube`, `replay` and `elementary`.
 
 mod assessment;
 mod change;
@@ -33,13 +33,13 @@ mod uncertainty;
 mod unknowns;
 
 pub use assessment::{Assessment, MissingEffect, ModelVerdict};
-pub use drift::{DriftEstimate, drift};
+pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use fitness::{Unfit, check_recording};
 pub use identify::{Cause, Identified, IdentifyError, Sign, identify};
 pub use next_excitation::{ExpectedExcitation, excitation_after, next_excitations};
 pub use offsets::{Offset, Scatter};
 pub use prediction::{
-    HorizonError, KNOWN_S, Phase, PredictionBand, horizon_error, phase_error, prediction_errors,
+    HorizonError, KNOWN_S, PredictionBand, Regime, horizon_error, prediction_errors, regime_error,
     start_state,
 };
 pub use recordings::{
@@ -49,4 +49,4 @@ pub use recordings::{
 pub use residuals::ResidualScale;
 pub use stretch::{comes_upright, duration_of};
 pub use uncertainty::{Blind, Estimate};
-pub use unknowns::{Prior, Unknown};
+pub use unknowns::{NormalPrior, Unknown};

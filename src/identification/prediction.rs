@@ -26,7 +26,7 @@ pub struct HorizonError {
     /// Length of the predictions, s.
     pub horizon_s: f64,
     /// Root mean square error: over all samples of all predictions by [`horizon_error`], over the
-    /// last sample of each by [`phase_error`].
+    /// last sample of each by [`regime_error`].
     pub rms: AngleError,
     /// Number of predictions.
     pub predictions: usize,
@@ -95,10 +95,10 @@ pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> H
     }
 }
 
-/// A phase of a recording whose pendulum comes upright. Each phase has its own horizon, at which
-/// the predictions are scored.
+/// A regime of the pendulum in a recording in which it comes upright. Each regime has its own
+/// horizon, at which the predictions are scored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Phase {
+pub enum Regime {
     /// The pendulum is more than 26 degrees from the top throughout the prediction, which lasts 0.5
     /// s.
     Swing,
@@ -106,8 +106,8 @@ pub enum Phase {
     Balance,
 }
 
-impl Phase {
-    /// Both phases.
+impl Regime {
+    /// Both regimes.
     pub const ALL: [Self; 2] = [Self::Swing, Self::Balance];
 
     /// The name in tables.
@@ -134,15 +134,15 @@ impl Phase {
     }
 }
 
-/// The error of predictions that begin every 0.1 s and lie within a phase, in the recordings whose
+/// The error of predictions that begin every 0.1 s and lie within a regime, in the recordings whose
 /// pendulum comes upright. Only the last sample of each prediction counts, unlike in
 /// [`horizon_error`], where all samples do.
 #[must_use]
-pub fn phase_error(logs: &[MotionLog], model: &QubeModel, phase: Phase) -> HorizonError {
-    let [known_s, horizon_s] = phase.times_s();
+pub fn regime_error(logs: &[MotionLog], model: &QubeModel, regime: Regime) -> HorizonError {
+    let [known_s, horizon_s] = regime.times_s();
     let (mut squares, mut predictions) = ([0.0; 2], 0_usize);
     for log in logs.iter().filter(|log| is_upright(&log.samples)) {
-        for [theta, alpha] in end_errors(log, model, phase, [known_s, horizon_s]) {
+        for [theta, alpha] in end_errors(log, model, regime, [known_s, horizon_s]) {
             squares[0] += theta * theta;
             squares[1] += alpha * alpha;
             predictions += 1;
@@ -198,17 +198,17 @@ impl PredictionBand {
 #[must_use]
 pub fn prediction_errors(log: &MotionLog, model: &QubeModel) -> Vec<[f64; 2]> {
     if is_upright(&log.samples) {
-        end_errors(log, model, Phase::Swing, Phase::Swing.times_s())
+        end_errors(log, model, Regime::Swing, Regime::Swing.times_s())
     } else {
-        end_errors(log, model, Phase::Swing, [KNOWN_S, 0.5])
+        end_errors(log, model, Regime::Swing, [KNOWN_S, 0.5])
     }
 }
 
-/// Errors of the last sample of each prediction in a phase: theta and alpha, rad.
+/// Errors of the last sample of each prediction in a regime: theta and alpha, rad.
 fn end_errors(
     log: &MotionLog,
     model: &QubeModel,
-    phase: Phase,
+    regime: Regime,
     [known_s, horizon_s]: [f64; 2],
 ) -> Vec<[f64; 2]> {
     let samples = &log.samples;
@@ -225,7 +225,7 @@ fn end_errors(
         next_s += EVERY_S;
         let known = Stretch::from(samples, first, known_s);
         let all = Stretch::from(samples, first, known_s + horizon_s);
-        if !samples[known.end - 1..all.end].iter().all(|sample| phase.contains(sample)) {
+        if !samples[known.end - 1..all.end].iter().all(|sample| regime.contains(sample)) {
             continue;
         }
         let (start, _) = state_at(&known, &log.plant, model);

@@ -9,7 +9,7 @@ pub struct Unknown(pub Quantity);
 
 /// The prior of an unknown, in the fit's unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prior {
+pub struct NormalPrior {
     /// Mean; for parameters, the mean of the logarithm.
     pub mean: f64,
     /// Standard deviation; for parameters, that of the logarithm.
@@ -36,7 +36,7 @@ impl Unknown {
     /// stiffness of another plant than the Qube are expected in the proportion of the two motors'
     /// torques.
     #[must_use]
-    pub fn prior(self, plant: &PlantModel) -> Prior {
+    pub fn prior(self, plant: &PlantModel) -> NormalPrior {
         use DomainParameter as P;
         use Nonideality as G;
         let (mean, std) = match self.0 {
@@ -62,7 +62,7 @@ impl Unknown {
                     },
             ),
         };
-        Prior { mean, std }
+        NormalPrior { mean, std }
     }
 
     /// The unknown's value in a model, in the fit's unit: the logarithm of a parameter, a

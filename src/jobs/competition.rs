@@ -29,26 +29,26 @@ pub fn tenth_percentile(evaluation: &Evaluation) -> f64 {
 
 /// The worth of a training's policy: two [`tenth_percentile`]s in fresh simulations.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Score {
+pub struct TrainingScore {
     /// In the simulations that decide whether the policy succeeds or another round is needed.
-    pub tenth_percentile: f64,
+    pub judged: f64,
     /// In the simulations by which policies are compared; often the same ones.
     pub compared: f64,
 }
 
-impl Score {
+impl TrainingScore {
     /// The score of a policy that has no competitor and is not evaluated.
-    pub const UNCONTESTED: Self = Self { tenth_percentile: SUCCEEDED, compared: SUCCEEDED };
+    pub const UNCONTESTED: Self = Self { judged: SUCCEEDED, compared: SUCCEEDED };
 
     /// The score of a policy that is judged and compared in the same simulations.
     #[must_use]
     pub fn of(evaluation: &Evaluation) -> Self {
         let tenth_percentile = tenth_percentile(evaluation);
-        Self { tenth_percentile, compared: tenth_percentile }
+        Self { judged: tenth_percentile, compared: tenth_percentile }
     }
 
     fn succeeds(&self) -> bool {
-        self.tenth_percentile >= SUCCEEDED
+        self.judged >= SUCCEEDED
     }
 
     /// Whether this policy is kept instead of another: one that succeeds beats one that fails.
@@ -70,7 +70,7 @@ pub struct Competition<T> {
 #[derive(Debug)]
 struct Kept<T> {
     number: u32,
-    score: Score,
+    score: TrainingScore,
     trained: T,
 }
 
@@ -96,7 +96,7 @@ impl<T> Competition<T> {
 
     /// Enters the result of the training with this number. The order in which the trainings of a
     /// round end does not matter: of equal scores, the lowest number wins.
-    pub fn enter(&mut self, number: u32, score: Score, trained: T) {
+    pub fn enter(&mut self, number: u32, score: TrainingScore, trained: T) {
         self.ended += 1;
         let beats = |best: &Kept<T>| {
             score.is_better_than(&best.score)
@@ -122,8 +122,8 @@ mod tests {
     use super::*;
 
     /// A score whose policy succeeds from [`SUCCEEDED`] on.
-    fn score(tenth_percentile: f64) -> Score {
-        Score { tenth_percentile, compared: tenth_percentile }
+    fn score(tenth_percentile: f64) -> TrainingScore {
+        TrainingScore { judged: tenth_percentile, compared: tenth_percentile }
     }
 
     #[test]
@@ -132,14 +132,14 @@ mod tests {
         let evaluation = Evaluation { steps: vec![600; 20], returns };
         assert_eq!(tenth_percentile(&evaluation), 90.0);
         let returns = (0..20).map(|it| if it == 3 { 90.0 } else { 540.0 }).collect();
-        assert_eq!(Score::of(&Evaluation { returns, ..evaluation }), score(540.0));
+        assert_eq!(TrainingScore::of(&Evaluation { returns, ..evaluation }), score(540.0));
     }
 
     #[test]
     fn a_policy_that_succeeds_beats_one_that_fails_and_else_the_comparison_decides() {
-        let fails = Score { tenth_percentile: SUCCEEDED - 1.0, compared: 250.0 };
-        let wide = Score { tenth_percentile: 400.0, compared: 200.0 };
-        let narrow = Score { tenth_percentile: 500.0, compared: 100.0 };
+        let fails = TrainingScore { judged: SUCCEEDED - 1.0, compared: 250.0 };
+        let wide = TrainingScore { judged: 400.0, compared: 200.0 };
+        let narrow = TrainingScore { judged: 500.0, compared: 100.0 };
         assert!(wide.is_better_than(&fails) && !fails.is_better_than(&wide));
         assert!(wide.is_better_than(&narrow) && !narrow.is_better_than(&wide));
     }
@@ -177,7 +177,7 @@ mod tests {
     fn a_single_training_needs_no_score() {
         let mut competition = Competition::new(1);
         assert!(!competition.is_contested());
-        competition.enter(0, Score::UNCONTESTED, "policy");
+        competition.enter(0, TrainingScore::UNCONTESTED, "policy");
         assert_eq!(competition.take_winner(), Some("policy"));
         assert_eq!(competition.take_winner(), None);
     }

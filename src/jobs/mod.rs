@@ -40,7 +40,9 @@ mod training_cores;
 mod training_job;
 mod worker_pool;
 
-pub use competition::{CHOSEN_OF_STARTS, Competition, ROUNDS, SUCCEEDED, Score, tenth_percentile};
+pub use competition::{
+    CHOSEN_OF_STARTS, Competition, ROUNDS, SUCCEEDED, TrainingScore, tenth_percentile,
+};
 pub use error::{JobError, JobFolderError};
 pub use executor::{Executor, JobEvent};
 pub use folder_executor::FolderExecutor;

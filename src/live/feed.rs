@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use crossbeam_channel::{Receiver, Sender, TrySendError};
 use serde::Serialize;
 
-use super::Status;
+use super::LiveStatus;
 use crate::recording::{Channel, Viewer, encode_ending, encode_scene, encode_tick};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
 
@@ -106,7 +106,7 @@ pub(super) struct TickShown {
 /// The state that connections read.
 #[derive(Debug, Default)]
 struct Shown {
-    status: Status,
+    status: LiveStatus,
     status_number: u64,
     rollout: Option<Arc<RolloutShown>>,
     end: Option<Arc<EndShown>>,
@@ -129,7 +129,7 @@ pub(super) struct FeedPosition {
 /// The changes that a connection has not been sent.
 #[derive(Debug, Default)]
 pub(super) struct Changes {
-    pub(super) status: Option<Status>,
+    pub(super) status: Option<LiveStatus>,
     pub(super) rollout: Option<Arc<RolloutShown>>,
     pub(super) ticks: Vec<Arc<TickShown>>,
     pub(super) end: Option<Arc<EndShown>>,
@@ -162,7 +162,7 @@ impl Feed {
     }
 
     /// Changes the status.
-    pub(super) fn update_status(&self, change: impl FnOnce(&mut Status)) {
+    pub(super) fn update_status(&self, change: impl FnOnce(&mut LiveStatus)) {
         let mut shown = self.shown();
         let before = shown.status.clone();
         change(&mut shown.status);

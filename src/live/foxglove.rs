@@ -13,7 +13,7 @@ use tungstenite::handshake::derive_accept_key;
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Error, Message, WebSocket};
 
-use super::Status;
+use super::LiveStatus;
 use super::connection::STUCK_WITHIN;
 use super::feed::{Changes, Feed, now_unix_ns};
 use super::page::{self, Answer};
@@ -42,7 +42,7 @@ const INTERVAL: Duration = Duration::from_millis(33);
 /// Largest number of messages of a client in a second; a client that sends more is cut off.
 pub(super) const MAX_MESSAGES_A_SECOND: u32 = 100;
 
-/// Id of the channel with the [`Status`] of the command; the lower ids, from 1, are those of a
+/// Id of the channel with the [`LiveStatus`] of the command; the lower ids, from 1, are those of a
 /// recording's channels.
 const SESSION_CHANNEL: u64 = Channel::ALL.len() as u64 + 1;
 
@@ -339,7 +339,7 @@ fn advertisement() -> Value {
             })
         })
         .collect();
-    let schema = SchemaSettings::draft07().into_generator().into_root_schema_for::<Status>();
+    let schema = SchemaSettings::draft07().into_generator().into_root_schema_for::<LiveStatus>();
     channels.push(json!({
         "id": SESSION_CHANNEL,
         "topic": "/session",

@@ -25,5 +25,5 @@ mod tests;
 mod view;
 
 pub use server::LiveError;
-pub use status::Status;
+pub use status::LiveStatus;
 pub use view::{LiveSettings, LiveView};

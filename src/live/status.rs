@@ -6,7 +6,7 @@ use serde::Serialize;
 /// The state of the command that runs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[schemars(title = "qube.Session")]
-pub struct Status {
+pub struct LiveStatus {
     /// The command: session, run or experiment.
     pub command: String,
     /// Present activity of the command, in words.

@@ -10,7 +10,7 @@ use super::connection::Shared;
 use super::feed::{Feed, FeedSender};
 use super::origin::Admission;
 use super::server::{LiveError, accept, lower_priority};
-use super::status::Status;
+use super::status::LiveStatus;
 use crate::recording::Viewer;
 
 /// Time that connections have to end once the view's own threads have ended.
@@ -111,7 +111,7 @@ impl LiveView {
     }
 
     /// Changes the status of the command, which the view shows.
-    pub fn update_status(&self, change: impl FnOnce(&mut Status)) {
+    pub fn update_status(&self, change: impl FnOnce(&mut LiveStatus)) {
         self.shared.feed.update_status(change);
     }
 

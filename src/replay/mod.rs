@@ -24,4 +24,4 @@ pub use open_loop::{
     AngleError, OpenLoop, OpenLoopError, longest_step_s, simulate_from, simulate_from_first_state,
     simulate_stretch, simulate_stretch_in,
 };
-pub use rerun::{Difference, GuardApproach, Rerun, controller_of, rerun};
+pub use rerun::{GuardApproach, Rerun, TickDifference, controller_of, rerun};

@@ -19,7 +19,7 @@ pub struct Rerun {
     /// differs.
     pub actions_different: usize,
     /// First tick that decided differently.
-    pub first_difference: Option<Difference>,
+    pub first_difference: Option<TickDifference>,
     /// Number of ticks that could not be compared because earlier ones are missing.
     pub not_compared: usize,
     /// Ending of the rollout: the recomputed one, or the recorded one where `ending_of_the_file` is
@@ -53,7 +53,7 @@ pub struct GuardApproach {
 
 /// One tick that decided differently.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Difference {
+pub struct TickDifference {
     /// The tick as the file has it.
     pub recorded: TickRecord,
     /// The tick as it was recomputed.
@@ -153,11 +153,14 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
         ending = output.ending;
     }
 
-    let differences: Vec<Difference> = compared
+    let differences: Vec<TickDifference> = compared
         .iter()
         .zip(&recomputed)
         .filter(|(recorded, recomputed)| !same_decision(recorded, recomputed))
-        .map(|(recorded, recomputed)| Difference { recorded: **recorded, recomputed: *recomputed })
+        .map(|(recorded, recomputed)| TickDifference {
+            recorded: **recorded,
+            recomputed: *recomputed,
+        })
         .collect();
     Rerun {
         return_recorded: return_of(&recording.ticks, &recording.header.reward),

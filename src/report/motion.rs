@@ -24,7 +24,7 @@ const MAX_TICKS: usize = 30_000;
 /// A rollout's motion for the page's player: its angles and voltages at equal time steps, packed as
 /// 16-bit numbers in units of [`UNIT`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Motion {
+pub struct PackedMotion {
     group: String,
     name: String,
     note: String,
@@ -69,7 +69,7 @@ struct Limits {
     voltage_v: f64,
 }
 
-impl Motion {
+impl PackedMotion {
     /// The motion of a recording, with the simulation of its voltages if there is one. Times count
     /// from the first tick of the policy, or from the first of all if the policy never had the motor.
     /// `nearest` are the approaches to mark. Ticks beyond `MAX_TICKS` are left out.
@@ -263,7 +263,7 @@ mod tests {
             tick(9, Phase::Running, -1.2345),
             tick(10, Phase::Running, f64::NAN),
         ];
-        let motion = Motion::of(&recording(ticks), None, &[]);
+        let motion = PackedMotion::of(&recording(ticks), None, &[]);
         assert_eq!(motion.theta, [500, NONE, -1235, NONE]);
         assert_eq!(motion.voltage, [-1500, NONE, -1500, -1500]);
         assert!((motion.first_s + 0.02).abs() < 1e-12);
@@ -276,7 +276,7 @@ mod tests {
     #[test]
     fn a_hostile_recording_makes_no_large_page() {
         let ticks = vec![tick(0, Phase::Running, 1e300), tick(u32::MAX, Phase::Running, 0.0)];
-        let motion = Motion::of(&recording(ticks), None, &[]);
+        let motion = PackedMotion::of(&recording(ticks), None, &[]);
         assert_eq!(motion.theta.len(), MAX_TICKS);
         assert_eq!(motion.theta[0], i16::MAX);
         assert!(motion.bytes() < 400_000);

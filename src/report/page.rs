@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 use super::chart::{Chart, Map};
 use super::densities::NEGLIGIBLE;
 use super::escape::{escaped, inert};
-use super::motion::Motion;
+use super::motion::PackedMotion;
 use crate::storage::Disk;
 
 /// uPlot 1.6.32 by Leon Sorokin, MIT; its licence is beside it.
@@ -37,7 +37,7 @@ pub struct Page {
     body: String,
     charts: Vec<Chart>,
     maps: Vec<Map>,
-    motions: Vec<Motion>,
+    motions: Vec<PackedMotion>,
     first_motion: usize,
 }
 
@@ -46,7 +46,7 @@ pub struct Page {
 struct Data<'a> {
     charts: &'a [Chart],
     maps: &'a [Map],
-    motions: &'a [Motion],
+    motions: &'a [PackedMotion],
     first_motion: usize,
 }
 
@@ -229,7 +229,7 @@ impl Page {
 
     /// Adds the player of these motions; the motion with the index `first` is chosen at the start.
     /// A page has one player.
-    pub fn player(&mut self, motions: Vec<Motion>, first: usize) {
+    pub fn player(&mut self, motions: Vec<PackedMotion>, first: usize) {
         self.first_motion = first.min(motions.len().saturating_sub(1));
         self.motions = motions;
         self.body.push_str("<div class=\"player\" data-player></div>\n");

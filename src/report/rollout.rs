@@ -1,4 +1,4 @@
-use super::motion::{Motion, simulated};
+use super::motion::{PackedMotion, simulated};
 use super::nearest::{Nearest, guard_approach, nearest_approaches};
 use super::page::{Cell, Page};
 use crate::qube::QubeModel;
@@ -29,7 +29,7 @@ pub struct RolloutView {
     /// simulation diverged or there was no motion.
     pub simulation_error: Option<AngleError>,
     /// Motion for the player, not yet named.
-    pub motion: Motion,
+    pub motion: PackedMotion,
     /// Defect of the file, if any.
     pub defect: Option<String>,
 }
@@ -48,7 +48,7 @@ impl RolloutView {
             verdict: score_recording(recording),
             behaviour: Behaviour::of(recording),
             quietness: Quietness::of(&recording.ticks, &recording.header.settings.plant).figures(),
-            motion: Motion::of(recording, beside, &nearest).with_guard(guard),
+            motion: PackedMotion::of(recording, beside, &nearest).with_guard(guard),
             simulation_error: simulated.as_ref().map(|(_, open_loop)| open_loop.rmse),
             nearest,
             guard,
@@ -176,7 +176,7 @@ pub fn first_upper(text: &str) -> String {
 /// Adds the player of these motions, which must be named, and instructions for it. Motions beyond
 /// the page's budget are thinned or left out; `first` is the index of the motion that is chosen at
 /// the start.
-pub fn add_player(page: &mut Page, motions: Vec<Motion>, first: usize) {
+pub fn add_player(page: &mut Page, motions: Vec<PackedMotion>, first: usize) {
     let (motions, first, note) = within_budget(motions, first);
     page.paragraph(
         "Choose a rollout, play it, or drag the slider. In the figures: drag to zoom, double-click to see all \
@@ -198,8 +198,11 @@ const STRIDES: [usize; 4] = [1, 2, 4, 10];
 /// The motions that fit into a page, the index of the chosen one among them, and a note for the
 /// reader. Motions are thinned only as far as they must be; those that do not fit even so are left
 /// out, except the chosen one, and the note says so.
-fn within_budget(motions: Vec<Motion>, first: usize) -> (Vec<Motion>, usize, Option<String>) {
-    let bytes: usize = motions.iter().map(Motion::bytes).sum();
+fn within_budget(
+    motions: Vec<PackedMotion>,
+    first: usize,
+) -> (Vec<PackedMotion>, usize, Option<String>) {
+    let bytes: usize = motions.iter().map(PackedMotion::bytes).sum();
     let stride = STRIDES.into_iter().find(|stride| bytes / stride <= MOTION_BYTES).unwrap_or(10);
     if stride == 1 {
         return (motions, first, None);
@@ -272,7 +275,7 @@ mod tests {
     use crate::recording::samples;
     use crate::telemetry::{Phase, TickRecord};
 
-    fn motion(ticks: u32) -> Motion {
+    fn motion(ticks: u32) -> PackedMotion {
         let tick = |tick| TickRecord { tick, phase: Phase::Running, ..TickRecord::default() };
         let recording = Recording {
             header: samples::header(),
@@ -281,7 +284,7 @@ mod tests {
             outcome: None,
             completeness: Completeness::Whole,
         };
-        Motion::of(&recording, None, &[])
+        PackedMotion::of(&recording, None, &[])
     }
 
     #[test]
@@ -292,7 +295,7 @@ mod tests {
         assert_eq!((kept.len(), first), (800, 700));
         assert!(note.unwrap().contains("one tick in 2 is"), "");
         let (kept, first, note) = within_budget(vec![motion(30_000); 300], 299);
-        let bytes: usize = kept.iter().map(Motion::bytes).sum();
+        let bytes: usize = kept.iter().map(PackedMotion::bytes).sum();
         assert!(bytes <= MOTION_BYTES + motion(3_000).bytes(), "{bytes}");
         assert_eq!(first, kept.len() - 1);
         assert!(note.unwrap().contains("left out"));

@@ -1,5 +1,5 @@
-use super::{CandidateCounts, Drift, Purpose, SessionError};
-use crate::identification::Unfit;
+use super::{CandidateCounts, Purpose, SessionError};
+use crate::identification::{Drift, Unfit};
 use crate::learning::TrainUpdate;
 use crate::rig::Rig;
 use crate::scoring::{QuietnessFigures, Verdict};

@@ -11,7 +11,6 @@
 mod configuration;
 mod configuration_error;
 mod decision;
-mod drift;
 mod emulated_qube;
 mod entry;
 mod error;
@@ -46,7 +45,6 @@ mod view;
 
 pub use configuration_error::ConfigurationError;
 pub use decision::{SearchEnd, WORTHWHILE_GAIN};
-pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use emulated_qube::EmulatedQubeSettings;
 pub use entry::{Entry, Purpose};
 pub use error::SessionError;
@@ -70,7 +68,7 @@ pub use rig_sessions::{RigSessions, run_side_by_side};
 pub use rig_spread::rig_of_rollout;
 pub use seeds::{SeedFor, derived_seed};
 pub use settings::{SessionSettings, SharedRig};
-pub use settings_list::{Difference, Setting};
+pub use settings_list::{ChangedSetting, Setting};
 pub use state::{Candidate, Finished, Identification, SessionState, StoredProfile, TakenOutRig};
 pub(crate) use toml_message::toml_message;
 pub use training_time::TrainingTime;

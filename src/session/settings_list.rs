@@ -31,7 +31,7 @@ pub struct Setting {
 
 /// A setting whose value differs from its default.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Difference {
+pub struct ChangedSetting {
     /// Path of the key.
     pub key: String,
     /// Value; `None` if the setting is absent.
@@ -94,7 +94,7 @@ impl SessionSettings {
     ///
     /// # Errors
     /// A number has no TOML form.
-    pub fn differences(&self, defaults: &Self) -> Result<Vec<Difference>, ConfigurationError> {
+    pub fn differences(&self, defaults: &Self) -> Result<Vec<ChangedSetting>, ConfigurationError> {
         let (mut here, mut there) = (Vec::new(), Vec::new());
         leaves("", Value::Table(Table::try_from(self)?), &mut here);
         leaves("", Value::Table(Table::try_from(defaults)?), &mut there);
@@ -104,7 +104,7 @@ impl SessionSettings {
         let mut keys: Vec<&String> = here.iter().chain(&there).map(|(key, _)| key).collect();
         keys.sort();
         keys.dedup();
-        let rows = keys.into_iter().map(|key| Difference {
+        let rows = keys.into_iter().map(|key| ChangedSetting {
             key: key.clone(),
             value: value_in(&here, key),
             default: value_in(&there, key),

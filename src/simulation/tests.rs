@@ -2,7 +2,7 @@
 //! ideal lanes.
 
 use super::{DomainDistribution, LaneStatus, Pendulums, SimulationSettings, Trajectory};
-use crate::device::emulator::{EmulatorSettings, Plant};
+use crate::device::emulator::{EmulatedPlant, EmulatorSettings};
 use crate::elementary::Level;
 use crate::qube::{
     Distribution, NonidealDynamics, Nonidealities, Nonideality, QubeModel, RAD_PER_COUNT, State,
@@ -53,9 +53,9 @@ fn farthest_from_plants(real_model: impl Fn(usize) -> QubeModel) -> f64 {
     let steps = 80;
     let plant = |lane: usize| {
         let settings = EmulatorSettings { seed: lane as u64, ..EmulatorSettings::default() };
-        Plant::new(&EmulatorSettings { model: real_model(lane), ..settings })
+        EmulatedPlant::new(&EmulatorSettings { model: real_model(lane), ..settings })
     };
-    let mut plants: Vec<Plant> = (0..64).map(plant).collect();
+    let mut plants: Vec<EmulatedPlant> = (0..64).map(plant).collect();
     let trajectories: Vec<Trajectory> = plants
         .iter()
         .enumerate()

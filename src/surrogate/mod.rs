@@ -39,9 +39,9 @@ mod prior;
 mod search_box;
 
 pub use acquisition::{
-    Acquisition, Criterion, ExpectedImprovement, LogExpectedImprovement, LogKnowledgeGradient,
-    LogNoisyExpectedImprovement, LogProbabilityOfImprovement, OnProcess, PosteriorMean,
-    ProbabilityOfImprovement, Score, UpperConfidenceBound,
+    Acquisition, Criterion, CriterionValue, ExpectedImprovement, LogExpectedImprovement,
+    LogKnowledgeGradient, LogNoisyExpectedImprovement, LogProbabilityOfImprovement, OnProcess,
+    PosteriorMean, ProbabilityOfImprovement, UpperConfidenceBound,
 };
 pub use dataset::Dataset;
 pub use error::SurrogateError;

@@ -3,7 +3,7 @@
 
 use firmware_protocol::QUBE_MODULE_ID;
 use firmware_protocol::scaling::{MOTOR_ENABLE, motor_voltage_mv};
-use qube_hil::device::emulator::{EmulatorSettings, Plant};
+use qube_hil::device::emulator::{EmulatedPlant, EmulatorSettings};
 use qube_hil::qube::State;
 
 pub const FRAME_BYTES: usize = 17;
@@ -59,7 +59,7 @@ impl Command {
 }
 
 pub struct Qube {
-    plant: Plant,
+    plant: EmulatedPlant,
     /// 777, or another module id for an absent Qube.
     pub module_id: u16,
     pub amplifier_fault: bool,
@@ -78,7 +78,7 @@ impl Qube {
     /// A Qube at rest with its amplifier left on, as after a crash of its last user.
     pub fn new(seed: u64) -> Self {
         Self {
-            plant: Plant::new(&EmulatorSettings { seed, ..EmulatorSettings::default() }),
+            plant: EmulatedPlant::new(&EmulatorSettings { seed, ..EmulatorSettings::default() }),
             module_id: QUBE_MODULE_ID,
             amplifier_fault: false,
             stall_error: false,

@@ -28,7 +28,7 @@ use std::time::{Duration, Instant};
 
 use firmware_protocol::scaling::{CURRENT_COUNTS_PER_A, CURRENT_ZERO, tachometer_counts_s};
 use qube_hil::clock::enter_realtime;
-use qube_hil::device::emulator::{EmulatorSettings, Plant};
+use qube_hil::device::emulator::{EmulatedPlant, EmulatorSettings};
 
 /// Codes of the vendor's `quanser_errors.h`, negated.
 const BOARD_NOT_FOUND: c_int = -108;
@@ -85,7 +85,7 @@ struct Fault {
 
 /// The one Qube behind the library.
 struct Card {
-    plant: Plant,
+    plant: EmulatedPlant,
     began: Instant,
     thread: ThreadId,
     is_open: bool,
@@ -146,7 +146,7 @@ impl Card {
             Some(other) => panic!("QUBE_TEST_HIL_WATCHDOG: {other}"),
         };
         Self {
-            plant: Plant::new(&EmulatorSettings::default()),
+            plant: EmulatedPlant::new(&EmulatorSettings::default()),
             began: Instant::now(),
             thread: std::thread::current().id(),
             is_open: false,

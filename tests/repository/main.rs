@@ -3,6 +3,7 @@
 
 mod documents;
 mod installer;
+mod names;
 mod packages;
 mod page_json;
 mod page_safety;

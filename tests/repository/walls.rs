@@ -74,7 +74,7 @@ const ROOMS: &[Room] = &[
                       "elementary", "storage"],
         tests_may_import: &["estimation"],
     },
-    room("identification", &["replay", "policy", "qube", "elementary"]),
+    room("identification", &["replay", "recording", "telemetry", "policy", "qube", "elementary"]),
     // The check measures with the tick's clock and drive, and reports signs and faults.
     room("preflight", &["clock", "device", "control", "estimation", "safety", "telemetry", "qube",
                         "firmware_protocol"]),

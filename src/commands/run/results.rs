@@ -7,18 +7,18 @@ use crate::commands::exit::Failure;
 use crate::commands::{
     command_hints, failures, heat_line, observer_resets_line, quietness_line, timing_lines,
 };
-use crate::identification::{Unfit, check_recording};
+use crate::identification::{DRIFT_ROLLOUTS, Drift, Unfit, check_recording};
 use crate::jobs::starter::quoted;
 use crate::qube::QubeModel;
 use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
 use crate::scoring::{Latencies, Quietness, Verdict, score_recording};
-use crate::session::{DRIFT_ROLLOUTS, Drift};
+
 use crate::telemetry::{Ending, Fault};
 
 /// The results of the rollouts, read from their recordings.
 #[derive(Debug, Default)]
-pub struct Results {
+pub struct RunResults {
     /// The Qube in words, if an excitation drove it. The results then say whether `identify` can
     /// use the recordings, and show no returns.
     excited: Option<String>,
@@ -39,8 +39,18 @@ pub struct Results {
     /// Recordings of the first rollouts that are not void, at most [`DRIFT_ROLLOUTS`], for the
     /// estimate of the drift.
     first: Vec<Recording>,
-    /// Drift of the rig from its profile, or the reason why it cannot be estimated.
-    drift: Option<Result<Drift, Unfit>>,
+    drift: DriftFromProfile,
+}
+
+/// The drift of the rig from its profile, as far as it is known.
+#[derive(Debug, Default)]
+enum DriftFromProfile {
+    /// There is no profile, or no rollout to compare with it.
+    #[default]
+    NotCompared,
+    Estimated(Drift),
+    /// No rollout can be fitted.
+    Unknown(Unfit),
 }
 
 /// The result of one rollout: a row of the table.
@@ -66,7 +76,7 @@ impl RolloutRow {
     }
 }
 
-impl Results {
+impl RunResults {
     /// The largest return so far and the number of successes, in words; empty without a return, and
     /// for excitations.
     pub fn best(&self) -> String {
@@ -149,7 +159,10 @@ impl Results {
     /// profile.
     pub fn compare(&mut self, profile: &QubeModel) {
         if !self.first.is_empty() {
-            self.drift = Some(Drift::of(&self.first, profile));
+            self.drift = match Drift::of(&self.first, profile) {
+                Ok(drift) => DriftFromProfile::Estimated(drift),
+                Err(unfit) => DriftFromProfile::Unknown(unfit),
+            };
         }
     }
 
@@ -175,11 +188,11 @@ impl Results {
         text.push_str(&quietness_line(&self.quietness));
         text.push_str(&heat_line(self.largest_motor_load));
         let _ = match &self.drift {
-            Some(Ok(drift)) => writeln!(text, "{}", command_hints::drift(drift)),
-            Some(Err(unfit)) => {
+            DriftFromProfile::Estimated(drift) => writeln!(text, "{}", command_hints::drift(drift)),
+            DriftFromProfile::Unknown(unfit) => {
                 writeln!(text, "the rig's drift cannot be estimated from these rollouts: {unfit}")
             }
-            None => Ok(()),
+            DriftFromProfile::NotCompared => Ok(()),
         };
         text.push_str(&timing_lines(&self.latencies));
         let _ = write!(text, "recordings in {directory}");
@@ -193,7 +206,11 @@ impl Results {
 
     /// The results for scripts.
     pub fn json(&self) -> Value {
-        fn each<T>(of: &Results, field: impl Fn(&RolloutRow) -> T) -> Vec<T> {
+        let drift = match &self.drift {
+            DriftFromProfile::Estimated(drift) => Some(drift),
+            DriftFromProfile::NotCompared | DriftFromProfile::Unknown(_) => None,
+        };
+        fn each<T>(of: &RunResults, field: impl Fn(&RolloutRow) -> T) -> Vec<T> {
             of.rollouts.iter().map(field).collect()
         }
         json!({
@@ -207,7 +224,7 @@ impl Results {
             "lateness_us": self.latencies.lateness_us(),
             "sample_to_act_us": self.latencies.sample_to_act_us(),
             "recordings": each(self, |it| it.recording.to_string_lossy().into_owned()),
-            "drift": self.drift.as_ref().and_then(|drift| drift.as_ref().ok()),
+            "drift": drift,
         })
     }
 }

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use super::controller::RunController;
-use super::results::Results;
+use super::results::RunResults;
 use crate::commands::exit::Failure;
 use crate::commands::keyboard::Keyboard;
 use crate::commands::live::Live;
@@ -16,7 +16,7 @@ use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};
 
 /// Several rollouts of one policy or excitation on one rig.
-pub struct Series<'a> {
+pub struct RolloutSeries<'a> {
     pub settings: RigSettings,
     pub plan: RolloutPlan,
     pub controller: RunController,
@@ -27,10 +27,10 @@ pub struct Series<'a> {
     pub progress: Progress,
 }
 
-impl Series<'_> {
+impl RolloutSeries<'_> {
     /// Runs the rollouts and adds their results to `results`, also those before a failure or a
     /// stop. Fails if the last rollout is void.
-    pub fn run(&mut self, rollouts: u32, results: &mut Results) -> Result<(), Failure> {
+    pub fn run(&mut self, rollouts: u32, results: &mut RunResults) -> Result<(), Failure> {
         self.progress.update(|state| {
             state.phase = "opening the Qube, checking and homing it".into();
             state.done = Some((0, rollouts.into()));

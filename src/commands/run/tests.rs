@@ -25,7 +25,11 @@ fn settings(fault: Option<&str>) -> RigSettings {
 }
 
 /// The result of rollouts of the classical controller.
-fn run(settings: RigSettings, directory: &Path, rollouts: u32) -> (Result<(), Failure>, Results) {
+fn run(
+    settings: RigSettings,
+    directory: &Path,
+    rollouts: u32,
+) -> (Result<(), Failure>, RunResults) {
     run_within(SafetyBox::GUARDED, settings, directory, rollouts)
 }
 
@@ -34,7 +38,7 @@ fn run_within(
     settings: RigSettings,
     directory: &Path,
     rollouts: u32,
-) -> (Result<(), Failure>, Results) {
+) -> (Result<(), Failure>, RunResults) {
     let plan = RolloutPlan { safety_box, ..RolloutPlan::single("run", "classical") };
     let files = vec![policy(Path::new("classical")).unwrap().to_bytes()];
     let controller = RunController {
@@ -48,7 +52,7 @@ fn run_within(
     let directory = directory.to_owned();
     let live = Live::default();
     let progress = Progress::lines();
-    let mut series = Series {
+    let mut series = RolloutSeries {
         settings,
         plan,
         controller,
@@ -58,7 +62,7 @@ fn run_within(
         live: &live,
         progress,
     };
-    let mut results = Results::default();
+    let mut results = RunResults::default();
     (series.run(rollouts, &mut results), results)
 }
 

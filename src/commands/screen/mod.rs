@@ -1,7 +1,7 @@
 //! The screen of long work at a terminal: phase, progress, training, rollout, messages, keys.
 //!
 //! A thread draws the screen five times a second from a state that the work updates. The control
-//! thread takes no part: the recorder's thread hands ticks to a [`RolloutView`]. While the screen
+//! thread takes no part: the recorder's thread hands ticks to a [`RolloutPanel`]. While the screen
 //! has the terminal, every line that is written to stderr becomes a message on the screen; the
 //! messages are printed on stderr when the screen is gone.
 
@@ -26,7 +26,7 @@ use rustix::termios::isatty;
 use self::backend::Ansi;
 use self::capture::CapturedStderr;
 use self::draw::{Styles, draw};
-pub use self::rollout::RolloutView;
+pub use self::rollout::RolloutPanel;
 use self::state::{Overlay, Pause, STOP_EFFECT};
 pub use self::state::{ScreenState, in_words, time_left};
 use super::output::Output;
@@ -56,7 +56,7 @@ pub struct ScreenArgument {
 #[derive(Debug)]
 pub struct Shared {
     state: Mutex<ScreenState>,
-    rollout: Arc<RolloutView>,
+    rollout: Arc<RolloutPanel>,
     stop: Arc<AtomicBool>,
     ended: AtomicBool,
 }

@@ -49,11 +49,11 @@ impl RolloutState {
 
 /// Follows rollouts for the screen, on the recorder's thread.
 #[derive(Debug, Default)]
-pub struct RolloutView {
+pub struct RolloutPanel {
     state: Mutex<(RolloutState, Latencies)>,
 }
 
-impl RolloutView {
+impl RolloutPanel {
     /// A copy of the current state.
     pub fn state(&self) -> RolloutState {
         let (mut state, latencies) = {
@@ -66,7 +66,7 @@ impl RolloutView {
     }
 }
 
-impl Viewer for RolloutView {
+impl Viewer for RolloutPanel {
     fn begins(&self, header: &RolloutHeader, _: u64) {
         let mut locked = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let (ticks, missed) = (locked.0.ticks, locked.0.missed);

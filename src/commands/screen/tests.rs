@@ -7,7 +7,7 @@ use ratatui::buffer::Buffer;
 use ratatui::style::Color;
 
 use super::draw::{Styles, draw};
-use super::rollout::{RolloutState, RolloutView};
+use super::rollout::{RolloutPanel, RolloutState};
 use super::state::{Overlay, Pause, ScreenState, Training};
 use super::{Progress, ScreenArgument, pressed};
 use crate::commands::output::Output;
@@ -162,7 +162,7 @@ fn keys_stop_pause_ask_and_help() {
 
 #[test]
 fn a_rollout_is_followed_tick_by_tick() {
-    let view = RolloutView::default();
+    let view = RolloutPanel::default();
     assert_eq!(view.state().nearest_limit(), None);
     let header = crate::session::RolloutPlan::single("run", "classical").header();
     view.begins(&header, 0);

@@ -9,7 +9,7 @@ use firmware_protocol::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{EmulatorFault, EmulatorSettings, Plant};
+use super::{EmulatedPlant, EmulatorFault, EmulatorSettings};
 
 mod failing;
 
@@ -36,7 +36,7 @@ const RESTART_COUNTS: i32 = 400;
 #[derive(Clone, Debug)]
 pub struct Board {
     settings: EmulatorSettings,
-    plant: Plant,
+    plant: EmulatedPlant,
     decoder: Decoder,
     nonces: ChaCha8Rng,
     starts: ChaCha8Rng,
@@ -88,7 +88,7 @@ impl Board {
         let mut starts = nonces.clone();
         starts.set_stream(START_STREAM);
         let mut board = Self {
-            plant: Plant::new(&settings),
+            plant: EmulatedPlant::new(&settings),
             settings,
             decoder: Decoder::new(),
             nonces,
@@ -180,7 +180,7 @@ impl Board {
     }
 
     /// The Qube at the current time, with the true state that the wire does not show.
-    pub fn plant(&mut self) -> &Plant {
+    pub fn plant(&mut self) -> &EmulatedPlant {
         self.plant.advance_to(self.now_us);
         &self.plant
     }

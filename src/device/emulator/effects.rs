@@ -184,21 +184,21 @@ fn strained(strain: f64, rate: f64, largest: f64, step_s: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::emulator::{EmulatorSettings, Plant};
+    use crate::device::emulator::{EmulatedPlant, EmulatorSettings};
     use crate::qube::{HARD_STOP_RAD, Nonidealities, QubeModel};
 
-    fn plant(effects: Effects) -> Plant {
+    fn plant(effects: Effects) -> EmulatedPlant {
         let nonidealities = Nonidealities {
             coulomb_torque_n_m: 1e-3,
             cable_stiffness_n_m_rad: 1e-3,
             ..Nonidealities::default()
         };
         let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
-        Plant::new(&EmulatorSettings { model, effects, ..EmulatorSettings::default() })
+        EmulatedPlant::new(&EmulatorSettings { model, effects, ..EmulatorSettings::default() })
     }
 
     /// Applies a voltage until `until_us`; returns the angle by which the arm has moved, rad.
-    fn moved(plant: &mut Plant, voltage_v: f64, until_us: u64) -> f64 {
+    fn moved(plant: &mut EmulatedPlant, voltage_v: f64, until_us: u64) -> f64 {
         let start = plant.state().theta;
         plant.set_voltage(voltage_v);
         plant.advance_to(until_us);

@@ -17,7 +17,7 @@ pub use board::Board;
 pub use bridge::UsbBridge;
 pub use effects::Effects;
 pub use fault::{EmulatorFault, UnknownFault};
-pub use plant::Plant;
+pub use plant::EmulatedPlant;
 pub use pty::EmulatedQube;
 
 use crate::qube::{Encoders, PlantModel, QubeModel, State};

@@ -43,7 +43,7 @@ const START_COUNTS: i32 = 10_000;
 /// An amplifier that is off is modelled as 0 V at the motor, which brakes by its back EMF. The
 /// behaviour of a real amplifier is not published.
 #[derive(Clone, Debug)]
-pub struct Plant {
+pub struct EmulatedPlant {
     model: QubeModel,
     command_jitter_s: f64,
     jitter: ChaCha8Rng,
@@ -72,7 +72,7 @@ pub struct Plant {
     fault_progress: FaultProgress,
 }
 
-impl Plant {
+impl EmulatedPlant {
     /// A Qube in the initial state of the settings; without one it is at rest, the pendulum hangs,
     /// and the seed determines the arm's angle. The seed also determines the counters' start
     /// values.
@@ -383,8 +383,8 @@ mod tests {
     use crate::qube::{HARD_STOP_RAD, Nonidealities, Profile, RAD_PER_COUNT, control_step};
     use firmware_protocol::scaling::{current_ma, tachometer_counts_s};
 
-    fn nominal(seed: u64) -> Plant {
-        Plant::new(&EmulatorSettings { seed, ..EmulatorSettings::default() })
+    fn nominal(seed: u64) -> EmulatedPlant {
+        EmulatedPlant::new(&EmulatorSettings { seed, ..EmulatorSettings::default() })
     }
 
     #[test]
@@ -394,7 +394,7 @@ mod tests {
         model.nonidealities.cable_drift_rad_per_min = 0.6;
         let effects = Effects { warming_per_w: 0.05, ..Effects::NONE };
         let settings = EmulatorSettings { model, effects, ..EmulatorSettings::default() };
-        let mut plant = Plant::new(&settings);
+        let mut plant = EmulatedPlant::new(&settings);
         plant.block_arm();
         plant.set_voltage(5.0);
         plant.advance_to(30_000_000);
@@ -413,7 +413,7 @@ mod tests {
         };
         let start = Some(State { theta: -0.8, ..State::default() });
         let settings = EmulatorSettings { model, start, ..EmulatorSettings::default() };
-        let mut plant = Plant::new(&settings);
+        let mut plant = EmulatedPlant::new(&settings);
         let equations = NonidealDynamics::new(&model);
         let mut state = plant.state();
         let mut farthest_rad = 0.0_f64;
@@ -533,7 +533,8 @@ mod tests {
                 ..Nonidealities::default()
             };
             let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
-            let mut plant = Plant::new(&EmulatorSettings { model, seed, ..Default::default() });
+            let mut plant =
+                EmulatedPlant::new(&EmulatorSettings { model, seed, ..Default::default() });
             [2, 7].map(|minutes| {
                 plant.advance_to(minutes * 60_000_000);
                 plant.state().theta
@@ -557,7 +558,11 @@ mod tests {
         let with = |command_delay_s, command_jitter_s| {
             let nonidealities = Nonidealities { command_delay_s, ..Nonidealities::default() };
             let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
-            Plant::new(&EmulatorSettings { model, command_jitter_s, ..EmulatorSettings::default() })
+            EmulatedPlant::new(&EmulatorSettings {
+                model,
+                command_jitter_s,
+                ..EmulatorSettings::default()
+            })
         };
         let mut plant = with(0.0123, 0.0);
         let start = plant.state();

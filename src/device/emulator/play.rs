@@ -131,12 +131,12 @@ fn arm_alone(whole: &NonidealDynamics, rotor_inertia: f64) -> NonidealDynamics {
 
 #[cfg(test)]
 mod tests {
-    use crate::device::emulator::{EmulatorSettings, Plant};
+    use crate::device::emulator::{EmulatedPlant, EmulatorSettings};
     use crate::qube::{HARD_STOP_RAD, Nonidealities, QubeModel, RAD_PER_COUNT};
 
-    fn plant(play_rad: f64, nonidealities: Nonidealities) -> Plant {
+    fn plant(play_rad: f64, nonidealities: Nonidealities) -> EmulatedPlant {
         let model = QubeModel { nonidealities, ..QubeModel::NOMINAL };
-        Plant::new(&EmulatorSettings { model, play_rad, ..EmulatorSettings::default() })
+        EmulatedPlant::new(&EmulatorSettings { model, play_rad, ..EmulatorSettings::default() })
     }
 
     fn friction() -> Nonidealities {

@@ -1,7 +1,7 @@
 use std::collections::BTreeSet;
 
 use super::StrategySettings;
-use super::recordings::{Recorded, Recordings, excitation, read};
+use super::recordings::{MethodRecordings, Recorded, excitation, read};
 use super::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
 use crate::experiment::{ExperimentError, Recipe};
@@ -52,7 +52,7 @@ pub(super) struct FromRecordings<'a> {
     settings: &'a StrategySettings,
     width: Width,
     further: Further,
-    recordings: Recordings<'a>,
+    recordings: MethodRecordings<'a>,
     /// Number of recordings, counted from the first, that are known to be complete and need not be
     /// read again.
     complete: u32,
@@ -66,7 +66,7 @@ impl<'a> FromRecordings<'a> {
         width: Width,
         further: Further,
     ) -> Self {
-        Self { run, settings, width, further, recordings: Recordings::of(run), complete: 0 }
+        Self { run, settings, width, further, recordings: MethodRecordings::of(run), complete: 0 }
     }
 
     /// The excitation for the recording with this number.

@@ -34,5 +34,5 @@ pub use method::Method;
 pub use repetition::{RecommendationResult, Repetition};
 pub use results::{StrategyResult, StrategyResults};
 pub(super) use run::Access;
-pub use score::Score;
+pub use score::RecommendationScore;
 pub use settings::StrategySettings;

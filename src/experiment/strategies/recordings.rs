@@ -27,11 +27,11 @@ pub(super) enum Recorded {
 }
 
 /// The recordings that are the data of a method's run, by number.
-pub(super) struct Recordings<'a> {
+pub(super) struct MethodRecordings<'a> {
     run: &'a MethodRun<'a>,
 }
 
-impl<'a> Recordings<'a> {
+impl<'a> MethodRecordings<'a> {
     /// The recordings in the folder of a run.
     pub fn of(run: &'a MethodRun<'a>) -> Self {
         Self { run }

@@ -1,4 +1,4 @@
-use super::{Method, Score};
+use super::{Method, RecommendationScore};
 
 /// One repetition of a method, as far as it has come.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,7 +22,7 @@ pub struct RecommendationResult {
     /// Number of real rollouts before the recommendation; a recording counts as one.
     pub real_rollouts: u32,
     /// Score of the recommendation's policies, or the reason why there is no recommendation.
-    pub score: Result<Score, String>,
+    pub score: Result<RecommendationScore, String>,
     /// Whether the recommendation succeeds.
     pub succeeds: bool,
 }

@@ -130,7 +130,7 @@ impl StrategyResults {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::{RecommendationResult, Score};
+    use crate::experiment::{RecommendationResult, RecommendationScore};
     use crate::search::StrategyKind;
 
     /// A method whose repetitions succeed after these numbers of rollouts, or never.
@@ -138,7 +138,7 @@ mod tests {
         let method = Method::Search(StrategyKind::Cem);
         let recommendation = |real_rollouts, succeeds| RecommendationResult {
             real_rollouts,
-            score: Ok(Score { balanced: 0, ran: 2 }),
+            score: Ok(RecommendationScore { balanced: 0, ran: 2 }),
             succeeds,
         };
         let repetition = |(number, needed): (usize, &Option<u32>)| Repetition {

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use crate::experiment::event::OnEvent;
 use crate::experiment::folder::PolicyFolders;
-use crate::experiment::series::Series;
+use crate::experiment::series::PolicySeries;
 use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
 use crate::simulation::{DomainDistribution, Model, Psi};
 
@@ -103,8 +103,8 @@ impl MethodRun<'_> {
         recommendation: &'b Recommendation,
         steps: u32,
         trainings: u32,
-    ) -> Series<'b> {
-        Series {
+    ) -> PolicySeries<'b> {
+        PolicySeries {
             experiment: &self.experiment.settings().name,
             recipe: &recommendation.recipe,
             psi: recommendation.psi.as_ref(),

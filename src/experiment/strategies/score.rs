@@ -1,20 +1,20 @@
 use super::run::Access;
 use crate::experiment::rollouts::all_of;
-use crate::experiment::series::Series;
+use crate::experiment::series::PolicySeries;
 use crate::experiment::{ExperimentError, Made, Plant, RolloutResult};
 use crate::scoring::{Behaviour, criterion};
 
 /// The score of a recommendation, over the rollouts that were run until the decision could not
 /// change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Score {
+pub struct RecommendationScore {
     /// Number of successful rollouts.
     pub balanced: u32,
     /// Number of rollouts run; a rollout whose attempts are all void counts as a failure.
     pub ran: u32,
 }
 
-impl Score {
+impl RecommendationScore {
     /// Whether the recommendation succeeds over `rollouts` rollouts; `None` while the remaining
     /// rollouts can change the decision.
     fn decided(self, rollouts: u32) -> Option<bool> {
@@ -39,7 +39,7 @@ impl Score {
 /// The score of a recommendation, and whether it succeeds.
 pub(super) struct ScoredDecision {
     /// Score at the time of the decision.
-    pub score: Score,
+    pub score: RecommendationScore,
     /// Whether the recommendation succeeds.
     pub succeeds: bool,
     /// Time of the last training or rollout for the score.
@@ -53,13 +53,13 @@ pub(super) struct ScoredDecision {
 /// # Errors
 /// The work ends early, or a file cannot be read.
 pub(super) fn score(
-    series: &Series,
+    series: &PolicySeries,
     plant: &Plant,
     policies: u32,
     rollouts: u32,
     access: Access,
 ) -> Result<Option<ScoredDecision>, ExperimentError> {
-    let (mut score, mut made) = (Score::default(), Made::Earlier);
+    let (mut score, mut made) = (RecommendationScore::default(), Made::Earlier);
     for policy in 0..policies {
         let results = if access.works() {
             let trained = series.train(policy, &mut |_, _| ())?;
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     fn decided(balanced: u32, ran: u32, rollouts: u32) -> Option<bool> {
-        Score { balanced, ran }.decided(rollouts)
+        RecommendationScore { balanced, ran }.decided(rollouts)
     }
 
     #[test]

@@ -3,7 +3,7 @@
 
 use super::SessionSource;
 use super::source::ComparedMotion;
-use crate::identification::{Phase, phase_error, start_state};
+use crate::identification::{Regime, regime_error, start_state};
 use crate::qube::{Profile, Quantity, QubeModel};
 use crate::replay::simulate_from;
 use crate::report::chart::{Axis, Chart, Mark, Series, Style};
@@ -121,8 +121,8 @@ fn add_predictions(page: &mut Page, motions: &[ComparedMotion], model: &QubeMode
             motion.name.as_str().into(),
             if motion.fitted { "fitted" } else { "held out" }.into(),
         ];
-        for phase in Phase::ALL {
-            let error = phase_error(logs, model, phase);
+        for regime in Regime::ALL {
+            let error = regime_error(logs, model, regime);
             let figure = |value: f64| Cell::number((error.predictions > 0).then_some(value), 3);
             row.extend([figure(error.rms.theta_rad), figure(error.rms.alpha_rad)]);
         }

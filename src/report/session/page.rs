@@ -1,7 +1,7 @@
 use super::{SessionSource, distribution, identified, posterior, search, time_line};
 use crate::report::ReportError;
 use crate::report::chart::{Axis, Chart, Mark, Series, Style};
-use crate::report::motion::Motion;
+use crate::report::motion::PackedMotion;
 use crate::report::page::{Cell, Page};
 use crate::report::provenance::add_provenance;
 use crate::report::rollout::{ROLLOUT_HEADS, RolloutView, add_player, rollout_cells};
@@ -110,7 +110,7 @@ fn add_rollouts(page: &mut Page, source: &SessionSource) {
     }
     let best = ScoredCandidate::best_verified(&source.candidates)
         .map(|index| source.candidates[index].candidate.number);
-    let mut motions: Vec<Motion> = Vec::new();
+    let mut motions: Vec<PackedMotion> = Vec::new();
     let mut rows: Vec<Vec<Cell>> = Vec::new();
     for (number, view) in &source.rollouts {
         let candidate = &source.state.candidates()[*number as usize];

@@ -7,5 +7,5 @@ mod two_humped;
 
 pub use objective::Objective;
 pub use regret::{RegretCurve, simple_regret};
-pub use statistics::{Interval, Quartiles};
+pub use statistics::{MeanInterval, Quartiles};
 pub use two_humped::{SearchVariant, TwoHumped, VariantResult};

@@ -28,7 +28,7 @@ pub fn quartiles(mut sample: Vec<f64>) -> Quartiles {
 
 /// A mean with the half width of its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Interval {
+pub struct MeanInterval {
     /// Mean of the sample.
     pub mean: f64,
     /// Half width, 1.96 standard errors, a factor that suits samples of hundreds of repetitions.
@@ -37,11 +37,11 @@ pub struct Interval {
 
 /// Mean and 95 % confidence interval of a sample of at least two values.
 #[must_use]
-pub fn confidence_interval(sample: &[f64]) -> Interval {
+pub fn confidence_interval(sample: &[f64]) -> MeanInterval {
     let n = sample.len() as f64;
     let mean = sample.iter().sum::<f64>() / n;
     let squares: f64 = sample.iter().map(|x| (x - mean) * (x - mean)).sum();
-    Interval { mean, half_width: 1.96 * (squares / (n - 1.0) / n).sqrt() }
+    MeanInterval { mean, half_width: 1.96 * (squares / (n - 1.0) / n).sqrt() }
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@ use rand::RngExt;
 use serde::Serialize;
 
 use super::objective::{HUMP_WEIGHTS, bowl};
-use super::statistics::{Interval, confidence_interval};
+use super::statistics::{MeanInterval, confidence_interval};
 use crate::search::random::stream;
 use crate::search::{
     AcquisitionKind, BayRn, BayRnSettings, Observation, SearchBox, SearchError, Strategy,
@@ -200,9 +200,9 @@ pub struct VariantResult {
     #[serde(rename = "contender")]
     pub variant: SearchVariant,
     /// Expected return of the recommended point, with its 95 % interval.
-    pub expected_return: Interval,
+    pub expected_return: MeanInterval,
     /// Difference to [`SearchVariant::Plain`] in the same repetitions, with its 95 % interval.
-    pub gain_over_plain: Interval,
+    pub gain_over_plain: MeanInterval,
 }
 
 impl VariantResult {
@@ -275,7 +275,7 @@ mod tests {
             vec![9.0, 21.0],
             vec![10.0, 20.0],
         ]);
-        assert_eq!(table[2].gain_over_plain, Interval { mean: 1.0, half_width: 0.0 });
+        assert_eq!(table[2].gain_over_plain, MeanInterval { mean: 1.0, half_width: 0.0 });
         assert_eq!(table[1].expected_return.mean, 15.0);
     }
 }

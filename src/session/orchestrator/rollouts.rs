@@ -4,6 +4,7 @@
 use std::sync::atomic::Ordering;
 
 use super::{Session, doubt_of};
+use crate::identification::{DRIFT_ROLLOUTS, Drift};
 use crate::policy::{EXCITATION_STEPS, Policy};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
@@ -15,8 +16,7 @@ use crate::session::folder::put_aside;
 use crate::session::plan::{identifying, wanted_rollouts};
 use crate::session::seeds::{SeedFor, derived_seed};
 use crate::session::{
-    DRIFT_ROLLOUTS, Drift, Entry, Identification, RolloutPlan, ScoredRollout, SessionError,
-    SessionEvent, rig_of_rollout,
+    Entry, Identification, RolloutPlan, ScoredRollout, SessionError, SessionEvent, rig_of_rollout,
 };
 use crate::telemetry::Ending;
 

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::prepared::{PreparedTraining, PreparedTrainings};
 use crate::jobs::{
-    CHOSEN_OF_STARTS, Competition, Executor, JobError, JobEvent, Score, TrainingJob,
+    CHOSEN_OF_STARTS, Competition, Executor, JobError, JobEvent, TrainingJob, TrainingScore,
     tenth_percentile,
 };
 use crate::learning::{Origin, Preset, TrainSettings, Trained, curve_csv, evaluate_on_new_starts};
@@ -189,7 +189,7 @@ impl Trainer {
         let (trained, candidate) = (result?, contest.candidate.number);
         let score = match contest.competition.is_contested() {
             true => self.score(candidate, &trained.network)?,
-            false => Score::UNCONTESTED,
+            false => TrainingScore::UNCONTESTED,
         };
         contest.competition.enter(training, score, (trained, trained_for));
         let Some((winner, trained_for)) = contest.competition.take_winner() else { return Ok(()) };
@@ -289,15 +289,15 @@ impl Trainer {
     ///
     /// # Errors
     /// The base distribution cannot be simulated.
-    fn score(&self, candidate: u32, network: &Network) -> Result<Score, SessionError> {
+    fn score(&self, candidate: u32, network: &Network) -> Result<TrainingScore, SessionError> {
         let as_identified = self.simulated(candidate, network)?;
         if !self.is_doubted() {
-            return Ok(Score::of(&as_identified));
+            return Ok(TrainingScore::of(&as_identified));
         }
         let base = self.settings.base_distribution()?;
         let doubted = base.widened(DOUBTED_WIDTH, self.settings.family);
         let compared = tenth_percentile(&self.simulated_from(&doubted, candidate, network));
-        Ok(Score { tenth_percentile: tenth_percentile(&as_identified), compared })
+        Ok(TrainingScore { judged: tenth_percentile(&as_identified), compared })
     }
 
     /// Evaluates a policy of a candidate in fresh simulations from the search's base distribution.
@@ -365,9 +365,9 @@ mod tests {
         let Ok(Policy::Network(policy)) = Policy::load(&path) else { panic!("a network") };
         let score = |doubts| trainer(settings.clone(), found(doubts)).score(1, &policy.network);
         let (sure, doubted) = (score(Vec::new()).unwrap(), score(vec!["play".into()]).unwrap());
-        assert_eq!(sure.compared, sure.tenth_percentile);
-        assert_eq!(doubted.tenth_percentile, sure.tenth_percentile);
-        assert!(doubted.compared < doubted.tenth_percentile - 1.0, "{doubted:?}");
+        assert_eq!(sure.compared, sure.judged);
+        assert_eq!(doubted.judged, sure.judged);
+        assert!(doubted.compared < doubted.judged - 1.0, "{doubted:?}");
     }
 
     #[test]

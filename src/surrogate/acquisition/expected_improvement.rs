@@ -1,4 +1,4 @@
-use super::{Criterion, Score};
+use super::{Criterion, CriterionValue};
 use crate::surrogate::normal::{density, distribution, log_improvement};
 
 /// The expected improvement over an incumbent `f` (Jones, Schonlau and Welch 1998).
@@ -12,9 +12,9 @@ pub struct ExpectedImprovement {
 }
 
 impl Criterion for ExpectedImprovement {
-    fn score(&self, mean: f64, deviation: f64) -> Score {
+    fn score(&self, mean: f64, deviation: f64) -> CriterionValue {
         let z = (mean - self.incumbent) / deviation;
-        Score {
+        CriterionValue {
             // Computed from the logarithm, because the two terms nearly cancel far below the
             // incumbent.
             value: deviation * log_improvement(z).exp(),

@@ -1,4 +1,4 @@
-use super::{Criterion, Score};
+use super::{Criterion, CriterionValue};
 use crate::surrogate::normal::{density, distribution, log_density, tail};
 
 /// The natural logarithm of the expected improvement (EI) over an incumbent (Ament et al. 2023).
@@ -11,10 +11,10 @@ pub struct LogExpectedImprovement {
 }
 
 impl Criterion for LogExpectedImprovement {
-    fn score(&self, mean: f64, deviation: f64) -> Score {
+    fn score(&self, mean: f64, deviation: f64) -> CriterionValue {
         let z = (mean - self.incumbent) / deviation;
         let (log, by_mean, by_deviation) = logarithm_and_slopes(z);
-        Score {
+        CriterionValue {
             value: deviation.ln() + log,
             d_mean: by_mean / deviation,
             d_deviation: by_deviation / deviation,

@@ -39,12 +39,12 @@ pub trait Acquisition {
 pub trait Criterion {
     /// The value at a mean and a standard deviation > 0, both in the observed values' units, and
     /// its two derivatives.
-    fn score(&self, mean: f64, deviation: f64) -> Score;
+    fn score(&self, mean: f64, deviation: f64) -> CriterionValue;
 }
 
 /// A criterion's value and derivatives.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Score {
+pub struct CriterionValue {
     /// The value.
     pub value: f64,
     /// Derivative with respect to the mean.

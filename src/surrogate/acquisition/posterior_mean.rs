@@ -1,4 +1,4 @@
-use super::{Criterion, Score};
+use super::{Criterion, CriterionValue};
 
 /// The posterior mean, whose maximiser is the point that a search recommends. It does not serve to
 /// choose the next point to evaluate, since it ignores uncertainty.
@@ -6,8 +6,8 @@ use super::{Criterion, Score};
 pub struct PosteriorMean;
 
 impl Criterion for PosteriorMean {
-    fn score(&self, mean: f64, _deviation: f64) -> Score {
-        Score { value: mean, d_mean: 1.0, d_deviation: 0.0 }
+    fn score(&self, mean: f64, _deviation: f64) -> CriterionValue {
+        CriterionValue { value: mean, d_mean: 1.0, d_deviation: 0.0 }
     }
 }
 

@@ -1,4 +1,4 @@
-use super::{Criterion, Score};
+use super::{Criterion, CriterionValue};
 use crate::surrogate::normal::{density, distribution, log_density, log_distribution};
 
 /// The probability of improvement over an incumbent `f`: `Phi((mu - f) / sigma)` with the posterior
@@ -10,10 +10,10 @@ pub struct ProbabilityOfImprovement {
 }
 
 impl Criterion for ProbabilityOfImprovement {
-    fn score(&self, mean: f64, deviation: f64) -> Score {
+    fn score(&self, mean: f64, deviation: f64) -> CriterionValue {
         let z = (mean - self.incumbent) / deviation;
         let slope = density(z) / deviation;
-        Score { value: distribution(z), d_mean: slope, d_deviation: -z * slope }
+        CriterionValue { value: distribution(z), d_mean: slope, d_deviation: -z * slope }
     }
 }
 
@@ -26,11 +26,11 @@ pub struct LogProbabilityOfImprovement {
 }
 
 impl Criterion for LogProbabilityOfImprovement {
-    fn score(&self, mean: f64, deviation: f64) -> Score {
+    fn score(&self, mean: f64, deviation: f64) -> CriterionValue {
         let z = (mean - self.incumbent) / deviation;
         let value = log_distribution(z);
         let slope = (log_density(z) - value).exp() / deviation;
-        Score { value, d_mean: slope, d_deviation: -z * slope }
+        CriterionValue { value, d_mean: slope, d_deviation: -z * slope }
     }
 }
 

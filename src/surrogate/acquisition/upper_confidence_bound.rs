@@ -1,4 +1,4 @@
-use super::{Criterion, Score};
+use super::{Criterion, CriterionValue};
 
 /// The upper confidence bound `mu + beta sigma`, with the posterior mean `mu` and standard
 /// deviation `sigma` (Srinivas et al. 2010, whose beta is the square of this one).
@@ -9,8 +9,8 @@ pub struct UpperConfidenceBound {
 }
 
 impl Criterion for UpperConfidenceBound {
-    fn score(&self, mean: f64, deviation: f64) -> Score {
-        Score { value: mean + self.beta * deviation, d_mean: 1.0, d_deviation: self.beta }
+    fn score(&self, mean: f64, deviation: f64) -> CriterionValue {
+        CriterionValue { value: mean + self.beta * deviation, d_mean: 1.0, d_deviation: self.beta }
     }
 }
 

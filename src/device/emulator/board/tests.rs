@@ -146,7 +146,7 @@ fn the_watchdog_trips_at_its_instant_however_time_is_cut() {
         assert_eq!(board.state(), DeviceState::Tripped);
         board.advance_to(2_000_000);
         // The motor drives from 10 ms to 60 ms and no longer.
-        let mut reference = Plant::new(&EmulatorSettings::default());
+        let mut reference = EmulatedPlant::new(&EmulatorSettings::default());
         reference.advance_to(10_000);
         reference.set_voltage(3.003);
         reference.advance_to(60_000);

@@ -1,6 +1,6 @@
 use nalgebra::DVector;
 
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::discriminator::Discriminator;
 use super::gaussian::standard_normal;
 use super::rival::{Data, Rival, RivalInput};
@@ -47,7 +47,7 @@ impl Rival for ActiveRandomisation {
         Data::None
     }
 
-    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         Ok(given.before.clone())
     }
 

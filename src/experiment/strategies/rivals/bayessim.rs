@@ -1,7 +1,7 @@
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::mixture_density::MixtureDensity;
 use super::rival::{Data, POINTS, Rival, RivalInput};
-use super::simulator::{Motion, simulate};
+use super::simulator::{SampledMotion, simulate};
 use super::summary::{features, parts_of, statistics};
 use crate::learning::TrainError;
 
@@ -21,14 +21,14 @@ impl Rival for BayesSim {
         Data::Excitations
     }
 
-    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         let mut random = given.random();
         let targets = given.space.draws(SAMPLES, &mut random);
         let models: Vec<_> = targets.iter().map(|point| given.space.model(point)).collect();
         let mut simulated: Vec<Vec<Vec<f64>>> = vec![Vec::new(); SAMPLES];
         let mut real = Vec::new();
         for demonstration in given.recorded {
-            let motion = Motion::recorded(&demonstration.log);
+            let motion = SampledMotion::recorded(&demonstration.log);
             let parts = parts_of(motion.states.len());
             real.push(statistics(&motion, parts));
             let motions = simulate(demonstration, given.simulation, &models);
@@ -47,6 +47,6 @@ impl Rival for BayesSim {
         let network = MixtureDensity::fit(&inputs, &targets, &weights, PASSES, given.seed);
         let posterior = network.given(&features(&real, shortest));
         let points = posterior.draws(POINTS, &mut random);
-        Ok(Belief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))
+        Ok(RivalBelief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))
     }
 }

@@ -8,7 +8,7 @@ use super::space::Space;
 /// A rival's belief about a Qube after some recordings, in the coordinates of a [`Space`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "Written")]
-pub enum Belief {
+pub enum RivalBelief {
     /// Nothing has been learnt.
     Unknown,
     /// A normal distribution.
@@ -26,7 +26,7 @@ enum Written {
     Points(Vec<Vec<f64>>),
 }
 
-impl Belief {
+impl RivalBelief {
     /// Draws points whose Qubes can be simulated. A belief that is given by points draws nothing:
     /// it gives `count` of its points, at even distances in their order, or none if it has none.
     pub fn draws(&self, space: &Space, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
@@ -72,22 +72,22 @@ impl Belief {
     }
 }
 
-impl From<Belief> for Written {
-    fn from(belief: Belief) -> Self {
+impl From<RivalBelief> for Written {
+    fn from(belief: RivalBelief) -> Self {
         match belief {
-            Belief::Unknown => Self::Unknown,
-            Belief::Gaussian(Gaussian { mean, covariance }) => Self::Gaussian {
+            RivalBelief::Unknown => Self::Unknown,
+            RivalBelief::Gaussian(Gaussian { mean, covariance }) => Self::Gaussian {
                 mean: mean.as_slice().to_vec(),
                 covariance: covariance.as_slice().to_vec(),
             },
-            Belief::Points(points) => {
+            RivalBelief::Points(points) => {
                 Self::Points(points.iter().map(|point| point.as_slice().to_vec()).collect())
             }
         }
     }
 }
 
-impl TryFrom<Written> for Belief {
+impl TryFrom<Written> for RivalBelief {
     type Error = String;
 
     fn try_from(written: Written) -> Result<Self, Self::Error> {
@@ -129,9 +129,11 @@ mod tests {
             covariance: DMatrix::from_row_slice(2, 2, &[2.0, 0.3, 0.3, 1.0 / 3.0]),
         };
         let points = vec![DVector::from_vec(vec![0.1, 2.0]), DVector::from_vec(vec![1e-300, 7.0])];
-        for belief in [Belief::Unknown, Belief::Gaussian(gaussian), Belief::Points(points)] {
+        for belief in
+            [RivalBelief::Unknown, RivalBelief::Gaussian(gaussian), RivalBelief::Points(points)]
+        {
             let text = serde_json::to_string(&belief).unwrap();
-            assert_eq!(serde_json::from_str::<Belief>(&text).unwrap(), belief);
+            assert_eq!(serde_json::from_str::<RivalBelief>(&text).unwrap(), belief);
         }
     }
 
@@ -143,13 +145,13 @@ mod tests {
             r#"{"gaussian":{"mean":[],"covariance":[1.0]}}"#,
             r#"{"points":[[0.1,2.0],[0.1]]}"#,
         ] {
-            let refused = serde_json::from_str::<Belief>(text).unwrap_err().to_string();
+            let refused = serde_json::from_str::<RivalBelief>(text).unwrap_err().to_string();
             assert!(refused.contains("the file is damaged"), "{refused}");
         }
         let space = Space::of_unknown(&PlantModel::QUBE);
-        let own = Belief::Points(vec![DVector::zeros(space.dimensions())]);
+        let own = RivalBelief::Points(vec![DVector::zeros(space.dimensions())]);
         assert_eq!(own.clone().within(&space), Ok(own));
-        let longer = Belief::Points(vec![DVector::zeros(space.dimensions() + 1)]);
+        let longer = RivalBelief::Points(vec![DVector::zeros(space.dimensions() + 1)]);
         assert!(longer.within(&space).unwrap_err().contains("the file is damaged"));
     }
 }

@@ -1,4 +1,4 @@
-use super::simulator::Motion;
+use super::simulator::SampledMotion;
 use crate::qube::State;
 
 /// Weights of the observations: theta (1/rad), cosine and sine of alpha, theta_dot and alpha_dot
@@ -17,7 +17,7 @@ const LARGEST: f64 = 10.0;
 /// The discrepancy of two motions (SimOpt, equation 4), without unit: absolute and squared
 /// differences of the weighted observations, as a mean over the steps that both motions have. A
 /// Gaussian filter over time smooths the differences, so that a small shift in time costs little.
-pub fn discrepancy(real: &Motion, simulated: &Motion) -> f64 {
+pub fn discrepancy(real: &SampledMotion, simulated: &SampledMotion) -> f64 {
     let steps = real.states.len().min(simulated.states.len());
     let mut total = 0.0;
     for (index, weight) in WEIGHTS.iter().enumerate() {
@@ -65,12 +65,12 @@ fn filtered(values: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    fn swinging(shift: f64, amplitude: f64) -> Motion {
+    fn swinging(shift: f64, amplitude: f64) -> SampledMotion {
         let states = (0..300).map(|step| {
             let phase = 0.1 * (f64::from(step) - shift);
             State { theta: amplitude * phase.sin(), ..State::default() }
         });
-        Motion { states: states.collect(), voltages_v: vec![0.0; 300] }
+        SampledMotion { states: states.collect(), voltages_v: vec![0.0; 300] }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 use nalgebra::DVector;
 
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::evolution::minimise;
 use super::gaussian::{Gaussian, standard_normal};
 use super::offline_likelihood::log_likelihood;
@@ -34,7 +34,7 @@ impl Rival for Dropo {
         Data::Excitations
     }
 
-    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         let logs: Vec<&MotionLog> = given.recorded.iter().map(|it| &it.log).collect();
         let transitions = Transition::of_logs(&logs, TRANSITIONS);
         let real: Vec<[f64; 4]> = transitions.iter().map(|it| it.end).collect();
@@ -65,7 +65,7 @@ impl Rival for Dropo {
             Ok(found) if !transitions.is_empty() => {
                 let (mean, deviation) = parts(&found);
                 let variances = deviation.component_mul(&deviation);
-                Belief::Gaussian(Gaussian {
+                RivalBelief::Gaussian(Gaussian {
                     mean,
                     covariance: nalgebra::DMatrix::from_diagonal(&variances),
                 })

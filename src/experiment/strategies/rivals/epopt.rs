@@ -1,4 +1,4 @@
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::rival::{Data, Rival, RivalInput};
 use super::tempering::{log_student, posterior_particles};
 use super::transitions::{NOISE, Transition};
@@ -27,7 +27,7 @@ impl Rival for EpOpt {
         Data::Rollouts
     }
 
-    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         let mut random = given.random();
         let logs: Vec<&MotionLog> = given.latest().iter().map(|it| &it.log).collect();
         let transitions = Transition::of_logs(&logs, TRANSITIONS);
@@ -47,7 +47,12 @@ impl Rival for EpOpt {
         };
         let particles = given.before.draws(given.space, PARTICLES, &mut random);
         let clamped = |point: &nalgebra::DVector<f64>| given.space.clamped(point);
-        Ok(Belief::Points(posterior_particles(particles, log_likelihood, clamped, &mut random)))
+        Ok(RivalBelief::Points(posterior_particles(
+            particles,
+            log_likelihood,
+            clamped,
+            &mut random,
+        )))
     }
 
     fn shape_training(&self, training: &mut TrainSettings) {

@@ -1,7 +1,7 @@
 use nalgebra::DVector;
 use rand::RngExt as _;
 
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::gaussian::standard_normal;
 use super::rival::{Data, POINTS, Rival, RivalInput};
 use super::simulator::{Demonstration, simulate};
@@ -45,7 +45,7 @@ impl Rival for FingerprintOptimisation {
         Data::None
     }
 
-    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         Ok(given.before.clone())
     }
 

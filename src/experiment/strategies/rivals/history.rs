@@ -1,4 +1,4 @@
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::rival::{Data, Rival, RivalInput};
 use crate::learning::{TrainError, TrainSettings};
 use crate::qube::MAX_HISTORY;
@@ -13,7 +13,7 @@ impl Rival for LongHistory {
         Data::None
     }
 
-    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         Ok(given.before.clone())
     }
 

@@ -1,14 +1,14 @@
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::kind::RivalKind;
 use super::rival::{Data, POINTS, Rival, RivalInput};
 use super::simulator::Demonstration;
 use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
 use crate::experiment::strategies::StrategySettings;
-use crate::experiment::strategies::recordings::{Recorded, Recordings, excitation, read};
+use crate::experiment::strategies::recordings::{MethodRecordings, Recorded, excitation, read};
 use crate::experiment::strategies::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::{ExperimentError, Recipe};
 use crate::jobs::JobError;
@@ -31,7 +31,7 @@ pub struct FromRival<'a> {
     settings: &'a StrategySettings,
     kind: RivalKind,
     rival: Box<dyn Rival>,
-    recordings: Recordings<'a>,
+    recordings: MethodRecordings<'a>,
     /// Number of recordings, counted from the first, that are known to be complete and need not be
     /// read again.
     complete: u32,
@@ -41,7 +41,7 @@ pub struct FromRival<'a> {
 impl<'a> FromRival<'a> {
     /// Recommendations in the folder of a method's run.
     pub fn new(run: &'a MethodRun<'a>, settings: &'a StrategySettings, kind: RivalKind) -> Self {
-        let recordings = Recordings::of(run);
+        let recordings = MethodRecordings::of(run);
         let space = Space::of_unknown(run.recipe.settings.plant());
         Self { run, settings, kind, rival: kind.rival(), recordings, complete: 0, space }
     }
@@ -62,10 +62,10 @@ impl<'a> FromRival<'a> {
     }
 
     /// The recommendation of a belief after `recordings` recordings.
-    fn recommendation(&self, belief: &Belief, recordings: u32) -> Recommendation {
+    fn recommendation(&self, belief: &RivalBelief, recordings: u32) -> Recommendation {
         let mut random = ChaCha8Rng::seed_from_u64(self.seed(recordings));
         let distribution = match belief {
-            Belief::Unknown => None,
+            RivalBelief::Unknown => None,
             known => distribution_of(&self.space, &known.draws(&self.space, POINTS, &mut random)),
         };
         Recommendation { distribution, ..Recommendation::of(self.recipe(), None) }
@@ -109,13 +109,13 @@ impl<'a> FromRival<'a> {
 
     /// The belief after `recordings` recordings, all of which exist. The belief is stored on disk.
     /// `None`: the run is read-only, and the belief is not on disk.
-    fn belief(&self, recordings: u32) -> Result<Option<Belief>, ExperimentError> {
+    fn belief(&self, recordings: u32) -> Result<Option<RivalBelief>, ExperimentError> {
         if recordings == 0 && self.rival.data() != Data::None {
-            return Ok(Some(Belief::Unknown));
+            return Ok(Some(RivalBelief::Unknown));
         }
         let path = self.run.folder.join(format!("belief-{recordings}.json"));
         if MachineDisk.exists(&path) {
-            let stored = serde_json::from_str::<Belief>(&read(&path)?);
+            let stored = serde_json::from_str::<RivalBelief>(&read(&path)?);
             let stored = stored.map_err(|error| error.to_string());
             return stored
                 .and_then(|belief| belief.within(&self.space))
@@ -136,11 +136,11 @@ impl<'a> FromRival<'a> {
 
     /// Learns from the first `recordings` recordings: updates the belief after the last of
     /// [`ROUNDS`] before them.
-    fn learnt(&self, recordings: u32) -> Result<Belief, ExperimentError> {
+    fn learnt(&self, recordings: u32) -> Result<RivalBelief, ExperimentError> {
         let earlier = recordings.checked_sub(1).map_or(0, round_within);
         let before = match recordings {
-            0 => Belief::Unknown,
-            _ => self.belief(earlier)?.unwrap_or(Belief::Unknown),
+            0 => RivalBelief::Unknown,
+            _ => self.belief(earlier)?.unwrap_or(RivalBelief::Unknown),
         };
         let recorded = self.demonstrations(recordings)?;
         let recipe = self.recipe();
@@ -173,7 +173,7 @@ impl FromRival<'_> {
         let recipe = self.recipe();
         let given = RivalInput {
             space: &self.space,
-            before: &Belief::Unknown,
+            before: &RivalBelief::Unknown,
             first_latest: 0,
             recorded: &[],
             simulation: &recipe.simulation(None),

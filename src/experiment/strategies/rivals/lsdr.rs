@@ -1,4 +1,4 @@
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::entropy_trade_off::Independent;
 use super::rival::{Data, Rival, RivalInput};
 use super::space::distribution_of;
@@ -31,7 +31,7 @@ impl Rival for Lsdr {
         Data::None
     }
 
-    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         let mut random = given.random();
         let mut own = Independent::narrowed(given.space.dimensions(), FIRST_WIDTH);
         let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
@@ -47,6 +47,6 @@ impl Rival for Lsdr {
                 own = own.ascended(&points, &scores, TRADE_OFF);
             }
         }
-        Ok(Belief::Gaussian(own.gaussian()))
+        Ok(RivalBelief::Gaussian(own.gaussian()))
     }
 }

@@ -1,10 +1,10 @@
 use nalgebra::DVector;
 
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::gaussian::Gaussian;
 use super::mixture_density::MixtureDensity;
 use super::rival::{Data, POINTS, Rival, RivalInput};
-use super::simulator::{Motion, simulate};
+use super::simulator::{SampledMotion, simulate};
 use super::summary::{parts_of, statistics};
 use crate::learning::TrainError;
 
@@ -30,7 +30,7 @@ impl Rival for Npdr {
         Data::Rollouts
     }
 
-    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         let mut random = given.random();
         let latest = given.recorded.len().saturating_sub(LATEST);
         let demonstrations = &given.recorded[latest..];
@@ -49,7 +49,7 @@ impl Rival for Npdr {
         let mut real: Vec<f64> = Vec::new();
         let mut inputs: Vec<Vec<f64>> = vec![Vec::new(); targets.len()];
         for demonstration in demonstrations {
-            let motion = Motion::recorded(&demonstration.log);
+            let motion = SampledMotion::recorded(&demonstration.log);
             let parts = parts_of(motion.states.len());
             real.extend(statistics(&motion, parts));
             let motions = simulate(demonstration, given.simulation, &models);
@@ -60,7 +60,7 @@ impl Rival for Npdr {
         let inputs: Vec<_> = inputs.into_iter().map(DVector::from_vec).collect();
         let network = MixtureDensity::fit(&inputs, &targets, &weights, PASSES, given.seed);
         let points = network.given(&DVector::from_vec(real)).draws(POINTS, &mut random);
-        Ok(Belief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))
+        Ok(RivalBelief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))
     }
 }
 

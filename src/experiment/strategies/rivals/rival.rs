@@ -3,7 +3,7 @@ use std::sync::atomic::AtomicBool;
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::simulator::Demonstration;
 use super::space::Space;
 use crate::learning::{TrainError, TrainSettings, Trained};
@@ -28,7 +28,7 @@ pub struct RivalInput<'a> {
     /// Space in whose coordinates beliefs are stated.
     pub space: &'a Space,
     /// Belief before the latest recordings.
-    pub before: &'a Belief,
+    pub before: &'a RivalBelief,
     /// All recordings so far.
     pub recorded: &'a [Demonstration],
     /// Index in `recorded` of the first recording that `before` does not contain.
@@ -64,7 +64,7 @@ pub trait Rival {
     ///
     /// # Errors
     /// A training that the method needs is stopped or fails.
-    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError>;
+    fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError>;
 
     /// The policy of a rival whose training is its own; `None` for a rival whose policies are
     /// trained in its belief.

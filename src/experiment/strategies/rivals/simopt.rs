@@ -1,8 +1,8 @@
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::discrepancy::discrepancy;
 use super::relative_entropy::bounded_update;
 use super::rival::{Data, Rival, RivalInput};
-use super::simulator::{Motion, simulate};
+use super::simulator::{SampledMotion, simulate};
 use crate::learning::TrainError;
 
 /// Number of steps of relative entropy policy search after each round of real rollouts.
@@ -23,7 +23,7 @@ impl Rival for SimOpt {
         Data::Rollouts
     }
 
-    fn update(&self, given: &RivalInput) -> Result<Belief, TrainError> {
+    fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         let mut gaussian = given.before.gaussian(given.space);
         let mut random = given.random();
         let demonstrations = given.latest();
@@ -39,7 +39,7 @@ impl Rival for SimOpt {
             let models: Vec<_> = points.iter().map(|point| given.space.model(point)).collect();
             let mut costs = vec![0.0; points.len()];
             for demonstration in demonstrations {
-                let real = Motion::recorded(&demonstration.log);
+                let real = SampledMotion::recorded(&demonstration.log);
                 let simulated = simulate(demonstration, given.simulation, &models);
                 for (cost, motion) in costs.iter_mut().zip(&simulated) {
                     *cost += discrepancy(&real, motion);
@@ -47,6 +47,6 @@ impl Rival for SimOpt {
             }
             gaussian = bounded_update(&gaussian, &points, &costs, BOUND);
         }
-        Ok(Belief::Gaussian(gaussian))
+        Ok(RivalBelief::Gaussian(gaussian))
     }
 }

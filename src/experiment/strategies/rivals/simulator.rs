@@ -32,14 +32,14 @@ impl Demonstration {
 
 /// A motion in steps of 10 ms: states and voltages.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Motion {
+pub struct SampledMotion {
     /// State at each step.
     pub states: Vec<State>,
     /// Voltage from each step to the next, V.
     pub voltages_v: Vec<f64>,
 }
 
-impl Motion {
+impl SampledMotion {
     /// The motion of a recording.
     pub fn recorded(log: &MotionLog) -> Self {
         Self {
@@ -56,7 +56,7 @@ pub fn simulate(
     demonstration: &Demonstration,
     simulation: &SimulationSettings,
     models: &[QubeModel],
-) -> Vec<Motion> {
+) -> Vec<SampledMotion> {
     models
         .chunks(LANES)
         .flat_map(|models| side_by_side(demonstration, simulation, models))
@@ -67,8 +67,8 @@ fn side_by_side(
     Demonstration { log, policy }: &Demonstration,
     simulation: &SimulationSettings,
     models: &[QubeModel],
-) -> Vec<Motion> {
-    let recorded = Motion::recorded(log);
+) -> Vec<SampledMotion> {
+    let recorded = SampledMotion::recorded(log);
     let Some(&first) = recorded.states.first() else { return Vec::new() };
     // A rollout begins at rest: velocities that the filter still shows come from the last edge of
     // an encoder.
@@ -89,7 +89,7 @@ fn side_by_side(
     let mut observations = vec![0.0; pendulums.observation_size() * lanes];
     let (mut voltages_v, mut rewards) = (vec![0.0; lanes], vec![0.0; lanes]);
     let mut statuses = vec![LaneStatus::Running; lanes];
-    let mut motions = vec![Motion::default(); models.len()];
+    let mut motions = vec![SampledMotion::default(); models.len()];
     let mut observed = vec![0.0; pendulums.observation_size()];
     pendulums.observe(&mut observations);
     for &recorded_v in &recorded.voltages_v {

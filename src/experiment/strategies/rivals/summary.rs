@@ -1,6 +1,6 @@
 use nalgebra::DVector;
 
-use super::simulator::Motion;
+use super::simulator::SampledMotion;
 
 /// Number of steps of a part of a motion: one second.
 const PART: usize = 100;
@@ -14,7 +14,7 @@ const RESOLUTION_RAD: f64 = 2.0 * std::f64::consts::PI / 2048.0;
 /// rate: mean, variance, and mean product with the voltage. Angles are in rad. Rates are
 /// differences of angles over two steps, in rad a step, so that a filter of recorded velocities
 /// plays no part. A part that the motion did not reach has zeros.
-pub fn statistics(motion: &Motion, parts: usize) -> Vec<f64> {
+pub fn statistics(motion: &SampledMotion, parts: usize) -> Vec<f64> {
     let rounded = |angle: f64| (angle / RESOLUTION_RAD).round() * RESOLUTION_RAD;
     let angles: Vec<[f64; 2]> =
         motion.states.iter().map(|state| [rounded(state.theta), rounded(state.alpha)]).collect();
@@ -76,7 +76,7 @@ mod tests {
         let step_rad = 4.0 * RESOLUTION_RAD;
         let states =
             (0..200).map(|step| State { theta: step_rad * f64::from(step), ..State::default() });
-        let motion = Motion { states: states.collect(), voltages_v: vec![2.0; 200] };
+        let motion = SampledMotion { states: states.collect(), voltages_v: vec![2.0; 200] };
         let statistics = statistics(&motion, 2);
         assert_eq!(statistics.len(), 24);
         for part in statistics.chunks(12) {

@@ -8,10 +8,10 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::RivalKind;
-use super::belief::Belief;
+use super::belief::RivalBelief;
 use super::discrepancy::discrepancy;
 use super::rival::{Data, RivalInput};
-use super::simulator::{Demonstration, Motion, simulate};
+use super::simulator::{Demonstration, SampledMotion, simulate};
 use super::space::Space;
 use crate::learning::TrainSettings;
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Network, Policy};
@@ -92,7 +92,7 @@ fn learnt_by(kind: RivalKind) -> [f64; 2] {
             excitation(ExcitationShape::Steps, 0),
         ),
     };
-    let before = Belief::Unknown;
+    let before = RivalBelief::Unknown;
     let given = RivalInput {
         space: &space,
         before: &before,
@@ -108,7 +108,7 @@ fn learnt_by(kind: RivalKind) -> [f64; 2] {
         let draws = belief.draws(&space, DRAWS, &mut ChaCha8Rng::seed_from_u64(7));
         let models: Vec<QubeModel> = draws.iter().map(|point| space.model(point)).collect();
         let motions = simulate(&other, &simulation, &models);
-        let real = Motion::recorded(&other.log);
+        let real = SampledMotion::recorded(&other.log);
         motions.iter().map(|motion| discrepancy(&real, motion)).sum::<f64>() / DRAWS as f64
     })
 }

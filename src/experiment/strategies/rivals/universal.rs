@@ -7,7 +7,7 @@ use super::rival::POINTS;
 use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
 use crate::experiment::strategies::StrategySettings;
-use crate::experiment::strategies::recordings::{Recorded, Recordings};
+use crate::experiment::strategies::recordings::{MethodRecordings, Recorded};
 use crate::experiment::strategies::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::{ExperimentError, Recipe, RolloutResult};
 use crate::jobs::JobError;
@@ -27,7 +27,7 @@ const REACH: f64 = 2.0;
 pub struct FromUniversalPolicy<'a> {
     run: &'a MethodRun<'a>,
     settings: &'a StrategySettings,
-    recordings: Recordings<'a>,
+    recordings: MethodRecordings<'a>,
     space: Space,
     /// Policy, trained when it is first needed. No file stores the policy, because the same seed
     /// trains the same one again.
@@ -38,7 +38,7 @@ impl<'a> FromUniversalPolicy<'a> {
     /// Recommendations in the folder of a method's run.
     pub fn new(run: &'a MethodRun<'a>, settings: &'a StrategySettings) -> Self {
         let (recordings, space) =
-            (Recordings::of(run), Space::of_unknown(run.recipe.settings.plant()));
+            (MethodRecordings::of(run), Space::of_unknown(run.recipe.settings.plant()));
         Self { run, settings, recordings, space, policy: OnceCell::new() }
     }
 
