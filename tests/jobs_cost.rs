@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use qube_hil::jobs::folder::{Holder, JobFolder, Terms};
-use qube_hil::jobs::{Executor, FolderExecutor, JobEvent, LocalExecutor, TrainingJob};
+use qube_hil::jobs::{AtEnd, Executor, FolderExecutor, JobEvent, LocalExecutor, TrainingJob};
 use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
 use qube_hil::storage::MachineDisk;
@@ -62,7 +62,8 @@ fn cost(count: u64) -> Cost {
     let root = directory.path();
     let folder = JobFolder::create(Arc::new(MachineDisk), root, Terms::default()).unwrap();
     let executor =
-        FolderExecutor::new(folder.clone(), None, 1, false, &AtomicBool::new(false)).unwrap();
+        FolderExecutor::new(folder.clone(), None, 1, AtEnd::Withdraw, &AtomicBool::new(false))
+            .unwrap();
     let jobs: Vec<TrainingJob> = (0..count).map(job).collect();
     let done = AtomicBool::new(false);
     let (begun, cpu_before) = (Instant::now(), cpu_s(libc::RUSAGE_SELF));

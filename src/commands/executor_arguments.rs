@@ -8,7 +8,7 @@ use super::service_manager;
 use super::stop::Stop;
 use crate::jobs::folder::{JobFolder, Terms};
 use crate::jobs::starter::{CommandStarter, SlurmOptions, SlurmStarter, Starter, quoted};
-use crate::jobs::{Executor, FolderExecutor};
+use crate::jobs::{AtEnd, Executor, FolderExecutor};
 use crate::storage::MachineDisk;
 
 /// The arguments that select the computers on which a command trains its policies.
@@ -122,8 +122,8 @@ impl ExecutorArguments {
         if starter.is_none() {
             print_message(&format!("start workers by hand: {work}"));
         }
-        let leave = self.leave_workers;
-        let executor = FolderExecutor::new(folder, starter, self.workers, leave, &stop.flag);
+        let at_end = if self.leave_workers { AtEnd::Leave } else { AtEnd::Withdraw };
+        let executor = FolderExecutor::new(folder, starter, self.workers, at_end, &stop.flag);
         Ok(Some(Arc::new(executor.map_err(failed)?.while_waiting(service_manager::alive))))
     }
 }

@@ -55,8 +55,8 @@ pub use reconnect::HelloRetries;
 pub use rest_watch::{Moved, RestWatch, RestingCounts};
 pub use sensor_watch::SensorWatch;
 pub use sign_probe::{AT_REST_COUNTS, ArmResponse, ProbeSample, ProbeStage, ProbeTrace, SignProbe};
-pub use stop_press::{PressOutcome, StopPress};
-pub use thread::{ControlThread, Homed};
+pub use stop_press::{PressKind, PressOutcome, StopPress};
+pub use thread::{ControlThread, Homed, Scheduling};
 pub use tick::Tick;
 pub use watch::Alarm;
 

@@ -27,17 +27,15 @@ const RETURN_TICKS: u32 = 300;
 /// Presses the arm outward against the stop that it touches.
 ///
 /// The arm is at its stop already, so it cannot move far even if the host vanishes while the
-/// voltage is on. A rehearsal tests the voltage before the operator unplugs the board: it ends when
-/// a hand has pushed the arm off its stop and the motor has brought the arm back. Any press ends
-/// when the arm is at no stop, when the voltage does not hold it, when time is up, or on a stop
-/// request or a fault.
+/// voltage is on. Any press ends when the arm is at no stop, when the voltage does not hold it, when
+/// time is up, or on a stop request or a fault.
 #[derive(Debug)]
 pub struct StopPress {
     plant: PlantModel,
     calibration: Calibration,
     push_v: f64,
     most_ticks: u32,
-    is_rehearsal: bool,
+    kind: PressKind,
     estimator: Estimator,
     watch: Watch,
     ticks: u32,
@@ -50,6 +48,16 @@ pub struct StopPress {
     state: State,
     voltage_mv: i16,
     seen: PressOutcome,
+}
+
+/// What the arm is pressed against its stop for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PressKind {
+    /// Tests the voltage before the operator unplugs the board. It also ends as soon as a hand has
+    /// pushed the arm off its stop and the motor has brought the arm back.
+    Rehearsal,
+    /// Keeps up the voltage while the operator feels whether it persists.
+    Test,
 }
 
 /// The result of pressing the arm against its stop.
@@ -68,22 +76,21 @@ pub enum PressOutcome {
 }
 
 impl StopPress {
-    /// A press with `push_v` volts, above 0, for at most `most_ticks` ticks. A rehearsal also ends
-    /// as soon as a pushed arm has come back.
+    /// A press with `push_v` volts, above 0, for at most `most_ticks` ticks.
     #[must_use]
     pub fn new(
         plant: &PlantModel,
         calibration: Calibration,
         push_v: f64,
         most_ticks: u32,
-        is_rehearsal: bool,
+        kind: PressKind,
     ) -> Self {
         Self {
             plant: *plant,
             calibration,
             push_v,
             most_ticks,
-            is_rehearsal,
+            kind,
             estimator: Estimator::new(EstimatorSettings::default(), calibration),
             watch: Watch::default(),
             ticks: 0,
@@ -125,7 +132,7 @@ impl StopPress {
             if off_rad < BACK_RAD {
                 self.pushed_ticks = 0;
                 self.seen = PressOutcome::CameBack;
-                return self.is_rehearsal;
+                return self.kind == PressKind::Rehearsal;
             }
         } else if off_rad > PUSHED_RAD {
             self.pushed_ticks = 1;
@@ -191,7 +198,13 @@ mod tests {
     fn pressed(theta: f64, push_v: f64) -> (PressOutcome, PlantDevice) {
         let mut device = PlantDevice::new(State { theta, ..State::default() });
         let clock = device.clock.clone();
-        let mut press = StopPress::new(&PlantModel::QUBE, Calibration::IDENTITY, push_v, 200, true);
+        let mut press = StopPress::new(
+            &PlantModel::QUBE,
+            Calibration::IDENTITY,
+            push_v,
+            200,
+            PressKind::Rehearsal,
+        );
         let report = drive(&mut device, &clock, &mut press, None, &AtomicBool::new(false)).unwrap();
         assert_eq!(report.outcome.ending, Ending::Completed);
         assert!(!device.armed);
@@ -219,7 +232,13 @@ mod tests {
     /// Runs a rehearsal whose arm is off its stop by `off_rad` of the tick, rad; returns the last
     /// tick and the result.
     fn after_a_push(off_rad: impl Fn(u32) -> f64) -> Option<(u32, PressOutcome)> {
-        let mut press = StopPress::new(&PlantModel::QUBE, Calibration::IDENTITY, 0.5, 6000, true);
+        let mut press = StopPress::new(
+            &PlantModel::QUBE,
+            Calibration::IDENTITY,
+            0.5,
+            6000,
+            PressKind::Rehearsal,
+        );
         (0..6000).find_map(|tick| {
             let theta = HARD_STOP_RAD - off_rad(tick);
             let measurement = crate::qube::Measurement {

@@ -59,9 +59,17 @@ pub struct ControlThread {
     is_hardware: AtomicBool,
 }
 
+/// How the operating system schedules a control thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scheduling {
+    /// The thread asks for SCHED_FIFO and locked memory.
+    RealTime,
+    /// As any thread; enough on a virtual clock.
+    Ordinary,
+}
+
 impl ControlThread {
-    /// Starts the thread. With `realtime` the thread asks for SCHED_FIFO and locked memory, which
-    /// it does not need on a virtual clock. Setting `stop` ends every motion and wait: a rollout by
+    /// Starts the thread. Setting `stop` ends every motion and wait: a rollout by
     /// braking, homing by switching the amplifier off.
     ///
     /// # Errors
@@ -69,14 +77,17 @@ impl ControlThread {
     pub fn spawn(
         mut device: Box<dyn Device>,
         clock: Arc<dyn Clock>,
-        realtime: bool,
+        scheduling: Scheduling,
         stop: Arc<AtomicBool>,
     ) -> std::io::Result<Self> {
         let (commands, inbox) = bounded::<Command>(1);
         let (outbox, events) = bounded::<Event>(1);
         let (ready, readiness) = bounded(1);
         let handle = std::thread::Builder::new().name("control".into()).spawn(move || {
-            let report = if realtime { enter_realtime() } else { RealtimeRefusals::default() };
+            let report = match scheduling {
+                Scheduling::RealTime => enter_realtime(),
+                Scheduling::Ordinary => RealtimeRefusals::default(),
+            };
             let _ = ready.send(report);
             let mut state = ControlState::default();
             let mut motor = MotorCooling::default();
@@ -389,7 +400,8 @@ mod tests {
         device.disturbance = Box::new(move |sample| (sample == gone_at).then_some(TestFault::Gone));
         let clock: Arc<dyn Clock> = Arc::new(device.clock.clone());
         let stop = Arc::new(AtomicBool::new(false));
-        let thread = ControlThread::spawn(Box::new(device), clock, false, stop).unwrap();
+        let thread =
+            ControlThread::spawn(Box::new(device), clock, Scheduling::Ordinary, stop).unwrap();
         let settings = TickSettings {
             calibration: Calibration::IDENTITY,
             estimator: EstimatorSettings::default(),
@@ -455,8 +467,13 @@ mod tests {
         let device = PlantDevice::new(State::default());
         let clock = device.clock.clone();
         let stop = Arc::new(AtomicBool::new(false));
-        let thread =
-            ControlThread::spawn(Box::new(device), Arc::new(clock.clone()), false, stop).unwrap();
+        let thread = ControlThread::spawn(
+            Box::new(device),
+            Arc::new(clock.clone()),
+            Scheduling::Ordinary,
+            stop,
+        )
+        .unwrap();
         assert_eq!(thread.cool_motor().unwrap().load, 0.0);
         thread.hello().unwrap();
         thread.home(HomingSettings::default()).unwrap();

@@ -85,8 +85,16 @@ struct Shared {
     ended: AtomicBool,
     /// Number of results so far.
     results: AtomicU64,
-    /// Whether workers and open jobs outlive this process.
-    leave: bool,
+    at_end: AtEnd,
+}
+
+/// What becomes of the workers and of jobs without a result when an executor ends before them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AtEnd {
+    /// The executor withdraws the jobs and ends the workers.
+    Withdraw,
+    /// They outlive the executor; another one finds their results in the folder.
+    Leave,
 }
 
 /// The jobs that callers wait for or whose results they read, by the jobs' fingerprints.
@@ -144,8 +152,7 @@ enum Notice {
 
 impl FolderExecutor {
     /// Becomes the folder's coordinator and has `starter` start a worker for each open job, up to
-    /// `workers`; without a starter, somebody starts workers by hand. With `leave`, workers and
-    /// open jobs outlive an executor that is stopped.
+    /// `workers`; without a starter, somebody starts workers by hand.
     ///
     /// # Errors
     /// The folder has another coordinator; `stop` was set before that was known; or a file
@@ -154,7 +161,7 @@ impl FolderExecutor {
         folder: JobFolder,
         starter: Option<Box<dyn Starter>>,
         workers: u32,
-        leave: bool,
+        at_end: AtEnd,
         stop: &AtomicBool,
     ) -> Result<Self, JobFolderError> {
         let heartbeat = folder.coordinate(&Holder::this_process(), stop)?;
@@ -165,7 +172,7 @@ impl FolderExecutor {
             changed: Condvar::new(),
             ended: AtomicBool::new(false),
             results: AtomicU64::new(0),
-            leave,
+            at_end,
         });
         let worker_pool = starter.map(|starter| WorkerPool::new(starter, workers, &shared.folder));
         let watched = Arc::clone(&shared);
@@ -356,7 +363,7 @@ impl Shared {
     fn release(&self, name: &str, has_ended: bool) {
         let mut state = self.lock();
         if self.release_reading(&mut state, name)
-            && (has_ended || !self.leave)
+            && (has_ended || self.at_end == AtEnd::Withdraw)
             && let Err(error) = self.folder.remove_job(name)
         {
             tracing::warn!("{error}");
@@ -384,7 +391,7 @@ impl Shared {
             None => self.release_reading(&mut state, name),
         };
         if is_last
-            && !self.leave
+            && self.at_end == AtEnd::Withdraw
             && let Err(error) = self.folder.remove_job(name)
         {
             tracing::warn!("{error}");
@@ -448,7 +455,9 @@ impl Shared {
             let wait_on = |state: &mut State| !ended(state) && state.waiting.len() <= before;
             drop(self.changed.wait_timeout_while(state, wait, wait_on));
         }
-        if !self.leave || self.folder.open_jobs().is_ok_and(|jobs| jobs.is_empty()) {
+        if self.at_end == AtEnd::Withdraw
+            || self.folder.open_jobs().is_ok_and(|jobs| jobs.is_empty())
+        {
             let _ = self.folder.close();
             worker_pool.iter_mut().for_each(WorkerPool::cancel);
         }

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use super::folder::{Holder, JobFolder, Terms, Worker};
 use super::starter::{StartError, Starter, WorkerCount};
-use super::{Executor, FolderExecutor, JobError, TrainingJob};
+use super::{AtEnd, Executor, FolderExecutor, JobError, TrainingJob};
 use crate::learning::{TrainSettings, Trained};
 use crate::simulation::DomainDistribution;
 use crate::storage::{Disk, DiskFile, Hold, MachineDisk};
@@ -114,9 +114,9 @@ impl Starter for Queue {
     }
 }
 
-fn executor(disk: Arc<dyn Disk>, root: &Path, queue: Queue, leave: bool) -> FolderExecutor {
+fn executor(disk: Arc<dyn Disk>, root: &Path, queue: Queue, at_end: AtEnd) -> FolderExecutor {
     let folder = JobFolder::create(disk, root, Terms::default()).unwrap();
-    FolderExecutor::new(folder, Some(Box::new(queue)), 1, leave, &AtomicBool::new(false)).unwrap()
+    FolderExecutor::new(folder, Some(Box::new(queue)), 1, at_end, &AtomicBool::new(false)).unwrap()
 }
 
 fn train(executor: &FolderExecutor) -> Result<Trained, JobError> {
@@ -126,7 +126,7 @@ fn train(executor: &FolderExecutor) -> Result<Trained, JobError> {
 /// Trains a job by one worker on these disks of the coordinator and the worker.
 fn trained_on(coordinator: Arc<Hiccups>, worker: Arc<Hiccups>) -> Result<Trained, JobError> {
     let directory = tempfile::tempdir().unwrap();
-    let executor = executor(coordinator, directory.path(), Queue::default(), false);
+    let executor = executor(coordinator, directory.path(), Queue::default(), AtEnd::Withdraw);
     let of_worker = JobFolder::open(worker, directory.path()).unwrap();
     let linger = Duration::from_secs(60);
     let worker = Worker::new(of_worker, Holder::this_process(), None, linger).unwrap();
@@ -179,16 +179,16 @@ fn a_worker_stores_its_result_while_the_folder_seems_to_be_empty() {
 
 #[test]
 fn workers_and_trainings_that_are_to_be_left_outlive_a_scheduler_that_falls_silent() {
-    for leave in [false, true] {
+    for (at_end, stay) in [(AtEnd::Withdraw, false), (AtEnd::Leave, true)] {
         let directory = tempfile::tempdir().unwrap();
         let is_cancelled = Arc::new(AtomicBool::new(false));
         let queue = Queue { is_silent: true, is_cancelled: Arc::clone(&is_cancelled) };
-        let executor = executor(Arc::new(MachineDisk), directory.path(), queue, leave);
+        let executor = executor(Arc::new(MachineDisk), directory.path(), queue, at_end);
         let folder = executor.folder().clone();
         assert!(matches!(train(&executor), Err(JobError::Start(_))));
         drop(executor);
-        assert_eq!(folder.open_jobs().unwrap().len(), usize::from(leave));
-        assert_eq!(folder.is_closed(), !leave);
-        assert_eq!(is_cancelled.load(Ordering::Relaxed), !leave);
+        assert_eq!(folder.open_jobs().unwrap().len(), usize::from(stay));
+        assert_eq!(folder.is_closed(), !stay);
+        assert_eq!(is_cancelled.load(Ordering::Relaxed), !stay);
     }
 }

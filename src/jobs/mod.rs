@@ -45,6 +45,6 @@ pub use competition::{
 };
 pub use error::{JobError, JobFolderError};
 pub use executor::{Executor, JobEvent};
-pub use folder_executor::FolderExecutor;
+pub use folder_executor::{AtEnd, FolderExecutor};
 pub use local::LocalExecutor;
 pub use training_job::TrainingJob;

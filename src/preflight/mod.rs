@@ -14,6 +14,7 @@ mod foresight_time;
 mod latency_timer;
 
 pub use examination::{
-    Examination, ExaminationSettings, examine, homed, homing_left_out, measure_link, not_homed,
+    Examination, ExaminationSettings, OtherSigns, examine, homed, homing_left_out, measure_link,
+    not_homed,
 };
 pub use foresight_time::{SLOW_US, TOO_SLOW_US, TooSlow, admit_processor, foresight_time_us};

@@ -9,15 +9,15 @@ use super::error::link_fault;
 use super::{ClockChoice, Doubt, DoubtStore, RigError, RigSettings};
 use crate::clock::RealtimeRefusals;
 use crate::control::{
-    ControlError, ControlThread, HelloRetries, HomingMethod, HomingSettings, PressOutcome,
-    StopPress, drive_warm,
+    ControlError, ControlThread, HelloRetries, HomingMethod, HomingSettings, PressKind,
+    PressOutcome, Scheduling, StopPress, drive_warm,
 };
 use crate::device::emulator::EmulatedQube;
 use crate::device::{DeviceError, Identity, LinkFault};
 use crate::estimation::MeasuredRig;
 use crate::preflight::{
-    Examination, ExaminationSettings, admit_processor, examine, foresight_time_us, homed,
-    homing_left_out, measure_link, not_homed,
+    Examination, ExaminationSettings, OtherSigns, admit_processor, examine, foresight_time_us,
+    homed, homing_left_out, measure_link, not_homed,
 };
 use crate::qube::PlantModel;
 use crate::recording::Viewer;
@@ -83,7 +83,7 @@ impl Rig {
         let is_hardware = settings.is_hardware() || rig.is_hardware();
         // After a doubt no flag skips the examination.
         if doubt.is_some() || (is_hardware && !settings.skip_check) {
-            let mut results = rig.examine(false)?.results;
+            let mut results = rig.examine(OtherSigns::Fail)?.results;
             if results.iter().any(CheckResult::failed) {
                 return Err(RigError::CheckFailed { results });
             }
@@ -137,9 +137,12 @@ impl Rig {
     /// is hardware with a plant that needs a consent that the settings lack.
     pub fn connect(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         let (device, clock, emulator) = connect(settings)?;
-        let realtime = settings.clock == ClockChoice::Wall;
+        let scheduling = match settings.clock {
+            ClockChoice::Wall => Scheduling::RealTime,
+            ClockChoice::Virtual => Scheduling::Ordinary,
+        };
         let has_device_clock = device.has_device_clock();
-        let control = ControlThread::spawn(device, clock, realtime, Arc::clone(stop))
+        let control = ControlThread::spawn(device, clock, scheduling, Arc::clone(stop))
             .map_err(RigError::Thread)?;
         control.set_motor(MotorHeat::cold(&settings.plant, settings.limits.motor()))?;
         let identity = control.hello()?;
@@ -188,13 +191,13 @@ impl Rig {
         self.identified.set(None);
     }
 
-    /// Examines the Qube. Homing is the last check; it is left out if an earlier check failed. With
-    /// `learn_signs` the rig adopts the signs that the examination finds.
+    /// Examines the Qube. Homing is the last check; it is left out if an earlier check failed. The
+    /// rig adopts the signs of the examination.
     ///
     /// # Errors
     /// The device no longer answers, or a stop was requested. A failed check is not an error here.
-    pub fn check(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
-        let mut examination = self.examine(learn_signs)?;
+    pub fn check(&mut self, other_signs: OtherSigns) -> Result<Examination, RigError> {
+        let mut examination = self.examine(other_signs)?;
         examination.results.push(if examination.passed() {
             match self.home() {
                 Ok(()) => homed(&self.measured.calibration),
@@ -228,13 +231,12 @@ impl Rig {
     }
 
     /// Presses the arm outward against the stop that it touches, with `push_v` volts for at most
-    /// `ticks` control periods. A rehearsal ends once somebody has pushed the arm off its stop and
-    /// the arm has come back or has stayed there.
+    /// `ticks` control periods.
     ///
     /// # Errors
     /// The device has not answered a hello, a fault is latched, the board has restarted, so that its
     /// zeros are void, or the device could not be armed.
-    pub fn press(&mut self, push_v: f64, ticks: u32, rehearsal: bool) -> Result<Pressed, RigError> {
+    pub fn press(&mut self, push_v: f64, ticks: u32, kind: PressKind) -> Result<Pressed, RigError> {
         let (plant, calibration) = (self.plant, self.measured.calibration);
         let is_hardware = self.is_hardware();
         let boot_id = self.identity.boot_id;
@@ -243,7 +245,7 @@ impl Rig {
             if identity.boot_id != boot_id || identity.counts_anew {
                 return Err(DeviceError::Restarted { port: identity.port });
             }
-            let mut press = StopPress::new(&plant, calibration, push_v, ticks, rehearsal);
+            let mut press = StopPress::new(&plant, calibration, push_v, ticks, kind);
             let report = drive_warm(device, clock, &mut press, heat, None, stop)?;
             let pressed = Pressed { ending: report.outcome.ending, outcome: press.outcome() };
             Ok((pressed, fault_after(&report, is_hardware)))
@@ -271,10 +273,10 @@ impl Rig {
     }
 
     /// Performs all checks of the examination except homing.
-    fn examine(&mut self, learn_signs: bool) -> Result<Examination, RigError> {
+    fn examine(&mut self, other_signs: OtherSigns) -> Result<Examination, RigError> {
         let settings = ExaminationSettings {
             signs: self.homing.get().signs,
-            learn_signs,
+            other_signs,
             identity: self.identity.clone(),
             plant: self.plant,
         };

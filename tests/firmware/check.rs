@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use qube_hil::preflight::OtherSigns;
 use qube_hil::rig::Rig;
 
 use crate::board_clock::rig_settings;
@@ -21,7 +22,8 @@ fn the_firmware_passes_the_check_of_a_qube() {
     for _ in 0..ATTEMPTS {
         let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(0));
         let stop = Arc::new(AtomicBool::new(false));
-        let found = Rig::connect(&rig_settings(&board), &stop).unwrap().check(false).unwrap();
+        let found =
+            Rig::connect(&rig_settings(&board), &stop).unwrap().check(OtherSigns::Fail).unwrap();
         let identity = &found.results[0].value;
         assert!(identity.contains("atmega328p"), "{identity}");
         assert!(identity.contains("no emergency-stop switch"), "{identity}");

@@ -10,6 +10,7 @@ use qube_hil::control::{LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS};
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings, UsbBridge};
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::preflight::OtherSigns;
 use qube_hil::qube::CONTROL_PERIOD_NS;
 use qube_hil::recording::read;
 use qube_hil::replay::rerun;
@@ -61,7 +62,7 @@ fn lost_ticks(ticks: u64, sample_time_ns: u64) -> u32 {
 #[test]
 fn through_a_genuine_unos_bridge_the_usual_limit_loses_samples_and_the_measured_one_hardly_any() {
     let mut rig = Rig::connect(&settings(Some(UsbBridge::Atmega16u2), 1), &stop()).unwrap();
-    let found = rig.check(false).unwrap();
+    let found = rig.check(OtherSigns::Fail).unwrap();
     assert!(found.passed(), "{:#?}", found.results);
     let MeasuredLink { round_trip_us, lost, sample_time_us } = found.link.unwrap();
     println!("round trip {round_trip_us:?}, {lost} lost, a tick waits {sample_time_us} us");
@@ -98,11 +99,11 @@ fn a_rollout_through_it_is_recorded_with_its_link_and_replays_the_same() {
 
 #[test]
 fn a_plain_line_waits_as_ever_and_a_link_that_is_too_slow_is_refused() {
-    let found = Rig::connect(&settings(None, 1), &stop()).unwrap().check(false).unwrap();
+    let found = Rig::connect(&settings(None, 1), &stop()).unwrap().check(OtherSigns::Fail).unwrap();
     assert_eq!(u64::from(found.link.unwrap().sample_time_us) * 1000, SAMPLE_TIMEOUT_NS);
 
     let slow = settings(Some(UsbBridge::Slow), 1);
-    let found = Rig::connect(&slow, &stop()).unwrap().check(false).unwrap();
+    let found = Rig::connect(&slow, &stop()).unwrap().check(OtherSigns::Fail).unwrap();
     let failed: Vec<&str> =
         found.results.iter().filter(|r| r.failed()).map(|r| r.name.as_str()).collect();
     assert!(failed.contains(&"latency"), "{:#?}", found.results);

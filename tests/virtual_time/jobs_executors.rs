@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use qube_hil::jobs::folder::{Holder, JobFolder, Terms, Worker};
 use qube_hil::jobs::starter::{StartError, Starter, WorkerCount};
-use qube_hil::jobs::{Executor, FolderExecutor, JobEvent, TrainingJob};
+use qube_hil::jobs::{AtEnd, Executor, FolderExecutor, JobEvent, TrainingJob};
 use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
 use qube_hil::storage::{Disk, DiskFile, Hold, MachineDisk};
@@ -146,14 +146,14 @@ impl Starter for FullQueue {
 
 #[test]
 fn a_stop_ends_workers_and_trainings_or_leaves_them() {
-    for leave in [false, true] {
+    for (at_end, stay) in [(AtEnd::Withdraw, false), (AtEnd::Leave, true)] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path();
         let folder = JobFolder::create(Arc::new(MachineDisk), root, Terms::default()).unwrap();
         let cancelled = Arc::new(AtomicBool::new(false));
         let queue = Box::new(FullQueue(Arc::clone(&cancelled)));
         let executor =
-            FolderExecutor::new(folder.clone(), Some(queue), 1, leave, &AtomicBool::new(false))
+            FolderExecutor::new(folder.clone(), Some(queue), 1, at_end, &AtomicBool::new(false))
                 .unwrap();
         let job = TrainingJob {
             distribution: DomainDistribution::nominal(),
@@ -169,9 +169,9 @@ fn a_stop_ends_workers_and_trainings_or_leaves_them() {
         });
         assert_eq!(stopped, 1);
         drop(executor);
-        assert_eq!(folder.open_jobs().unwrap().len(), usize::from(leave));
-        assert_eq!(folder.is_closed(), !leave);
-        assert_eq!(cancelled.load(std::sync::atomic::Ordering::Relaxed), !leave);
+        assert_eq!(folder.open_jobs().unwrap().len(), usize::from(stay));
+        assert_eq!(folder.is_closed(), !stay);
+        assert_eq!(cancelled.load(std::sync::atomic::Ordering::Relaxed), !stay);
     }
 }
 
@@ -255,7 +255,8 @@ fn a_job_that_is_asked_for_while_an_equal_one_is_removed_is_done_too() {
     let root = directory.path();
     let disk = Arc::new(SlowRemoval::default());
     let folder = JobFolder::create(disk.clone(), root, Terms::default()).unwrap();
-    let executor = FolderExecutor::new(folder, None, 1, false, &AtomicBool::new(false)).unwrap();
+    let executor =
+        FolderExecutor::new(folder, None, 1, AtEnd::Withdraw, &AtomicBool::new(false)).unwrap();
     let linger = Duration::from_secs(60);
     let of_worker = JobFolder::open(Arc::new(MachineDisk), root).unwrap();
     let worker = Worker::new(of_worker, Holder::this_process(), None, linger).unwrap();

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use qube_hil::elementary::Level;
 use qube_hil::jobs::folder::{ClaimEnding, Heartbeat, Holder, JobFolder, Terms};
 use qube_hil::jobs::{
-    Executor, FolderExecutor, JobError, JobEvent, JobFolderError, LocalExecutor, TrainingJob,
+    AtEnd, Executor, FolderExecutor, JobError, JobEvent, JobFolderError, LocalExecutor, TrainingJob,
 };
 use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
@@ -67,7 +67,7 @@ fn never() -> AtomicBool {
 
 fn executor(root: &Path) -> FolderExecutor {
     let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
-    FolderExecutor::new(folder, None, 2, false, &never()).unwrap()
+    FolderExecutor::new(folder, None, 2, AtEnd::Withdraw, &never()).unwrap()
 }
 
 fn work(root: &Path, options: &[&str]) -> Command {

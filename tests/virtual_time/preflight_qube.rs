@@ -11,7 +11,7 @@ use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::estimation::{Calibration, EstimatorSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::preflight::{Examination, ExaminationSettings, examine};
+use qube_hil::preflight::{Examination, ExaminationSettings, OtherSigns, examine};
 use qube_hil::recording::read;
 use qube_hil::rig::{Rig, RigError, RigSettings};
 use qube_hil::safety::{MotorHeat, SafetyBox};
@@ -32,8 +32,8 @@ fn stop() -> Arc<AtomicBool> {
     Arc::new(AtomicBool::new(false))
 }
 
-fn checked(fault: Option<&str>, learn_signs: bool) -> Examination {
-    Rig::connect(&settings(fault), &stop()).unwrap().check(learn_signs).unwrap()
+fn checked(fault: Option<&str>, other_signs: OtherSigns) -> Examination {
+    Rig::connect(&settings(fault), &stop()).unwrap().check(other_signs).unwrap()
 }
 
 fn names(found: &Examination, verdict: CheckVerdict) -> Vec<&str> {
@@ -58,7 +58,7 @@ fn a_healthy_qube_passes_whatever_its_counters_begin_with() {
     for seed in 0..8 {
         let emulator = EmulatorSettings { seed, ..EmulatorSettings::default() };
         let settings = RigSettings { emulator, ..settings(None) };
-        let found = Rig::connect(&settings, &stop()).unwrap().check(false).unwrap();
+        let found = Rig::connect(&settings, &stop()).unwrap().check(OtherSigns::Fail).unwrap();
         assert!(found.passed(), "seed {seed}: {:#?}", found.results);
         assert_eq!(names(&found, CheckVerdict::Skipped), ["latency-timer"]);
         assert_eq!(found.results.len(), 13);
@@ -80,7 +80,7 @@ fn an_arm_that_lies_at_a_stop_is_judged_right() {
         link.disarm().unwrap();
         let settings = ExaminationSettings {
             signs: Calibration::IDENTITY,
-            learn_signs: false,
+            other_signs: OtherSigns::Fail,
             identity,
             plant: qube_hil::qube::PlantModel::QUBE,
         };
@@ -110,7 +110,7 @@ fn a_defect_is_named_with_a_remedy_and_the_arm_is_not_homed() {
         // Every seventh reply has a wrong bit.
         ("garble@7", &["latency"]),
     ] {
-        let found = checked(Some(fault), false);
+        let found = checked(Some(fault), OtherSigns::Fail);
         assert_eq!(names(&found, CheckVerdict::Fail), failed, "{fault}: {:#?}", found.results);
         assert!(names(&found, CheckVerdict::Skipped).contains(&"homing"), "{fault}");
         for result in found.results.iter().filter(|result| result.failed()) {
@@ -132,7 +132,7 @@ fn the_signs_that_are_found_make_a_flipped_qube_swing_up() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("qube.toml");
     for fault in ["flipped-theta", "flipped-alpha", "flipped-motor"] {
-        let found = checked(Some(fault), true);
+        let found = checked(Some(fault), OtherSigns::Adopt);
         assert!(found.passed(), "{fault}: {:#?}", found.results);
         let file = QubeFile { signs: found.signs.into(), ..QubeFile::default() };
         assert_ne!(file, QubeFile::default(), "{fault}");
@@ -162,13 +162,13 @@ fn homing_by_hand_passes_too_and_a_stop_ends_a_check() {
     let by_hand = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
     let settings = RigSettings { homing: by_hand, ..settings(None) };
     let mut rig = Rig::connect(&settings, &stop()).unwrap();
-    let found = rig.check(false).unwrap();
+    let found = rig.check(OtherSigns::Fail).unwrap();
     assert!(found.passed(), "{:#?}", found.results);
     // The middle is where the operator put the arm, not where the push left it.
     let middle = format!("at count {},", found.start_theta_counts.unwrap());
     assert!(found.results.last().unwrap().value.contains(&middle), "{:#?}", found.results);
     let stopped = Arc::new(AtomicBool::new(true));
-    let error = Rig::connect(&settings, &stopped).unwrap().check(false).unwrap_err();
+    let error = Rig::connect(&settings, &stopped).unwrap().check(OtherSigns::Fail).unwrap_err();
     assert!(matches!(error, RigError::Stopped { .. }), "{error}");
     assert_eq!(error.to_string(), "the check was stopped");
 }
@@ -196,7 +196,8 @@ fn a_cable_that_is_pulled_is_named_in_each_phase() {
     let homing = Rig::open(&settings(Some("unplug@2")), &stop()).err().unwrap();
     assert!(matches!(homing, RigError::LinkLost { .. }), "{homing}");
     assert_eq!(homing.fault(), Some(Fault::LinkGone));
-    let checking = Rig::connect(&settings(Some("unplug@0.5")), &stop()).unwrap().check(false);
+    let checking =
+        Rig::connect(&settings(Some("unplug@0.5")), &stop()).unwrap().check(OtherSigns::Fail);
     let checking = checking.unwrap_err().to_string();
     assert!(checking.contains("unplugged"), "{checking}");
 

@@ -10,7 +10,7 @@ use qube_hil::clock::VirtualClock;
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::estimation::Calibration;
-use qube_hil::preflight::{Examination, ExaminationSettings, examine};
+use qube_hil::preflight::{Examination, ExaminationSettings, OtherSigns, examine};
 use qube_hil::qube::{HARD_STOP_RAD, QubeModel, State};
 use qube_hil::safety::MotorHeat;
 use rand::{RngExt, SeedableRng};
@@ -22,14 +22,14 @@ use rigs::{DEFECTS, FIRST_SEED, failed, number, of_each, rig, signs_of};
 fn examined(
     settings: EmulatorSettings,
     signs: Calibration,
-    learn_signs: bool,
+    other_signs: OtherSigns,
 ) -> (Examination, f64) {
     let clock = VirtualClock::default();
     let mut link = SerialLink::in_process(settings, clock.clone());
     let identity = link.hello().unwrap();
     let examination = ExaminationSettings {
         signs,
-        learn_signs,
+        other_signs,
         identity,
         plant: qube_hil::qube::PlantModel::QUBE,
     };
@@ -55,7 +55,7 @@ fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
             wrong.push(format!("{seed} {name}: {told:?} instead of {expected:?}"));
         }
     };
-    let (found, touch_rad_s) = examined(rig, signs_of(rig.wiring), false);
+    let (found, touch_rad_s) = examined(rig, signs_of(rig.wiring), OtherSigns::Fail);
     judge("healthy", &found, &[]);
     assert!(touch_rad_s < 2.0, "{seed}: a stop was touched at {touch_rad_s} rad/s");
 
@@ -67,7 +67,7 @@ fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
         voltage_inverted: random.random_range(0..2) == 0,
         ..Calibration::IDENTITY
     };
-    let (found, touch_rad_s) = examined(rig, unknown, true);
+    let (found, touch_rad_s) = examined(rig, unknown, OtherSigns::Adopt);
     judge("learn", &found, &[]);
     assert!(touch_rad_s < 2.0, "{seed} learn: a stop was touched at {touch_rad_s} rad/s");
     let differences = [
@@ -78,7 +78,7 @@ fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
     let are_right = differences == [false; 3] || differences == [true; 3];
     for defect in DEFECTS {
         let (rig, signs) = defect.of(rig);
-        let (found, touch_rad_s) = examined(rig, signs, false);
+        let (found, touch_rad_s) = examined(rig, signs, OtherSigns::Fail);
         let name = format!("{defect:?}");
         judge(&name, &found, &[defect.name()]);
         assert!(touch_rad_s < 2.0, "{seed} {name}: a stop was touched at {touch_rad_s} rad/s");
@@ -137,7 +137,7 @@ fn the_probe_touches_no_stop_hard() {
         for fault in ["none", "frozen-theta@0", "frozen-alpha@0"] {
             let fault = (fault != "none").then(|| fault.parse().unwrap());
             let settings = EmulatorSettings { fault, ..settings };
-            let (found, touch_rad_s) = examined(settings, Calibration::IDENTITY, false);
+            let (found, touch_rad_s) = examined(settings, Calibration::IDENTITY, OtherSigns::Fail);
             assert!(
                 touch_rad_s < 2.0,
                 "{seed} {fault:?}: {touch_rad_s} rad/s, {:#?}",

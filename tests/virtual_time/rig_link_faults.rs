@@ -11,6 +11,7 @@ use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, InProcessWire, LinkFault, SerialLink, Transport};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+use qube_hil::preflight::OtherSigns;
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
 use qube_hil::safety::SafetyBox;
 use qube_hil::scoring::{Verdict, score};
@@ -179,7 +180,7 @@ fn answers_that_are_late_for_a_moment_are_no_fault_of_the_motor() {
     for from_s in [2.8, 2.9, 3.0, 3.1, 3.2, 3.4, 3.6, 3.8, 4.0] {
         let clock = VirtualClock::default();
         let settings = settings(&clock, Trouble::Late(60 * MS), from_s, from_s + 0.07);
-        let found = Rig::connect(&settings, &stop()).unwrap().check(false).unwrap();
+        let found = Rig::connect(&settings, &stop()).unwrap().check(OtherSigns::Fail).unwrap();
         assert!(found.passed(), "late from {from_s} s: {:#?}", found.results);
     }
 }

@@ -24,6 +24,7 @@ use super::warn_without_realtime;
 use crate::device::emulator::EmulatorSettings;
 use crate::device::stable_port_name;
 use crate::estimation::EstimatorSettings;
+use crate::preflight::OtherSigns;
 use crate::rig::{Rig, RigSettings};
 use crate::session::{LibraryWatchdog, QUBE_FILE, QubeFile};
 use crate::telemetry::CheckVerdict;
@@ -105,9 +106,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let failed = |error| failures::rig(error, &stop);
     let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
     warn_without_realtime(rig.realtime());
+    // Signs that are found have a use only if they can be stored.
+    let other_signs = if file.is_some() { OtherSigns::Adopt } else { OtherSigns::Fail };
     // The power test reads whole lines, so the single keys are read no longer than the check lasts.
     let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
-    let examined = rig.check(file.is_some());
+    let examined = rig.check(other_signs);
     drop(keyboard);
     let examination = examined.map_err(failed)?;
 

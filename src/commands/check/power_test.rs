@@ -17,7 +17,7 @@ use crate::commands::exit::Failure;
 use crate::commands::failures;
 use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
-use crate::control::PressOutcome;
+use crate::control::{PressKind, PressOutcome};
 use crate::device::Identity;
 use crate::rig::{Rig, RigError, RigSettings};
 use crate::session::{PowerTest, QubeFile, UsbLost};
@@ -70,7 +70,7 @@ pub fn run(
         "Now pull the USB plug out of the computer, within 60 s. Leave the Qube's own power on and \
          the arm alone. The board must have no other supply: no power plug, and no hub with its own.",
     );
-    let pressed = rig.press(push_v, STEP_TICKS, false).map_err(failed)?;
+    let pressed = rig.press(push_v, STEP_TICKS, PressKind::Test).map_err(failed)?;
     match pressed.ending {
         Ending::Stopped => return Err(failed(RigError::Stopped { during: "the power test" })),
         // A computer that was late for a moment loses samples, too, but then its port is still
@@ -168,8 +168,9 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
             "At {push_v:.2} V: with one finger push the arm a finger's breadth (1 cm) off its stop \
              and let go."
         ));
-        let pressed =
-            rig.press(push_v, STEP_TICKS, true).map_err(|error| failures::rig(error, stop))?;
+        let pressed = rig
+            .press(push_v, STEP_TICKS, PressKind::Rehearsal)
+            .map_err(|error| failures::rig(error, stop))?;
         match (pressed.ending, pressed.outcome) {
             (Ending::Stopped, _) => return Err(stop.failure("stopped; the motor is off")),
             (Ending::Fault(fault), _) if fault.may_be_repeated() && disturbed < MAX_REPETITIONS => {

@@ -35,13 +35,21 @@ const HOMING: &str = "homing";
 pub struct ExaminationSettings {
     /// Signs of encoders and motor.
     pub signs: Calibration,
-    /// Whether to adopt the signs that are found, if they differ from the assumed ones, instead of
-    /// failing.
-    pub learn_signs: bool,
+    /// What follows if the signs that are found are not the assumed ones.
+    pub other_signs: OtherSigns,
     /// Identity of the device from its hello.
     pub identity: Identity,
     /// Plant that is examined.
     pub plant: PlantModel,
+}
+
+/// What an examination does when it finds other signs than the assumed ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OtherSigns {
+    /// The check of the signs fails.
+    Fail,
+    /// The examination adopts the signs that it found.
+    Adopt,
 }
 
 /// The result of an examination.
@@ -276,7 +284,7 @@ mod tests {
         };
         let settings = ExaminationSettings {
             signs: Calibration::IDENTITY,
-            learn_signs: false,
+            other_signs: OtherSigns::Fail,
             identity: device.hello().unwrap(),
             plant: PlantModel::QUBE,
         };
@@ -300,7 +308,7 @@ mod tests {
             let mut board = SerialLink::in_process(emulated.of_plant(&plant), clock.clone());
             let settings = ExaminationSettings {
                 signs: Calibration { encoders, ..Calibration::IDENTITY },
-                learn_signs: false,
+                other_signs: OtherSigns::Fail,
                 identity: board.hello().unwrap(),
                 plant,
             };

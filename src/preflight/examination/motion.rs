@@ -1,7 +1,7 @@
 use std::sync::atomic::AtomicBool;
 
 use super::evidence::{Evidence, Pendulum, PushEffect};
-use super::{Examination, ExaminationSettings, Interruption, ensure_going, rest};
+use super::{Examination, ExaminationSettings, Interruption, OtherSigns, ensure_going, rest};
 use crate::clock::Clock;
 use crate::control::{SignProbe, drive_warm};
 use crate::device::Device;
@@ -81,7 +81,7 @@ pub(super) fn check(
             return Ok(());
         }
     };
-    if settings.learn_signs
+    if settings.other_signs == OtherSigns::Adopt
         && let Some(right) = right_signs(signs, &seen).filter(|right| *right != signs)
     {
         // Signs that the evidence suggests must pass a second probe.

@@ -8,6 +8,7 @@ use qube_hil::control::HomingSettings;
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::estimation::Calibration;
 use qube_hil::policy::Policy;
+use qube_hil::preflight::OtherSigns;
 use qube_hil::qube::QubeModel;
 use qube_hil::rig::{Rig, RigSettings};
 use qube_hil::session::RolloutPlan;
@@ -26,7 +27,7 @@ fn connected(emulator: EmulatorSettings, signs: Calibration) -> Rig {
 
 /// The checks that failed, each with its message.
 fn refusals(rig: &mut Rig) -> Vec<(String, String)> {
-    let found = rig.check(false).unwrap();
+    let found = rig.check(OtherSigns::Fail).unwrap();
     let failed = found.results.into_iter().filter(|result| result.failed());
     failed.map(|result| (result.name, result.value)).collect()
 }
