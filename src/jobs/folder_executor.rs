@@ -29,6 +29,9 @@ const POLL_INTERVAL: Duration = Duration::from_millis(250);
 /// Time between two calls of the function that shows that a waiting caller does not hang.
 const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
 
+/// Time between two searches for jobs whose files somebody has removed.
+const LOST_JOB_INTERVAL: Duration = Duration::from_secs(2);
+
 /// The patience of a caller that waits for results.
 struct PatientCaller<'a> {
     patience: Patience,
@@ -229,8 +232,14 @@ impl Executor for FolderExecutor {
             }
         }
         shared.changed.notify_all();
-        let mut notified = Instant::now();
+        let (mut notified, mut looked) = (Instant::now(), Instant::now());
         while !open.is_empty() {
+            if looked.elapsed() >= LOST_JOB_INTERVAL {
+                looked = Instant::now();
+                for (index, name) in &open {
+                    shared.put_lost_job_again(name, &jobs[*index]);
+                }
+            }
             if notified.elapsed() >= SIGN_OF_LIFE {
                 notified = Instant::now();
                 (self.waits)();
@@ -312,6 +321,22 @@ impl Shared {
             return Err(error);
         }
         Ok(name)
+    }
+
+    /// Writes a job to the folder again if somebody has removed its file.
+    fn put_lost_job_again(&self, name: &str, job: &TrainingJob) {
+        let is_lost = || !self.folder.is_open(name) && !self.folder.has_result(name);
+        if !is_lost() {
+            return;
+        }
+        // The lock is held meanwhile, as in [`Self::release`].
+        let state = self.lock();
+        if state.waiting.contains_key(name) && is_lost() {
+            tracing::warn!("job {name} is gone from its folder; it is written again");
+            if let Err(error) = self.folder.put(job) {
+                tracing::warn!("{error}");
+            }
+        }
     }
 
     /// Reads a result. A damaged result is removed, so that the training is repeated; the function

@@ -192,3 +192,27 @@ fn workers_and_trainings_that_are_to_be_left_outlive_a_scheduler_that_falls_sile
         assert_eq!(is_cancelled.load(Ordering::Relaxed), !stay);
     }
 }
+
+#[test]
+fn a_job_whose_file_somebody_removes_is_written_again() {
+    let directory = tempfile::tempdir().unwrap();
+    let disk = Arc::new(MachineDisk);
+    let executor = executor(disk, directory.path(), Queue::default(), AtEnd::Withdraw);
+    let (folder, name) = (executor.folder().clone(), job().fingerprint());
+    let comes = || {
+        (0..600).any(|_| {
+            std::thread::sleep(Duration::from_millis(50));
+            folder.is_open(&name)
+        })
+    };
+    let stop = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let caller = scope.spawn(|| executor.train_one(&job(), &stop, &mut |_| ()));
+        assert!(comes());
+        std::fs::remove_file(directory.path().join("jobs").join(&name)).unwrap();
+        let is_back = comes();
+        stop.store(true, Ordering::Relaxed);
+        assert!(caller.join().unwrap().unwrap_err().is_stop());
+        assert!(is_back);
+    });
+}
