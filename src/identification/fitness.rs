@@ -68,6 +68,18 @@ const RATE_SPEED_RAD_S: f64 = 0.5;
 /// The reason why a recording cannot be fitted. Times count from the recording's start.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum Unfit {
+    /// A time, an angle, a velocity or a voltage is no finite number.
+    #[error("its sample {sample} holds a number that is not finite")]
+    NotFinite {
+        /// Number of the sample, from 0.
+        sample: usize,
+    },
+    /// Time does not go on from one sample to the next.
+    #[error("its sample {sample} is not later than the one before")]
+    TimeStands {
+        /// Number of the sample, from 0.
+        sample: usize,
+    },
     /// The recording is too short.
     #[error("it lasts {duration_s:.2} s; give at least {shortest_s} s")]
     Short {
@@ -208,6 +220,7 @@ pub fn check_recording(log: &MotionLog) -> Result<(), Unfit> {
 /// Checks that a motion lasts at least `shortest_s` seconds and can be fitted.
 pub(super) fn check_motion(log: &MotionLog, shortest_s: f64) -> Result<(), Unfit> {
     let samples = &log.samples;
+    check_numbers(samples)?;
     let duration_s = duration_of(samples);
     if duration_s < shortest_s {
         return Err(Unfit::Short { duration_s, shortest_s });
@@ -233,7 +246,7 @@ pub(super) fn check_motion(log: &MotionLog, shortest_s: f64) -> Result<(), Unfit
     frozen(samples, start_s, log.plant.encoders)?;
     for angle in ANGLES {
         let values: Vec<f64> = samples.iter().map(|sample| (angle.of)(&sample.state)).collect();
-        let moved_rad = range(&values);
+        let moved_rad = values.iter().copied().fold(Extent::NONE, Extent::with).width();
         if moved_rad < LEAST_MOTION_RAD {
             return Err(Unfit::NoMotion { angle: angle.name, moved_rad });
         }
@@ -241,6 +254,23 @@ pub(super) fn check_motion(log: &MotionLog, shortest_s: f64) -> Result<(), Unfit
         other_rate(samples, angle)?;
     }
     Ok(())
+}
+
+/// Checks that every number is finite and that time goes on.
+fn check_numbers(samples: &[MotionSample]) -> Result<(), Unfit> {
+    let is_finite = |sample: &MotionSample| {
+        let State { theta, alpha, theta_dot, alpha_dot } = sample.state;
+        [sample.time_s, theta, alpha, theta_dot, alpha_dot, sample.voltage_v]
+            .iter()
+            .all(|number| number.is_finite())
+    };
+    if let Some(sample) = samples.iter().position(|sample| !is_finite(sample)) {
+        return Err(Unfit::NotFinite { sample });
+    }
+    match samples.windows(2).position(|pair| pair[1].time_s <= pair[0].time_s) {
+        Some(before) => Err(Unfit::TimeStands { sample: before + 1 }),
+        None => Ok(()),
+    }
 }
 
 /// Checks that interruptions are few and short; names the longest.
@@ -358,6 +388,8 @@ fn frozen(samples: &[MotionSample], start_s: f64, encoders: Encoders) -> Result<
     // third the arm's count has been constant under any voltage. A change of the arm's count by up
     // to two counts is no motion.
     let (mut arm_since, mut pendulum_since, mut held_since) = (0, 0, 0);
+    // Extent of each angle while the other's count has been constant.
+    let (mut arm, mut pendulum) = (Extent::NONE, Extent::NONE);
     for (now, sample) in samples.iter().enumerate() {
         let of = |index: usize| &samples[index];
         let same = |a: f64, b: f64| (a - b).abs() <= 2.01 * theta_rad;
@@ -372,21 +404,22 @@ fn frozen(samples: &[MotionSample], start_s: f64, encoders: Encoders) -> Result<
         }
         if !same(sample.state.theta, of(held_since).state.theta) {
             held_since = now;
+            pendulum = Extent::NONE;
         }
-        let held = &samples[held_since..=now];
-        let pendulum: Vec<f64> = held.iter().map(|s| s.state.alpha).collect();
+        pendulum = pendulum.with(sample.state.alpha);
         if sample.time_s - of(held_since).time_s >= LONGEST_STILL_S
-            && range(&pendulum) > PENDULUM_ALONE_RAD
+            && pendulum.width() > PENDULUM_ALONE_RAD
         {
             let at_s = of(held_since).time_s - start_s;
             return Err(Unfit::FrozenArmUnderPendulum { at_s });
         }
         if (sample.state.alpha - of(pendulum_since).state.alpha).abs() > 0.5 * alpha_rad {
             pendulum_since = now;
+            arm = Extent::NONE;
         }
-        let arm: Vec<f64> = samples[pendulum_since..=now].iter().map(|s| s.state.theta).collect();
+        arm = arm.with(sample.state.theta);
         if sample.time_s - of(pendulum_since).time_s >= LONGEST_STILL_S
-            && range(&arm) > ARM_ALONE_RAD
+            && arm.width() > ARM_ALONE_RAD
         {
             return Err(Unfit::FrozenPendulum { at_s: of(pendulum_since).time_s - start_s });
         }
@@ -394,7 +427,22 @@ fn frozen(samples: &[MotionSample], start_s: f64, encoders: Encoders) -> Result<
     Ok(())
 }
 
-fn range(values: &[f64]) -> f64 {
-    let low = values.iter().copied().fold(f64::INFINITY, f64::min);
-    values.iter().copied().fold(f64::NEG_INFINITY, f64::max) - low
+/// The smallest interval that contains some values.
+#[derive(Clone, Copy, Debug)]
+struct Extent {
+    low: f64,
+    high: f64,
+}
+
+impl Extent {
+    /// The extent of no value.
+    const NONE: Self = Self { low: f64::INFINITY, high: f64::NEG_INFINITY };
+
+    fn with(self, value: f64) -> Self {
+        Self { low: self.low.min(value), high: self.high.max(value) }
+    }
+
+    fn width(self) -> f64 {
+        self.high - self.low
+    }
 }

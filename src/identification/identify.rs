@@ -146,6 +146,15 @@ pub enum IdentifyError {
     /// The list of recordings is empty.
     #[error("there are no recordings: give at least one")]
     NoRecordings,
+    /// The list of quantities to fit is empty.
+    #[error("there is nothing to fit: leave at least one quantity free")]
+    NoUnknowns,
+    /// A quantity stands twice in the list, or is one that never moves.
+    #[error("{name} cannot be fitted: it is known, or it stands in the list twice")]
+    NotUnknown {
+        /// Name of the quantity.
+        name: &'static str,
+    },
 }
 
 /// The sign that may be the reason why no Qube explains the recordings.
@@ -221,8 +230,8 @@ impl fmt::Display for Cause {
 /// Recordings may be any mixture of chirps, steps, swing-ups and balancing.
 ///
 /// # Errors
-/// There is no recording, the recordings are of different plants, a recording cannot be fitted, or
-/// no Qube explains them.
+/// There is no recording or nothing to fit, the recordings are of different plants, a recording
+/// cannot be fitted, or no Qube explains them.
 pub fn identify(
     logs: &[MotionLog],
     unknowns: &[Unknown],
@@ -231,6 +240,14 @@ pub fn identify(
     let Some(MotionLog { plant, .. }) = logs.first() else {
         return Err(IdentifyError::NoRecordings);
     };
+    if unknowns.is_empty() {
+        return Err(IdentifyError::NoUnknowns);
+    }
+    for (index, unknown) in unknowns.iter().enumerate() {
+        if Unknown::all().all(|known| known != *unknown) || unknowns[..index].contains(unknown) {
+            return Err(IdentifyError::NotUnknown { name: unknown.name() });
+        }
+    }
     for (index, log) in logs.iter().enumerate() {
         if log.plant != *plant {
             let (plant, first) = (log.plant.name, plant.name);

@@ -7,6 +7,44 @@
 //! quantities that change from day to day with a profile. Only [`read_recordings`] and [`duplicate`]
 //! look at files; the rest of the room is pure computation. It may import `policy` (the excitations),
 //! `recording`, `telemetry`, `qube`, `replay` and `elementary`.
+//!
+//! This example drives an emulated Qube whose winding has 20 % more resistance than its name plate
+//! says, and finds it:
+//!
+//! ```
+//! use std::sync::Arc;
+//! use std::sync::atomic::AtomicBool;
+//!
+//! use qube_hil::device::emulator::EmulatorSettings;
+//! use qube_hil::identification::{Unknown, identify};
+//! use qube_hil::policy::{Excitation, ExcitationShape, Policy};
+//! use qube_hil::qube::{DomainParameter, QubeModel};
+//! use qube_hil::recording::read;
+//! use qube_hil::replay::MotionLog;
+//! use qube_hil::rig::{DeviceChoice, Rig, RigSettings};
+//! use qube_hil::session::RolloutPlan;
+//! use qube_hil::storage::MachineDisk;
+//!
+//! let mut model = QubeModel::NOMINAL;
+//! model.parameters.motor_resistance_ohm *= 1.2;
+//! let emulator = EmulatorSettings { model, ..EmulatorSettings::default() };
+//! let settings =
+//!     RigSettings { emulator, ..RigSettings::in_virtual_time(DeviceChoice::Emulated) };
+//! let rig = Rig::open(&settings, &Arc::new(AtomicBool::new(false)))?;
+//!
+//! let chirp = Policy::Excitation(Excitation::new(ExcitationShape::Chirp, 1.5)).to_bytes();
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("chirp.mcap");
+//! let header = RolloutPlan::single("example", "chirp").header();
+//! rig.rollout(&MachineDisk, &path, header, &chirp)?;
+//!
+//! let log = MotionLog::of_recording(&read(&path)?).ok_or("no motion")?;
+//! let unknowns = [Unknown(DomainParameter::MotorResistance.into())];
+//! let found = identify(&[log], &unknowns, &QubeModel::NOMINAL)?;
+//! let resistance_ohm = found.model.parameters.motor_resistance_ohm;
+//! assert!((resistance_ohm / model.parameters.motor_resistance_ohm - 1.0).abs() < 0.02);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod assessment;
 mod change;

@@ -51,6 +51,9 @@ impl HorizonError {
 }
 
 /// The state at the first sample with which the model explains the first 0.2 s best.
+///
+/// # Panics
+/// Panics if the log has fewer than two samples, or times that do not increase.
 #[must_use]
 pub fn start_state(log: &MotionLog, model: &QubeModel) -> State {
     state_at(&Stretch::from(&log.samples, 0, KNOWN_S), &log.plant, model).0
@@ -59,6 +62,9 @@ pub fn start_state(log: &MotionLog, model: &QubeModel) -> State {
 /// The error of predictions that begin every 0.1 s of each log. Each prediction estimates a start
 /// state from 0.2 s of the log, then simulates the model for `horizon_s` without correction. A log
 /// that is too short for this is predicted once, to its end.
+///
+/// # Panics
+/// Panics as [`start_state`] does, or if `horizon_s` is no positive number.
 #[must_use]
 pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> HorizonError {
     let (mut theta, mut alpha, mut count, mut predictions) = (0.0, 0.0, 0, 0);
@@ -195,6 +201,9 @@ impl PredictionBand {
 
 /// The errors at the end of predictions of half a second that begin every 0.1 s: theta and alpha,
 /// rad. Where the pendulum comes upright in a recording, only the predictions of its swings count.
+///
+/// # Panics
+/// Panics as [`start_state`] does.
 #[must_use]
 pub fn prediction_errors(log: &MotionLog, model: &QubeModel) -> Vec<[f64; 2]> {
     if is_upright(&log.samples) {

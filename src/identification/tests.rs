@@ -186,6 +186,17 @@ fn recordings_that_say_nothing_or_something_wrong_are_named() {
     assert!(matches!(check_recording(&interrupted), Err(Unfit::Interrupted { .. })));
     let holes = chirp_of(&truth(), 1.0, 4.0, &|index| index % 30 >= 9);
     assert!(matches!(check_recording(&holes), Err(Unfit::Interrupted { .. })));
+    let broken = changed(&|index, sample| {
+        sample.voltage_v = if index == 7 { f64::NAN } else { sample.voltage_v };
+    });
+    assert_eq!(broken, Unfit::NotFinite { sample: 7 });
+    let stands = changed(&|index, sample| sample.time_s -= if index > 8 { 0.01 } else { 0.0 });
+    assert_eq!(stands, Unfit::TimeStands { sample: 9 });
+    let nothing = identify(std::slice::from_ref(&good), &[], &QubeModel::NOMINAL);
+    assert!(matches!(nothing, Err(IdentifyError::NoUnknowns)));
+    let known = Unknown(DomainParameter::Gravity.into());
+    let known = identify(std::slice::from_ref(&good), &[known], &QubeModel::NOMINAL);
+    assert!(matches!(known, Err(IdentifyError::NotUnknown { .. })));
     let slow = changed(&|index, sample| sample.time_s = index as f64 / 40.0);
     assert!(matches!(slow, Unfit::Interrupted { .. }));
     assert_eq!(changed(&|_, sample| sample.voltage_v *= 0.1), Unfit::NoVoltage);
