@@ -4,6 +4,8 @@ use thiserror::Error;
 
 use crate::estimation::SettingsError;
 use crate::policy::NetworkError;
+use crate::qube::PlantError;
+use crate::simulation::DistributionError;
 
 /// The reason why a training produced no policy.
 #[derive(Debug, Error)]
@@ -36,9 +38,19 @@ pub enum TrainError {
     /// The settings of the simulated estimator are invalid.
     #[error("training setting simulation.sensors.estimator.{0}")]
     Estimator(#[from] SettingsError),
-    /// A network of the result has weights that are not finite numbers.
-    #[error("training diverged: {0}")]
-    Diverged(#[from] NetworkError),
+    /// A number of the simulated plant is outside its range.
+    #[error("training setting simulation.plant: {0}")]
+    Plant(#[from] PlantError),
+    /// The distribution can draw a Qube that cannot be simulated.
+    #[error("the training distribution cannot be simulated: {0}")]
+    Distribution(#[from] DistributionError),
+    /// After the first update a weight is not a finite number. A training that diverges later ends
+    /// with the networks of the update before.
+    #[error("training diverged in its first update. Give a smaller learning_rate")]
+    Diverged,
+    /// A network of the result cannot be used as a policy.
+    #[error("the trained network cannot be used: {0}")]
+    Network(#[from] NetworkError),
     /// A checkpoint could not be read, written or removed.
     #[error("checkpoint {path} cannot be read, written or removed: {source}")]
     CheckpointFile {

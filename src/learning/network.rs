@@ -63,6 +63,13 @@ pub(super) const OUTPUT_BIAS: usize = 0;
 pub(super) const LOG_STD: usize = 1;
 
 impl Network {
+    /// Whether every parameter is a finite number.
+    pub fn is_finite(&self) -> bool {
+        let rows = self.first.iter().chain(&self.second);
+        let mut values = rows.chain([&self.second_bias, &self.last, &self.tail]).flatten();
+        values.all(|value| value.is_finite())
+    }
+
     /// A network whose parameters are all zero.
     pub const fn zero(observation_size: usize) -> Self {
         Self {

@@ -109,7 +109,7 @@ impl TrainSettings {
         }
     }
 
-    /// Checks that every setting is in its range, except the simulation's safety box and plant.
+    /// Checks that every setting is in its range, except the simulation's safety box.
     ///
     /// # Errors
     /// Names the first setting that is out of range.
@@ -170,6 +170,7 @@ impl TrainSettings {
         if let SensorModel::Encoders { estimator } = &self.simulation.sensors {
             estimator.check()?;
         }
+        self.simulation.plant.check()?;
         bounded("evaluation_starts", self.evaluation_starts, 1..=10_000, "1 to 10 000")?;
         bounded("threads", self.threads, 1..=1024, "1 to 1024")
     }

@@ -1,6 +1,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::*;
+use crate::qube::{PlantModel, QubeModel};
 use crate::simulation::{DomainDistribution, Family, SimulationSettings};
 
 /// Settings that are small enough for a test and large enough to exercise each part of a training.
@@ -201,4 +202,37 @@ fn a_training_from_a_policy_begins_with_it_and_never_ends_below_it() {
     let other = TrainSettings { simulation: longer, ..more };
     let refused = train_from(&first.network, &distribution, &other, 5, &never, |_| {});
     assert!(matches!(refused, Err(TrainError::Start { .. })));
+}
+
+#[test]
+fn a_training_that_diverges_keeps_what_it_has_learnt_until_then() {
+    let (distribution, settings) = (DomainDistribution::nominal(), small());
+    let stop = AtomicBool::new(false);
+    let mut training = state::TrainingState::new(&distribution, &settings, None, 3);
+    training.update(&stop).unwrap().unwrap();
+    let (policy, best_return) = (training.policy.network.clone(), training.best_return);
+    training.value.network.last[0] = f32::NAN;
+    assert!(training.update(&stop).unwrap().is_none());
+    assert_eq!(training.policy.network, policy);
+    let trained = training.into_trained().unwrap();
+    assert_eq!((trained.best_return, trained.curve.len()), (best_return, 1));
+
+    let mut training = state::TrainingState::new(&distribution, &settings, None, 3);
+    training.value.network.last[0] = f32::NAN;
+    assert!(matches!(training.update(&stop), Err(TrainError::Diverged)));
+}
+
+#[test]
+fn plants_and_distributions_that_cannot_be_simulated_are_refused() {
+    let mut plant = PlantModel::QUBE;
+    plant.parameters.rotary_mass_kg = f64::NAN;
+    let simulation = SimulationSettings { plant, ..small().simulation };
+    let refused = train_small(&TrainSettings { simulation, ..small() }, 0, None, u32::MAX);
+    assert!(matches!(refused, Err(TrainError::Plant(_))), "{refused:?}");
+
+    let mut late = QubeModel::NOMINAL;
+    late.nonidealities.command_delay_s = 10.0;
+    let stop = AtomicBool::new(false);
+    let refused = train(&DomainDistribution::constant(&late), &small(), 0, None, &stop, |_| ());
+    assert!(matches!(refused, Err(TrainError::Distribution(_))), "{refused:?}");
 }

@@ -29,8 +29,9 @@ const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
 /// checkpoint stays, so that the caller can save the policy before it removes the checkpoint.
 ///
 /// # Errors
-/// A setting is out of range; `stop` was set; a checkpoint cannot be read or written, is damaged or
-/// belongs to another training; or the weights are not finite.
+/// A setting or the distribution is out of range; `stop` was set; a checkpoint cannot be read or
+/// written, is damaged or belongs to another training; or the first update diverged. A training
+/// that diverges later ends early, with what it has learnt until then.
 pub fn train(
     distribution: &DomainDistribution,
     settings: &TrainSettings,
@@ -40,6 +41,7 @@ pub fn train(
     on_update: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
     settings.check()?;
+    distribution.check()?;
     let mut training = TrainingState::new(distribution, settings, None, seed);
     if let Some(checkpointing) = checkpointing {
         checkpointing.resume(&mut training)?;
@@ -52,8 +54,8 @@ pub fn train(
 /// deviation. The best network of the result is `start` itself if no update improves on it.
 ///
 /// # Errors
-/// `start` has other layers, functions, scale or bounds than a trained network; a setting is out of
-/// range; `stop` was set; or the weights are not finite.
+/// `start` has other layers, functions, scale or bounds than a trained network; a setting or the
+/// distribution is out of range; `stop` was set; or the first update diverged.
 pub fn train_from(
     start: &policy::Network,
     distribution: &DomainDistribution,
@@ -63,6 +65,7 @@ pub fn train_from(
     on_update: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
     settings.check()?;
+    distribution.check()?;
     let size = settings.simulation.observation_size();
     let start = imported(start, size, settings.smallest_log_std)?;
     let mut training = TrainingState::new(distribution, settings, None, seed);
@@ -95,7 +98,7 @@ pub(super) fn perform(
     mut on_update: impl FnMut(&TrainUpdate),
 ) -> Result<(), TrainError> {
     while !training.is_finished() {
-        let update = training.update(stop)?;
+        let Some(update) = training.update(stop)? else { break };
         on_update(update);
         if let Some(checkpointing) = checkpointing
             && checkpointing.is_due(training.curve.len())
@@ -107,8 +110,10 @@ pub(super) fn perform(
 }
 
 impl TrainingState<'_> {
-    /// Performs one update of Algorithm 1 (Eilers 2019): collect, optimise, evaluate.
-    pub fn update(&mut self, stop: &AtomicBool) -> Result<&TrainUpdate, TrainError> {
+    /// Performs one update of Algorithm 1 (Eilers 2019): collect, optimise, evaluate. Returns `None`
+    /// if the update diverged: the policy is then that of the update before, and the training ends.
+    pub fn update(&mut self, stop: &AtomicBool) -> Result<Option<&TrainUpdate>, TrainError> {
+        let before = self.policy.network.clone();
         let update = self.curve.len() as u32;
         let batch = self.collector().collect(self.settings.threads);
         let share = self.settings.worst_share_at(update);
@@ -124,6 +129,13 @@ impl TrainingState<'_> {
         );
         if stop.load(Ordering::Relaxed) {
             return Err(TrainError::Stopped);
+        }
+        if !self.policy.network.is_finite() || !self.value.network.is_finite() {
+            if update == 0 {
+                return Err(TrainError::Diverged);
+            }
+            self.policy.network = before;
+            return Ok(None);
         }
         let (evaluation, smooth_return) = self.evaluate();
         let mean_return = evaluation.mean_return();
@@ -149,7 +161,7 @@ impl TrainingState<'_> {
             steps: earlier + batch.transitions.len() as u64,
             gradient_steps: self.policy.moments.steps,
         });
-        Ok(&self.curve[update as usize])
+        Ok(self.curve.last())
     }
 
     /// The collector of the next update's batch.

@@ -38,6 +38,7 @@ pub fn train_universal(
     on_update: impl FnMut(&TrainUpdate),
 ) -> Result<UniversalPolicy, TrainError> {
     settings.check()?;
+    distribution.check()?;
     if !(1..=MAX_PHYSICS_INPUTS).contains(&physics.count) {
         let (name, value) = ("physics inputs", physics.count.to_string());
         return Err(TrainError::Setting { name, value, bound: "1 to 16" });

@@ -84,6 +84,15 @@ impl PlantModel {
         Ok(toml::from_str(text).map_err(Box::new)?)
     }
 
+    /// Checks that every number is in the range that a file may give.
+    ///
+    /// # Errors
+    /// As [`Self::parse`]; the message shows the entry as a line of TOML.
+    pub fn check(&self) -> Result<(), PlantError> {
+        let text = toml::to_string(self).map_err(serde::de::Error::custom).map_err(Box::new)?;
+        Self::parse(&text).map(|_| ())
+    }
+
     /// Whether this is the built-in Qube.
     #[must_use]
     pub fn is_qube(&self) -> bool {

@@ -297,6 +297,14 @@ impl DomainDistribution {
         Ok(self)
     }
 
+    /// Checks that every Qube that is drawn can be simulated; [`Self::constant`] does not check.
+    ///
+    /// # Errors
+    /// Names the first quantity whose distribution can draw values that are not physical.
+    pub fn check(&self) -> Result<(), DistributionError> {
+        Quantity::all().try_for_each(|quantity| self.get(quantity).check(quantity))
+    }
+
     /// Draws one Qube: the parameters xi and the nonidealities. A constant quantity takes no number
     /// from the generator.
     pub fn sample(&self, rng: &mut impl rand::Rng) -> QubeModel {

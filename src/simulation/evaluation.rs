@@ -48,6 +48,11 @@ impl Evaluation {
 ///
 /// 100 starts suffice to choose a policy during training. A figure for publication should use 1000
 /// or more, with a seed that was not used to choose the policy.
+///
+/// # Panics
+/// Panics as [`Pendulums::new`] does for these settings, and as [`Pendulums::restart`] does for a
+/// distribution that [`DomainDistribution::check`] refuses; or if the actor expects another
+/// observation.
 pub fn evaluate(
     actor: &mut impl Actor,
     distribution: &DomainDistribution,
@@ -60,6 +65,9 @@ pub fn evaluate(
 
 /// Evaluates as [`evaluate`] does, and after each step calls `on_step` for each running trajectory
 /// with its number, the reward of the step and the actor's voltage before clipping, V.
+///
+/// # Panics
+/// Panics as [`evaluate`] does.
 pub fn evaluate_with(
     actor: &mut impl Actor,
     distribution: &DomainDistribution,
