@@ -32,8 +32,10 @@ pub enum RecordingError {
         /// Cause of the failure.
         source: io::Error,
     },
-    /// The header or the outcome holds a number that is not finite.
-    #[error("{path}: the record `{record}` is not written: it holds a number that is not finite")]
+    /// The header or the outcome would not read back as it is.
+    #[error(
+        "{path}: the record `{record}` is not written: it holds a number that is not finite, or is outside of the range that a reader accepts"
+    )]
     NotFinite {
         /// Path of the recording.
         path: PathBuf,

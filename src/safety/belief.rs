@@ -143,7 +143,7 @@ impl Belief {
             if parameter != DomainParameter::Gravity {
                 let nominal = plant.parameters.get(parameter);
                 low.parameters.set(parameter, (1.0 - within) * nominal);
-                high.parameters.set(parameter, (1.0 + within) * nominal);
+                high.parameters.set(parameter, ((1.0 + within) * nominal).min(parameter.largest()));
             }
         }
         low.nonidealities = Nonidealities { cable_rest_rad: -1.2, ..Nonidealities::default() };
@@ -157,6 +157,9 @@ impl Belief {
             command_delay_s: 0.02,
             ..Nonidealities::default()
         };
+        for term in Nonideality::ALL {
+            high.set(term.into(), possible(term, high.get(term.into())));
+        }
         Self { low, high, least_share: 1.0, weak_side: false, steps: no_steps() }
     }
 
@@ -220,7 +223,7 @@ impl Belief {
     fn widen(&mut self, quantity: Quantity, off: f64) {
         let (low, high) = (self.low.get(quantity) - off, self.high.get(quantity) + off);
         let (low, high) = match quantity {
-            Quantity::Parameter(_) => (low, high),
+            Quantity::Parameter(parameter) => (low, high.min(parameter.largest())),
             Quantity::Nonideality(term) => (possible(term, low), possible(term, high)),
         };
         self.low.set(quantity, low);
@@ -507,6 +510,17 @@ mod tests {
         let mut farther = belief_of(&undetermined);
         farther.steps[0][0] = 2.0 * UNKNOWN_SHARE;
         assert_eq!(farther.check(), Err(BeliefError::Step));
+    }
+
+    #[test]
+    fn the_belief_about_a_plant_at_the_end_of_its_range_can_be_recorded() {
+        let mut plant = PlantModel::QUBE;
+        for parameter in DomainParameter::ALL {
+            plant.parameters.set(parameter, 0.9 * parameter.largest());
+        }
+        assert_eq!(Belief::of_any_plant(&plant, UNKNOWN_SHARE).check(), Ok(()));
+        let profile = Profile::exact("exact", &plant.nominal());
+        assert_eq!(Belief::of_profile(&profile, &plant).check(), Ok(()));
     }
 
     #[test]
