@@ -88,7 +88,7 @@ fn line(recipe: &RecipeResult) -> String {
     let returns = recipe.return_interval();
     let success = recipe.success_interval();
     let succeed = format!("{}/{}", recipe.successes(), recipe.policies.len());
-    let from_to = |lower: f64, upper: f64| match recipe.policies.is_empty() {
+    let from_to = |lower: f64, upper: f64| match recipe.policies.is_empty() || lower.is_nan() {
         true => "-".into(),
         false => format!("{lower:.0} to {upper:.0}"),
     };

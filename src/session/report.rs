@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use super::{
-    Candidate, Identification, Purpose, ScoredCandidate, SearchEnd, Session, SessionError,
+    Candidate, Entry, Identification, Purpose, ScoredCandidate, SearchEnd, Session, SessionError,
     TakenOutRig,
 };
 use crate::policy::{Policy, PolicyError};
@@ -18,7 +18,7 @@ pub struct SessionReport {
     pub candidates: Vec<ScoredCandidate>,
     /// Timing of all ticks of the finished rollouts.
     pub latencies: Latencies,
-    /// Number of attempts that a fault ended, of the rollouts that have a result.
+    /// Number of rollouts that a fault has ended, repeated or not.
     pub void_rollouts: u64,
     /// Number of observer resets in the finished rollouts.
     pub observer_resets: u64,
@@ -67,6 +67,12 @@ impl BestPolicy {
     }
 }
 
+/// Number of rollouts of a session that a fault has ended, repeated or not.
+fn void_rollouts(session: &Session) -> u64 {
+    let entries = session.entries().iter();
+    entries.filter(|entry| matches!(entry, Entry::RolloutVoid { .. })).count() as u64
+}
+
 impl SessionReport {
     /// Reads the results of a session from its ledger and its recordings.
     ///
@@ -79,7 +85,7 @@ impl SessionReport {
         let mut report = Self {
             psi: session.settings().psi.clone(),
             latencies: Latencies::default(),
-            void_rollouts: 0,
+            void_rollouts: void_rollouts(session),
             observer_resets: 0,
             directory: paths.root().to_owned(),
             identification: session.state().identification().clone(),
@@ -102,7 +108,6 @@ impl SessionReport {
                 let path = of_candidate.rollout(finished.rollout, finished.attempt);
                 let recording = read_on(folder.disk(), &path)?;
                 report.latencies.add(&recording.ticks);
-                report.void_rollouts += u64::from(finished.attempt);
                 report.observer_resets +=
                     recording.outcome.map_or(0, |outcome| u64::from(outcome.observer_resets));
             }

@@ -119,18 +119,21 @@ impl SessionSettings {
         let text = toml::to_string(&fullest)?;
         let mut lines = Vec::new();
         let mut table: Vec<String> = Vec::new();
+        let mut array = ArrayEntry::default();
         for line in text.lines().filter(|line| !line.is_empty()) {
             if line.starts_with('[') {
                 let path = line.trim_matches(['[', ']']);
                 table = path.split('.').map(str::to_owned).collect();
-                lines.push(Line::Header(line.to_owned(), at(&defaults, &table).is_some()));
+                array.enter(line, path);
+                let present = at(&defaults, &table, array.number).is_some();
+                lines.push(Line::Header(line.to_owned(), present));
             } else if let Some((name, shown)) = line.split_once(" = ") {
                 let mut path = table.clone();
                 path.push(name.to_owned());
                 let key = path.join(".");
                 let words = words(&key);
                 lines.push(Line::Setting(Setting {
-                    default: at(&defaults, &path).cloned(),
+                    default: at(&defaults, &path, array.number).cloned(),
                     shown: shown.to_owned(),
                     meaning: words.map_or("", |words| words.meaning),
                     unit: words.map_or("", |words| words.unit),
@@ -220,17 +223,40 @@ impl Setting {
     }
 }
 
-/// The value at a path. In an array of tables the path leads into the first table.
-fn at<'a>(table: &'a Table, path: &[String]) -> Option<&'a Value> {
+/// The entry of an array of tables in which the lines of a text are.
+#[derive(Default)]
+struct ArrayEntry {
+    /// Path of the array; empty outside of any.
+    path: String,
+    /// Number of the entry, from 0.
+    number: usize,
+}
+
+impl ArrayEntry {
+    /// Goes on to the table with this header line and path.
+    fn enter(&mut self, header: &str, path: &str) {
+        let begins_entry = header.starts_with("[[");
+        if begins_entry && path == self.path {
+            self.number += 1;
+        } else if begins_entry {
+            *self = Self { path: path.to_owned(), number: 0 };
+        } else if !path.starts_with(&format!("{}.", self.path)) {
+            *self = Self::default();
+        }
+    }
+}
+
+/// The value at a path. In an array of tables the path leads into the table with this number.
+fn at<'a>(table: &'a Table, path: &[String], number: usize) -> Option<&'a Value> {
     let (name, below) = path.split_first()?;
     let value = table.get(name)?;
     let value = match value {
         Value::Array(entries) if entries.iter().all(Value::is_table) && !below.is_empty() => {
-            entries.first()?
+            entries.get(number)?
         }
         other => other,
     };
-    if below.is_empty() { Some(value) } else { at(value.as_table()?, below) }
+    if below.is_empty() { Some(value) } else { at(value.as_table()?, below, number) }
 }
 
 fn at_mut<'a>(table: &'a mut Table, path: &[String]) -> Option<&'a mut Value> {
@@ -261,7 +287,7 @@ fn leaves(key: &str, value: Value, found: &mut Vec<(String, Value)>) {
 /// The accepted values of the setting at a path, in words. The function tries extreme values and
 /// takes the range from the error with which the settings' own check refuses them.
 fn range(settings: &Table, path: &[String]) -> String {
-    let Some(value) = at(settings, path) else { return String::new() };
+    let Some(value) = at(settings, path, 0) else { return String::new() };
     let (trials, otherwise): (Vec<Value>, &str) = match value {
         Value::Boolean(_) => return "true or false".into(),
         Value::Integer(now) => {
@@ -381,6 +407,18 @@ mod tests {
         let everything =
             SessionSettings { preset: Some(Preset::Custom), ..of_a_session().with_everything() };
         assert_eq!(read_back(&with_all(&of_a_session().explained().unwrap())), everything);
+    }
+
+    #[test]
+    fn each_entry_of_an_array_has_its_own_values() {
+        let settings = of_a_session();
+        let names: Vec<_> =
+            settings.list().unwrap().into_iter().filter(|it| it.key == "psi.name").collect();
+        let shown: Vec<_> =
+            names.iter().map(|it| it.default.as_ref().unwrap().to_string()).collect();
+        let expected: Vec<_> = settings.psi.names().map(|name| format!("\"{name}\"")).collect();
+        assert_eq!(shown, expected);
+        assert!(shown.len() > 1);
     }
 
     /// The names that the program accepts in a table, taken from the error for an unknown name.
