@@ -6,6 +6,40 @@
 //!
 //! Reading order: [`Tick`] decides, [`drive()`] runs a tick against a device and a clock,
 //! [`ControlThread`] runs [`drive()`] on a thread of its own.
+//!
+//! This example drives a homing, then a rollout with the zeros that it measured; a
+//! [`Rig`](crate::rig::Rig) does the same and records the rollout:
+//!
+//! ```
+//! use std::sync::atomic::AtomicBool;
+//!
+//! use qube_hil::clock::VirtualClock;
+//! use qube_hil::control::{Homing, HomingSettings, Tick, drive};
+//! use qube_hil::device::emulator::EmulatorSettings;
+//! use qube_hil::device::{Device, SerialLink};
+//! use qube_hil::policy::{ClassicalController, ClassicalGains};
+//! use qube_hil::session::RolloutPlan;
+//! use qube_hil::telemetry::{Ending, TickSettings};
+//!
+//! let clock = VirtualClock::default();
+//! let mut device = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
+//! let stop = AtomicBool::new(false);
+//! device.hello()?;
+//! let mut homing = Homing::new(&HomingSettings::default());
+//! drive(&mut device, &clock, &mut homing, None, &stop)?;
+//! let measured = homing.measured().ok_or("the arm was not homed")?;
+//!
+//! let settings = TickSettings {
+//!     calibration: measured.calibration,
+//!     stops: measured.stops,
+//!     ..RolloutPlan::single("example", "classical").header().settings
+//! };
+//! let mut tick = Tick::new(&settings, ClassicalController::new(ClassicalGains::default()));
+//! let report = drive(&mut device, &clock, &mut tick, None, &stop)?;
+//! assert_eq!(report.outcome.ending, Ending::Completed);
+//! assert_eq!(report.outcome.steps, 600);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod asking_push;
 mod between_motions;
@@ -34,6 +68,7 @@ mod rest_watch;
 mod sensor_watch;
 mod settling;
 mod sign_probe;
+mod slowness;
 mod still_pendulum;
 mod stop_press;
 mod stop_seek;
@@ -45,7 +80,9 @@ pub use current_watch::WEAK_A_V;
 pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive, drive_warm};
 pub use error::{ControlError, ThreadGone};
 pub use homing::Homing;
-pub use homing_settings::{HomingMethod, HomingSettings, TRAVELS_RAD};
+pub use homing_settings::{
+    HomingMethod, HomingSettings, HomingSettingsError, LARGEST_OFFSET_RAD, TRAVELS_RAD,
+};
 pub use last_ticks::LAST_TICKS;
 pub use latency::LatencyHistogram;
 pub use machine::{ControlAction, ControlEvent, ControlState, state_diagram};

@@ -3,6 +3,7 @@ use super::push::ArmInput;
 use super::rest::{CentredDetector, RestDetector, STOPPED_RAD_S};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, Settler};
+use super::slowness::SlownessWatch;
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::elementary::Scalar;
@@ -54,6 +55,7 @@ pub struct Tick<C = Policy> {
     policy: C,
     estimator: Estimator,
     watch: Watch,
+    slowness: SlownessWatch,
     sensors: SensorWatch,
     /// Tests with a push whether an arm with a constant count can move; `None` before the policy
     /// runs and under [`TickRules::First`].
@@ -84,6 +86,7 @@ pub struct Tick<C = Policy> {
     sent_v: [f32; MAX_HISTORY],
     /// Ending of the rollout; it holds once the rollout has begun to end.
     reason: Ending,
+    has_ended: bool,
     /// State estimates: one for the policy, one for guard, settling and brake.
     estimates: Estimates,
     voltage_mv: i16,
@@ -103,6 +106,7 @@ impl<C: Controller> Tick<C> {
             policy,
             estimator: Estimator::new(settings.estimator, settings.calibration),
             watch: if cross_checks { Watch::default() } else { Watch::of_the_first_rules() },
+            slowness: SlownessWatch::default(),
             sensors: sensor_watch(settings),
             asking: None,
             settler: Settler::of(plant),
@@ -134,6 +138,7 @@ impl<C: Controller> Tick<C> {
             periods_without_sample: 0,
             sent_v: [0.0; MAX_HISTORY],
             reason: Ending::Completed,
+            has_ended: false,
             estimates: Estimates::default(),
             voltage_mv: 0,
         };
@@ -231,6 +236,15 @@ impl<C: Controller> Tick<C> {
             && self.phase == Phase::Braking
             && self.periods_in_phase <= JUMP_KNOWN_TICKS
             && matches!(self.reason, Ending::LeftBox(_))
+    }
+
+    /// Whether an overheated motor is a limit that the policy leaves, or because of which the arm is
+    /// being braked already. While settling it is a fault.
+    fn is_limited_by_motor(&self) -> bool {
+        self.settings.rules >= TickRules::SlownessTested
+            && (self.phase == Phase::Running
+                || (self.phase == Phase::Braking
+                    && self.reason == Ending::LeftBox(Limit::MotorLoad)))
     }
 
     /// The event that ends braking, once the arm has stopped or time is up; a fault if the arm is
@@ -348,7 +362,8 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    fn off(&self) -> TickOutput {
+    fn off(&mut self) -> TickOutput {
+        self.has_ended = true;
         TickOutput { ending: Some(self.reason), ..self.output() }
     }
 
@@ -412,6 +427,9 @@ fn asking_push(settings: &TickSettings) -> Option<AskingPush> {
 impl<C: Controller> Motion for Tick<C> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.angle = None;
+        if self.has_ended {
+            return self.off();
+        }
         self.periods_in_phase += input.skipped_periods;
         self.periods_without_sample += 1 + input.skipped_periods;
         self.pass_applied_voltage(input.skipped_periods);
@@ -434,7 +452,10 @@ impl<C: Controller> Motion for Tick<C> {
         let since =
             if self.phase == Phase::Settling { TickRules::GainReducing } else { TickRules::Damped };
         let damps = self.settings.rules >= since;
-        let alarms = [self.watch.check(input), seen, unanswered];
+        let is_slow = self.slowness.is_too_slow(input.skipped_periods)
+            && self.settings.rules >= TickRules::SlownessTested;
+        let slow = is_slow.then_some(Alarm::Brake(Fault::TooLate));
+        let alarms = [self.watch.check(input).or(slow), seen, unanswered];
         let off = match most_urgent(alarms, self.settings.rules) {
             Some(Alarm::SwitchOff(fault)) if damps && fault.doubts_count() => {
                 if !self.damps {
@@ -449,6 +470,11 @@ impl<C: Controller> Motion for Tick<C> {
             }
             Some(Alarm::SwitchOff(fault)) => {
                 self.take(ControlEvent::SwitchOffFault, Ending::Fault(fault))
+            }
+            // A policy that burns current has left a limit, and is a bad policy of a sound Qube.
+            Some(Alarm::Brake(Fault::MotorOverheated)) if self.is_limited_by_motor() => {
+                let of_motor = Ending::LeftBox(Limit::MotorLoad);
+                self.phase == Phase::Running && self.take(ControlEvent::LimitLeft, of_motor)
             }
             Some(Alarm::Brake(fault)) if self.explains_brake(fault) => {
                 self.take(ControlEvent::CountDoubted, Ending::Fault(fault))

@@ -5,6 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::plant_device::{PlantDevice, TestFault};
 use super::{ControlState, DriveReport, Motion, RING_CAPACITY, Tick, TickInput, drive};
+use crate::clock::VirtualClock;
 use crate::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use crate::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use crate::qube::{
@@ -328,4 +329,49 @@ fn the_motors_heat_follows_the_speed_that_the_guard_sees() {
     assert!(heating > 1.5 * seen && seen > 0.0, "{seen} {heating}");
     let (seen, heating) = speeds(TickRules::RestByEncoders);
     assert_eq!(seen, heating, "an older recording replays as it was recorded");
+}
+
+/// The classical controller, whose decisions take 15 ms.
+struct Slow(ClassicalController, VirtualClock);
+
+impl Controller for Slow {
+    fn start(&mut self) {
+        self.0.start();
+    }
+
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        self.1.advance(15_000_000);
+        self.0.voltage_v(state)
+    }
+}
+
+#[test]
+fn a_policy_whose_decisions_take_longer_than_a_period_is_a_fault() {
+    for (rules, ending) in [
+        (TickRules::NEWEST, Ending::Fault(Fault::TooLate)),
+        (TickRules::DriftTested, Ending::Completed),
+    ] {
+        let mut device = PlantDevice::new(State::default());
+        let clock = device.clock.clone();
+        let gains = ClassicalGains { pump_v_per_j: 0.0, ..ClassicalGains::default() };
+        let policy = Slow(ClassicalController::new(gains), clock.clone());
+        let mut tick = Tick::new(&TickSettings { rules, ..settings() }, policy);
+        let report = drive(&mut device, &clock, &mut tick, None, &AtomicBool::new(false)).unwrap();
+        assert_eq!(report.outcome.ending, ending);
+        assert!(report.outcome.missed_deadlines > 10);
+    }
+}
+
+#[test]
+fn a_rollout_that_has_ended_ends_at_once_when_it_is_driven_again() {
+    let mut device = PlantDevice::new(State::default());
+    let clock = device.clock.clone();
+    let stop = AtomicBool::new(false);
+    let mut tick = Tick::new(&settings(), classical());
+    let first = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    let sent = device.voltages_mv.len();
+    let again = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    assert_eq!(again.outcome.ending, first.outcome.ending);
+    assert_eq!(device.voltages_mv.len(), sent);
+    assert!(!device.armed);
 }

@@ -309,7 +309,7 @@ fn trembling() -> Policy {
 fn a_rollout_on_an_overheated_motor_comes_out_again_and_only_from_the_same_heat() {
     let warm = MotorHeat { load: 0.85, ..MotorHeat::default() };
     let recording = recorded_warm(warm, 2.2, EstimatorSettings::default(), trembling(), None);
-    let by_heat = Some(Ending::Fault(Fault::MotorOverheated));
+    let by_heat = Some(Ending::LeftBox(Limit::MotorLoad));
     assert_eq!(recording.outcome.as_ref().map(|outcome| outcome.ending), by_heat);
     assert_eq!(recording.header.motor_heat, Some(warm));
     let again = rerun(&recording, trembling());

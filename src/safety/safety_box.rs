@@ -47,6 +47,9 @@ pub enum Limit {
     Foresight,
     /// The Qube has moved as no Qube within its profile's errors does.
     Unpredicted,
+    /// The policy has driven the motor to
+    /// [`LARGEST_LOAD`](super::motor_heat::LARGEST_LOAD) of its continuous rating.
+    MotorLoad,
 }
 
 /// The end of a rollout at this limit, as a phrase whose subject is the rollout.
@@ -60,6 +63,9 @@ impl std::fmt::Display for Limit {
             Self::Envelope => "was ended by the speed envelope",
             Self::Foresight => "was ended by the guard before the brake would come too late",
             Self::Unpredicted => "was ended by the guard because the Qube moved unlike its profile",
+            Self::MotorLoad => {
+                "was ended because it drove the motor to 90 % of its continuous rating"
+            }
         })
     }
 }

@@ -119,8 +119,8 @@ faults! {
         "a count of arm or pendulum moved while the motor was off (a hand, or an encoder's cable)",
         "Keep hands off during a run. If nobody touched the Qube: check the cables of both encoders.";
     TooLate: TryAgain,
-        "five ticks in a row were more than 10 ms late",
-        "Close programs that keep this computer busy.";
+        "five ticks in a row were more than 10 ms late, or this computer skipped control periods again and again",
+        "Close programs that keep this computer busy; a controller must decide within 10 ms.";
     Amplifier: Examine,
         "the amplifier reports a fault",
         "Switch the Qube off, let it cool down, check its supply and the motor.";

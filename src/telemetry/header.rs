@@ -84,11 +84,14 @@ pub enum TickRules {
     /// away from the tachometer is a fault, and so is a jump of the pendulum's count for which the
     /// guard has begun to brake.
     DriftTested,
+    /// As [`DriftTested`](Self::DriftTested); in addition, a computer that skips control periods
+    /// again and again is a fault, and a policy that overheats the motor has left a limit.
+    SlownessTested,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::DriftTested;
+    pub const NEWEST: Self = Self::SlownessTested;
 }
 
 /// The record that precedes a rollout.

@@ -11,8 +11,8 @@ use qube_hil::device::{Device, SerialLink};
 use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use qube_hil::qube::{Profile, QubeModel, State};
-use qube_hil::safety::{LARGEST_LOAD, MotorHeat, SafetyBox, WARNING_LOAD};
-use qube_hil::telemetry::{Ending, Fault, RolloutOutcome, TickSettings};
+use qube_hil::safety::{LARGEST_LOAD, Limit, MotorHeat, SafetyBox, WARNING_LOAD};
+use qube_hil::telemetry::{Ending, RolloutOutcome, TickSettings};
 
 /// An emulated Qube after homing, with its motor's heat.
 struct Rig {
@@ -109,7 +109,7 @@ fn rollouts_back_to_back(rollouts: u64) {
             let mut executed = 0;
             for seed in 0..rollouts {
                 let outcome = rig.rollout(policy.clone(), seed, 600);
-                let overheated = outcome.ending == Ending::Fault(Fault::MotorOverheated);
+                let overheated = outcome.ending == Ending::LeftBox(Limit::MotorLoad);
                 assert!(!overheated, "{name} on {plant}, rollout {seed}");
                 let load = outcome.largest_motor_load.unwrap();
                 (largest, sum) = (largest.max(load), sum + load);
@@ -149,7 +149,7 @@ fn a_policy_that_burns_current_is_braked_in_the_computed_time() {
     let mut rig = Rig::homed(QubeModel::NOMINAL, 1);
     rig.heat = MotorHeat::default();
     let outcome = rig.rollout(Trembling::default(), 0, 6000);
-    assert_eq!(outcome.ending, Ending::Fault(Fault::MotorOverheated));
+    assert_eq!(outcome.ending, Ending::LeftBox(Limit::MotorLoad));
     // The steps do not include settling, which hardly warms the motor. By the closed formula, the
     // motor reaches the limit after 17.6 s at 0.595 A.
     let heating = (5.0_f64 / 8.4 / 0.54).powi(2);
@@ -172,7 +172,7 @@ fn heat_carries_over_to_the_next_rollout_and_a_pause_takes_it_away() {
             break outcome.ending;
         }
     };
-    assert_eq!(ending, Ending::Fault(Fault::MotorOverheated));
+    assert_eq!(ending, Ending::LeftBox(Limit::MotorLoad));
     assert!(rollouts > 1, "6 s alone do not overheat a motor");
 
     let mut rig = Rig::homed(QubeModel::NOMINAL, 2);

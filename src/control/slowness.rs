@@ -1,0 +1,50 @@
+//! A program that is too slow for its control period. Whole periods that have passed are skipped, so
+//! that each deadline by itself is met nearly in time; only the skipped periods show that the policy
+//! did not get its 100 decisions a second, and that the return is not that of the policy.
+
+/// Share of the control periods that may be skipped: single stalls of a busy computer.
+const ALLOWED_SHARE: f64 = 0.05;
+
+/// Number of skipped periods beyond the allowed share that is too many.
+const MOST_PERIODS: f64 = 10.0;
+
+/// Counts the control periods that the program has skipped beyond the allowed share.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct SlownessWatch {
+    beyond: f64,
+}
+
+impl SlownessWatch {
+    /// Whether the program has skipped too many periods, with `skipped_periods` before this tick.
+    pub fn is_too_slow(&mut self, skipped_periods: u32) -> bool {
+        let allowed = ALLOWED_SHARE * (1.0 + f64::from(skipped_periods));
+        self.beyond = (self.beyond + f64::from(skipped_periods) - allowed).max(0.0);
+        self.beyond > MOST_PERIODS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The first tick with an alarm when every `ticks`-th tick skips `periods`.
+    fn alarm(ticks: u32, periods: u32) -> Option<u32> {
+        let mut watch = SlownessWatch::default();
+        (0..100_000)
+            .find(|tick| watch.is_too_slow(if tick % ticks == ticks - 1 { periods } else { 0 }))
+    }
+
+    #[test]
+    fn decisions_that_take_longer_than_a_period_are_found_within_a_second() {
+        // 15 ms and 12 ms a decision: each second and each fifth tick skips a period.
+        assert_eq!(alarm(2, 1), Some(23));
+        assert_eq!(alarm(5, 1), Some(69));
+    }
+
+    #[test]
+    fn single_stalls_are_no_fault() {
+        assert_eq!(alarm(25, 1), None);
+        // Three lost periods every second.
+        assert_eq!(alarm(100, 3), None);
+    }
+}
