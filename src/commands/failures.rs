@@ -53,7 +53,9 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::HardwareRefusal(reason) => {
             Failure::usage(format!("nothing was run: {}", too_wide(&reason)))
         }
-        RigError::OtherPlant(_) | RigError::Device(_) => Failure::usage(error),
+        RigError::Setting(_) | RigError::OtherPlant(_) | RigError::Device(_) => {
+            Failure::usage(error)
+        }
         RigError::Policy(_) | RigError::External { .. } => {
             Failure::usage(one_line(&error.to_string()))
         }

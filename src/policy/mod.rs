@@ -16,21 +16,19 @@
 //! assert_eq!(Controller::voltage_v(&mut controller, &upright), 0.0);
 //! ```
 //!
-//! A controller of any other type runs in the same tick and loop. This example runs one on the
-//! emulated Qube, in virtual time:
+//! A controller of any other type runs in the same tick, under the same guard, and is recorded. This
+//! example runs one on the emulated Qube, in virtual time:
 //!
 //! ```
+//! use std::sync::Arc;
 //! use std::sync::atomic::AtomicBool;
 //!
-//! use qube_hil::clock::VirtualClock;
-//! use qube_hil::control::{Tick, drive};
-//! use qube_hil::device::emulator::EmulatorSettings;
-//! use qube_hil::device::{Device, SerialLink};
-//! use qube_hil::estimation::{Calibration, EstimatorSettings};
 //! use qube_hil::policy::Controller;
-//! use qube_hil::qube::{PlantModel, State};
-//! use qube_hil::safety::SafetyBox;
-//! use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
+//! use qube_hil::qube::State;
+//! use qube_hil::rig::{DeviceChoice, Rig, RigSettings};
+//! use qube_hil::session::RolloutPlan;
+//! use qube_hil::storage::MachineDisk;
+//! use qube_hil::telemetry::Ending;
 //!
 //! /// Pulls the arm to the middle like a spring.
 //! struct Spring {
@@ -43,24 +41,17 @@
 //!     }
 //! }
 //!
-//! let settings = TickSettings {
-//!     plant: PlantModel::QUBE,
-//!     calibration: Calibration::IDENTITY,
-//!     estimator: EstimatorSettings::default(),
-//!     safety_box: SafetyBox::THESIS,
-//!     max_steps: 100,
-//!     start_theta_rad: 0.0,
-//!     stops: None,
-//!     foresight: None,
-//!     rules: TickRules::NEWEST,
-//! };
-//! let mut tick = Tick::new(&settings, Spring { volts_per_rad: 2.0 });
-//! let clock = VirtualClock::default();
-//! let mut device = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
-//! device.hello()?;
-//! let report = drive(&mut device, &clock, &mut tick, None, &AtomicBool::new(false))?;
-//! assert_ne!(report.outcome.ending, Ending::Fault(Fault::NoSample));
-//! # Ok::<(), qube_hil::device::DeviceError>(())
+//! // Opens the emulated Qube and homes it.
+//! let settings = RigSettings::in_virtual_time(DeviceChoice::Emulated);
+//! let rig = Rig::open(&settings, &Arc::new(AtomicBool::new(false)))?;
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("spring.mcap");
+//! let header = RolloutPlan::single("example", "spring").header();
+//! let spring = Box::new(Spring { volts_per_rad: 2.0 });
+//! let recorded = rig.rollout_by(&MachineDisk, &path, header, "spring", spring)?;
+//! assert_eq!(recorded.outcome.ending, Ending::Completed);
+//! assert_eq!(recorded.outcome.steps, 600);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 mod activation;

@@ -1,13 +1,29 @@
 use thiserror::Error;
 
 use super::Doubt;
-use crate::control::{ControlError, TRAVELS_RAD, ThreadGone};
+use crate::control::{ControlError, HomingSettingsError, TRAVELS_RAD, ThreadGone};
 use crate::device::{DeviceError, LinkFault, RefusalReason};
+use crate::estimation::SettingsError;
 use crate::policy::{OtherPlant, PolicyFault};
 use crate::preflight::TooSlow;
+use crate::qube::PlantError;
 use crate::recording::RecordingError;
 use crate::safety::HardwareRefusal;
 use crate::telemetry::{CheckResult, Consequence, Fault, TickRecord};
+
+/// The reason why a setting of a rig cannot be used.
+#[derive(Debug, Error)]
+pub enum RigSettingError {
+    /// A number of the plant is out of range.
+    #[error("plant: {0}")]
+    Plant(#[from] PlantError),
+    /// A number of homing is out of range.
+    #[error("homing.{0}")]
+    Homing(#[from] HomingSettingsError),
+    /// A number of the rollout's estimator is out of range.
+    #[error("estimator.{0}")]
+    Estimator(#[from] SettingsError),
+}
 
 /// An error of a rig.
 #[derive(Debug, Error)]
@@ -18,6 +34,9 @@ pub enum RigError {
         /// Port or card that was requested.
         port: String,
     },
+    /// A setting of the rig or of a rollout cannot be used. Nothing has moved.
+    #[error("a setting of the rig cannot be used: {0}")]
+    Setting(#[from] RigSettingError),
     /// The emulator could not be started.
     #[error("the emulated Qube could not be started: {0}")]
     Emulator(std::io::Error),
@@ -245,6 +264,7 @@ impl RigError {
             | Self::Ended { .. }
             | Self::CheckFailed { .. } => true,
             Self::VirtualPort { .. }
+            | Self::Setting(_)
             | Self::Emulator(_)
             | Self::Thread(_)
             | Self::OtherPlant(_)

@@ -6,6 +6,38 @@
 //! and `soak` use it in the same way: [`RigSettings`] describe a rig, [`Rig::open`] opens it, and
 //! [`Rig::rollout`] records a rollout. The command `check` uses [`Rig::connect`] and
 //! [`Rig::check`].
+//!
+//! This example runs the classical controller on the emulated Qube, in virtual time, and replays the
+//! recording:
+//!
+//! ```
+//! use std::sync::Arc;
+//! use std::sync::atomic::AtomicBool;
+//!
+//! use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
+//! use qube_hil::recording::read;
+//! use qube_hil::replay::rerun;
+//! use qube_hil::rig::{DeviceChoice, Rig, RigSettings};
+//! use qube_hil::scoring::score_recording;
+//! use qube_hil::session::RolloutPlan;
+//! use qube_hil::storage::MachineDisk;
+//!
+//! // Opens the emulated Qube and homes it.
+//! let settings = RigSettings::in_virtual_time(DeviceChoice::Emulated);
+//! let rig = Rig::open(&settings, &Arc::new(AtomicBool::new(false)))?;
+//! let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("classical.mcap");
+//! let header = RolloutPlan::single("example", "classical").header();
+//! rig.rollout(&MachineDisk, &path, header, &policy.to_bytes())?;
+//!
+//! let recording = read(&path)?;
+//! assert!(score_recording(&recording).return_().is_some_and(|it| it > 400.0));
+//! // Each recorded decision comes out again, bit for bit.
+//! assert!(rerun(&recording, policy).agrees());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod after_motion;
 mod connection;
@@ -16,7 +48,7 @@ mod rollout;
 mod settings;
 
 pub use doubt::{Doubt, DoubtStore};
-pub use error::RigError;
+pub use error::{RigError, RigSettingError};
 pub use opened::{Pressed, Rig};
 pub use rollout::Recorded;
 pub use settings::{

@@ -133,9 +133,10 @@ impl Rig {
     /// Opens the device and reads its identity without moving the motor.
     ///
     /// # Errors
-    /// The device does not exist or does not answer, is another board than the settings require, or
+    /// A setting cannot be used; the device does not exist or does not answer, is another board than the settings require, or
     /// is hardware with a plant that needs a consent that the settings lack.
     pub fn connect(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
+        settings.check()?;
         let (device, clock, emulator) = connect(settings)?;
         let scheduling = match settings.clock {
             ClockChoice::Wall => Scheduling::RealTime,

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::after_motion::fault_after;
 use super::error::link_fault;
-use super::{Rig, RigError};
+use super::{Rig, RigError, RigSettingError};
 use crate::control::{ControlError, DriveReport, HomingMethod, Moved, RING_CAPACITY};
 use crate::estimation::MeasuredStops;
 use crate::policy::{Controller, External, Policy};
@@ -149,6 +149,7 @@ impl Rig {
         last_v: Option<&AtomicU64>,
     ) -> Result<Recorded, RigError> {
         header.settings.safety_box.guard.check_driven()?;
+        header.settings.estimator.check().map_err(RigSettingError::Estimator)?;
         if self.is_hardware() {
             self.limits.admit(&header.settings.safety_box)?;
             if header.settings.safety_box.guard == Guard::Foresight {

@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use super::{Doubt, DoubtStore};
+use super::{Doubt, DoubtStore, RigSettingError};
 use crate::clock::Clock;
 use crate::control::HomingSettings;
 use crate::device::emulator::EmulatorSettings;
@@ -144,6 +144,15 @@ impl Default for Recovery {
 }
 
 impl RigSettings {
+    /// Checks the numbers of the plant and of homing.
+    ///
+    /// # Errors
+    /// Names the first number that is out of range.
+    pub fn check(&self) -> Result<(), RigSettingError> {
+        self.plant.check()?;
+        Ok(self.homing.of_plant(&self.plant).check()?)
+    }
+
     /// Settings of a rig with this device in virtual time; all other settings have their defaults.
     #[must_use]
     pub fn in_virtual_time(device: DeviceChoice) -> Self {
@@ -220,5 +229,32 @@ impl RigSettings {
     #[must_use]
     pub fn checks(&self) -> bool {
         !self.skip_check && self.is_hardware()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_plant_and_homing_are_checked() {
+        let settings = RigSettings::in_virtual_time(DeviceChoice::Emulated);
+        assert!(settings.check().is_ok());
+        for travel_rad in [f64::NAN, 3.0, 9.0] {
+            let homing = HomingSettings { travel_rad: Some(travel_rad), ..settings.homing };
+            let refused = RigSettings { homing, ..settings.clone() }.check();
+            assert!(matches!(refused, Err(RigSettingError::Homing(_))), "{travel_rad}");
+        }
+        for theta_offset_rad in [f64::NAN, -0.4] {
+            let homing = HomingSettings { theta_offset_rad, ..settings.homing };
+            let refused = RigSettings { homing, ..settings.clone() }.check().unwrap_err();
+            assert!(refused.to_string().starts_with("homing.theta_offset_rad = "), "{refused}");
+        }
+        for largest_voltage_v in [f64::NAN, 30.0, -1.0] {
+            let mut plant = settings.plant;
+            plant.limits.largest_voltage_v = largest_voltage_v;
+            let refused = RigSettings { plant, ..settings.clone() }.check().unwrap_err();
+            assert!(refused.to_string().contains("largest_voltage_v"), "{refused}");
+        }
     }
 }

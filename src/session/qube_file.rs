@@ -8,9 +8,8 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::configuration::read;
-use super::settings_check::LARGEST_OFFSET_RAD;
 use super::{ConfigurationError, LibraryWatchdog, PowerTest};
-use crate::control::{HomingMethod, HomingSettings, TRAVELS_RAD};
+use crate::control::{HomingMethod, HomingSettings, LARGEST_OFFSET_RAD, TRAVELS_RAD};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{MotorRating, PlantModel};
 use crate::safety::SafetyBox;

@@ -3,17 +3,11 @@
 use toml::{Table, Value};
 
 use super::SessionSettings;
-use crate::control::TRAVELS_RAD;
 use crate::learning::TrainError;
-use crate::qube::{HARD_STOP_RAD, MAX_STEPS};
+use crate::qube::MAX_STEPS;
 use crate::safety::SafetyBox;
 use crate::search::SearchError;
 use crate::simulation::{ProfileSettings, PsiError, PsiTarget, SensorModel, box_file};
-
-/// Largest offset of the arm's zero from the middle between the stops, rad. At any offset the rig
-/// narrows the box to the stops: those that homing touched, or, after homing by hand, those that
-/// offset and accepted travel imply.
-pub(super) const LARGEST_OFFSET_RAD: f64 = 0.3;
 
 /// Advice when a session cannot be resumed, because its settings are of an earlier version.
 pub(super) const NEW_SESSION_ADVICE: &str =
@@ -97,24 +91,8 @@ impl SessionSettings {
         simulated
             .check_within(&of_the_task)
             .map_err(|error| format!("training.simulation.{}", of_file(error)))?;
-        let offset_rad = self.homing.theta_offset_rad;
-        if !(-LARGEST_OFFSET_RAD..=LARGEST_OFFSET_RAD).contains(&offset_rad) {
-            return Err(format!(
-                "homing.theta_offset_rad = {offset_rad}: give -{LARGEST_OFFSET_RAD} to \
-                 {LARGEST_OFFSET_RAD}"
-            ));
-        }
-        // The range that `qube.toml` allows for a Qube, in proportion to the plant's own stops.
-        let proportion = self.training.simulation.plant.limits.hard_stop_rad / HARD_STOP_RAD;
-        let [least, most] = [TRAVELS_RAD.start(), TRAVELS_RAD.end()].map(|it| it * proportion);
-        if let Some(travel_rad) = self.homing.travel_rad
-            && !(least..=most).contains(&travel_rad)
-        {
-            return Err(format!(
-                "homing.travel_rad = {travel_rad}: give {least:.2} to {most:.2}, the distance between this rig's stops"
-            ));
-        }
-        self.homing.estimator.check().map_err(|error| format!("homing.estimator.{error}"))
+        let homing = self.homing.of_plant(&self.training.simulation.plant);
+        homing.check().map_err(|error| format!("homing.{error}"))
     }
 
     /// Checks that a session with these settings can be resumed.
