@@ -18,6 +18,7 @@
 //! use qube_hil::device::emulator::EmulatorSettings;
 //! use qube_hil::device::{Device, SerialLink};
 //! use qube_hil::policy::{ClassicalController, ClassicalGains};
+//! use qube_hil::safety::SafetyBox;
 //! use qube_hil::session::RolloutPlan;
 //! use qube_hil::telemetry::{Ending, TickSettings};
 //!
@@ -32,6 +33,8 @@
 //! let settings = TickSettings {
 //!     calibration: measured.calibration,
 //!     stops: measured.stops,
+//!     // The box alone: the guard would end this controller on a Qube that it does not know.
+//!     safety_box: SafetyBox::THESIS,
 //!     ..RolloutPlan::single("example", "classical").header().settings
 //! };
 //! let mut tick = Tick::new(&settings, ClassicalController::new(ClassicalGains::default()));
