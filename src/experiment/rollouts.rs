@@ -32,13 +32,31 @@ impl RolloutResult {
 
 /// The state of a rollout according to the recordings in its folder.
 enum RolloutState {
-    /// The rollout has a result, or all its attempts are void.
-    Finished(RolloutResult),
+    /// An attempt has a result.
+    Scored {
+        /// Result of the attempt.
+        result: RolloutResult,
+        /// Path of its recording.
+        recording: PathBuf,
+    },
+    /// All allowed attempts are void.
+    Void,
     /// The rollout needs an attempt.
     Due {
         /// Number of the attempt.
         attempt: u32,
     },
+}
+
+impl RolloutState {
+    /// The result of a rollout that needs no further attempt; `None` for one that does.
+    fn finished(&self) -> Option<RolloutResult> {
+        match self {
+            Self::Scored { result, .. } => Some(*result),
+            Self::Void => Some(RolloutResult::FAULT),
+            Self::Due { .. } => None,
+        }
+    }
 }
 
 /// Path of the policy whose rollouts are in this folder. The folders of excitations have none.
@@ -69,13 +87,13 @@ fn state_of(
             (Verdict::Result { return_, .. }, Some(behaviour)) => {
                 let quietness = Quietness::of(&recorded.ticks, &recorded.header.settings.plant);
                 let result = RolloutResult { return_: Some(return_), behaviour, quietness };
-                return Ok(RolloutState::Finished(result));
+                return Ok(RolloutState::Scored { result, recording: path });
             }
             (Verdict::Unfinished, _) => return Ok(RolloutState::Due { attempt }),
             _ => {}
         }
     }
-    Ok(RolloutState::Finished(RolloutResult::FAULT))
+    Ok(RolloutState::Void)
 }
 
 /// The results of several rollouts in a folder; `None` where some are missing.
@@ -84,14 +102,23 @@ pub(super) fn all_of(
     rollouts: u32,
     repetitions: u32,
 ) -> Result<Option<Vec<RolloutResult>>, ExperimentError> {
-    (0..rollouts)
-        .map(|rollout| {
-            Ok(match state_of(folder, rollout, repetitions)? {
-                RolloutState::Finished(result) => Some(result),
-                RolloutState::Due { .. } => None,
-            })
-        })
-        .collect()
+    (0..rollouts).map(|rollout| Ok(state_of(folder, rollout, repetitions)?.finished())).collect()
+}
+
+/// The path of the recording that gives a rollout its result; `None` if all attempts are void, or
+/// an attempt is due.
+///
+/// # Errors
+/// A recording cannot be read.
+pub(super) fn scored_recording(
+    folder: &Path,
+    rollout: u32,
+    repetitions: u32,
+) -> Result<Option<PathBuf>, ExperimentError> {
+    Ok(match state_of(folder, rollout, repetitions)? {
+        RolloutState::Scored { recording, .. } => Some(recording),
+        RolloutState::Void | RolloutState::Due { .. } => None,
+    })
 }
 
 /// Whether a rollout needs no further attempt: it has a result, or all its attempts are void.
@@ -103,7 +130,7 @@ pub(super) fn is_complete(
     rollout: u32,
     repetitions: u32,
 ) -> Result<bool, ExperimentError> {
-    Ok(matches!(state_of(folder, rollout, repetitions)?, RolloutState::Finished(_)))
+    Ok(state_of(folder, rollout, repetitions)?.finished().is_some())
 }
 
 /// A rollout, together with the repetitions that void attempts make necessary.
@@ -137,7 +164,8 @@ impl Repeated<'_> {
         make(self.folder)?;
         loop {
             let attempt = match state_of(self.folder, self.plan.rollout, self.repetitions)? {
-                RolloutState::Finished(result) => return Ok(result),
+                RolloutState::Scored { result, .. } => return Ok(result),
+                RolloutState::Void => return Ok(RolloutResult::FAULT),
                 RolloutState::Due { attempt } => attempt,
             };
             if self.stop.load(Ordering::Relaxed) {

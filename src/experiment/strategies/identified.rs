@@ -107,9 +107,7 @@ impl<'a> FromRecordings<'a> {
     fn fit(&self, recordings: u32) -> Result<Fit, ExperimentError> {
         let (mut logs, mut boards) = (Vec::new(), BTreeSet::new());
         for number in 0..recordings {
-            let Some(path) = self.recordings.path(number) else {
-                return Ok(Fit::Refused(format!("recording {number} is missing")));
-            };
+            let Some(path) = self.recordings.path(number)? else { continue };
             match MotionLog::read_of(&path, &PlantModel::QUBE) {
                 // A rollout that ended early may show too little to be fitted; the other recordings
                 // still count.
@@ -122,6 +120,10 @@ impl<'a> FromRecordings<'a> {
                 Err(MotionLogError::Recording(error)) => return Err(error.into()),
                 Err(unfit) => return Ok(Fit::Refused(unfit.to_string())),
             }
+        }
+        if logs.is_empty() {
+            let reason = "each recording was ended by a fault or lacks ticks";
+            return Ok(Fit::Refused(reason.into()));
         }
         let unknowns: Vec<Unknown> = Unknown::all().collect();
         let found = match identify(&logs, &unknowns, &self.run.recipe.settings.plant().nominal()) {

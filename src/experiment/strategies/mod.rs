@@ -23,6 +23,8 @@ mod repetition;
 mod results;
 mod rivals;
 mod run;
+#[cfg(test)]
+mod samples;
 mod score;
 mod search;
 mod settings;

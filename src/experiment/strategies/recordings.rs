@@ -1,14 +1,14 @@
 use std::path::{Path, PathBuf};
 
 use super::run::MethodRun;
-use crate::experiment::rollouts::{Repeated, all_of, is_complete};
+use crate::experiment::rollouts::{Repeated, all_of, is_complete, scored_recording};
 use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, RolloutResult};
 use crate::identification::excitation_after;
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
 use crate::qube::{PlantModel, Profile};
 use crate::rig::RigSettings;
-use crate::session::{IdentificationSettings, RolloutPlan, SeedFor, derived_seed, recording_in};
+use crate::session::{IdentificationSettings, RolloutPlan, SeedFor, derived_seed};
 use crate::storage::{Disk, MachineDisk};
 
 /// Largest file of a stored result, such as a belief, that is read whole, bytes.
@@ -91,11 +91,14 @@ impl<'a> MethodRecordings<'a> {
         Ok(())
     }
 
-    /// The file of a recording's last attempt; `None` if there is none.
-    pub fn path(&self, number: u32) -> Option<PathBuf> {
-        let tries = (0..=self.repetitions()).rev();
-        let mut paths = tries.map(|attempt| recording_in(&self.folder(), number, attempt));
-        paths.find(|path| MachineDisk.exists(path))
+    /// The file of a recording's attempt that has a result; `None` if all attempts are void. A
+    /// void attempt, of an excitation too, was ended by a fault or lacks ticks, so that nothing is
+    /// learnt from it.
+    ///
+    /// # Errors
+    /// A recording cannot be read.
+    pub fn path(&self, number: u32) -> Result<Option<PathBuf>, ExperimentError> {
+        scored_recording(&self.folder(), number, self.repetitions())
     }
 
     /// The results of the first `count` recordings; `None` where some are missing.
@@ -136,4 +139,30 @@ pub(super) fn read(path: &Path) -> Result<String, ExperimentError> {
     let bytes =
         MachineDisk.read(path, MAX_FILE_BYTES).map_err(|error| unreadable(error.to_string()))?;
     String::from_utf8(bytes).map_err(|error| unreadable(error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::strategies::samples::{experiment, record, run, swings};
+    use crate::experiment::strategies::{Access, Method};
+    use crate::session::recording_in;
+    use crate::telemetry::{Ending, Fault};
+
+    #[test]
+    fn a_recording_whose_attempts_are_all_void_gives_no_motion() {
+        let root = tempfile::tempdir().unwrap();
+        let experiment = experiment(root.path(), vec![Method::Posterior]);
+        let run = run(&experiment, Method::Posterior, Access::ReadOnly);
+        let recordings = MethodRecordings::of(&run);
+        let void = Ending::Fault(Fault::EncoderFrozen);
+        for attempt in 0..=recordings.repetitions() {
+            record(&run, (0, attempt), void, 300, swings);
+        }
+        record(&run, (1, 0), void, 300, swings);
+        record(&run, (1, 1), Ending::Completed, 300, swings);
+        assert_eq!(recordings.complete_from(0, 2).unwrap(), 2);
+        assert_eq!(recordings.path(0).unwrap(), None);
+        assert_eq!(recordings.path(1).unwrap(), Some(recording_in(&recordings.folder(), 1, 1)));
+    }
 }

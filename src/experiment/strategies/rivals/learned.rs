@@ -87,11 +87,12 @@ impl<'a> FromRival<'a> {
         self.recordings.make(number, Recorded::Policy { after }, &policy)
     }
 
-    /// The first `recordings` recordings. A recording with fewer than two samples from the time in
-    /// which the policy or excitation had the motor is left out.
+    /// The first `recordings` recordings. A void recording is left out, and one with fewer than two
+    /// samples from the time in which the policy or excitation had the motor.
     fn demonstrations(&self, recordings: u32) -> Result<Vec<Demonstration>, ExperimentError> {
         let mut demonstrations = Vec::new();
-        for path in (0..recordings).filter_map(|number| self.recordings.path(number)) {
+        for number in 0..recordings {
+            let Some(path) = self.recordings.path(number)? else { continue };
             let log = match MotionLog::read(&path) {
                 Ok(log) => log,
                 Err(MotionLogError::Recording(error)) => return Err(error.into()),
@@ -232,4 +233,29 @@ impl Recommendations for FromRival<'_> {
 fn round_within(recordings: u32) -> u32 {
     let within = ROUNDS.into_iter().filter(|&round| round <= recordings);
     within.max().unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::strategies::samples::{experiment, record, run, swings};
+    use crate::experiment::strategies::{Access, Method};
+    use crate::telemetry::{Ending, Fault};
+
+    #[test]
+    fn a_rival_does_not_learn_from_a_void_recording() {
+        let root = tempfile::tempdir().unwrap();
+        let method = Method::Rival(RivalKind::SimOpt);
+        let experiment = experiment(root.path(), vec![method]);
+        let run = run(&experiment, method, Access::ReadOnly);
+        let settings = experiment.settings().strategies.as_ref().unwrap();
+        for attempt in 0..=run.recipe.settings.extent.repetitions {
+            record(&run, (0, attempt), Ending::Fault(Fault::EncoderFrozen), 300, swings);
+        }
+        record(&run, (1, 0), Ending::Completed, 250, swings);
+        let rival = FromRival::new(&run, settings, RivalKind::SimOpt);
+        let demonstrations = rival.demonstrations(2).unwrap();
+        let lengths: Vec<usize> = demonstrations.iter().map(|it| it.log.samples.len()).collect();
+        assert_eq!(lengths, [250]);
+    }
 }

@@ -91,16 +91,14 @@ impl<'a> FromUniversalPolicy<'a> {
         CmaEs::between(&lower, &bounds, derived_seed(self.run.seed, SeedFor::Search))
     }
 
-    /// The candidates that these rollouts evaluated, in order, with their returns. A rollout
-    /// without a return counts as 0.
-    fn candidates(&self, results: &[RolloutResult]) -> Result<Vec<Observation>, SearchError> {
-        let mut search = self.search()?;
-        let mut data = Vec::with_capacity(results.len());
+    /// The candidates of these rollouts.
+    fn candidates(&self, results: &[RolloutResult]) -> Result<Candidates, SearchError> {
+        let mut candidates = Candidates::default();
         for result in results {
-            let point = candidate(&mut search, &data, self.space.dimensions())?;
-            data.push(Observation { point, returns: vec![result.return_.unwrap_or_default()] });
+            let point = candidates.next(&mut self.search()?, self.space.dimensions())?;
+            candidates.add(point, result.return_);
         }
-        Ok(data)
+        Ok(candidates)
     }
 
     /// Makes the recording with this number if it does not exist. All recordings before it exist.
@@ -109,8 +107,8 @@ impl<'a> FromUniversalPolicy<'a> {
             return Ok(());
         }
         let results = self.recordings.results(number)?.unwrap_or_default();
-        let data = self.candidates(&results)?;
-        let point = candidate(&mut self.search()?, &data, self.space.dimensions())?;
+        let point =
+            self.candidates(&results)?.next(&mut self.search()?, self.space.dimensions())?;
         let trained = self.policy(recommendation)?.at(&inputs(&point)).map_err(JobError::from)?;
         let policy = trained.into_policy(origin_of(&recommendation.recipe)).to_bytes();
         self.recordings.make(number, Recorded::Policy { after: number }, &policy)
@@ -144,7 +142,7 @@ impl Recommendations for FromUniversalPolicy<'_> {
         let series = self.run.series(&recommendation, steps, self.settings.trainings);
         let path = series.folders.policy(0).policy();
         if self.run.access.works() && !MachineDisk.exists(&path) {
-            let best = match self.candidates(&results)?.as_slice() {
+            let best = match self.candidates(&results)?.evaluated.as_slice() {
                 [] => vec![0.0; self.space.dimensions()],
                 data => self.search()?.best(data)?.point,
             };
@@ -155,16 +153,31 @@ impl Recommendations for FromUniversalPolicy<'_> {
     }
 }
 
-/// The next candidate after those in the data: first the mean of the prior, then the proposals of
-/// CMA-ES.
-fn candidate(
-    search: &mut CmaEs,
-    data: &[Observation],
-    dimensions: usize,
-) -> Result<Vec<f64>, SearchError> {
-    match data {
-        [] => Ok(vec![0.0; dimensions]),
-        _ => Ok(search.propose(data, &[], 1)?.swap_remove(0)),
+/// The candidates whose rollouts are over.
+#[derive(Default)]
+struct Candidates {
+    /// Candidates with a return, in order.
+    evaluated: Vec<Observation>,
+    /// Points of the void rollouts, in order. The search does not learn from them, but counts them,
+    /// so that the next proposal is another point.
+    void: Vec<Vec<f64>>,
+}
+
+impl Candidates {
+    /// The next candidate: first the mean of the prior, then the proposals of CMA-ES.
+    fn next(&self, search: &mut CmaEs, dimensions: usize) -> Result<Vec<f64>, SearchError> {
+        if self.evaluated.is_empty() && self.void.is_empty() {
+            return Ok(vec![0.0; dimensions]);
+        }
+        Ok(search.propose(&self.evaluated, &self.void, 1)?.swap_remove(0))
+    }
+
+    /// Adds the point of a rollout with its return; `None` for a void rollout.
+    fn add(&mut self, point: Vec<f64>, return_: Option<f64>) {
+        match return_ {
+            Some(return_) => self.evaluated.push(Observation { point, returns: vec![return_] }),
+            None => self.void.push(point),
+        }
     }
 }
 
@@ -185,14 +198,14 @@ mod tests {
     fn searched(candidates: usize) -> Vec<Observation> {
         let bounds = [REACH; 14];
         let mut search = CmaEs::between(&bounds.map(|bound| -bound), &bounds, 3).unwrap();
-        let mut data: Vec<Observation> = Vec::new();
+        let mut data = Candidates::default();
         for _ in 0..candidates {
-            let point = candidate(&mut search, &data, 14).unwrap();
+            let point = data.next(&mut search, 14).unwrap();
             let squares = point.iter().map(|entry| (entry - 0.7) * (entry - 0.7));
-            let returns = vec![500.0 - 20.0 * squares.sum::<f64>()];
-            data.push(Observation { point, returns });
+            let return_ = 500.0 - 20.0 * squares.sum::<f64>();
+            data.add(point, Some(return_));
         }
-        data
+        data.evaluated
     }
 
     #[test]
@@ -205,5 +218,21 @@ mod tests {
         // Twenty rollouts are few for 14 inputs; hundreds find them.
         assert!(best(20) >= best(1) && best(20) < 480.0, "{}", best(20));
         assert!(best(700) > 499.0, "{}", best(700));
+    }
+
+    #[test]
+    fn a_void_rollout_teaches_the_search_nothing_and_the_next_candidate_is_another() {
+        let mut search = CmaEs::between(&[-REACH; 14], &[REACH; 14], 3).unwrap();
+        let mut data = Candidates::default();
+        let mut points = Vec::new();
+        for return_ in [None, Some(200.0), None, Some(100.0)] {
+            let point = data.next(&mut search, 14).unwrap();
+            assert!(!points.contains(&point));
+            data.add(point.clone(), return_);
+            points.push(point);
+        }
+        let returns: Vec<f64> = data.evaluated.iter().map(Observation::mean_return).collect();
+        assert_eq!(returns, [200.0, 100.0]);
+        assert_eq!(search.best(&data.evaluated).unwrap().point, points[1]);
     }
 }

@@ -1,0 +1,99 @@
+//! An experiment on the emulated `lab` with recordings of known motions, for tests of methods.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::run::{Access, MethodRun};
+use super::{Method, StrategySettings};
+use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings, Plant, Recipe};
+use crate::qube::{Measurement, PlantModel, State};
+use crate::recording::{RolloutWriter, samples};
+use crate::rig::{DeviceChoice, RigSettings};
+use crate::session::{SessionSettings, recording_in};
+use crate::simulation::Model;
+use crate::storage::MachineDisk;
+use crate::telemetry::{Ending, Phase, RolloutHeader, RolloutOutcome, TickRecord};
+
+/// A comparison of these methods at fixed budgets, in a new folder.
+pub fn experiment(root: &Path, methods: Vec<Method>) -> Experiment {
+    let methods = StrategySettings {
+        methods,
+        repetitions: 1,
+        recordings: 6,
+        spread: 0.1,
+        budgets: vec![0, 2, 5],
+        trainings: 1,
+    };
+    let settings = ExperimentSettings {
+        name: "table".into(),
+        seed: 7,
+        policies: 1,
+        rollouts: 1,
+        simulated_starts: 1,
+        guard_profile: None,
+        plants: vec![Plant { name: "lab".into(), emulated: Default::default(), vary: 0.0 }],
+        recipes: vec![Recipe::of(Model::OptRobust, &SessionSettings::thesis())],
+        strategies: Some(methods),
+    };
+    let folder = ExperimentFolder::create(root, &settings.to_toml().unwrap()).unwrap();
+    let rig = RigSettings::in_virtual_time(DeviceChoice::Emulated);
+    Experiment::new(folder, settings, rig, 1, Arc::default())
+}
+
+/// The first repetition of a method on the first plant.
+pub fn run<'a>(experiment: &'a Experiment, method: Method, access: Access<'a>) -> MethodRun<'a> {
+    let plant = &experiment.settings().plants[0];
+    let folder = experiment.folder().repetition_on(&plant.name, method.name(), 0);
+    experiment.method_run((method, 0), plant, folder, access)
+}
+
+/// A motion of arm and pendulum that can be fitted, at a time in s.
+pub fn swings(time_s: f64) -> State {
+    let (theta, alpha) = (3.0 * time_s, 5.0 * time_s);
+    State {
+        theta: 0.5 * theta.sin(),
+        alpha: 0.4 * alpha.sin(),
+        theta_dot: 1.5 * theta.cos(),
+        alpha_dot: 2.0 * alpha.cos(),
+    }
+}
+
+/// Writes the recording of an attempt with this number of steps of a motion under 2 V of changing
+/// sign.
+pub fn record(
+    run: &MethodRun,
+    (rollout, attempt): (u32, u32),
+    ending: Ending,
+    steps: u32,
+    motion: impl Fn(f64) -> State,
+) {
+    let folder = run.folder.join("recordings");
+    std::fs::create_dir_all(&folder).unwrap();
+    let mut header = RolloutHeader { candidate: None, rollout, attempt, ..samples::header() };
+    header.settings.calibration.theta_zero_counts = 0;
+    let path = recording_in(&folder, rollout, attempt);
+    let mut writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
+    let encoders = PlantModel::QUBE.encoders;
+    for tick in 0..steps {
+        let state = motion(f64::from(tick) * 0.01);
+        let sample = samples::tick(0);
+        let measurement = sample.measurement.map(|measured| Measurement {
+            device_time_us: u64::from(tick) * 10_000,
+            theta_counts: (state.theta / encoders.theta.rad_per_count()).round() as i32,
+            alpha_counts: (state.alpha / encoders.alpha.rad_per_count()).round() as i32,
+            ..measured
+        });
+        let record = TickRecord {
+            tick,
+            phase: Phase::Running,
+            deadline_ns: u64::from(tick) * 10_000_000,
+            measurement,
+            state,
+            voltage_mv: if tick % 20 < 10 { 2000 } else { -2000 },
+            ..sample
+        };
+        writer.write(&record).unwrap();
+    }
+    let phase = Phase::Running;
+    writer.finish(&RolloutOutcome { ending, phase, steps, ..samples::outcome() }).unwrap();
+}
