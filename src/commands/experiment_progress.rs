@@ -106,6 +106,9 @@ impl ExperimentProgress {
             ExperimentEvent::Scored { repetition, recommendation } => {
                 self.scored(repetition, recommendation);
             }
+            ExperimentEvent::LeftOut { name, recording } => {
+                self.line(format!("{name} does not use {recording}"));
+            }
             ExperimentEvent::Over { made, .. } => self.count_finished(1, *made),
             ExperimentEvent::NotScored { budgets, made } => {
                 self.count_finished(*budgets as u64, *made);

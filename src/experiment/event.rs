@@ -51,6 +51,13 @@ pub enum ExperimentEvent<'a> {
         /// Result of the scoring.
         recommendation: &'a RecommendationResult,
     },
+    /// A method that identifies the Qube does not use one of its recordings.
+    LeftOut {
+        /// Name of the method with the number of the repetition.
+        name: &'a str,
+        /// Name of the recording, and the reason why it is left out.
+        recording: &'a str,
+    },
     /// Budgets have no score of their own: they allow no recommendation, or only the recommendation
     /// that the budget before them had.
     NotScored {

@@ -21,6 +21,7 @@ use crate::storage::{
 /// strategies/identify/000/recordings/             the recordings of a repetition without a session
 /// strategies/identify/000/identified-1.toml       the Qube identified from the first recording,
 /// strategies/identify/000/refused-1.txt           or the reason why it identifies none
+/// strategies/identify/000/left-out-2.txt          recordings that the fit to the first 2 ignores
 /// strategies/STRATEGY/000/judged/003/000/         a policy that scores the recommendation after
 ///                                                 3 candidates or recordings
 /// strategies/simopt/000/belief-1.json             a rival's belief after the first recording

@@ -4,8 +4,8 @@
 //! with its own start state (multiple shooting). It gives standard errors and the combinations that
 //! the recordings do not determine, and tests whether the model describes the Qube.
 //! [`next_excitations`] says which excitation would tell most about it. [`Drift`] compares the
-//! quantities that change from day to day with a profile. Only [`read_recordings`] and [`duplicate`]
-//! look at files; the rest of the room is pure computation. It may import `policy` (the excitations),
+//! quantities that change from day to day with a profile. Only [`read_recordings`],
+//! [`read_fittable`] and [`duplicate`] look at files; the rest of the room is pure computation. It may import `policy` (the excitations),
 //! `recording`, `telemetry`, `qube`, `replay` and `elementary`.
 //!
 //! This example drives an emulated Qube whose winding has 20 % more resistance than its name plate
@@ -81,8 +81,8 @@ pub use prediction::{
     start_state,
 };
 pub use recordings::{
-    IncompleteRecording, LeftOut, Recordings, RecordingsError, duplicate, read_recordings,
-    series_of,
+    FittableRecordings, IncompleteRecording, LeftOut, Recordings, RecordingsError, duplicate,
+    read_fittable, read_recordings, series_of,
 };
 pub use residuals::ResidualScale;
 pub use stretch::{comes_upright, duration_of};

@@ -26,6 +26,21 @@ pub struct Recordings<const N: usize> {
     pub incomplete: Vec<IncompleteRecording>,
 }
 
+/// Recordings of one plant of which those that say too little are left out.
+#[derive(Debug, Default)]
+pub struct FittableRecordings {
+    /// Motions of the recordings that are used.
+    pub logs: Vec<MotionLog>,
+    /// Paths of the recordings that are used, in the same order.
+    pub files: Vec<PathBuf>,
+    /// Recordings that say too little and are not used, because others are.
+    pub left_out: Vec<LeftOut>,
+    /// Serial numbers of the boards that made the recordings that are used.
+    pub boards: BTreeSet<String>,
+    /// Recordings in use that hold only a part of their rollout.
+    pub incomplete: Vec<IncompleteRecording>,
+}
+
 /// A recording that holds only a part of its rollout.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IncompleteRecording {
@@ -137,22 +152,12 @@ pub fn read_recordings<const N: usize>(
     let mut read: [Vec<MotionLog>; N] = std::array::from_fn(|_| Vec::new());
     let mut used: [Vec<PathBuf>; N] = std::array::from_fn(|_| Vec::new());
     for (group, paths) in groups.into_iter().enumerate() {
-        let left_out_before = left_out.len();
-        for path in paths {
-            match read_one(path, &mut plant, &mut incomplete) {
-                Ok((log, board)) => {
-                    read[group].push(log);
-                    used[group].push(path.clone());
-                    boards.extend(board.filter(|_| group == 0));
-                }
-                Err(why) if why.says_too_little() => {
-                    left_out.push(LeftOut { path: path.clone(), why });
-                }
-                Err(why) => return Err(why),
-            }
-        }
-        if read[group].is_empty() && left_out.len() > left_out_before {
-            return Err(left_out.swap_remove(left_out_before).why);
+        let fittable = read_fittable(paths, &mut plant)?;
+        (read[group], used[group]) = (fittable.logs, fittable.files);
+        left_out.extend(fittable.left_out);
+        incomplete.extend(fittable.incomplete);
+        if group == 0 {
+            boards = fittable.boards;
         }
     }
     if let Some(path) = duplicate(groups.into_iter().flatten()) {
@@ -172,6 +177,36 @@ pub fn read_recordings<const N: usize>(
     }
     let (plant, boards) = (plant.unwrap_or_default(), boards.into_iter().collect());
     Ok(Recordings { groups: read, files: used, left_out, plant, boards, incomplete })
+}
+
+/// Reads recordings for a fit, which uses all but those that say too little. All must be of the same
+/// plant: of `plant`, or else of the plant of the first of them, which `plant` then becomes.
+///
+/// # Errors
+/// A file cannot be read, is of another plant, has a defect because of which it cannot be fitted,
+/// or all recordings say too little.
+pub fn read_fittable(
+    paths: &[PathBuf],
+    plant: &mut Option<PlantModel>,
+) -> Result<FittableRecordings, RecordingsError> {
+    let mut fittable = FittableRecordings::default();
+    for path in paths {
+        match read_one(path, plant, &mut fittable.incomplete) {
+            Ok((log, board)) => {
+                fittable.logs.push(log);
+                fittable.files.push(path.clone());
+                fittable.boards.extend(board);
+            }
+            Err(why) if why.says_too_little() => {
+                fittable.left_out.push(LeftOut { path: path.clone(), why });
+            }
+            Err(why) => return Err(why),
+        }
+    }
+    if fittable.logs.is_empty() && !fittable.left_out.is_empty() {
+        return Err(fittable.left_out.swap_remove(0).why);
+    }
+    Ok(fittable)
 }
 
 /// Largest difference of an angle, rad, or a voltage, V, by which the writing of a table changes it.

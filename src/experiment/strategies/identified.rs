@@ -1,15 +1,16 @@
+use std::cell::RefCell;
 use std::collections::BTreeSet;
 
 use super::StrategySettings;
 use super::recordings::{MethodRecordings, Recorded, excitation, read};
-use super::run::{MethodRun, Recommendation, Recommendations, Recommended};
+use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
-use crate::experiment::{ExperimentError, Recipe};
-use crate::identification::{ModelVerdict, Unknown, check_recording, identify};
+use crate::experiment::{ExperimentError, ExperimentEvent, Recipe};
+use crate::identification::{ModelVerdict, RecordingsError, Unknown, identify, read_fittable};
 use crate::policy::{Excitation, Policy};
-use crate::qube::{PlantModel, Profile};
+use crate::qube::Profile;
 use crate::replay::{MotionLog, MotionLogError};
-use crate::session::SessionSettings;
+use crate::session::{FolderError, SessionSettings};
 use crate::simulation::{Model, ProfileSettings};
 use crate::storage::{Disk, MachineDisk, write_whole};
 
@@ -18,6 +19,21 @@ enum Fit {
     /// The profile of the identified Qube, as TOML.
     Found(String),
     /// The recordings identify no Qube, for this reason.
+    Refused(String),
+}
+
+/// The recordings that a fit may use.
+enum Usable {
+    /// A fit uses some of the recordings.
+    Used {
+        /// Their motions.
+        logs: Vec<MotionLog>,
+        /// Serial numbers of the boards that made them.
+        boards: BTreeSet<String>,
+        /// Each of the other recordings, with the reason why it is left out.
+        left_out: Vec<String>,
+    },
+    /// No fit is possible, for this reason.
     Refused(String),
 }
 
@@ -56,6 +72,8 @@ pub(super) struct FromRecordings<'a> {
     /// Number of recordings, counted from the first, that are known to be complete and need not be
     /// read again.
     complete: u32,
+    /// Recordings that are reported as left out.
+    reported: RefCell<BTreeSet<String>>,
 }
 
 impl<'a> FromRecordings<'a> {
@@ -66,7 +84,8 @@ impl<'a> FromRecordings<'a> {
         width: Width,
         further: Further,
     ) -> Self {
-        Self { run, settings, width, further, recordings: MethodRecordings::of(run), complete: 0 }
+        let (recordings, reported) = (MethodRecordings::of(run), RefCell::default());
+        Self { run, settings, width, further, recordings, complete: 0, reported }
     }
 
     /// The excitation for the recording with this number.
@@ -103,28 +122,43 @@ impl<'a> FromRecordings<'a> {
         }
     }
 
-    /// Identifies the Qube from the first `recordings` recordings.
-    fn fit(&self, recordings: u32) -> Result<Fit, ExperimentError> {
-        let (mut logs, mut boards) = (Vec::new(), BTreeSet::new());
+    /// The recordings among the first `recordings` that identify the Qube, by the rule of the
+    /// command `identify`. Void recordings are left out.
+    fn usable(&self, recordings: u32) -> Result<Usable, ExperimentError> {
+        let (mut paths, mut left_out) = (Vec::new(), Vec::new());
         for number in 0..recordings {
-            let Some(path) = self.recordings.path(number)? else { continue };
-            match MotionLog::read_of(&path, &PlantModel::QUBE) {
-                // A rollout that ended early may show too little to be fitted; the other recordings
-                // still count.
-                Ok(motion) if number > 0 && check_recording(&motion.log).is_err() => {}
-                Ok(motion) => {
-                    logs.push(motion.log);
-                    boards.extend(motion.board);
-                }
-                Err(MotionLogError::NeverRan { .. }) if number > 0 => {}
-                Err(MotionLogError::Recording(error)) => return Err(error.into()),
-                Err(unfit) => return Ok(Fit::Refused(unfit.to_string())),
+            match self.recordings.path(number)? {
+                Some(path) => paths.push(path),
+                None => left_out.push(format!(
+                    "rollout-{number}: a fault ended each attempt, or ticks are missing"
+                )),
             }
         }
-        if logs.is_empty() {
-            let reason = "each recording was ended by a fault or lacks ticks";
-            return Ok(Fit::Refused(reason.into()));
+        if paths.is_empty() {
+            return Ok(Usable::Refused(left_out.join("; ")));
         }
+        let fittable = match read_fittable(&paths, &mut None) {
+            Ok(fittable) => fittable,
+            Err(RecordingsError::Motion(MotionLogError::Recording(error))) => {
+                return Err(error.into());
+            }
+            Err(RecordingsError::Motion(MotionLogError::Read { path, source })) => {
+                return Err(FolderError::Io { path, source }.into());
+            }
+            Err(unfit) => return Ok(Usable::Refused(self.recordings.in_words(&unfit))),
+        };
+        left_out.extend(fittable.left_out.iter().map(|it| self.recordings.in_words(&it.why)));
+        Ok(Usable::Used { logs: fittable.logs, boards: fittable.boards, left_out })
+    }
+
+    /// Identifies the Qube from the first `recordings` recordings, and names those that are left
+    /// out.
+    fn fit(&self, recordings: u32) -> Result<Fit, ExperimentError> {
+        let (logs, boards, left_out) = match self.usable(recordings)? {
+            Usable::Used { logs, boards, left_out } => (logs, boards, left_out),
+            Usable::Refused(reason) => return Ok(Fit::Refused(reason)),
+        };
+        self.name_left_out(recordings, &left_out)?;
         let unknowns: Vec<Unknown> = Unknown::all().collect();
         let found = match identify(&logs, &unknowns, &self.run.recipe.settings.plant().nominal()) {
             Ok(found) => found,
@@ -137,6 +171,25 @@ impl<'a> FromRecordings<'a> {
         let name = format!("{} from {} recordings", self.run.name, logs.len());
         let profile = found.profile(&name, Vec::new(), boards.into_iter().collect());
         Ok(Fit::Found(toml::to_string_pretty(&profile)?))
+    }
+
+    /// Writes down which recordings the fit to the first `recordings` recordings leaves out, and
+    /// reports those that no fit before it left out.
+    fn name_left_out(&self, recordings: u32, left_out: &[String]) -> Result<(), ExperimentError> {
+        if left_out.is_empty() {
+            return Ok(());
+        }
+        let path = self.run.folder.join(format!("left-out-{recordings}.txt"));
+        write_whole(&MachineDisk, &path, (left_out.join("\n") + "\n").as_bytes())?;
+        let mut reported = self.reported.borrow_mut();
+        for recording in left_out {
+            if reported.insert(recording.clone())
+                && let Access::Work(on_event) = self.run.access
+            {
+                on_event(ExperimentEvent::LeftOut { name: &self.run.name, recording });
+            }
+        }
+        Ok(())
     }
 
     /// The fit to the first `recordings` recordings. The fit is stored on disk, because it takes
@@ -213,5 +266,81 @@ impl Recommendations for FromRecordings<'_> {
             return Ok(Recommended::NotOnDisk);
         }
         self.recommended(steps)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use super::*;
+    use crate::experiment::strategies::Method;
+    use crate::experiment::strategies::samples::{experiment, record, run, swings};
+    use crate::qube::State;
+    use crate::telemetry::{Ending, Fault};
+
+    /// A motion, the ending of its recording, and the number of its steps.
+    type Recorded = (fn(f64) -> State, Ending, u32);
+
+    /// Records motions, and calls `check` with the method that identifies the Qube from them.
+    /// Returns the names of the recordings that events report as left out.
+    fn of_recordings(recorded: &[Recorded], check: impl FnOnce(&FromRecordings)) -> Vec<String> {
+        let root = tempfile::tempdir().unwrap();
+        let experiment = experiment(root.path(), vec![Method::Posterior]);
+        let reported = Mutex::new(Vec::new());
+        let on_event = |event: ExperimentEvent| {
+            if let ExperimentEvent::LeftOut { recording, .. } = event {
+                reported.lock().unwrap().push(recording.to_owned());
+            }
+        };
+        let run = run(&experiment, Method::Posterior, Access::Work(&on_event));
+        let settings = experiment.settings().strategies.as_ref().unwrap();
+        for (number, (motion, ending, steps)) in (0..).zip(recorded) {
+            for attempt in 0..=run.recipe.settings.extent.repetitions {
+                record(&run, (number, attempt), *ending, *steps, motion);
+            }
+        }
+        check(&FromRecordings::new(&run, settings, Width::Posterior, Further::Rollouts));
+        reported.into_inner().unwrap()
+    }
+
+    #[test]
+    fn void_recordings_and_those_that_say_too_little_are_left_out_and_named() {
+        let void = Ending::Fault(Fault::EncoderFrozen);
+        let recorded: [Recorded; 3] = [
+            (swings, Ending::Completed, 100),
+            (swings, Ending::Completed, 300),
+            (swings, void, 300),
+        ];
+        let reported = of_recordings(&recorded, |method| {
+            let Usable::Used { logs, left_out, .. } = method.usable(3).unwrap() else {
+                panic!("the second recording can be fitted");
+            };
+            assert_eq!(logs.len(), 1);
+            assert_eq!(left_out.len(), 2, "{left_out:?}");
+            assert!(left_out[0].starts_with("rollout-2: a fault ended"), "{left_out:?}");
+            assert!(left_out[1].starts_with("rollout-0-attempt-0.mcap: it lasts"), "{left_out:?}");
+            method.name_left_out(2, &left_out[1..]).unwrap();
+            method.name_left_out(3, &left_out).unwrap();
+            let written = read(&method.run.folder.join("left-out-3.txt")).unwrap();
+            assert_eq!(written.lines().collect::<Vec<_>>(), left_out);
+        });
+        assert_eq!(reported.len(), 2, "each once: {reported:?}");
+        let only: [Recorded; 1] = [(swings, void, 300)];
+        of_recordings(&only, |method| {
+            let Fit::Refused(reason) = method.fit(1).unwrap() else { panic!("nothing to fit") };
+            assert!(reason.starts_with("rollout-0: a fault ended"), "{reason}");
+        });
+    }
+
+    #[test]
+    fn a_recording_with_a_defect_is_refused_as_identify_does() {
+        let frozen = |time_s: f64| State { theta: 0.3, theta_dot: 0.0, ..swings(time_s) };
+        let recorded: [Recorded; 2] =
+            [(swings, Ending::Completed, 300), (frozen, Ending::Completed, 300)];
+        of_recordings(&recorded, |method| {
+            let Fit::Refused(reason) = method.fit(2).unwrap() else { panic!("the arm is frozen") };
+            assert!(reason.starts_with("rollout-1-attempt-0.mcap: the arm's count"), "{reason}");
+        });
     }
 }

@@ -4,7 +4,7 @@ use super::run::MethodRun;
 use crate::experiment::rollouts::{Repeated, all_of, is_complete, scored_recording};
 use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, RolloutResult};
-use crate::identification::excitation_after;
+use crate::identification::{RecordingsError, excitation_after};
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
 use crate::qube::{PlantModel, Profile};
 use crate::rig::RigSettings;
@@ -99,6 +99,12 @@ impl<'a> MethodRecordings<'a> {
     /// A recording cannot be read.
     pub fn path(&self, number: u32) -> Result<Option<PathBuf>, ExperimentError> {
         scored_recording(&self.folder(), number, self.repetitions())
+    }
+
+    /// The reason why a recording is not used, in words. Files are named within the folder, so that
+    /// the words are the same wherever the experiment is.
+    pub fn in_words(&self, why: &RecordingsError) -> String {
+        why.to_string().replace(&format!("{}/", self.folder().display()), "")
     }
 
     /// The results of the first `count` recordings; `None` where some are missing.
