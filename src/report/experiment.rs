@@ -321,23 +321,35 @@ fn add_distributions(
     distributions: &[(String, DomainDistribution)],
     plant: &PlantModel,
 ) {
-    let spread =
-        |quantity: Quantity| distributions.iter().any(|(_, it)| has_spread(&it.get(quantity)));
-    let shown: Vec<Quantity> =
-        FIRST.into_iter().map(Quantity::Parameter).filter(|it| spread(*it)).collect();
-    if shown.is_empty() {
+    let charts = distribution_charts(distributions, plant);
+    if charts.is_empty() {
         return;
     }
     page.section("Distributions of simulations");
     page.paragraph("Like the thesis's figure 5.2. A recipe without spread has no curve.");
     page.grid(|page| {
-        for quantity in shown {
-            let curves: Vec<_> =
-                distributions.iter().map(|(name, it)| (name.as_str(), it.get(quantity))).collect();
-            let chart = density_chart(quantity, &curves, plant.nominal().get(quantity));
+        for (quantity, chart) in charts {
             page.chart(&first_upper(&words(quantity)), "", chart);
         }
     });
+}
+
+/// The densities of the masses and lengths in which a recipe has spread, whatever the other
+/// quantities are.
+fn distribution_charts(
+    distributions: &[(String, DomainDistribution)],
+    plant: &PlantModel,
+) -> Vec<(Quantity, Chart)> {
+    let mut charts = Vec::new();
+    for quantity in FIRST.map(Quantity::Parameter) {
+        let curves: Vec<_> =
+            distributions.iter().map(|(name, it)| (name.as_str(), it.marginal(quantity))).collect();
+        if curves.iter().any(|(_, it)| has_spread(it)) {
+            let nominal = plant.nominal().get(quantity);
+            charts.push((quantity, density_chart(quantity, &curves, nominal)));
+        }
+    }
+    charts
 }
 
 fn add_searches(page: &mut Page, searches: &SearchReturns) {
@@ -381,4 +393,26 @@ fn add_examples(page: &mut Page, rollouts: NamedRollouts) {
         view.motion.named(name, outcome, sentence)
     });
     add_player(page, motions.collect(), 0);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::DomainParameter;
+    use crate::simulation::Direction;
+
+    #[test]
+    fn the_density_of_a_quantity_includes_what_joint_deviations_add() {
+        let mass = Quantity::Parameter(DomainParameter::RotaryMass);
+        let deviation = 0.1 * PlantModel::QUBE.nominal().get(mass);
+        let directions = [Direction::new(&[(mass, deviation)])];
+        let charts = |distribution: DomainDistribution| {
+            distribution_charts(&[("profile".into(), distribution)], &PlantModel::QUBE)
+        };
+        assert!(charts(DomainDistribution::nominal()).is_empty());
+        let moved = charts(DomainDistribution::nominal().along(&directions));
+        assert_eq!(moved.iter().map(|(quantity, _)| *quantity).collect::<Vec<_>>(), [mass]);
+        let [low, high] = moved[0].1.x_range.unwrap();
+        assert!((high - low) / (2.0 * 3.5 * deviation) > 1.0, "{low} to {high}");
+    }
 }
