@@ -78,7 +78,7 @@ fn specimen(entry: PlantEntry, path: &Path, plant: &PlantModel) -> Result<Plant,
 }
 
 /// Refuses the name that stands for the real Qube, and that of a file beside the plant's folder of
-/// recordings in the folder of a policy. The experiment refuses all other names that are not valid
+/// recordings in the folder of a policy, in capital letters or not. The experiment refuses all other names that are not valid
 /// for a folder.
 fn check_name(name: &str) -> Result<(), String> {
     if name == REAL_QUBE {
@@ -88,7 +88,10 @@ fn check_name(name: &str) -> Result<(), String> {
     }
     let paths = PolicyPaths::numbered(Path::new(""), 0);
     let files = [paths.policy(), paths.curve(), paths.training_times()];
-    match files.iter().any(|file| file.file_name().is_some_and(|it| it == name)) {
+    let is_name = |file: &PathBuf| {
+        file.file_name().is_some_and(|it| it.to_string_lossy().eq_ignore_ascii_case(name))
+    };
+    match files.iter().any(is_name) {
         true => Err(format!("{name} is the name of a file of each policy: give another name")),
         false => Ok(()),
     }
@@ -122,9 +125,11 @@ mod tests {
         for file in [paths.policy(), paths.curve(), paths.training_times()] {
             let name = file.file_name().unwrap().to_str().unwrap();
             assert_eq!(folders.rollouts(0, name), file);
-            let refused = named(name).unwrap_err();
-            let cause = refused.cause();
-            assert!(cause.contains(name) && cause.contains("give another name"), "{cause}");
+            for name in [name, &name.to_ascii_uppercase()] {
+                let refused = named(name).unwrap_err();
+                let cause = refused.cause();
+                assert!(cause.contains(name) && cause.contains("give another name"), "{cause}");
+            }
         }
     }
 }

@@ -167,6 +167,20 @@ impl ExperimentSettings {
         }
     }
 
+    /// Checks the settings of an experiment that begins. Its folder may be copied to a file system
+    /// that takes `Lab` and `lab` for the same name, so names that differ in case only are refused;
+    /// experiments that have such names can be resumed and shown.
+    ///
+    /// # Errors
+    /// Describes the first invalid setting.
+    pub fn check_new(&self) -> Result<(), String> {
+        self.check()?;
+        let recipes = self.recipes.iter().map(|recipe| recipe.name.as_str());
+        distinct_in_any_case("recipes", &recipes.collect::<Vec<_>>())?;
+        let plants = self.plants.iter().map(|plant| plant.name.as_str());
+        distinct_in_any_case("plants", &plants.collect::<Vec<_>>())
+    }
+
     /// Checks that one real Qube can run the policies of all recipes: it is homed once for all.
     ///
     /// # Errors
@@ -209,6 +223,18 @@ fn distinct(kind: &str, names: &[&str]) -> Result<(), String> {
         check_name(kind, name)?;
         if names[..index].contains(name) {
             return Err(format!("{kind}: two are called {name}: give each a name of its own"));
+        }
+    }
+    Ok(())
+}
+
+/// Checks that no two names differ in case only; `kind` names them in the error.
+fn distinct_in_any_case(kind: &str, names: &[&str]) -> Result<(), String> {
+    for (index, name) in names.iter().enumerate() {
+        if let Some(other) = names[..index].iter().find(|it| it.eq_ignore_ascii_case(name)) {
+            return Err(format!(
+                "{kind}: {other} and {name} would be one folder where case does not count: give each a name of its own"
+            ));
         }
     }
     Ok(())
@@ -289,6 +315,18 @@ mod tests {
             it.recipes[1].settings = it.recipes[1].settings.clone().of_plant(&larger);
         });
         assert!(mixed.contains("furuta-130") && mixed.contains("one plant"), "{mixed}");
+    }
+
+    #[test]
+    fn names_that_differ_in_case_only_are_refused_in_a_new_experiment() {
+        let mut settings = settings();
+        assert_eq!(settings.check_new(), Ok(()));
+        settings.plants.push(Plant { name: "LAB".into(), ..settings.plants[0].clone() });
+        assert!(settings.check_new().unwrap_err().contains("lab and LAB"));
+        assert_eq!(settings.check(), Ok(()), "an older experiment is readable");
+        settings.plants.pop();
+        settings.recipes[1].name = "Nominal".into();
+        assert!(settings.check_new().unwrap_err().contains("nominal and Nominal"));
     }
 
     #[test]

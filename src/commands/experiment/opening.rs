@@ -138,7 +138,7 @@ pub fn begun(
         recipes,
         strategies,
     };
-    settings.check().map_err(Failure::usage)?;
+    settings.check_new().map_err(Failure::usage)?;
     check_homing(&settings, device)?;
     device.check_plant(settings.plant())?;
     narrowed(&mut settings, consent, device)?;
