@@ -10,7 +10,7 @@ use super::search::RecipePsi;
 use super::statistics::{
     Interval, bounded_mean_interval, mean, standard_deviation, wilson_interval,
 };
-use super::{Experiment, ExperimentError, Plant, Recipe, RolloutResult};
+use super::{Experiment, ExperimentError, ExperimentFolder, Plant, Recipe, RolloutResult};
 use crate::learning::evaluate_on_new_starts;
 use crate::policy::Policy;
 use crate::qube::MAX_STEPS;
@@ -249,6 +249,10 @@ impl Experiment {
 
 /// The mean return of a policy file in simulations, from `starts` fresh starts; NaN for a policy
 /// that is no network.
+///
+/// # Errors
+/// The file cannot be read, or its policy observes another number of last commands than the
+/// simulations give, because the settings were changed.
 pub(super) fn simulated_return(
     path: &Path,
     distribution: &DomainDistribution,
@@ -258,6 +262,17 @@ pub(super) fn simulated_return(
     let Policy::Network(policy) = Policy::load(path)? else {
         return Ok(f64::NAN);
     };
+    let (inputs, observed) = (policy.network.sizes()[0], simulation.observation_size());
+    if inputs != observed {
+        return Err(ExperimentError::Settings {
+            path: path.to_owned(),
+            reason: format!(
+                "the policy has {inputs} inputs, and simulations by {} give {observed}: restore the history in the \
+                 policy's recipe there",
+                ExperimentFolder::SETTINGS
+            ),
+        });
+    }
     let evaluation =
         evaluate_on_new_starts(&policy.network, distribution, simulation, FRESH_SEED, starts);
     Ok(evaluation.mean_return())
@@ -294,6 +309,23 @@ mod tests {
         };
         let broken = PolicyResult { rollouts: vec![fault; 5], ..policy([0.0; 5], 0) };
         assert!(!broken.succeeds() && broken.mean_return().is_none());
+    }
+
+    #[test]
+    fn a_policy_that_no_longer_fits_its_settings_is_named() {
+        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
+        let Policy::Network(policy) = Policy::load(&shipped).unwrap() else {
+            panic!("a network is shipped");
+        };
+        let nominal = DomainDistribution::nominal();
+        let with = |history| {
+            let simulation = SimulationSettings { history, ..SimulationSettings::default() };
+            simulated_return(&shipped, &nominal, &simulation, 1)
+        };
+        let history = policy.network.history();
+        assert!(with(history).unwrap().is_finite());
+        let message = with(history + 1).unwrap_err().to_string();
+        assert!(message.contains("robust.safetensors") && message.contains("history"), "{message}");
     }
 
     #[test]
