@@ -23,6 +23,7 @@ use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::keyboard::Keyboard;
 use super::live::{Live, LiveArguments};
+use super::method_arguments::MethodArguments;
 use super::named_values::{named, presets};
 use super::number_arguments::seed_in_toml;
 use super::output::Output;
@@ -31,7 +32,6 @@ use super::printable::print_message;
 use super::report;
 use super::screen::{Screen, ScreenArgument};
 use super::stop::Stop;
-use super::strategy_arguments::StrategyArguments;
 use crate::experiment::{Experiment, ExperimentFolder};
 use crate::jobs::starter::quoted;
 use crate::learning::Preset;
@@ -43,7 +43,7 @@ use crate::simulation::Model;
 /// A recipe is a model of the thesis (its table 5.3) or a file of your own. For optimised models a session
 /// searches for psi first. On the emulated Qube all work runs in virtual time and on all processors.
 /// --resume continues an interrupted experiment without losing or repeating finished work; for a finished
-/// experiment it prints the table again. --strategies compares searches instead, by the real rollouts they
+/// experiment it prints the table again. --strategies compares methods instead, by the real rollouts they
 /// need. A policy succeeds when its mean return is at least 400 (of at most 600) and at least 4 of 5 of its
 /// rollouts balance to the end.
 ///
@@ -151,7 +151,7 @@ pub struct Arguments {
     figures: Option<PathBuf>,
 
     #[command(flatten)]
-    strategies: StrategyArguments,
+    methods: MethodArguments,
 
     #[command(flatten)]
     estimator: EstimatorArguments,

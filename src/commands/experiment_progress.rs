@@ -37,7 +37,7 @@ pub struct ExperimentProgress {
 impl ExperimentProgress {
     /// A display for an experiment with these settings.
     pub fn new(settings: &ExperimentSettings, progress: &Progress, stop: &Stop) -> Self {
-        let (count, item) = match &settings.strategies {
+        let (count, item) = match &settings.methods {
             Some(it) if it.has_budgets() => {
                 let rows = settings.plants.len() * it.methods.len() * it.budgets.len();
                 (rows as u64 * u64::from(it.repetitions), "scores")
@@ -269,7 +269,7 @@ mod tests {
             guard_profile: None,
             plants: vec![plant],
             recipes: vec![recipe],
-            strategies: None,
+            methods: None,
         };
         let ran = |progress: &ExperimentProgress, policy, made| {
             let results = [RolloutResult {

@@ -5,18 +5,18 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::exit::Failure;
-use super::{experiment_table, failures, strategy_table};
+use super::{experiment_table, failures, method_table};
 use crate::charts::{
     DrawingError, ShareOfPlant, StepLine, budgets_svg, densities_svg, methods_svg, searches_svg,
     training_progress_svg,
 };
 use crate::experiment::{
-    ALL_PLANTS, Experiment, ExperimentError, PolicyResult, RecipeResult, Results, SearchReturns,
-    StrategyResult, StrategyResults, TrainingProgress,
+    ALL_PLANTS, Experiment, ExperimentError, MethodResult, MethodResults, PolicyResult,
+    RecipeResult, Results, SearchReturns, TrainingProgress,
 };
 use crate::qube::PlantModel;
 use crate::recording::read;
-use crate::report::{NamedRollouts, RolloutView, recipes_page, strategies_page};
+use crate::report::{NamedRollouts, RolloutView, methods_page, recipes_page};
 use crate::scoring::criterion::SUCCESS_RETURN;
 use crate::session::{FolderError, recording_in};
 use crate::simulation::DomainDistribution;
@@ -26,8 +26,8 @@ use crate::storage::{Disk, MachineDisk, write_whole};
 pub enum ExperimentReport {
     /// The results of recipes.
     Recipes(Results),
-    /// The results of a comparison of strategies.
-    Strategies(StrategyResults),
+    /// The results of a comparison of methods.
+    Methods(MethodResults),
 }
 
 impl ExperimentReport {
@@ -36,8 +36,8 @@ impl ExperimentReport {
     /// # Errors
     /// A session, policy or recording cannot be read.
     pub fn read(experiment: &Experiment) -> Result<Self, ExperimentError> {
-        Ok(match StrategyResults::read(experiment)? {
-            Some(results) => Self::Strategies(results),
+        Ok(match MethodResults::read(experiment)? {
+            Some(results) => Self::Methods(results),
             None => Self::Recipes(Results::read(experiment)?),
         })
     }
@@ -46,7 +46,7 @@ impl ExperimentReport {
     pub fn text(&self) -> String {
         match self {
             Self::Recipes(results) => experiment_table::table(results),
-            Self::Strategies(results) => strategy_table::table(results),
+            Self::Methods(results) => method_table::table(results),
         }
     }
 
@@ -54,7 +54,7 @@ impl ExperimentReport {
     pub fn json(&self) -> Value {
         match self {
             Self::Recipes(results) => experiment_table::value(results),
-            Self::Strategies(results) => strategy_table::value(results),
+            Self::Methods(results) => method_table::value(results),
         }
     }
 
@@ -62,7 +62,7 @@ impl ExperimentReport {
     pub fn csv(&self) -> String {
         match self {
             Self::Recipes(results) => experiment_table::csv(results),
-            Self::Strategies(results) => strategy_table::csv(results),
+            Self::Methods(results) => method_table::csv(results),
         }
     }
 
@@ -70,7 +70,7 @@ impl ExperimentReport {
     pub fn is_csv(path: &Path) -> bool {
         let mut begins = String::new();
         let read = File::open(path).and_then(|file| file.take(64).read_to_string(&mut begins));
-        let known = [experiment_table::CSV_BEGINS, strategy_table::CSV_BEGINS];
+        let known = [experiment_table::CSV_BEGINS, method_table::CSV_BEGINS];
         read.is_ok() && known.iter().any(|columns| begins.starts_with(columns))
     }
 
@@ -85,7 +85,7 @@ impl ExperimentReport {
     ) -> Result<String, String> {
         let name = &experiment.settings().name;
         match self {
-            Self::Strategies(results) => strategies_page(name, results, commands),
+            Self::Methods(results) => methods_page(name, results, commands),
             Self::Recipes(results) => {
                 let distributions =
                     experiment.distributions().map_err(|error| error.to_string())?;
@@ -105,7 +105,7 @@ impl ExperimentReport {
     /// A search or a learning curve cannot be read.
     pub fn figures(&self, experiment: &Experiment) -> Result<Figures<'_>, ExperimentError> {
         Ok(match self {
-            Self::Strategies(results) => Figures::Strategies(results),
+            Self::Methods(results) => Figures::Methods(results),
             Self::Recipes(results) if results.recipes.iter().any(|it| it.budget.is_some()) => {
                 Figures::Budgets(results.recipes.iter().filter_map(share_of_plant).collect())
             }
@@ -166,7 +166,7 @@ fn share_of_plant(result: &RecipeResult) -> Option<ShareOfPlant> {
 pub enum Figures<'a> {
     /// Success against the number of real rollouts, for methods that are scored until their first
     /// success.
-    Strategies(&'a StrategyResults),
+    Methods(&'a MethodResults),
     /// Success after fixed numbers of real rollouts, for methods that are scored at budgets.
     Budgets(Vec<ShareOfPlant>),
     /// The distributions, searches and trainings of recipes.
@@ -183,17 +183,17 @@ impl Figures<'_> {
     fn drawn(&self) -> Result<Vec<(&'static str, String)>, DrawingError> {
         let mut drawn = Vec::new();
         match self {
-            Self::Strategies(results) => {
+            Self::Methods(results) => {
                 let title = format!(
                     "{} on {}: recommendations that succeed",
                     results.recipe, results.plant
                 );
-                let line = |it: &StrategyResult| StepLine {
+                let line = |it: &MethodResult| StepLine {
                     name: it.method.name().into(),
                     corners: it.corners(),
                 };
-                let lines: Vec<StepLine> = results.strategies.iter().map(line).collect();
-                let budgets = results.strategies.iter().filter_map(StrategyResult::budget);
+                let lines: Vec<StepLine> = results.methods.iter().map(line).collect();
+                let budgets = results.methods.iter().filter_map(MethodResult::budget);
                 let last = f64::from(budgets.max().unwrap_or(1).max(2));
                 drawn.push(("strategies.svg", methods_svg(&title, &lines, last)?));
             }

@@ -37,6 +37,8 @@ mod live;
 #[path = "live_absent.rs"]
 mod live;
 mod manual;
+mod method_arguments;
+mod method_table;
 mod named_values;
 mod number_arguments;
 mod onnx_model;
@@ -64,8 +66,6 @@ mod several_rigs;
 mod shared_session;
 mod soak;
 mod stop;
-mod strategy_arguments;
-mod strategy_table;
 mod terminal;
 mod toy;
 mod train;

@@ -79,7 +79,7 @@ mod tests {
             guard_profile: None,
             plants: vec![plant],
             recipes: vec![Recipe::of(Model::Nominal, &SessionSettings::thesis())],
-            strategies: None,
+            methods: None,
         };
         let folder = match ExperimentFolder::open(root) {
             Ok(folder) => folder,

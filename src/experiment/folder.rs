@@ -17,16 +17,16 @@ use crate::storage::{
 /// policies/RECIPE/000/policy.safetensors          a trained policy
 /// policies/RECIPE/000/curve.csv                   its learning curve
 /// policies/RECIPE/000/PLANT/rollout-0-attempt-0.mcap   its rollouts
-/// strategies/STRATEGY/000/search/                 the session of one repetition
+/// strategies/METHOD/000/search/                   the session of one repetition
 /// strategies/identify/000/recordings/             the recordings of a repetition without a session
 /// strategies/identify/000/identified-1.toml       the Qube identified from the first recording,
 /// strategies/identify/000/refused-1.txt           or the reason why it identifies none
 /// strategies/identify/000/left-out-2.txt          recordings that the fit to the first 2 ignores
-/// strategies/STRATEGY/000/judged/003/000/         a policy that scores the recommendation after
+/// strategies/METHOD/000/judged/003/000/           a policy that scores the recommendation after
 ///                                                 3 candidates or recordings
 /// strategies/simopt/000/belief-1.json             a rival's belief after the first recording
-/// budgets/PLANT/STRATEGY/000/                     a repetition at fixed budgets, with the files of
-///                                                 strategies/STRATEGY/000/
+/// budgets/PLANT/METHOD/000/                       a repetition at fixed budgets, with the files of
+///                                                 strategies/METHOD/000/
 /// ```
 #[derive(Debug)]
 pub struct ExperimentFolder {
@@ -124,14 +124,14 @@ impl ExperimentFolder {
 
     /// Folder of one repetition of a method on a plant, in a comparison at fixed budgets.
     #[must_use]
-    pub fn repetition_on(&self, plant: &str, strategy: &str, repetition: u32) -> PathBuf {
-        self.root.join("budgets").join(plant).join(strategy).join(format!("{repetition:03}"))
+    pub fn repetition_on(&self, plant: &str, method: &str, repetition: u32) -> PathBuf {
+        self.root.join("budgets").join(plant).join(method).join(format!("{repetition:03}"))
     }
 
-    /// Folder of one repetition of a method in a comparison of strategies.
+    /// Folder of one repetition of a method in a comparison up to the first success.
     #[must_use]
-    pub fn repetition(&self, strategy: &str, repetition: u32) -> PathBuf {
-        self.root.join("strategies").join(strategy).join(format!("{repetition:03}"))
+    pub fn repetition(&self, method: &str, repetition: u32) -> PathBuf {
+        self.root.join("strategies").join(method).join(format!("{repetition:03}"))
     }
 }
 

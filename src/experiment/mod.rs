@@ -6,7 +6,7 @@
 //! runs each policy several times on one or more plants (emulated, in virtual time, on all cores)
 //! or on a device. For optimised recipes a session first searches for psi.
 //!
-//! With [`StrategySettings`], an experiment compares methods instead of recipes: it counts the real
+//! With [`MethodSettings`], an experiment compares methods instead of recipes: it counts the real
 //! rollouts until a method's recommendation succeeds, or scores the recommendations at fixed
 //! budgets.
 //!
@@ -22,6 +22,7 @@ mod error;
 mod event;
 mod folder;
 mod made;
+mod methods;
 mod plant;
 mod queue;
 mod recipe;
@@ -32,7 +33,6 @@ mod search;
 mod series;
 mod settings;
 pub mod statistics;
-mod strategies;
 mod work;
 
 pub use comparison::Comparison;
@@ -40,13 +40,13 @@ pub use error::ExperimentError;
 pub use event::ExperimentEvent;
 pub use folder::{ExperimentFolder, PolicyFolders};
 pub use made::Made;
+pub use methods::{
+    ALL_PLANTS, Method, MethodResult, MethodResults, MethodSettings, RecommendationResult,
+    RecommendationScore, Repetition,
+};
 pub use plant::Plant;
 pub use recipe::Recipe;
 pub use results::{PolicyResult, RecipeResult, Results};
 pub use rollouts::RolloutResult;
 pub use settings::ExperimentSettings;
-pub use strategies::{
-    ALL_PLANTS, Method, RecommendationResult, RecommendationScore, Repetition, StrategyResult,
-    StrategyResults, StrategySettings,
-};
 pub use work::{Experiment, SearchReturns, TrainingProgress};

@@ -169,8 +169,8 @@ impl Results {
     /// An existing search, policy or recording cannot be read.
     pub fn read(experiment: &Experiment) -> Result<Self, ExperimentError> {
         let settings = experiment.settings();
-        if let Some(strategies) = settings.strategies.as_ref().filter(|it| it.has_budgets()) {
-            return Ok(Self { recipes: experiment.budget_results(strategies)? });
+        if let Some(methods) = settings.methods.as_ref().filter(|it| it.has_budgets()) {
+            return Ok(Self { recipes: experiment.budget_results(methods)? });
         }
         let mut recipes = Vec::new();
         let mut trained = Vec::new();

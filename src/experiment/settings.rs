@@ -5,7 +5,7 @@ use toml::{Table, Value};
 
 use super::folder::check_name;
 use super::seal::is_unchanged;
-use super::{ExperimentError, Plant, Recipe, StrategySettings};
+use super::{ExperimentError, MethodSettings, Plant, Recipe};
 use crate::qube::PlantModel;
 use crate::session::{Retired, take_retired, toml_message};
 use crate::simulation::Model;
@@ -38,8 +38,8 @@ pub struct ExperimentSettings {
     /// Methods that are compared instead of recipes. They start from one recipe on an emulated
     /// plant, at fixed budgets on one or more. Up to `policies` policies with `rollouts` rollouts
     /// each score a recommendation; at fixed budgets it is one policy with `rollouts` rollouts.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub strategies: Option<StrategySettings>,
+    #[serde(default, rename = "strategies", skip_serializing_if = "Option::is_none")]
+    pub methods: Option<MethodSettings>,
 }
 
 impl ExperimentSettings {
@@ -161,8 +161,8 @@ impl ExperimentSettings {
                 return Err(format!("plant {name}: vary = {vary}: give a number from 0 to 0.5"));
             }
         }
-        match &self.strategies {
-            Some(strategies) => self.check_strategies(strategies),
+        match &self.methods {
+            Some(methods) => self.check_methods(methods),
             None => Ok(()),
         }
     }
@@ -198,20 +198,20 @@ impl ExperimentSettings {
         }
     }
 
-    fn check_strategies(&self, strategies: &StrategySettings) -> Result<(), String> {
-        strategies.check()?;
+    fn check_methods(&self, methods: &MethodSettings) -> Result<(), String> {
+        methods.check()?;
         let [recipe] = self.recipes.as_slice() else {
-            return Err("strategies are compared on one model: give one model or recipe".into());
+            return Err("methods are compared on one model: give one model or recipe".into());
         };
         if !recipe.model.is_searched() {
             return Err(format!(
-                "strategies search psi, and the model {} has none: give one of {}",
+                "a comparison of methods searches psi, and the model {} has none: give one of {}",
                 recipe.model.name(),
                 Model::searched_names()
             ));
         }
-        if self.plants.len() > 1 && !strategies.has_budgets() {
-            return Err("strategies are compared on one plant: give one plant, or budgets".into());
+        if self.plants.len() > 1 && !methods.has_budgets() {
+            return Err("methods are compared on one plant: give one plant, or budgets".into());
         }
         Ok(())
     }
@@ -268,13 +268,13 @@ mod tests {
                 vary: 0.1,
             }],
             recipes: Model::THESIS.map(|model| Recipe::of(model, &base)).into(),
-            strategies: None,
+            methods: None,
         }
     }
 
-    fn of_strategies() -> ExperimentSettings {
+    fn of_methods() -> ExperimentSettings {
         let recipe = Recipe::of(Model::OptNominal, &SessionSettings::thesis());
-        let strategies = StrategySettings {
+        let methods = MethodSettings {
             methods: Method::all().collect(),
             repetitions: 10,
             recordings: 6,
@@ -282,14 +282,14 @@ mod tests {
             budgets: vec![0, 2, 5],
             trainings: 2,
         };
-        ExperimentSettings { recipes: vec![recipe], strategies: Some(strategies), ..settings() }
+        ExperimentSettings { recipes: vec![recipe], methods: Some(methods), ..settings() }
     }
 
     #[test]
     fn a_written_file_reads_back_the_same() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("experiment.toml");
-        for settings in [settings(), of_strategies()] {
+        for settings in [settings(), of_methods()] {
             std::fs::write(&path, settings.to_toml().unwrap()).unwrap();
             assert_eq!(ExperimentSettings::load(&path).unwrap(), settings);
         }
@@ -342,35 +342,33 @@ mod tests {
     }
 
     #[test]
-    fn strategies_that_cannot_be_compared_are_named() {
+    fn methods_that_cannot_be_compared_are_named() {
         let wrong = |change: fn(&mut ExperimentSettings)| {
-            let mut settings = of_strategies();
+            let mut settings = of_methods();
             change(&mut settings);
             settings.check().unwrap_err()
         };
-        assert_eq!(of_strategies().check(), Ok(()));
+        assert_eq!(of_methods().check(), Ok(()));
         assert!(wrong(|it| it.recipes = settings().recipes).contains("one model"));
         let nominal = wrong(|it| it.recipes[0].model = Model::Nominal);
         assert!(
             nominal.contains("nominal has none") && nominal.contains("opt-robust"),
             "{nominal}"
         );
-        assert!(
-            wrong(|it| it.strategies.as_mut().unwrap().repetitions = 0).contains("repetitions")
-        );
-        let twice = wrong(|it| it.strategies.as_mut().unwrap().methods.push(Method::Identify));
+        assert!(wrong(|it| it.methods.as_mut().unwrap().repetitions = 0).contains("repetitions"));
+        let twice = wrong(|it| it.methods.as_mut().unwrap().methods.push(Method::Identify));
         assert!(twice.contains("identify is there twice"), "{twice}");
-        let robust = wrong(|it| it.strategies.as_mut().unwrap().budgets.clear());
+        let robust = wrong(|it| it.methods.as_mut().unwrap().budgets.clear());
         assert!(robust.contains("give budgets"), "{robust}");
-        let falling = wrong(|it| it.strategies.as_mut().unwrap().budgets = vec![2, 2]);
+        let falling = wrong(|it| it.methods.as_mut().unwrap().budgets = vec![2, 2]);
         assert!(falling.contains("larger than the one before"), "{falling}");
         let more = Plant { name: "more".into(), ..settings().plants[0].clone() };
-        let mut two = of_strategies();
+        let mut two = of_methods();
         two.plants.push(more);
         assert_eq!(two.check(), Ok(()));
-        let strategies = two.strategies.as_mut().unwrap();
-        strategies.budgets.clear();
-        strategies.methods.retain(|method| !method.needs_budgets());
+        let methods = two.methods.as_mut().unwrap();
+        methods.budgets.clear();
+        methods.methods.retain(|method| !method.needs_budgets());
         assert!(two.check().unwrap_err().contains("one plant"));
     }
 }

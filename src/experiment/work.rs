@@ -4,10 +4,10 @@ use std::sync::atomic::AtomicBool;
 
 use super::event::{ExperimentEvent, OnEvent};
 use super::folder::make;
+use super::methods::{Access, Followed, Trial};
 use super::queue::Queue;
 use super::search::{RecipePsi, found_psi, open_search, searched};
 use super::series::PolicySeries;
-use super::strategies::{Access, Followed, Trial};
 use super::{ExperimentError, ExperimentFolder, ExperimentSettings, Made, Method, Recipe};
 use crate::jobs::{Executor, LocalExecutor};
 use crate::learning::{CURVE_BYTES, parse_curve_csv};
@@ -158,13 +158,13 @@ impl Experiment {
     }
 
     fn items(&self) -> Vec<WorkItem> {
-        if let Some(strategies) = &self.settings.strategies {
-            if strategies.has_budgets() {
-                let trials = strategies.trials(self.settings.plants.len());
+        if let Some(methods) = &self.settings.methods {
+            if methods.has_budgets() {
+                let trials = methods.trials(self.settings.plants.len());
                 return trials.map(WorkItem::AtBudgets).collect();
             }
             let of = |(method, repetition)| WorkItem::Repetition { method, repetition };
-            return strategies.repetitions().map(of).collect();
+            return methods.repetitions().map(of).collect();
         }
         let mut items = Vec::new();
         for (recipe, it) in self.settings.recipes.iter().enumerate() {
@@ -200,15 +200,15 @@ impl Experiment {
                 Ok(Vec::new())
             }
             WorkItem::AtBudgets(trial) => {
-                if let Some(strategies) = &self.settings.strategies {
-                    self.at_budgets(strategies, trial, Access::Work(on_event))?;
+                if let Some(methods) = &self.settings.methods {
+                    self.at_budgets(methods, trial, Access::Work(on_event))?;
                 }
                 Ok(Vec::new())
             }
             WorkItem::Repetition { method, repetition } => {
-                if let Some(strategies) = &self.settings.strategies {
+                if let Some(methods) = &self.settings.methods {
                     let Followed { repetition, made } =
-                        self.follow(strategies, (method, repetition), Access::Work(on_event))?;
+                        self.follow(methods, (method, repetition), Access::Work(on_event))?;
                     on_event(ExperimentEvent::Over { repetition: &repetition, made });
                 }
                 Ok(Vec::new())

@@ -9,7 +9,7 @@ use super::returns::{CandidateReturns, returns_chart};
 use super::rollout::{RolloutView, add_player, behaviour_words, first_upper};
 use crate::experiment::statistics::mean_and_deviation;
 use crate::experiment::{
-    Comparison, RecipeResult, Results, SearchReturns, StrategyResult, StrategyResults,
+    Comparison, MethodResult, MethodResults, RecipeResult, Results, SearchReturns,
 };
 use crate::qube::{MAX_STEPS, PlantModel, Quantity};
 use crate::scoring::Behaviour;
@@ -83,15 +83,15 @@ pub fn recipes_page(
 ///
 /// # Errors
 /// The data of the figures cannot be written.
-pub fn strategies_page(
+pub fn methods_page(
     name: &str,
-    results: &StrategyResults,
+    results: &MethodResults,
     commands: &[(String, String)],
 ) -> Result<String, ReportError> {
     let mut page = Page::new(format!("Experiment {name}"));
-    let needed = |it: &StrategyResult| it.rollouts_within_which(0.9);
+    let needed = |it: &MethodResult| it.rollouts_within_which(0.9);
     let best = results
-        .strategies
+        .methods
         .iter()
         .filter_map(|it| Some((needed(it)?, it)))
         .min_by_key(|(rollouts, _)| *rollouts);
@@ -100,11 +100,11 @@ pub fn strategies_page(
             "{} needs the fewest real rollouts: within {rollouts} of them, nine of ten repetitions recommend simulations whose policies succeed.",
             first_upper(best.method.name())
         ),
-        None => "No strategy has recommended simulations whose policies succeed in nine of ten repetitions.".into(),
+        None => "No method has recommended simulations whose policies succeed in nine of ten repetitions.".into(),
     });
     page.section(&format!("{} on {}", results.recipe, results.plant));
     let rows: Vec<Vec<Cell>> = results
-        .strategies
+        .methods
         .iter()
         .map(|it| {
             let interval = it.reached_interval();
@@ -127,7 +127,7 @@ pub fn strategies_page(
         })
         .collect();
     let heads = [
-        "strategy",
+        "method",
         "repetitions",
         "succeeded",
         "95 % interval",
@@ -135,9 +135,9 @@ pub fn strategies_page(
         "rollouts for nine of ten",
     ];
     page.table(&heads, &rows, None);
-    let last = results.strategies.iter().filter_map(StrategyResult::budget).max().unwrap_or(1);
+    let last = results.methods.iter().filter_map(MethodResult::budget).max().unwrap_or(1);
     let mut xs: Vec<f64> = results
-        .strategies
+        .methods
         .iter()
         .flat_map(|it| it.corners().into_iter().map(|(at, _)| at))
         .chain([1.0, f64::from(last)])
@@ -146,14 +146,14 @@ pub fn strategies_page(
     xs.sort_by(f64::total_cmp);
     xs.dedup();
     let mut series = Vec::new();
-    for (index, strategy) in results.strategies.iter().enumerate() {
-        let corners = strategy.corners();
-        let end = strategy.budget().map_or(0.0, f64::from);
+    for (index, method) in results.methods.iter().enumerate() {
+        let corners = method.corners();
+        let end = method.budget().map_or(0.0, f64::from);
         let share = |at: f64| {
             corners.iter().filter(|corner| corner.0 <= at).map(|corner| corner.1).next_back()
         };
         let values = xs.iter().map(|at| if *at <= end { share(*at).or(Some(0.0)) } else { None });
-        series.push(Series::new(strategy.method.name(), Style::Steps, index, values));
+        series.push(Series::new(method.method.name(), Style::Steps, index, values));
     }
     let chart = Chart {
         x: Axis::new("real rollouts", ""),
@@ -166,7 +166,7 @@ pub fn strategies_page(
     };
     page.chart(
         "Repetitions whose recommendation succeeds",
-        "A line ends at the strategy's budget. A line that ends below 1 has repetitions that never succeeded.",
+        "A line ends at the method's budget. A line that ends below 1 has repetitions that never succeeded.",
         chart,
     );
     add_provenance(&mut page, None, commands);

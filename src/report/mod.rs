@@ -2,7 +2,7 @@
 //! elsewhere; it has figures that zoom and pendulums that play recorded motions.
 //!
 //! [`SessionSource`] reads a session's folder and [`session_page`] writes its page;
-//! [`recordings_page`] writes the page of recordings, [`recipes_page`] and [`strategies_page`]
+//! [`recordings_page`] writes the page of recordings, [`recipes_page`] and [`methods_page`]
 //! those of experiments. A page depends only on the files that were read. Figures are data, which
 //! the page's own script draws with uPlot. Every text from a file is escaped, and the page's
 //! content security policy allows no other script and no request.
@@ -28,7 +28,7 @@ mod timing;
 
 pub use error::ReportError;
 pub use escape::is_obeyed;
-pub use experiment::{NamedRollouts, recipes_page, strategies_page};
+pub use experiment::{NamedRollouts, methods_page, recipes_page};
 pub use page::is_report;
 pub use recordings::recordings_page;
 pub use rollout::RolloutView;

@@ -254,7 +254,7 @@ fn files_that_cannot_be_written_in_the_end_do_not_hide_the_table() {
 const NARROW: &str = "[settings.safety_box]\nalpha_dot = 0.5\n";
 
 #[test]
-fn strategies_that_are_killed_and_gone_on_with_come_to_the_same_table() {
+fn methods_that_are_killed_and_gone_on_with_come_to_the_same_table() {
     let arguments = [
         "--strategies",
         "bayrn,random,identify",

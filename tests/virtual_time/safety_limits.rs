@@ -207,7 +207,7 @@ fn a_retired_guard_is_refused_with_its_replacement() {
         guard_profile: None,
         plants: vec![lab],
         recipes: vec![recipe],
-        strategies: None,
+        methods: None,
     };
     let whole = ended.to_toml().unwrap();
     drop(ExperimentFolder::create(&directory.path().join("ended"), &whole).unwrap());

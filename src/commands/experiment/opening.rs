@@ -6,8 +6,8 @@ use crate::commands::destination::{OutputFile, OutputFolder, check_folder};
 use crate::commands::exit::Failure;
 use crate::commands::experiment_report::ExperimentReport;
 use crate::commands::failures;
+use crate::commands::method_arguments::check_device;
 use crate::commands::plant_arguments::REAL_QUBE;
-use crate::commands::strategy_arguments::check_device;
 use crate::estimation::EstimatorSettings;
 use crate::experiment::{ExperimentError, ExperimentFolder, ExperimentSettings, Plant, Recipe};
 use crate::learning::{Preset, TrainSettings};
@@ -102,9 +102,9 @@ pub fn begun(
     let is_emulated = !device.choice.is_hardware();
     let base = base(arguments, device)?;
     let mut recipes = Vec::new();
-    let strategies = arguments.strategies.settings();
-    check_device(strategies.as_ref(), device)?;
-    let models: Vec<Model> = match (arguments.models.as_slice(), &strategies) {
+    let methods = arguments.methods.settings();
+    check_device(methods.as_ref(), device)?;
+    let models: Vec<Model> = match (arguments.models.as_slice(), &methods) {
         ([], None) if arguments.recipe.is_empty() => Model::THESIS.into(),
         ([], Some(_)) if arguments.recipe.is_empty() => vec![Model::OptNominal],
         (named, _) => named.into(),
@@ -122,8 +122,8 @@ pub fn begun(
     }
     // The return of a single policy tells more about the luck of its training than about its
     // recipe, so more policies rather than more rollouts score a recommendation.
-    let (policies, rollouts) = match &strategies {
-        Some(strategies) if strategies.has_budgets() => (1, 5),
+    let (policies, rollouts) = match &methods {
+        Some(methods) if methods.has_budgets() => (1, 5),
         Some(_) => (10, 2),
         None => (20, 5),
     };
@@ -136,7 +136,7 @@ pub fn begun(
         guard_profile: Some(device.guard_profile()),
         plants,
         recipes,
-        strategies,
+        methods,
     };
     settings.check_new().map_err(Failure::usage)?;
     check_homing(&settings, device)?;
@@ -250,7 +250,7 @@ pub fn resumed(
             settings.plant().name
         )));
     }
-    check_device(settings.strategies.as_ref(), device)?;
+    check_device(settings.methods.as_ref(), device)?;
     if !arguments.table {
         check_resumed_device(&settings, device)?;
         check_homing(&settings, device)?;

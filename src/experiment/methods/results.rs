@@ -8,18 +8,18 @@ use crate::experiment::{Experiment, ExperimentError};
 
 /// The results of a comparison so far, computed from sessions and recordings.
 #[derive(Clone, Debug, PartialEq)]
-pub struct StrategyResults {
+pub struct MethodResults {
     /// Recipe whose psi is searched.
     pub recipe: String,
     /// Name of the plant.
     pub plant: String,
     /// Results of each method, in the order of the settings.
-    pub strategies: Vec<StrategyResult>,
+    pub methods: Vec<MethodResult>,
 }
 
 /// The results of one method.
 #[derive(Clone, Debug, PartialEq)]
-pub struct StrategyResult {
+pub struct MethodResult {
     /// Method of the comparison.
     pub method: Method,
     /// Repetitions in order, up to the first that is not over. All finished repetitions together
@@ -27,7 +27,7 @@ pub struct StrategyResult {
     pub repetitions: Vec<Repetition>,
 }
 
-impl StrategyResult {
+impl MethodResult {
     /// Number of repetitions with a successful recommendation.
     #[must_use]
     pub fn reached(&self) -> usize {
@@ -92,7 +92,7 @@ impl StrategyResult {
     }
 }
 
-impl StrategyResults {
+impl MethodResults {
     /// Reads all finished work, on as many threads as the experiment has; `None` where the
     /// experiment does not compare methods up to their first success.
     ///
@@ -100,15 +100,14 @@ impl StrategyResults {
     /// An existing session or recording cannot be read.
     pub fn read(experiment: &Experiment) -> Result<Option<Self>, ExperimentError> {
         let settings = experiment.settings();
-        let Some(strategies) = settings.strategies.as_ref().filter(|it| !it.has_budgets()) else {
+        let Some(methods) = settings.methods.as_ref().filter(|it| !it.has_budgets()) else {
             return Ok(None);
         };
         let read = Mutex::new(Vec::new());
         // Results are needed after a stop request too.
         let never = AtomicBool::new(false);
-        Queue::new(strategies.repetitions(), &never).run(experiment.threads(), |job| {
-            let Followed { repetition, .. } =
-                experiment.follow(strategies, job, Access::ReadOnly)?;
+        Queue::new(methods.repetitions(), &never).run(experiment.threads(), |job| {
+            let Followed { repetition, .. } = experiment.follow(methods, job, Access::ReadOnly)?;
             read.lock().unwrap_or_else(PoisonError::into_inner).push(repetition);
             Ok(Vec::new())
         })?;
@@ -117,12 +116,12 @@ impl StrategyResults {
         let of = |&method: &Method| {
             let own = read.iter().filter(|it| it.method == method);
             let repetitions = own.take_while(|it| it.is_over).cloned().collect();
-            StrategyResult { method, repetitions }
+            MethodResult { method, repetitions }
         };
         Ok(Some(Self {
             recipe: settings.recipes[0].name.clone(),
             plant: settings.plants[0].name.clone(),
-            strategies: strategies.methods.iter().map(of).collect(),
+            methods: methods.methods.iter().map(of).collect(),
         }))
     }
 }
@@ -134,7 +133,7 @@ mod tests {
     use crate::search::StrategyKind;
 
     /// A method whose repetitions succeed after these numbers of rollouts, or never.
-    fn result(needed: &[Option<u32>]) -> StrategyResult {
+    fn result(needed: &[Option<u32>]) -> MethodResult {
         let method = Method::Search(StrategyKind::Cem);
         let recommendation = |real_rollouts, succeeds| RecommendationResult {
             real_rollouts,
@@ -154,7 +153,7 @@ mod tests {
             is_over: true,
             budget: 125,
         };
-        StrategyResult { method, repetitions: needed.iter().enumerate().map(repetition).collect() }
+        MethodResult { method, repetitions: needed.iter().enumerate().map(repetition).collect() }
     }
 
     #[test]

@@ -94,7 +94,7 @@ impl FromStr for Method {
     fn from_str(name: &str) -> Result<Self, String> {
         Self::all().find(|it| it.name() == name).ok_or_else(|| {
             let known: Vec<&str> = Self::all().map(Self::name).collect();
-            format!("there is no strategy {name:?}: choose from {}", known.join(", "))
+            format!("there is no method {name:?}: choose from {}", known.join(", "))
         })
     }
 }
@@ -125,7 +125,7 @@ mod tests {
         }
         let message = "baysian".parse::<Method>().unwrap_err();
         assert!(
-            message.contains("baysian")
+            message.contains("no method \"baysian\"")
                 && message.contains("bayrn, cem, cmaes, random, sobol, robust")
         );
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::run::{Access, MethodRun};
-use super::{Method, StrategySettings};
+use super::{Method, MethodSettings};
 use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings, Plant, Recipe};
 use crate::qube::{Measurement, PlantModel, State};
 use crate::recording::{RolloutWriter, samples};
@@ -16,7 +16,7 @@ use crate::telemetry::{Ending, Phase, RolloutHeader, RolloutOutcome, TickRecord}
 
 /// A comparison of these methods at fixed budgets, in a new folder.
 pub fn experiment(root: &Path, methods: Vec<Method>) -> Experiment {
-    let methods = StrategySettings {
+    let methods = MethodSettings {
         methods,
         repetitions: 1,
         recordings: 6,
@@ -33,7 +33,7 @@ pub fn experiment(root: &Path, methods: Vec<Method>) -> Experiment {
         guard_profile: None,
         plants: vec![Plant { name: "lab".into(), emulated: Default::default(), vary: 0.0 }],
         recipes: vec![Recipe::of(Model::OptRobust, &SessionSettings::thesis())],
-        strategies: Some(methods),
+        methods: Some(methods),
     };
     let folder = ExperimentFolder::create(root, &settings.to_toml().unwrap()).unwrap();
     let rig = RigSettings::in_virtual_time(DeviceChoice::Emulated);

@@ -10,8 +10,8 @@
 //! With budgets in the settings, recommendations are scored after fixed numbers of real rollouts
 //! instead, on every plant, and a success ends nothing (`budgets`).
 //!
-//! Reading order: [`StrategySettings`]; `follow` runs one [`Repetition`]; `search`, `identified`
-//! and `rivals` give the recommendations of a method; `score` scores them; [`StrategyResults`]
+//! Reading order: [`MethodSettings`]; `follow` runs one [`Repetition`]; `search`, `identified`
+//! and `rivals` give the recommendations of a method; `score` scores them; [`MethodResults`]
 //! summarises.
 
 mod budgets;
@@ -34,7 +34,7 @@ pub(super) use budgets::Trial;
 pub(super) use follow::Followed;
 pub use method::Method;
 pub use repetition::{RecommendationResult, Repetition};
-pub use results::{StrategyResult, StrategyResults};
+pub use results::{MethodResult, MethodResults};
 pub(super) use run::Access;
 pub use score::RecommendationScore;
-pub use settings::StrategySettings;
+pub use settings::MethodSettings;

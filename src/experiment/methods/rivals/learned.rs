@@ -7,9 +7,9 @@ use super::rival::{Data, POINTS, Rival, RivalInput};
 use super::simulator::Demonstration;
 use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
-use crate::experiment::strategies::StrategySettings;
-use crate::experiment::strategies::recordings::{MethodRecordings, Recorded, excitation, read};
-use crate::experiment::strategies::run::{MethodRun, Recommendation, Recommendations, Recommended};
+use crate::experiment::methods::MethodSettings;
+use crate::experiment::methods::recordings::{MethodRecordings, Recorded, excitation, read};
+use crate::experiment::methods::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::{ExperimentError, Recipe};
 use crate::jobs::JobError;
 use crate::policy::Policy;
@@ -28,7 +28,7 @@ const ROUNDS: [u32; 6] = [0, 1, 2, 5, 10, 20];
 /// recording, recommends the distribution `robust`.
 pub struct FromRival<'a> {
     run: &'a MethodRun<'a>,
-    settings: &'a StrategySettings,
+    settings: &'a MethodSettings,
     kind: RivalKind,
     rival: Box<dyn Rival>,
     recordings: MethodRecordings<'a>,
@@ -40,7 +40,7 @@ pub struct FromRival<'a> {
 
 impl<'a> FromRival<'a> {
     /// Recommendations in the folder of a method's run.
-    pub fn new(run: &'a MethodRun<'a>, settings: &'a StrategySettings, kind: RivalKind) -> Self {
+    pub fn new(run: &'a MethodRun<'a>, settings: &'a MethodSettings, kind: RivalKind) -> Self {
         let recordings = MethodRecordings::of(run);
         let space = Space::of_unknown(run.recipe.settings.plant());
         Self { run, settings, kind, rival: kind.rival(), recordings, complete: 0, space }
@@ -238,8 +238,8 @@ fn round_within(recordings: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::strategies::samples::{experiment, record, run, swings};
-    use crate::experiment::strategies::{Access, Method};
+    use crate::experiment::methods::samples::{experiment, record, run, swings};
+    use crate::experiment::methods::{Access, Method};
     use crate::telemetry::{Ending, Fault};
 
     #[test]
@@ -248,7 +248,7 @@ mod tests {
         let method = Method::Rival(RivalKind::SimOpt);
         let experiment = experiment(root.path(), vec![method]);
         let run = run(&experiment, method, Access::ReadOnly);
-        let settings = experiment.settings().strategies.as_ref().unwrap();
+        let settings = experiment.settings().methods.as_ref().unwrap();
         for attempt in 0..=run.recipe.settings.extent.repetitions {
             record(&run, (0, attempt), Ending::Fault(Fault::EncoderFrozen), 300, swings);
         }

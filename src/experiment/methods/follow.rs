@@ -8,7 +8,7 @@ use super::run::{
 };
 use super::score::{ScoredDecision, score};
 use super::search::FromSearch;
-use super::{Method, StrategySettings};
+use super::{Method, MethodSettings};
 use crate::experiment::{Experiment, ExperimentError, ExperimentEvent, Made, Plant};
 use crate::session::{SeedFor, derived_seed};
 
@@ -28,13 +28,13 @@ impl Experiment {
     /// The work ends early, or a file cannot be read.
     pub(in crate::experiment) fn follow(
         &self,
-        strategies: &StrategySettings,
+        methods: &MethodSettings,
         (method, number): (Method, u32),
         access: Access,
     ) -> Result<Followed, ExperimentError> {
         let folder = self.folder().repetition(method.name(), number);
         let run = self.method_run((method, number), &self.settings().plants[0], folder, access);
-        let mut recommendations = recommendations_of(&run, method, strategies)?;
+        let mut recommendations = recommendations_of(&run, method, methods)?;
         let mut repetition = Repetition {
             method,
             number,
@@ -74,7 +74,7 @@ impl Experiment {
 pub(super) fn recommendations_of<'a>(
     run: &'a MethodRun<'a>,
     method: Method,
-    settings: &'a StrategySettings,
+    settings: &'a MethodSettings,
 ) -> Result<Box<dyn Recommendations + 'a>, ExperimentError> {
     let identified = |width, further| FromRecordings::new(run, settings, width, further);
     Ok(match method {
@@ -135,7 +135,7 @@ impl MethodRun<'_> {
         steps: u32,
     ) -> Result<Option<ScoredDecision>, ExperimentError> {
         let settings = self.experiment.settings();
-        let trainings = settings.strategies.as_ref().map_or(1, |it| it.trainings);
+        let trainings = settings.methods.as_ref().map_or(1, |it| it.trainings);
         let series = self.series(recommendation, steps, trainings);
         score(&series, &self.plant, settings.policies, settings.rollouts, self.access)
     }

@@ -1,7 +1,7 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 
-use super::StrategySettings;
+use super::MethodSettings;
 use super::recordings::{MethodRecordings, Recorded, excitation, read};
 use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
@@ -65,7 +65,7 @@ pub(super) enum Further {
 /// because the identified Qube has a delay.
 pub(super) struct FromRecordings<'a> {
     run: &'a MethodRun<'a>,
-    settings: &'a StrategySettings,
+    settings: &'a MethodSettings,
     width: Width,
     further: Further,
     recordings: MethodRecordings<'a>,
@@ -80,7 +80,7 @@ impl<'a> FromRecordings<'a> {
     /// Recommendations in the folder of a method's run.
     pub fn new(
         run: &'a MethodRun<'a>,
-        settings: &'a StrategySettings,
+        settings: &'a MethodSettings,
         width: Width,
         further: Further,
     ) -> Self {
@@ -274,8 +274,8 @@ mod tests {
     use std::sync::Mutex;
 
     use super::*;
-    use crate::experiment::strategies::Method;
-    use crate::experiment::strategies::samples::{experiment, record, run, swings};
+    use crate::experiment::methods::Method;
+    use crate::experiment::methods::samples::{experiment, record, run, swings};
     use crate::qube::State;
     use crate::telemetry::{Ending, Fault};
 
@@ -294,7 +294,7 @@ mod tests {
             }
         };
         let run = run(&experiment, Method::Posterior, Access::Work(&on_event));
-        let settings = experiment.settings().strategies.as_ref().unwrap();
+        let settings = experiment.settings().methods.as_ref().unwrap();
         for (number, (motion, ending, steps)) in (0..).zip(recorded) {
             for attempt in 0..=run.recipe.settings.extent.repetitions {
                 record(&run, (number, attempt), *ending, *steps, motion);

@@ -6,9 +6,9 @@ use rand_chacha::ChaCha8Rng;
 use super::rival::POINTS;
 use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
-use crate::experiment::strategies::StrategySettings;
-use crate::experiment::strategies::recordings::{MethodRecordings, Recorded};
-use crate::experiment::strategies::run::{MethodRun, Recommendation, Recommendations, Recommended};
+use crate::experiment::methods::MethodSettings;
+use crate::experiment::methods::recordings::{MethodRecordings, Recorded};
+use crate::experiment::methods::run::{MethodRun, Recommendation, Recommendations, Recommended};
 use crate::experiment::{ExperimentError, Recipe, RolloutResult};
 use crate::jobs::JobError;
 use crate::learning::{Origin, PhysicsInputs, TrainSettings, UniversalPolicy, train_universal};
@@ -26,7 +26,7 @@ const REACH: f64 = 2.0;
 /// candidate.
 pub struct FromUniversalPolicy<'a> {
     run: &'a MethodRun<'a>,
-    settings: &'a StrategySettings,
+    settings: &'a MethodSettings,
     recordings: MethodRecordings<'a>,
     space: Space,
     /// Policy, trained when it is first needed. No file stores the policy, because the same seed
@@ -36,7 +36,7 @@ pub struct FromUniversalPolicy<'a> {
 
 impl<'a> FromUniversalPolicy<'a> {
     /// Recommendations in the folder of a method's run.
-    pub fn new(run: &'a MethodRun<'a>, settings: &'a StrategySettings) -> Self {
+    pub fn new(run: &'a MethodRun<'a>, settings: &'a MethodSettings) -> Self {
         let (recordings, space) =
             (MethodRecordings::of(run), Space::of_unknown(run.recipe.settings.plant()));
         Self { run, settings, recordings, space, policy: OnceCell::new() }

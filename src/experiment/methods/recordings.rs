@@ -150,8 +150,8 @@ pub(super) fn read(path: &Path) -> Result<String, ExperimentError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::strategies::samples::{experiment, record, run, swings};
-    use crate::experiment::strategies::{Access, Method};
+    use crate::experiment::methods::samples::{experiment, record, run, swings};
+    use crate::experiment::methods::{Access, Method};
     use crate::session::recording_in;
     use crate::telemetry::{Ending, Fault};
 

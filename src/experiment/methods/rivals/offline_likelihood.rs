@@ -50,8 +50,8 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::experiment::strategies::rivals::evolution::minimise;
-    use crate::experiment::strategies::rivals::gaussian::standard_normal;
+    use crate::experiment::methods::rivals::evolution::minimise;
+    use crate::experiment::methods::rivals::gaussian::standard_normal;
 
     /// The end of each transition is slope times input, and every transition had a slope of its
     /// own, drawn from N(2, 0.5^2): the most likely distribution is that one.

@@ -63,7 +63,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::experiment::strategies::rivals::gaussian::Gaussian;
+    use crate::experiment::methods::rivals::gaussian::Gaussian;
 
     /// Two normal distributions with deviation 1 around -1 and 1 have the log odds 2x.
     #[test]

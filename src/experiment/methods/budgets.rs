@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 
 use super::follow::recommendations_of;
 use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
-use super::{Method, StrategySettings};
+use super::{Method, MethodSettings};
 use crate::experiment::queue::Queue;
 use crate::experiment::results::simulated_return;
 use crate::experiment::rollouts::all_of;
@@ -29,7 +29,7 @@ pub(in crate::experiment) struct Trial {
     pub number: u32,
 }
 
-impl StrategySettings {
+impl MethodSettings {
     /// Every repetition of every method on each of `plants` plants; those with the lowest number
     /// come first.
     pub(in crate::experiment) fn trials(&self, plants: usize) -> impl Iterator<Item = Trial> {
@@ -51,7 +51,7 @@ impl Experiment {
     /// The work ends early, or a file cannot be read.
     pub(in crate::experiment) fn at_budgets(
         &self,
-        strategies: &StrategySettings,
+        methods: &MethodSettings,
         trial: Trial,
         access: Access,
     ) -> Result<Vec<(usize, PolicyResult)>, ExperimentError> {
@@ -59,7 +59,7 @@ impl Experiment {
         let plant = &self.settings().plants[trial.plant];
         let folder = self.folder().repetition_on(&plant.name, method.name(), number);
         let run = self.method_run((method, number), plant, folder, access);
-        let mut recommendations = recommendations_of(&run, method, strategies)?;
+        let mut recommendations = recommendations_of(&run, method, methods)?;
         let mut results: Vec<(usize, PolicyResult)> = Vec::new();
         // Steps and time of the last score.
         let mut scored: Option<(u32, Made)> = None;
@@ -71,12 +71,12 @@ impl Experiment {
             }
         };
         // Budgets rise, so those that allow no recommendation come first.
-        let too_small = strategies
+        let too_small = methods
             .budgets
             .iter()
             .take_while(|&&budget| steps_within(recommendations.as_ref(), budget).is_none())
             .count();
-        for (index, &budget) in strategies.budgets.iter().enumerate().skip(too_small) {
+        for (index, &budget) in methods.budgets.iter().enumerate().skip(too_small) {
             let Some(steps) = steps_within(recommendations.as_ref(), budget) else { continue };
             // A budget that allows no further candidate or recording has the recommendation of the
             // budget before.
@@ -94,7 +94,7 @@ impl Experiment {
                 Recommended::NotOnDisk => break,
             };
             let Some(ScoredPolicy { result, made }) =
-                run.scored_on_its_plant(&recommendation, steps, number, strategies)?
+                run.scored_on_its_plant(&recommendation, steps, number, methods)?
             else {
                 break;
             };
@@ -123,15 +123,15 @@ impl Experiment {
     /// An existing session, policy or recording cannot be read.
     pub(in crate::experiment) fn budget_results(
         &self,
-        strategies: &StrategySettings,
+        methods: &MethodSettings,
     ) -> Result<Vec<RecipeResult>, ExperimentError> {
         let plants = &self.settings().plants;
         let rows: Mutex<BTreeMap<(usize, usize, usize), Vec<PolicyResult>>> = Mutex::default();
         // Results are needed after a stop request too.
         let never = AtomicBool::new(false);
-        Queue::new(strategies.trials(plants.len()), &never).run(self.threads(), |trial| {
-            let results = self.at_budgets(strategies, trial, Access::ReadOnly)?;
-            let method = strategies.methods.iter().position(|it| *it == trial.method);
+        Queue::new(methods.trials(plants.len()), &never).run(self.threads(), |trial| {
+            let results = self.at_budgets(methods, trial, Access::ReadOnly)?;
+            let method = methods.methods.iter().position(|it| *it == trial.method);
             let mut rows = rows.lock().unwrap_or_else(PoisonError::into_inner);
             for (budget, result) in results {
                 let row = (trial.plant, method.unwrap_or_default(), budget);
@@ -146,17 +146,17 @@ impl Experiment {
             policies.sort_by_key(|policy| policy.number);
             // On all plants together each run has a number of its own, because comparisons pair
             // runs by their numbers.
-            let first = plant as u32 * strategies.repetitions;
+            let first = plant as u32 * methods.repetitions;
             let renumbered = policies
                 .iter()
                 .map(|policy| PolicyResult { number: first + policy.number, ..policy.clone() });
             pooled.entry((method, budget)).or_default().extend(renumbered);
-            results.push(row(&plants[plant].name, strategies, (method, budget), policies));
+            results.push(row(&plants[plant].name, methods, (method, budget), policies));
         }
         if plants.len() > 1 {
             let rows = pooled
                 .into_iter()
-                .map(|(which, policies)| row(ALL_PLANTS, strategies, which, policies));
+                .map(|(which, policies)| row(ALL_PLANTS, methods, which, policies));
             results.extend(rows);
         }
         Ok(results)
@@ -178,9 +178,9 @@ impl MethodRun<'_> {
         recommendation: &Recommendation,
         steps: u32,
         number: u32,
-        strategies: &StrategySettings,
+        methods: &MethodSettings,
     ) -> Result<Option<ScoredPolicy>, ExperimentError> {
-        let series = self.series(recommendation, steps, strategies.trainings);
+        let series = self.series(recommendation, steps, methods.trainings);
         let recordings = series.folders.rollouts(0, &self.plant.name);
         let settings = self.experiment.settings();
         let (rollouts, made): (Vec<RolloutResult>, Made) = if self.access.works() {
@@ -220,13 +220,13 @@ fn steps_within(recommendations: &dyn Recommendations, budget: u32) -> Option<u3
 
 fn row(
     plant: &str,
-    strategies: &StrategySettings,
+    methods: &MethodSettings,
     (method, budget): (usize, usize),
     policies: Vec<PolicyResult>,
 ) -> RecipeResult {
-    let budget = strategies.budgets[budget];
+    let budget = methods.budgets[budget];
     RecipeResult {
-        recipe: row_name(strategies.methods[method], budget),
+        recipe: row_name(methods.methods[method], budget),
         budget: Some(budget),
         plant: plant.to_owned(),
         psi: BTreeMap::new(),

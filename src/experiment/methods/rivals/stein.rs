@@ -44,7 +44,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::experiment::strategies::rivals::gaussian::Gaussian;
+    use crate::experiment::methods::rivals::gaussian::Gaussian;
 
     #[test]
     fn particles_arrive_at_a_known_normal_distribution() {

@@ -5,7 +5,7 @@ use super::Method;
 /// The settings of a comparison of methods.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct StrategySettings {
+pub struct MethodSettings {
     /// Methods that are compared.
     #[serde(alias = "contenders")]
     pub methods: Vec<Method>,
@@ -38,7 +38,7 @@ fn is_one(count: &u32) -> bool {
     *count == 1
 }
 
-impl StrategySettings {
+impl MethodSettings {
     /// Whether methods are compared at fixed budgets instead of up to their first success.
     #[must_use]
     pub fn has_budgets(&self) -> bool {

@@ -345,7 +345,7 @@ impl Moments {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::strategies::rivals::gaussian::Gaussian;
+    use crate::experiment::methods::rivals::gaussian::Gaussian;
 
     fn vector(entries: &[f64]) -> DVector<f64> {
         DVector::from_column_slice(entries)

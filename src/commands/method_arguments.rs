@@ -1,6 +1,6 @@
 use super::chosen_device::ChosenDevice;
 use super::exit::Failure;
-use crate::experiment::{Method, StrategySettings};
+use crate::experiment::{Method, MethodSettings};
 
 /// Spread of the simulations around an identified Qube, as a fraction of each value: the default of
 /// `train --profile`.
@@ -8,8 +8,8 @@ const SPREAD: f64 = 0.1;
 
 /// The arguments that compare methods of finding a policy instead of recipes.
 #[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "Searches compared by the real rollouts they need")]
-pub struct StrategyArguments {
+#[command(next_help_heading = "Methods compared by the real rollouts they need")]
+pub struct MethodArguments {
     /// Compare methods instead of recipes. bayrn, cem, cmaes, random and sobol search for the psi of one model of
     /// --models. Others take recordings and train around the Qube that these identify: on its values alone
     /// (identify-mean), with a spread (identify), along the fit's errors as well (posterior), and with rollouts of
@@ -50,10 +50,10 @@ pub struct StrategyArguments {
     trainings: u32,
 }
 
-impl StrategyArguments {
+impl MethodArguments {
     /// The settings of the comparison; `None` if `--strategies` is not given.
-    pub fn settings(&self) -> Option<StrategySettings> {
-        (!self.strategies.is_empty()).then(|| StrategySettings {
+    pub fn settings(&self) -> Option<MethodSettings> {
+        (!self.strategies.is_empty()).then(|| MethodSettings {
             methods: self.strategies.clone(),
             repetitions: self.repetitions,
             recordings: self.recordings,
@@ -66,10 +66,10 @@ impl StrategyArguments {
 
 /// Refuses a comparison of methods on a real Qube; they are compared on emulated Qubes only.
 pub fn check_device(
-    strategies: Option<&StrategySettings>,
+    methods: Option<&MethodSettings>,
     device: &ChosenDevice,
 ) -> Result<(), Failure> {
-    match (strategies, device.choice.name()) {
+    match (methods, device.choice.name()) {
         (Some(_), Some(port)) => Err(Failure::usage(format!(
             "--strategies works with the emulated Qube only, not with {port}: scoring every recommendation \
              would take thousands of rollouts on a real Qube. Leave --device and --qube out"

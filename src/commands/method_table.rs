@@ -3,17 +3,17 @@ use std::fmt::Write;
 use serde_json::{Value, json};
 
 use crate::experiment::{
-    RecommendationResult, RecommendationScore, Repetition, StrategyResult, StrategyResults,
+    MethodResult, MethodResults, RecommendationResult, RecommendationScore, Repetition,
 };
 
 /// The table for people: a line of at most 80 columns for each method, then the reasons why
 /// recommendations could not be scored.
-pub fn table(results: &StrategyResults) -> String {
+pub fn table(results: &MethodResults) -> String {
     let mut text = format!(
         "\nreal rollouts until the recommendation succeeds, {} on {}\n\n{:10} {:>8} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
         results.recipe,
         results.plant,
-        "strategy",
+        "method",
         "reached",
         "95 %",
         "quarter",
@@ -21,66 +21,66 @@ pub fn table(results: &StrategyResults) -> String {
         "three q.",
         "scored"
     );
-    for strategy in &results.strategies {
-        let _ = writeln!(text, "{}", line(strategy));
+    for method in &results.methods {
+        let _ = writeln!(text, "{}", line(method));
     }
-    for strategy in &results.strategies {
-        let recommendations = strategy.repetitions.iter().flat_map(|it| &it.recommendations);
+    for method in &results.methods {
+        let recommendations = method.repetitions.iter().flat_map(|it| &it.recommendations);
         let mut reasons: Vec<&String> =
             recommendations.filter_map(|it| it.score.as_ref().err()).collect();
         reasons.sort_unstable();
         reasons.dedup();
         for reason in reasons {
-            let _ = writeln!(text, "{}: {reason}", strategy.method);
+            let _ = writeln!(text, "{}: {reason}", method.method);
         }
     }
     text
 }
 
-fn line(strategy: &StrategyResult) -> String {
-    let within = |share| match (strategy.budget(), strategy.rollouts_within_which(share)) {
+fn line(method: &MethodResult) -> String {
+    let within = |share| match (method.budget(), method.rollouts_within_which(share)) {
         (None, _) => "-".into(),
         (_, Some(rollouts)) => rollouts.to_string(),
         (Some(budget), None) => format!("> {budget}"),
     };
-    let over = strategy.repetitions.len();
-    let interval = strategy.reached_interval();
+    let over = method.repetitions.len();
+    let interval = method.reached_interval();
     let share = match over {
         0 => "-".into(),
         _ => format!("{:.0} to {:.0}", 100.0 * interval.lower, 100.0 * interval.upper),
     };
-    let reached = format!("{}/{over}", strategy.reached());
+    let reached = format!("{}/{over}", method.reached());
     format!(
         "{:10} {reached:>8} {share:>11} {:>8} {:>8} {:>8} {:>8}",
-        strategy.method.name(),
+        method.method.name(),
         within(0.25),
         within(0.5),
         within(0.75),
-        strategy.scored()
+        method.scored()
     )
 }
 
 /// The results as JSON, for scripts.
-pub fn value(results: &StrategyResults) -> Value {
-    let strategy = |strategy: &StrategyResult| {
-        let needed = strategy.repetitions.iter().map(Repetition::succeeded_after);
+pub fn value(results: &MethodResults) -> Value {
+    let method = |method: &MethodResult| {
+        let needed = method.repetitions.iter().map(Repetition::succeeded_after);
         json!({
-            "strategy": strategy.method.name(),
-            "repetitions": strategy.repetitions.len(),
-            "reached": strategy.reached(),
-            "reached_interval": strategy.reached_interval(),
+            "strategy": method.method.name(),
+            "repetitions": method.repetitions.len(),
+            "reached": method.reached(),
+            "reached_interval": method.reached_interval(),
             "real_rollouts": needed.collect::<Vec<_>>(),
-            "quarter": strategy.rollouts_within_which(0.25),
-            "median": strategy.rollouts_within_which(0.5),
-            "three_quarters": strategy.rollouts_within_which(0.75),
-            "budget": strategy.budget(),
-            "answers_judged": strategy.scored(),
+            "quarter": method.rollouts_within_which(0.25),
+            "median": method.rollouts_within_which(0.5),
+            "three_quarters": method.rollouts_within_which(0.75),
+            "budget": method.budget(),
+            "answers_judged": method.scored(),
         })
     };
     json!({
         "recipe": results.recipe,
         "plant": results.plant,
-        "strategies": results.strategies.iter().map(strategy).collect::<Vec<_>>(),
+        "strategies": results.methods.iter().map(method).collect::<Vec<_>>(),
     })
 }
 
@@ -89,10 +89,10 @@ pub const CSV_BEGINS: &str = "strategy,repetition,budget,";
 
 /// The results as CSV, with a line for each recommendation. `refused` is the reason why a
 /// recommendation could not be scored.
-pub fn csv(results: &StrategyResults) -> String {
+pub fn csv(results: &MethodResults) -> String {
     let mut text = format!("{CSV_BEGINS}real_rollouts,judges_stood,judges_ran,succeeds,refused\n");
-    for strategy in &results.strategies {
-        for repetition in &strategy.repetitions {
+    for method in &results.methods {
+        for repetition in &method.repetitions {
             for recommendation in &repetition.recommendations {
                 let RecommendationResult { real_rollouts, score, succeeds } = recommendation;
                 let (balanced, ran, refused) = match score {
@@ -102,7 +102,7 @@ pub fn csv(results: &StrategyResults) -> String {
                 let _ = writeln!(
                     text,
                     "{},{},{},{real_rollouts},{balanced},{ran},{succeeds},{refused}",
-                    strategy.method, repetition.number, repetition.budget
+                    method.method, repetition.number, repetition.budget
                 );
             }
         }
@@ -115,7 +115,7 @@ mod tests {
     use super::*;
     use crate::experiment::Method;
 
-    fn results(repetitions: u32) -> StrategyResults {
+    fn results(repetitions: u32) -> MethodResults {
         let repetition = |number| Repetition {
             method: Method::Identify,
             number,
@@ -134,15 +134,11 @@ mod tests {
             is_over: true,
             budget: 125_000,
         };
-        let strategy = StrategyResult {
+        let method = MethodResult {
             method: Method::Identify,
             repetitions: (0..repetitions).map(repetition).collect(),
         };
-        StrategyResults {
-            recipe: "opt-nominal".into(),
-            plant: "lab".into(),
-            strategies: vec![strategy],
-        }
+        MethodResults { recipe: "opt-nominal".into(), plant: "lab".into(), methods: vec![method] }
     }
 
     #[test]
