@@ -102,7 +102,19 @@ pub(super) fn all_of(
     rollouts: u32,
     repetitions: u32,
 ) -> Result<Option<Vec<RolloutResult>>, ExperimentError> {
-    (0..rollouts).map(|rollout| Ok(state_of(folder, rollout, repetitions)?.finished())).collect()
+    (0..rollouts).map(|rollout| finished_result(folder, rollout, repetitions)).collect()
+}
+
+/// The result of a rollout; `None` while it needs a further attempt.
+///
+/// # Errors
+/// A recording cannot be read.
+pub(super) fn finished_result(
+    folder: &Path,
+    rollout: u32,
+    repetitions: u32,
+) -> Result<Option<RolloutResult>, ExperimentError> {
+    Ok(state_of(folder, rollout, repetitions)?.finished())
 }
 
 /// The path of the recording that gives a rollout its result; `None` if all attempts are void, or
@@ -130,7 +142,7 @@ pub(super) fn is_complete(
     rollout: u32,
     repetitions: u32,
 ) -> Result<bool, ExperimentError> {
-    Ok(state_of(folder, rollout, repetitions)?.finished().is_some())
+    Ok(finished_result(folder, rollout, repetitions)?.is_some())
 }
 
 /// A rollout, together with the repetitions that void attempts make necessary.

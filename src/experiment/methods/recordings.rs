@@ -1,7 +1,8 @@
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use super::run::MethodRun;
-use crate::experiment::rollouts::{Repeated, all_of, is_complete, scored_recording};
+use crate::experiment::rollouts::{Repeated, finished_result, is_complete, scored_recording};
 use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, RolloutResult};
 use crate::identification::{RecordingsError, excitation_after};
@@ -107,12 +108,13 @@ impl<'a> MethodRecordings<'a> {
         why.to_string().replace(&format!("{}/", self.folder().display()), "")
     }
 
-    /// The results of the first `count` recordings; `None` where some are missing.
+    /// The results of these recordings, by number, up to the first that is not complete on disk.
     ///
     /// # Errors
     /// A recording cannot be read.
-    pub fn results(&self, count: u32) -> Result<Option<Vec<RolloutResult>>, ExperimentError> {
-        all_of(&self.folder(), count, self.repetitions())
+    pub fn results(&self, numbers: Range<u32>) -> Result<Vec<RolloutResult>, ExperimentError> {
+        let result = |number| finished_result(&self.folder(), number, self.repetitions());
+        numbers.map_while(|number| result(number).transpose()).collect()
     }
 
     /// Number of recordings, counted from the first, that are complete on disk, up to `count`. The

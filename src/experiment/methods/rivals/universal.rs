@@ -9,7 +9,7 @@ use crate::experiment::folder::make;
 use crate::experiment::methods::MethodSettings;
 use crate::experiment::methods::recordings::{MethodRecordings, Recorded};
 use crate::experiment::methods::run::{MethodRun, Recommendation, Recommendations, Recommended};
-use crate::experiment::{ExperimentError, Recipe, RolloutResult};
+use crate::experiment::{ExperimentError, Recipe};
 use crate::jobs::JobError;
 use crate::learning::{Origin, PhysicsInputs, TrainSettings, UniversalPolicy, train_universal};
 use crate::qube::QubeModel;
@@ -29,6 +29,8 @@ pub struct FromUniversalPolicy<'a> {
     settings: &'a MethodSettings,
     recordings: MethodRecordings<'a>,
     space: Space,
+    /// Candidates of the first recordings, which are known to be complete.
+    candidates: Candidates,
     /// Policy, trained when it is first needed. No file stores the policy, because the same seed
     /// trains the same one again.
     policy: OnceCell<UniversalPolicy>,
@@ -39,7 +41,8 @@ impl<'a> FromUniversalPolicy<'a> {
     pub fn new(run: &'a MethodRun<'a>, settings: &'a MethodSettings) -> Self {
         let (recordings, space) =
             (MethodRecordings::of(run), Space::of_unknown(run.recipe.settings.plant()));
-        Self { run, settings, recordings, space, policy: OnceCell::new() }
+        let candidates = Candidates::default();
+        Self { run, settings, recordings, space, candidates, policy: OnceCell::new() }
     }
 
     /// The recommendation without the inputs of its policy; the distribution of its training is the
@@ -91,25 +94,26 @@ impl<'a> FromUniversalPolicy<'a> {
         CmaEs::between(&lower, &bounds, derived_seed(self.run.seed, SeedFor::Search))
     }
 
-    /// The candidates of these rollouts.
-    fn candidates(&self, results: &[RolloutResult]) -> Result<Candidates, SearchError> {
-        let mut candidates = Candidates::default();
-        for result in results {
-            let point = candidates.next(&mut self.search()?, self.space.dimensions())?;
-            candidates.add(point, result.return_);
-        }
-        Ok(candidates)
+    /// The inputs of the next candidate.
+    fn next_point(&self) -> Result<Vec<f64>, SearchError> {
+        self.candidates.next(&mut self.search()?, self.space.dimensions())
     }
 
-    /// Makes the recording with this number if it does not exist. All recordings before it exist.
-    fn record(&self, number: u32, recommendation: &Recommendation) -> Result<(), ExperimentError> {
-        if self.recordings.complete_from(number, number + 1)? > number {
-            return Ok(());
+    /// Adds the candidates of the first `recordings` recordings that are complete on disk. Those
+    /// that are known are not read again.
+    fn read_candidates(&mut self, recordings: u32) -> Result<(), ExperimentError> {
+        for result in self.recordings.results(self.candidates.count()..recordings)? {
+            let point = self.next_point()?;
+            self.candidates.0.push(Candidate { point, return_: result.return_ });
         }
-        let results = self.recordings.results(number)?.unwrap_or_default();
-        let point =
-            self.candidates(&results)?.next(&mut self.search()?, self.space.dimensions())?;
-        let trained = self.policy(recommendation)?.at(&inputs(&point)).map_err(JobError::from)?;
+        Ok(())
+    }
+
+    /// Makes the recording of the next candidate.
+    fn record(&self, recommendation: &Recommendation) -> Result<(), ExperimentError> {
+        let number = self.candidates.count();
+        let inputs = inputs(&self.next_point()?);
+        let trained = self.policy(recommendation)?.at(&inputs).map_err(JobError::from)?;
         let policy = trained.into_policy(origin_of(&recommendation.recipe)).to_bytes();
         self.recordings.make(number, Recorded::Policy { after: number }, &policy)
     }
@@ -130,19 +134,21 @@ impl Recommendations for FromUniversalPolicy<'_> {
 
     fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
         let recommendation = self.recommendation();
+        self.read_candidates(steps)?;
         if self.run.access.works() {
             make(&self.run.folder)?;
-            for number in 0..steps {
-                self.record(number, &recommendation)?;
+            while self.candidates.count() < steps {
+                self.record(&recommendation)?;
+                self.read_candidates(steps)?;
             }
         }
-        let Some(results) = self.recordings.results(steps)? else {
+        if self.candidates.count() < steps {
             return Ok(Recommended::NotOnDisk);
-        };
+        }
         let series = self.run.series(&recommendation, steps, self.settings.trainings);
         let path = series.folders.policy(0).policy();
         if self.run.access.works() && !MachineDisk.exists(&path) {
-            let best = match self.candidates(&results)?.evaluated.as_slice() {
+            let best = match self.candidates.evaluated(steps).as_slice() {
                 [] => vec![0.0; self.space.dimensions()],
                 data => self.search()?.best(data)?.point,
             };
@@ -153,31 +159,43 @@ impl Recommendations for FromUniversalPolicy<'_> {
     }
 }
 
-/// The candidates whose rollouts are over.
-#[derive(Default)]
-struct Candidates {
-    /// Candidates with a return, in order.
-    evaluated: Vec<Observation>,
-    /// Points of the void rollouts, in order. The search does not learn from them, but counts them,
-    /// so that the next proposal is another point.
-    void: Vec<Vec<f64>>,
+/// A candidate whose rollout is over.
+struct Candidate {
+    /// Physics inputs of its policy.
+    point: Vec<f64>,
+    /// Return of its rollout; `None` if the rollout is void.
+    return_: Option<f64>,
 }
 
+/// The candidates whose rollouts are over, in order.
+#[derive(Default)]
+struct Candidates(Vec<Candidate>);
+
 impl Candidates {
-    /// The next candidate: first the mean of the prior, then the proposals of CMA-ES.
-    fn next(&self, search: &mut CmaEs, dimensions: usize) -> Result<Vec<f64>, SearchError> {
-        if self.evaluated.is_empty() && self.void.is_empty() {
-            return Ok(vec![0.0; dimensions]);
-        }
-        Ok(search.propose(&self.evaluated, &self.void, 1)?.swap_remove(0))
+    /// Number of candidates.
+    fn count(&self) -> u32 {
+        self.0.len() as u32
     }
 
-    /// Adds the point of a rollout with its return; `None` for a void rollout.
-    fn add(&mut self, point: Vec<f64>, return_: Option<f64>) {
-        match return_ {
-            Some(return_) => self.evaluated.push(Observation { point, returns: vec![return_] }),
-            None => self.void.push(point),
+    /// Those of the first `count` candidates whose rollouts are not void.
+    fn evaluated(&self, count: u32) -> Vec<Observation> {
+        let observation = |candidate: &Candidate| {
+            let returns = vec![candidate.return_?];
+            Some(Observation { point: candidate.point.clone(), returns })
+        };
+        self.0.iter().take(count as usize).filter_map(observation).collect()
+    }
+
+    /// The next candidate: first the mean of the prior, then the proposals of CMA-ES. The search
+    /// does not learn from the void rollouts, but counts them, so that each proposal is another
+    /// point.
+    fn next(&self, search: &mut CmaEs, dimensions: usize) -> Result<Vec<f64>, SearchError> {
+        if self.0.is_empty() {
+            return Ok(vec![0.0; dimensions]);
         }
+        let void = self.0.iter().filter(|it| it.return_.is_none());
+        let void: Vec<Vec<f64>> = void.map(|it| it.point.clone()).collect();
+        Ok(search.propose(&self.evaluated(self.count()), &void, 1)?.swap_remove(0))
     }
 }
 
@@ -192,6 +210,10 @@ fn origin_of(recipe: &Recipe) -> Origin {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::experiment::methods::samples::{experiment, record, run, swings};
+    use crate::experiment::methods::{Access, Method};
+    use crate::session::recording_in;
+    use crate::telemetry::Ending;
 
     /// Candidates of a search whose return falls with the distance from known inputs, in 14
     /// dimensions.
@@ -203,9 +225,9 @@ mod tests {
             let point = data.next(&mut search, 14).unwrap();
             let squares = point.iter().map(|entry| (entry - 0.7) * (entry - 0.7));
             let return_ = 500.0 - 20.0 * squares.sum::<f64>();
-            data.add(point, Some(return_));
+            data.0.push(Candidate { point, return_: Some(return_) });
         }
-        data.evaluated
+        data.evaluated(data.count())
     }
 
     #[test]
@@ -228,11 +250,30 @@ mod tests {
         for return_ in [None, Some(200.0), None, Some(100.0)] {
             let point = data.next(&mut search, 14).unwrap();
             assert!(!points.contains(&point));
-            data.add(point.clone(), return_);
+            data.0.push(Candidate { point: point.clone(), return_ });
             points.push(point);
         }
-        let returns: Vec<f64> = data.evaluated.iter().map(Observation::mean_return).collect();
+        let evaluated = data.evaluated(4);
+        let returns: Vec<f64> = evaluated.iter().map(Observation::mean_return).collect();
         assert_eq!(returns, [200.0, 100.0]);
-        assert_eq!(search.best(&data.evaluated).unwrap().point, points[1]);
+        assert_eq!(search.best(&evaluated).unwrap().point, points[1]);
+    }
+
+    #[test]
+    fn a_recording_that_is_known_is_not_read_again() {
+        let root = tempfile::tempdir().unwrap();
+        let method = Method::StrategyOptimisation;
+        let experiment = experiment(root.path(), vec![method]);
+        let run = run(&experiment, method, Access::ReadOnly);
+        let settings = experiment.settings().methods.as_ref().unwrap();
+        let mut universal = FromUniversalPolicy::new(&run, settings);
+        record(&run, (0, 0), Ending::Completed, 300, swings);
+        universal.read_candidates(2).unwrap();
+        assert_eq!(universal.candidates.count(), 1);
+        std::fs::remove_file(recording_in(&run.folder.join("recordings"), 0, 0)).unwrap();
+        record(&run, (1, 0), Ending::Completed, 300, swings);
+        universal.read_candidates(2).unwrap();
+        assert_eq!(universal.candidates.count(), 2);
+        assert_eq!(universal.candidates.evaluated(1).len(), 1);
     }
 }
