@@ -144,7 +144,7 @@ impl Experiment {
         let mut items = self.items();
         let searches = items.iter().filter(|item| matches!(item, WorkItem::Search { .. })).count();
         if !self.is_virtual() {
-            for item in items.extract_if(..searches, |_| true).collect::<Vec<_>>() {
+            for item in items.drain(..searches).collect::<Vec<_>>() {
                 items.extend(self.work(item, self.threads, on_event)?);
             }
         }

@@ -103,6 +103,18 @@ pub fn methods_page(
         None => "No method has recommended simulations whose policies succeed in nine of ten repetitions.".into(),
     });
     page.section(&format!("{} on {}", results.recipe, results.plant));
+    add_methods(&mut page, results);
+    page.chart(
+        "Repetitions whose recommendation succeeds",
+        "A line ends at the method's budget. A line that ends below 1 has repetitions that never succeeded.",
+        success_chart(results),
+    );
+    add_provenance(&mut page, None, commands);
+    Ok(page.finish()?)
+}
+
+/// Adds the table of the real rollouts that each method needs.
+fn add_methods(page: &mut Page, results: &MethodResults) {
     let rows: Vec<Vec<Cell>> = results
         .methods
         .iter()
@@ -135,6 +147,10 @@ pub fn methods_page(
         "rollouts for nine of ten",
     ];
     page.table(&heads, &rows, None);
+}
+
+/// The share of repetitions that have succeeded, over real rollouts, as a step line for each method.
+fn success_chart(results: &MethodResults) -> Chart {
     let last = results.methods.iter().filter_map(MethodResult::budget).max().unwrap_or(1);
     let mut xs: Vec<f64> = results
         .methods
@@ -155,7 +171,7 @@ pub fn methods_page(
         let values = xs.iter().map(|at| if *at <= end { share(*at).or(Some(0.0)) } else { None });
         series.push(Series::new(method.method.name(), Style::Steps, index, values));
     }
-    let chart = Chart {
+    Chart {
         x: Axis::new("real rollouts", ""),
         y: Axis::new("share of repetitions", ""),
         xs,
@@ -163,16 +179,10 @@ pub fn methods_page(
         logarithmic: true,
         y_range: Some([0.0, 1.05]),
         ..Chart::default()
-    };
-    page.chart(
-        "Repetitions whose recommendation succeeds",
-        "A line ends at the method's budget. A line that ends below 1 has repetitions that never succeeded.",
-        chart,
-    );
-    add_provenance(&mut page, None, commands);
-    Ok(page.finish()?)
+    }
 }
 
+/// Adds the table of returns and successes of each recipe, and the figure of its policies' returns.
 fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
     let rows: Vec<Vec<Cell>> = recipes
         .iter()
@@ -212,6 +222,15 @@ fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
     ];
     page.table(&heads, &rows, None);
     page.paragraph("Means ± standard deviations over policies.");
+    if recipes.iter().any(|recipe| !recipe.policies.is_empty()) {
+        let note = "A dot is the mean of a policy's rollouts.";
+        page.chart("Return of each policy", note, policies_chart(recipes));
+    }
+}
+
+/// The mean return of each policy as a dot, the policies of a recipe side by side, with the mean of
+/// the recipe.
+fn policies_chart(recipes: &[&RecipeResult]) -> Chart {
     let mut places: Vec<(f64, [Option<f64>; 2])> = Vec::new();
     for (index, recipe) in recipes.iter().enumerate() {
         let returns = recipe.returns();
@@ -233,7 +252,7 @@ fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
             .enumerate()
             .map(|(index, recipe)| Mark::vertical(index as f64 - 0.45, recipe.recipe.as_str())),
     );
-    let chart = Chart {
+    Chart {
         x: Axis::new("recipe, in the order of the table", ""),
         y: Axis::new("mean return of a policy", ""),
         xs: places.iter().map(|place| place.0).collect(),
@@ -251,9 +270,6 @@ fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
         x_range: Some([-0.5, recipes.len() as f64 - 0.5]),
         y_range: Some([0.0, 1.04 * MAX_STEPS as f64]),
         ..Chart::default()
-    };
-    if recipes.iter().any(|recipe| !recipe.policies.is_empty()) {
-        page.chart("Return of each policy", "A dot is the mean of a policy's rollouts.", chart);
     }
 }
 
