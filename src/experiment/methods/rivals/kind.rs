@@ -25,7 +25,8 @@ pub enum RivalKind {
     /// Trains on the worst trajectories and weights Qubes by the likelihood of real transitions
     /// (Rajeswaran et al., reference 18).
     EpOpt,
-    /// Learns the posterior of the Qube given rollouts, round by round (Muratore et al. 2022).
+    /// Learns the posterior of the Qube given rollouts, round by round
+    /// (Muratore et al., CoRL 2021).
     Npdr,
     /// Widens the distribution as far as the policy still earns a high return in it, without real
     /// rollouts (Mozifian et al., reference 11).

@@ -20,8 +20,8 @@ const LATEST: usize = 3;
 /// Factor on the covariance of the belief before, from which Qubes are proposed.
 const WIDENED: f64 = 2.0;
 
-/// Sequential neural posterior estimation as in NPDR (Muratore et al. 2022): a network learns the
-/// posterior of a Qube given the latest rollouts, from simulations of Qubes, half of which the
+/// Sequential neural posterior estimation as in NPDR (Muratore et al., CoRL 2021): a network learns
+/// the posterior of a Qube given the latest rollouts, from simulations of Qubes, half of which the
 /// posterior before proposes.
 pub struct Npdr;
 
