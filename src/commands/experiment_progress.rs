@@ -6,8 +6,8 @@ use std::time::Instant;
 use super::screen::{Progress, ScreenState, in_words, time_left};
 use super::stop::Stop;
 use crate::experiment::{
-    ExperimentEvent, ExperimentSettings, Made, Recipe, RecommendationResult, RecommendationScore,
-    Repetition,
+    ExperimentEvent, ExperimentSettings, Made, Recipe, RecommendationOutcome, RecommendationResult,
+    RecommendationScore, Repetition,
 };
 use crate::learning::TrainUpdate;
 use crate::scoring::Behaviour;
@@ -184,12 +184,12 @@ impl ExperimentProgress {
     }
 
     fn scored(&self, repetition: &Repetition, recommendation: &RecommendationResult) {
-        let item = match &recommendation.score {
-            Ok(RecommendationScore { balanced, ran }) => {
+        let item = match &recommendation.outcome {
+            RecommendationOutcome::Scored(RecommendationScore { balanced, ran }) => {
                 let word = if recommendation.succeeds { "succeeds" } else { "does not succeed" };
                 format!("the recommendation {word}, {balanced} of {ran} scored rollouts balanced")
             }
-            Err(reason) => format!("no recommendation: {reason}"),
+            RecommendationOutcome::Refused(reason) => format!("no recommendation: {reason}"),
         };
         let rollouts = recommendation.real_rollouts;
         self.line(format!("{}, {rollouts} real rollouts: {item}", repetition.name()));

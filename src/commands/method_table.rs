@@ -3,7 +3,8 @@ use std::fmt::Write;
 use serde_json::{Value, json};
 
 use crate::experiment::{
-    MethodResult, MethodResults, RecommendationResult, RecommendationScore, Repetition,
+    MethodResult, MethodResults, RecommendationOutcome, RecommendationResult, RecommendationScore,
+    Repetition,
 };
 
 /// The table for people: a line of at most 80 columns for each method, then the reasons why
@@ -26,8 +27,8 @@ pub fn table(results: &MethodResults) -> String {
     }
     for method in &results.methods {
         let recommendations = method.repetitions.iter().flat_map(|it| &it.recommendations);
-        let mut reasons: Vec<&String> =
-            recommendations.filter_map(|it| it.score.as_ref().err()).collect();
+        let mut reasons: Vec<&str> =
+            recommendations.filter_map(|it| it.outcome.refusal()).collect();
         reasons.sort_unstable();
         reasons.dedup();
         for reason in reasons {
@@ -94,10 +95,14 @@ pub fn csv(results: &MethodResults) -> String {
     for method in &results.methods {
         for repetition in &method.repetitions {
             for recommendation in &repetition.recommendations {
-                let RecommendationResult { real_rollouts, score, succeeds } = recommendation;
-                let (balanced, ran, refused) = match score {
-                    Ok(RecommendationScore { balanced, ran }) => (*balanced, *ran, String::new()),
-                    Err(reason) => (0, 0, format!("\"{}\"", reason.replace('"', "'"))),
+                let RecommendationResult { real_rollouts, outcome, succeeds } = recommendation;
+                let (balanced, ran, refused) = match outcome {
+                    RecommendationOutcome::Scored(RecommendationScore { balanced, ran }) => {
+                        (*balanced, *ran, String::new())
+                    }
+                    RecommendationOutcome::Refused(reason) => {
+                        (0, 0, format!("\"{}\"", reason.replace('"', "'")))
+                    }
                 };
                 let _ = writeln!(
                     text,
@@ -122,12 +127,15 @@ mod tests {
             recommendations: vec![
                 RecommendationResult {
                     real_rollouts: 1,
-                    score: Err("recording 0: it is \"short\"".into()),
+                    outcome: RecommendationOutcome::Refused("recording 0: it is \"short\"".into()),
                     succeeds: false,
                 },
                 RecommendationResult {
                     real_rollouts: 2,
-                    score: Ok(RecommendationScore { balanced: 18, ran: 19 }),
+                    outcome: RecommendationOutcome::Scored(RecommendationScore {
+                        balanced: 18,
+                        ran: 19,
+                    }),
                     succeeds: number % 2 == 0,
                 },
             ],

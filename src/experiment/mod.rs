@@ -41,8 +41,8 @@ pub use event::ExperimentEvent;
 pub use folder::{ExperimentFolder, PolicyFolders};
 pub use made::Made;
 pub use methods::{
-    ALL_PLANTS, Method, MethodResult, MethodResults, MethodSettings, RecommendationResult,
-    RecommendationScore, Repetition,
+    ALL_PLANTS, Method, MethodResult, MethodResults, MethodSettings, RecommendationOutcome,
+    RecommendationResult, RecommendationScore, Repetition,
 };
 pub use plant::Plant;
 pub use recipe::Recipe;

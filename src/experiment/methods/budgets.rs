@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, PoisonError};
 
 use super::follow::recommendations_of;
-use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
+use super::run::{Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended};
 use super::{Method, MethodSettings};
 use crate::experiment::queue::Queue;
 use crate::experiment::results::simulated_return;
@@ -93,7 +93,7 @@ impl Experiment {
                 Recommended::Refused(_) => run.without_identification(),
                 Recommended::NotOnDisk => break,
             };
-            let Some(ScoredPolicy { result, made }) =
+            let OnDisk::Found(ScoredPolicy { result, made }) =
                 run.scored_on_its_plant(&recommendation, steps, number, methods)?
             else {
                 break;
@@ -172,14 +172,14 @@ struct ScoredPolicy {
 
 impl MethodRun<'_> {
     /// Trains the recommended policy and runs it on the plant of this repetition; a read-only run
-    /// reads the results. `None`: the run is read-only, and a result is missing on disk.
+    /// reads the results.
     fn scored_on_its_plant(
         &self,
         recommendation: &Recommendation,
         steps: u32,
         number: u32,
         methods: &MethodSettings,
-    ) -> Result<Option<ScoredPolicy>, ExperimentError> {
+    ) -> Result<OnDisk<ScoredPolicy>, ExperimentError> {
         let series = self.series(recommendation, steps, methods.trainings);
         let recordings = series.folders.rollouts(0, &self.plant.name);
         let settings = self.experiment.settings();
@@ -190,7 +190,7 @@ impl MethodRun<'_> {
         } else {
             match all_of(&recordings, settings.rollouts, self.recipe.settings.extent.repetitions)? {
                 Some(results) => (results, Made::Earlier),
-                None => return Ok(None),
+                None => return Ok(OnDisk::Missing),
             }
         };
         // Returns in simulation are computed when results are read, not while work goes on.
@@ -203,7 +203,7 @@ impl MethodRun<'_> {
             simulated_return(&path, &distribution, &simulation, starts)?
         };
         let result = PolicyResult { number, simulated_return, rollouts, recordings };
-        Ok(Some(ScoredPolicy { result, made }))
+        Ok(OnDisk::Found(ScoredPolicy { result, made }))
     }
 }
 

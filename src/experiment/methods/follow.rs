@@ -1,10 +1,10 @@
 use std::path::PathBuf;
 
 use super::identified::{FromRecordings, Further, Width};
-use super::repetition::{RecommendationResult, Repetition, name};
+use super::repetition::{RecommendationOutcome, RecommendationResult, Repetition, name};
 use super::rivals::{FromRival, FromUniversalPolicy};
 use super::run::{
-    Access, MethodRun, Recommendation, Recommendations, Recommended, WithoutRollouts,
+    Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended, WithoutRollouts,
 };
 use super::score::{ScoredDecision, score};
 use super::search::FromSearch;
@@ -102,19 +102,22 @@ impl MethodRun<'_> {
             let real_rollouts = steps * recommendations.rollouts_each();
             let result = match recommendations.after(steps)? {
                 Recommended::NotOnDisk => return Ok(last_score),
-                Recommended::Refused(reason) => {
-                    RecommendationResult { real_rollouts, score: Err(reason), succeeds: false }
-                }
+                Recommended::Refused(reason) => RecommendationResult {
+                    real_rollouts,
+                    outcome: RecommendationOutcome::Refused(reason),
+                    succeeds: false,
+                },
                 Recommended::Found(recommendation) if scored.contains(&recommendation) => continue,
                 Recommended::Found(recommendation) => {
-                    let Some(ScoredDecision { score, succeeds, made }) =
+                    let OnDisk::Found(ScoredDecision { score, succeeds, made }) =
                         self.score(&recommendation, steps)?
                     else {
                         return Ok(last_score);
                     };
                     last_score = last_score.max(made);
                     scored.push(recommendation);
-                    RecommendationResult { real_rollouts, score: Ok(score), succeeds }
+                    let outcome = RecommendationOutcome::Scored(score);
+                    RecommendationResult { real_rollouts, outcome, succeeds }
                 }
             };
             repetition.recommendations.push(result.clone());
@@ -133,7 +136,7 @@ impl MethodRun<'_> {
         &self,
         recommendation: &Recommendation,
         steps: u32,
-    ) -> Result<Option<ScoredDecision>, ExperimentError> {
+    ) -> Result<OnDisk<ScoredDecision>, ExperimentError> {
         let settings = self.experiment.settings();
         let trainings = settings.methods.as_ref().map_or(1, |it| it.trainings);
         let series = self.series(recommendation, steps, trainings);

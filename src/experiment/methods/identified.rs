@@ -3,7 +3,7 @@ use std::collections::BTreeSet;
 
 use super::MethodSettings;
 use super::recordings::{MethodRecordings, Recorded, excitation, read};
-use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
+use super::run::{Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
 use crate::experiment::{ExperimentError, ExperimentEvent, Recipe};
 use crate::identification::{ModelVerdict, RecordingsError, Unknown, identify, read_fittable};
@@ -91,10 +91,12 @@ impl<'a> FromRecordings<'a> {
     /// The excitation for the recording with this number.
     fn excitation(&self, number: u32) -> Result<Excitation, ExperimentError> {
         let plant = self.run.recipe.settings.plant();
-        let fit = if number == 0 { None } else { self.stored_fit(number)? };
-        let profile = match fit {
-            Some(Fit::Found(profile)) => Profile::parse(&profile).ok(),
-            _ => None,
+        let profile = match number {
+            0 => None,
+            _ => match self.stored_fit(number)? {
+                OnDisk::Found(Fit::Found(profile)) => Profile::parse(&profile).ok(),
+                OnDisk::Found(Fit::Refused(_)) | OnDisk::Missing => None,
+            },
         };
         Ok(excitation(number, profile.as_ref(), plant))
     }
@@ -193,21 +195,21 @@ impl<'a> FromRecordings<'a> {
     }
 
     /// The fit to the first `recordings` recordings. The fit is stored on disk, because it takes
-    /// longer than a training. `None`: the run is read-only, and the fit is not on disk.
-    fn stored_fit(&self, recordings: u32) -> Result<Option<Fit>, ExperimentError> {
+    /// longer than a training.
+    fn stored_fit(&self, recordings: u32) -> Result<OnDisk<Fit>, ExperimentError> {
         let named = |what: &str| self.run.folder.join(format!("{what}-{recordings}"));
         let (found, refused) =
             (named("identified").with_extension("toml"), named("refused").with_extension("txt"));
         if !MachineDisk.exists(&found) && !MachineDisk.exists(&refused) {
             if !self.run.access.works() {
-                return Ok(None);
+                return Ok(OnDisk::Missing);
             }
             match self.fit(recordings)? {
                 Fit::Found(profile) => write_whole(&MachineDisk, &found, profile.as_bytes())?,
                 Fit::Refused(reason) => write_whole(&MachineDisk, &refused, reason.as_bytes())?,
             }
         }
-        Ok(Some(if MachineDisk.exists(&refused) {
+        Ok(OnDisk::Found(if MachineDisk.exists(&refused) {
             Fit::Refused(read(&refused)?)
         } else {
             Fit::Found(read(&found)?)
@@ -217,9 +219,9 @@ impl<'a> FromRecordings<'a> {
     /// The recommendation after `recordings` recordings, all of which exist.
     fn recommended(&self, recordings: u32) -> Result<Recommended, ExperimentError> {
         Ok(match self.stored_fit(recordings)? {
-            None => Recommended::NotOnDisk,
-            Some(Fit::Refused(reason)) => Recommended::Refused(reason),
-            Some(Fit::Found(profile)) => match self.recommendation(&profile) {
+            OnDisk::Missing => Recommended::NotOnDisk,
+            OnDisk::Found(Fit::Refused(reason)) => Recommended::Refused(reason),
+            OnDisk::Found(Fit::Found(profile)) => match self.recommendation(&profile) {
                 Ok(recommendation) => Recommended::Found(Box::new(recommendation)),
                 Err(reason) => Recommended::Refused(reason),
             },

@@ -21,10 +21,30 @@ pub struct Repetition {
 pub struct RecommendationResult {
     /// Number of real rollouts before the recommendation; a recording counts as one.
     pub real_rollouts: u32,
-    /// Score of the recommendation's policies, or the reason why there is no recommendation.
-    pub score: Result<RecommendationScore, String>,
+    /// Outcome of scoring it.
+    pub outcome: RecommendationOutcome,
     /// Whether the recommendation succeeds.
     pub succeeds: bool,
+}
+
+/// The outcome of scoring a recommendation.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RecommendationOutcome {
+    /// The recommendation's policies were scored.
+    Scored(RecommendationScore),
+    /// The method has no recommendation, for this reason.
+    Refused(String),
+}
+
+impl RecommendationOutcome {
+    /// The reason why there is no recommendation; `None` if it was scored.
+    #[must_use]
+    pub fn refusal(&self) -> Option<&str> {
+        match self {
+            Self::Scored(_) => None,
+            Self::Refused(reason) => Some(reason),
+        }
+    }
 }
 
 impl Repetition {

@@ -86,7 +86,7 @@ impl MethodResult {
     #[must_use]
     pub fn scored(&self) -> usize {
         let scored = |repetition: &Repetition| {
-            repetition.recommendations.iter().filter(|it| it.score.is_ok()).count()
+            repetition.recommendations.iter().filter(|it| it.outcome.refusal().is_none()).count()
         };
         self.repetitions.iter().map(scored).sum()
     }
@@ -129,7 +129,7 @@ impl MethodResults {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::{RecommendationResult, RecommendationScore};
+    use crate::experiment::{RecommendationOutcome, RecommendationResult, RecommendationScore};
     use crate::search::StrategyKind;
 
     /// A method whose repetitions succeed after these numbers of rollouts, or never.
@@ -137,7 +137,7 @@ mod tests {
         let method = Method::Search(StrategyKind::Cem);
         let recommendation = |real_rollouts, succeeds| RecommendationResult {
             real_rollouts,
-            score: Ok(RecommendationScore { balanced: 0, ran: 2 }),
+            outcome: RecommendationOutcome::Scored(RecommendationScore { balanced: 0, ran: 2 }),
             succeeds,
         };
         let repetition = |(number, needed): (usize, &Option<u32>)| Repetition {

@@ -71,6 +71,14 @@ impl Access<'_> {
     }
 }
 
+/// A result of a run, which a read-only run finds on disk and any other makes.
+pub(super) enum OnDisk<T> {
+    /// The result is on disk.
+    Found(T),
+    /// The run is read-only, and the result is not on disk.
+    Missing,
+}
+
 /// One repetition of a method in its folder.
 pub(super) struct MethodRun<'a> {
     /// Experiment of the run.

@@ -1,4 +1,4 @@
-use super::run::Access;
+use super::run::{Access, OnDisk};
 use crate::experiment::rollouts::all_of;
 use crate::experiment::series::PolicySeries;
 use crate::experiment::{ExperimentError, Made, Plant, RolloutResult};
@@ -47,8 +47,7 @@ pub(super) struct ScoredDecision {
 }
 
 /// Scores a recommendation by up to `policies` policies with `rollouts` rollouts each, and stops
-/// after the policy with which the decision can no longer change. `None`: the run is read-only, and
-/// a result is missing on disk.
+/// after the policy with which the decision can no longer change.
 ///
 /// # Errors
 /// The work ends early, or a file cannot be read.
@@ -58,7 +57,7 @@ pub(super) fn score(
     policies: u32,
     rollouts: u32,
     access: Access,
-) -> Result<Option<ScoredDecision>, ExperimentError> {
+) -> Result<OnDisk<ScoredDecision>, ExperimentError> {
     let (mut score, mut made) = (RecommendationScore::default(), Made::Earlier);
     for policy in 0..policies {
         let results = if access.works() {
@@ -70,15 +69,15 @@ pub(super) fn score(
             let folder = series.folders.rollouts(policy, &plant.name);
             match all_of(&folder, rollouts, series.recipe.settings.extent.repetitions)? {
                 Some(results) => results,
-                None => return Ok(None),
+                None => return Ok(OnDisk::Missing),
             }
         };
         score.add(&results);
         if let Some(succeeds) = score.decided(policies * rollouts) {
-            return Ok(Some(ScoredDecision { score, succeeds, made }));
+            return Ok(OnDisk::Found(ScoredDecision { score, succeeds, made }));
         }
     }
-    Ok(None)
+    Ok(OnDisk::Missing)
 }
 
 #[cfg(test)]

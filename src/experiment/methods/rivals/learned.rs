@@ -9,7 +9,9 @@ use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
 use crate::experiment::methods::MethodSettings;
 use crate::experiment::methods::recordings::{MethodRecordings, Recorded, excitation, read};
-use crate::experiment::methods::run::{MethodRun, Recommendation, Recommendations, Recommended};
+use crate::experiment::methods::run::{
+    MethodRun, OnDisk, Recommendation, Recommendations, Recommended,
+};
 use crate::experiment::{ExperimentError, Recipe};
 use crate::jobs::JobError;
 use crate::policy::Policy;
@@ -79,7 +81,7 @@ impl<'a> FromRival<'a> {
             return self.recordings.make(number, kind, &Policy::Excitation(chirp).to_bytes());
         }
         let after = round_within(number);
-        let Some(belief) = self.belief(after)? else { return Ok(()) };
+        let OnDisk::Found(belief) = self.belief(after)? else { return Ok(()) };
         let recommendation = self.recommendation(&belief, after);
         let series = self.run.series(&recommendation, after, self.settings.trainings);
         series.train(0, &mut |_, _| ())?;
@@ -109,10 +111,9 @@ impl<'a> FromRival<'a> {
     }
 
     /// The belief after `recordings` recordings, all of which exist. The belief is stored on disk.
-    /// `None`: the run is read-only, and the belief is not on disk.
-    fn belief(&self, recordings: u32) -> Result<Option<RivalBelief>, ExperimentError> {
+    fn belief(&self, recordings: u32) -> Result<OnDisk<RivalBelief>, ExperimentError> {
         if recordings == 0 && self.rival.data() != Data::None {
-            return Ok(Some(RivalBelief::Unknown));
+            return Ok(OnDisk::Found(RivalBelief::Unknown));
         }
         let path = self.run.folder.join(format!("belief-{recordings}.json"));
         if MachineDisk.exists(&path) {
@@ -120,11 +121,11 @@ impl<'a> FromRival<'a> {
             let stored = stored.map_err(|error| error.to_string());
             return stored
                 .and_then(|belief| belief.within(&self.space))
-                .map(Some)
+                .map(OnDisk::Found)
                 .map_err(|reason| ExperimentError::Settings { path, reason });
         }
         if !self.run.access.works() {
-            return Ok(None);
+            return Ok(OnDisk::Missing);
         }
         let belief = self.learnt(recordings)?;
         let text = serde_json::to_string(&belief).map_err(|error| ExperimentError::Settings {
@@ -132,7 +133,7 @@ impl<'a> FromRival<'a> {
             reason: error.to_string(),
         })?;
         write_whole(&MachineDisk, &path, text.as_bytes())?;
-        Ok(Some(belief))
+        Ok(OnDisk::Found(belief))
     }
 
     /// Learns from the first `recordings` recordings: updates the belief after the last of
@@ -141,7 +142,10 @@ impl<'a> FromRival<'a> {
         let earlier = recordings.checked_sub(1).map_or(0, round_within);
         let before = match recordings {
             0 => RivalBelief::Unknown,
-            _ => self.belief(earlier)?.unwrap_or(RivalBelief::Unknown),
+            _ => match self.belief(earlier)? {
+                OnDisk::Found(belief) => belief,
+                OnDisk::Missing => RivalBelief::Unknown,
+            },
         };
         let recorded = self.demonstrations(recordings)?;
         let recipe = self.recipe();
@@ -219,8 +223,8 @@ impl Recommendations for FromRival<'_> {
             return Ok(Recommended::NotOnDisk);
         }
         Ok(match self.belief(steps)? {
-            None => Recommended::NotOnDisk,
-            Some(belief) => {
+            OnDisk::Missing => Recommended::NotOnDisk,
+            OnDisk::Found(belief) => {
                 let recommendation = self.recommendation(&belief, steps);
                 self.train_own_policy(&recommendation, asked)?;
                 Recommended::Found(Box::new(recommendation))
