@@ -10,7 +10,7 @@ use toml::{Spanned, Table};
 
 use super::retired::{entry_at, rename_entries};
 use super::settings_check::NEW_SESSION_ADVICE;
-use super::{ConfigurationError, SessionSettings, take_retired};
+use super::{ConfigurationError, Extent, SessionSettings, take_retired};
 use crate::estimation::ObserverSettings;
 use crate::learning::Preset;
 use crate::safety::Guard;
@@ -18,34 +18,45 @@ use crate::simulation::SensorModel;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 impl SessionSettings {
-    /// Reads a session's complete configuration to resume the session. Settings that the file lacks
-    /// have their defaults, except that a file without a guard selects the box alone.
+    /// Reads a session's complete configuration to resume the session. Entries that later versions
+    /// added may be missing and have the values of before: a file without a guard selects the box
+    /// alone, and one without `verifies_incumbent` verifies only the recommendation. Other missing
+    /// entries have their defaults or, in a table that is always written whole, are errors.
     ///
     /// # Errors
     /// The file cannot be read or is not a configuration, a setting is unknown or out of its range,
     /// or the session depended on a setting or a guard that this version does not have.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
-        Self::loaded(text.clone(), path).map_err(|error| error.located(&text, ""))
+        Self::loaded(&text, path).map_err(|error| error.located(&text, ""))
     }
 
-    fn loaded(mut text: String, path: &Path) -> Result<Self, ConfigurationError> {
-        let mut table: Table = toml::from_str(&text).map_err(|error| invalid(path, error))?;
+    fn loaded(text: &str, path: &Path) -> Result<Self, ConfigurationError> {
+        let mut entries = Entries::of(text, None, path)?;
+        let mut table: Table = entries.read()?;
         let retired = take_retired(&mut table);
         let out_of_range =
             |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };
         if let Some(entry) = retired.iter().find(|entry| entry.changed_something()) {
             return Err(out_of_range(format!("{entry}: {NEW_SESSION_ADVICE}")));
         }
+        let without_retired;
         if !retired.is_empty() {
-            text = toml::to_string(&table)?;
+            without_retired = toml::to_string(&table)?;
+            entries = Entries::of(&without_retired, None, path)?;
         }
         // A session writes its tables whole, so one that lacks an entry is damaged.
-        let _whole: Self = toml::from_str(&text).map_err(|error| invalid(path, error))?;
-        let oldest = Self { preset: None, ..Self::default() }.with_guard(Guard::Box);
-        let settings = oldest.with_overrides(&Entries::of(&text, None, path)?)?;
+        let _whole: Self = entries.read()?;
+        let settings = Self::of_oldest_files().with_overrides(&entries)?;
         settings.check_resumable().map_err(out_of_range)?;
         Ok(settings)
+    }
+
+    /// The settings that files of the oldest versions mean by entries that they do not have.
+    fn of_oldest_files() -> Self {
+        let oldest = Self { preset: None, ..Self::default() }.with_guard(Guard::Box);
+        let extent = Extent { verifies_incumbent: false, ..oldest.extent };
+        Self { extent, ..oldest }
     }
 
     /// Overrides these settings with the entries of a file. If the file names a preset, the preset
@@ -324,6 +335,20 @@ mod tests {
         assert_eq!(origin(&written.replace("preset = \"thesis\"\n", "")), "custom");
         let older = SessionSettings::thesis().to_toml().unwrap();
         assert_eq!(origin(&older.replace("preset = \"thesis\"\n", "")), "thesis");
+    }
+
+    #[test]
+    fn a_file_of_a_version_without_an_entry_keeps_the_value_of_before() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("session.toml");
+        let written = SessionSettings::thesis().to_toml().unwrap();
+        let verified = "verifies_incumbent = true\n";
+        assert!(written.contains(verified));
+        for (text, verifies) in [(written.clone(), true), (written.replace(verified, ""), false)] {
+            std::fs::write(&path, text).unwrap();
+            let extent = SessionSettings::load(&path).unwrap().extent;
+            assert_eq!(extent, Extent { verifies_incumbent: verifies, ..Extent::THESIS });
+        }
     }
 
     #[test]
