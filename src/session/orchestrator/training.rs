@@ -143,6 +143,7 @@ impl Trainer {
             }
         }
         let mut began_unix_ns = vec![unix_ns(); jobs.len()];
+        // The first error is the cause; later ones, such as a stop, may only follow from it.
         let mut failed = None;
         self.executor.train(&jobs, stop, &mut |event| match event {
             JobEvent::Begun { job } => began_unix_ns[job] = unix_ns(),
@@ -162,7 +163,7 @@ impl Trainer {
                 let result = result.map(|trained| *trained);
                 let contest = &mut contests[entrant.contest];
                 if let Err(error) = self.enter(contest, entrant, time, result, on_event) {
-                    failed = Some(error);
+                    failed.get_or_insert(error);
                 }
             }
         });
@@ -170,7 +171,7 @@ impl Trainer {
             let PreparedTraining { result, time } = prepared.take(&job, entrant.training, stop);
             let contest = &mut contests[entrant.contest];
             if let Err(error) = self.enter(contest, entrant, time, result, on_event) {
-                failed = Some(error);
+                failed.get_or_insert(error);
             }
         }
         failed.map_or(Ok(()), Err)
@@ -334,6 +335,7 @@ mod tests {
 
     use super::*;
     use crate::jobs::LocalExecutor;
+    use crate::learning::TrainError;
     use crate::policy::Policy;
     use crate::qube::Profile;
     use crate::session::IdentificationSettings;
@@ -370,14 +372,46 @@ mod tests {
         assert!(doubted.compared < doubted.judged - 1.0, "{doubted:?}");
     }
 
+    /// An executor whose first training fails and whose others are then stopped.
+    struct FailingExecutor;
+
+    impl Executor for FailingExecutor {
+        fn concurrency(&self) -> usize {
+            1
+        }
+
+        fn train(
+            &self,
+            jobs: &[TrainingJob],
+            _stop: &AtomicBool,
+            on_event: &mut dyn FnMut(JobEvent),
+        ) {
+            for job in 0..jobs.len() {
+                let (by, reason) = ("a worker".into(), "its disk is full".into());
+                let result = Err(match job {
+                    0 => JobError::Elsewhere { by, reason },
+                    _ => TrainError::Stopped.into(),
+                });
+                on_event(JobEvent::Finished { job, result });
+            }
+        }
+    }
+
     #[test]
-    fn trainings_that_begin_early_are_those_that_the_session_asks_for() {
-        let plan = IdentificationSettings::default();
-        let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
-        let lab = Profile::lab();
-        let around = settings.clone().around(&plan, &lab, &lab);
-        let doubted = found(vec!["play".into()]);
-        let candidate = |number, purpose, point| Candidate {
+    fn the_first_error_of_a_round_is_its_error() {
+        let executor = Arc::new(FailingExecutor);
+        let trainer = trainer(SessionSettings::quick(), Identification::None);
+        let trainer = Trainer { executor, ..trainer };
+        let lower = trainer.settings.psi.lower();
+        let both = [1, 2].map(|number| candidate(number, Purpose::Initial, lower.clone())).to_vec();
+        let never = AtomicBool::new(false);
+        let mut prepared = PreparedTrainings::default();
+        let failed = trainer.train(both, &mut prepared, &never, &mut |_| ()).unwrap_err();
+        assert!(failed.to_string().contains("its disk is full"), "{failed}");
+    }
+
+    fn candidate(number: u32, purpose: Purpose, point: Vec<f64>) -> Candidate {
+        Candidate {
             number,
             purpose,
             point,
@@ -386,7 +420,16 @@ mod tests {
             void: 0,
             void_before: 0,
             policy_of: None,
-        };
+        }
+    }
+
+    #[test]
+    fn trainings_that_begin_early_are_those_that_the_session_asks_for() {
+        let plan = IdentificationSettings::default();
+        let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
+        let lab = Profile::lab();
+        let around = settings.clone().around(&plan, &lab, &lab);
+        let doubted = found(vec!["play".into()]);
         let first = candidate(plan.excitations, Purpose::Initial, around.psi.as_identified());
         let baseline = candidate(3, Purpose::Baseline, Vec::new());
         let (before, later) = (trainer(settings, Identification::None), trainer(around, doubted));
