@@ -81,6 +81,10 @@ impl Disk for Hiccups {
         MachineDisk.remove(path)
     }
 
+    fn remove_folder(&self, path: &Path) -> io::Result<()> {
+        MachineDisk.remove_folder(path)
+    }
+
     fn sync_folder(&self, path: &Path) -> io::Result<()> {
         MachineDisk.sync_folder(path)
     }

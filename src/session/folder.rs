@@ -182,7 +182,7 @@ impl SessionFolder {
                 _ => {}
             }
         }
-        let _ = std::fs::remove_dir(self.paths.candidates());
+        let _ = self.disk.remove_folder(&self.paths.candidates());
     }
 
     /// Removes the files of a session that could not be opened, if this value has created the
@@ -203,7 +203,7 @@ impl SessionFolder {
         }
         let paths = SessionPaths::new(root);
         remove_unfinished(&disk, &paths.configuration());
-        let _ = std::fs::remove_dir(paths.candidates());
+        let _ = disk.remove_folder(&paths.candidates());
     }
 }
 

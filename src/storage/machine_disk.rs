@@ -87,6 +87,10 @@ impl Disk for MachineDisk {
         fs::remove_file(path)
     }
 
+    fn remove_folder(&self, path: &Path) -> io::Result<()> {
+        fs::remove_dir(path)
+    }
+
     fn sync_folder(&self, path: &Path) -> io::Result<()> {
         File::open(path)?.sync_all()
     }
@@ -119,6 +123,7 @@ mod tests {
         let folder = directory.path().join("a/b");
         MachineDisk.create_folder(&folder).unwrap();
         MachineDisk.create_folder(&folder).unwrap();
+        assert!(MachineDisk.remove_folder(directory.path()).is_err());
         let path = folder.join("file");
         MachineDisk.create(&path, false).unwrap().write_all(b"one two").unwrap();
         let again = MachineDisk.create(&path, false).unwrap_err();

@@ -88,6 +88,12 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The file does not exist, or the operating system refuses.
     fn remove(&self, path: &Path) -> io::Result<()>;
 
+    /// Removes an empty folder.
+    ///
+    /// # Errors
+    /// The folder does not exist or is not empty, or the operating system refuses.
+    fn remove_folder(&self, path: &Path) -> io::Result<()>;
+
     /// Syncs a folder, so that the names in it survive a loss of power.
     ///
     /// # Errors

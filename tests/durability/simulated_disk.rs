@@ -354,6 +354,13 @@ impl Disk for SimulatedDisk {
         self.change()?.names.remove(path).map(drop).ok_or(ErrorKind::NotFound.into())
     }
 
+    fn remove_folder(&self, path: &Path) -> io::Result<()> {
+        if !self.names(path)?.is_empty() {
+            return Err(ErrorKind::DirectoryNotEmpty.into());
+        }
+        self.remove(path)
+    }
+
     fn sync_folder(&self, path: &Path) -> io::Result<()> {
         let mut content = self.begin(true).map_err(|(error, _)| error)?;
         content.synced_names.retain(|name, _| name.parent() != Some(path));
