@@ -59,9 +59,9 @@ impl Disk for Hiccups {
         MachineDisk.append(path)
     }
 
-    fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    fn read_beginning(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
         self.refuse_first("read", folder_of(path))?;
-        MachineDisk.read(path, limit)
+        MachineDisk.read_beginning(path, limit)
     }
 
     fn exists(&self, path: &Path) -> bool {

@@ -90,7 +90,8 @@ pub fn read_on(disk: &dyn Disk, path: &Path) -> Result<Recording, RecordingError
 }
 
 pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, RecordingError> {
-    disk.read(path, MAX_FILE_BYTES)
+    // One byte more shows the parser that the file is too large.
+    disk.read_beginning(path, MAX_FILE_BYTES + 1)
         .map_err(|source| RecordingError::Read { path: path.to_owned(), source })
 }
 

@@ -26,7 +26,8 @@ const BEGINNING: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta char
 #[must_use]
 pub fn is_report(disk: &dyn Disk, path: &Path) -> bool {
     let length = BEGINNING.len();
-    disk.read(path, length as u64).is_ok_and(|bytes| bytes.starts_with(BEGINNING.as_bytes()))
+    let beginning = disk.read_beginning(path, length as u64);
+    beginning.is_ok_and(|bytes| bytes == BEGINNING.as_bytes())
 }
 
 /// An HTML page that is being written, with the data of its figures. It escapes every text that its

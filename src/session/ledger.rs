@@ -107,16 +107,14 @@ struct Line<'a> {
 /// # Errors
 /// The file is not accessible or too long.
 pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, LedgerError> {
-    let bytes = match disk.read(path, MAX_FILE_BYTES) {
-        Ok(bytes) => bytes,
-        Err(source) if source.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(source) => return Err(LedgerError::Io { path: path.to_owned(), source }),
-    };
-    // The rest of a longer file was not read, so its last line is not torn and must not be cut.
-    if bytes.len() as u64 > MAX_FILE_BYTES {
-        return Err(LedgerError::TooLong { path: path.to_owned() });
+    match disk.read(path, MAX_FILE_BYTES) {
+        Ok(bytes) => Ok(bytes),
+        Err(source) if source.kind() == ErrorKind::NotFound => Ok(Vec::new()),
+        Err(source) if source.kind() == ErrorKind::FileTooLarge => {
+            Err(LedgerError::TooLong { path: path.to_owned() })
+        }
+        Err(source) => Err(LedgerError::Io { path: path.to_owned(), source }),
     }
-    Ok(bytes)
 }
 
 impl Ledger {

@@ -17,6 +17,7 @@ pub fn identified_profile(
     let lost = |reason: String| SessionError::ProfileLost { path: path.clone(), reason };
     let bytes = disk.read(&path, SETTINGS_BYTES).map_err(|source| match source.kind() {
         ErrorKind::NotFound => lost("the file is missing".into()),
+        ErrorKind::FileTooLarge => lost(source.to_string()),
         _ => FolderError::Io { path: path.clone(), source }.into(),
     })?;
     if file_checksum(&bytes) != *checksum {

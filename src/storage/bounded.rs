@@ -3,6 +3,8 @@ use std::io::{self, ErrorKind, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
+use super::too_long;
+
 /// Largest settings file that is read, bytes; configurations, profiles and recipes have a few kB.
 pub const SETTINGS_BYTES: u64 = 1 << 20;
 
@@ -31,8 +33,7 @@ pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     // One byte more than the limit shows that the file is longer.
     open_regular(path)?.take(limit.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit {
-        let reason = format!("it has more than {limit} bytes, too many for this kind of file");
-        return Err(io::Error::new(ErrorKind::InvalidData, reason));
+        return Err(too_long(limit));
     }
     Ok(bytes)
 }

@@ -48,9 +48,9 @@ impl Disk for MachineDisk {
         Ok(Box::new(file))
     }
 
-    fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    fn read_beginning(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
-        open_regular(path)?.take(limit.saturating_add(1)).read_to_end(&mut bytes)?;
+        open_regular(path)?.take(limit).read_to_end(&mut bytes)?;
         Ok(bytes)
     }
 
@@ -134,7 +134,11 @@ mod tests {
         file.write_all(b"more").unwrap();
         file.sync().unwrap();
         assert_eq!(MachineDisk.read(&path, 100).unwrap(), b"one more");
-        assert_eq!(MachineDisk.read(&path, 2).unwrap(), b"one");
+        assert_eq!(MachineDisk.read(&path, 8).unwrap(), b"one more");
+        let longer = MachineDisk.read(&path, 7).unwrap_err();
+        assert_eq!(longer.kind(), io::ErrorKind::FileTooLarge);
+        assert!(longer.to_string().contains("more than 7 bytes"), "{longer}");
+        assert_eq!(MachineDisk.read_beginning(&path, 3).unwrap(), b"one");
         MachineDisk.create(&path, true).unwrap();
         assert_eq!(MachineDisk.read(&path, 100).unwrap(), b"");
         assert_eq!(MachineDisk.names(&folder).unwrap(), ["file"]);

@@ -43,12 +43,22 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// A link has this name, or the operating system refuses.
     fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>>;
 
-    /// Reads a regular file. Of a file longer than `limit` bytes, `limit + 1` bytes are returned,
-    /// which shows the caller that the file is too long.
+    /// Reads the first bytes of a regular file, at most `limit`.
     ///
     /// # Errors
     /// The file does not exist or is not a regular file, or the operating system refuses.
-    fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>>;
+    fn read_beginning(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>>;
+
+    /// Reads a whole regular file of at most `limit` bytes.
+    ///
+    /// # Errors
+    /// The errors of [`read_beginning`](Self::read_beginning); a longer file is an error of the kind
+    /// [`io::ErrorKind::FileTooLarge`].
+    fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+        // One byte more than the limit shows that the file is longer.
+        let bytes = self.read_beginning(path, limit.saturating_add(1))?;
+        if bytes.len() as u64 > limit { Err(too_long(limit)) } else { Ok(bytes) }
+    }
 
     /// Whether a file or folder of this name exists; false also if the storage failed.
     fn exists(&self, path: &Path) -> bool;
@@ -109,6 +119,12 @@ pub trait Disk: Send + Sync + fmt::Debug {
     fn hold(&self, folder: &Path) -> Result<Hold, TryLockError>;
 }
 
+/// The error of a file that is longer than `limit` bytes.
+fn too_long(limit: u64) -> io::Error {
+    let reason = format!("it has more than {limit} bytes, too many for this kind of file");
+    io::Error::new(io::ErrorKind::FileTooLarge, reason)
+}
+
 /// A file that is open for writing.
 pub trait DiskFile: Write + Send + fmt::Debug {
     /// Writes all data to the storage, so that it survives a loss of power.
@@ -166,7 +182,7 @@ pub fn sync_name(disk: &dyn Disk, path: &Path) -> io::Result<()> {
 /// # Errors
 /// The storage failed, or the name is not that of a regular file.
 pub fn file_exists(disk: &dyn Disk, path: &Path) -> io::Result<bool> {
-    match disk.read(path, 0) {
+    match disk.read_beginning(path, 0) {
         Err(error) if is_absence(&error) => Ok(false),
         read => read.map(|_| true),
     }

@@ -63,8 +63,8 @@ impl Disk for TrickyDisk {
         self.disk.append(path)
     }
 
-    fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
-        self.disk.read(path, limit)
+    fn read_beginning(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+        self.disk.read_beginning(path, limit)
     }
 
     fn exists(&self, path: &Path) -> bool {

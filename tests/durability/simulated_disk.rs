@@ -322,9 +322,9 @@ impl Disk for SimulatedDisk {
         self.create(path, false)
     }
 
-    fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    fn read_beginning(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
         let mut bytes = self.bytes(path).ok_or(ErrorKind::NotFound)?;
-        bytes.truncate(limit as usize + 1);
+        bytes.truncate(limit as usize);
         Ok(bytes)
     }
 

@@ -211,8 +211,8 @@ impl Disk for SlowRemoval {
         MachineDisk.append(path)
     }
 
-    fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
-        let bytes = MachineDisk.read(path, limit);
+    fn read_beginning(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+        let bytes = MachineDisk.read_beginning(path, limit);
         if is_job(path) && self.is_removing.load(Ordering::SeqCst) && bytes.is_ok() {
             self.was_read.store(true, Ordering::SeqCst);
             std::thread::sleep(SLOW);

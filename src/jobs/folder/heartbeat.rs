@@ -95,7 +95,7 @@ impl HeartbeatState {
     /// # Errors
     /// A file operation fails.
     pub fn read(disk: &dyn Disk, path: &Path) -> io::Result<Option<Self>> {
-        let bytes = match disk.read(path, MAX_BYTES) {
+        let bytes = match disk.read_beginning(path, MAX_BYTES) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(error),

@@ -131,7 +131,7 @@ impl JobFolder {
             if is_absence(&source) {
                 JobFolderError::NotAFolderOfJobs { path: root.to_owned() }
             } else {
-                refused(&path, source)
+                unread(&path, source)
             }
         })?;
         let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
@@ -199,7 +199,7 @@ impl JobFolder {
         let bytes = match self.disk.read(&path, MAX_JOB_BYTES) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(source) => return Err(refused(&path, source)),
+            Err(source) => return Err(unread(&path, source)),
         };
         let json = unsealed("job", &bytes).map_err(damaged)?;
         let job: TrainingJob =
@@ -260,7 +260,7 @@ impl JobFolder {
         let path = self.result(name);
         let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
         let bytes = self.disk.read(&path, MAX_RESULT_BYTES);
-        let bytes = bytes.map_err(|source| refused(&path, source))?;
+        let bytes = bytes.map_err(|source| unread(&path, source))?;
         let payload = unsealed("result", &bytes).map_err(damaged)?;
         let end = payload.iter().position(|byte| *byte == b'\n').unwrap_or(payload.len());
         let (header, trained) = payload.split_at(end);
@@ -485,6 +485,17 @@ impl JobFolder {
 /// A value as JSON for the file at `path`.
 fn json(path: &Path, value: &impl Serialize) -> Result<Vec<u8>, JobFolderError> {
     serde_json::to_vec(value).map_err(|error| refused(path, error.into()))
+}
+
+/// The error of a file that could not be read: no file of this folder is as long as its limit, so a
+/// longer one is damaged.
+fn unread(path: &Path, source: io::Error) -> JobFolderError {
+    match source.kind() {
+        io::ErrorKind::FileTooLarge => {
+            JobFolderError::Damaged { path: path.to_owned(), reason: source.to_string() }
+        }
+        _ => refused(path, source),
+    }
 }
 
 fn refused(path: &Path, source: io::Error) -> JobFolderError {
