@@ -23,7 +23,7 @@ pub fn add_provenance(
 fn facts(header: &RolloutHeader) -> Vec<(String, String)> {
     let settings = &header.settings;
     let calibration = &settings.calibration;
-    let sandbox = &settings.safety_box;
+    let safety_box = &settings.safety_box;
     let mut facts = vec![
         (
             "program".to_owned(),
@@ -55,14 +55,14 @@ fn facts(header: &RolloutHeader) -> Vec<(String, String)> {
         "safety box".into(),
         format!(
             "|θ| up to {} rad, |α| up to {} rad, arm up to {} rad/s, pendulum up to {} rad/s; guard: {}",
-            significant(sandbox.theta),
-            significant(sandbox.alpha),
-            significant(sandbox.theta_dot),
-            significant(sandbox.alpha_dot),
-            if sandbox.guard.is_box() {
+            significant(safety_box.theta),
+            significant(safety_box.alpha),
+            significant(safety_box.theta_dot),
+            significant(safety_box.alpha_dot),
+            if safety_box.guard.is_box() {
                 "the box alone".to_owned()
             } else {
-                format!("{:?}", sandbox.guard).to_lowercase()
+                format!("{:?}", safety_box.guard).to_lowercase()
             }
         ),
     ));

@@ -80,7 +80,7 @@ pub fn next_step(
     if let Some(step) = together.or_else(|| unfinished(state, extent, identifies)) {
         return step;
     }
-    let searched = match (identifies, state.identification(), state.settled()) {
+    let searched = match (identifies, state.identification(), state.gain_at_end()) {
         (Some(plan), Identification::None, _) => {
             let excite = missing(Purpose::Excitation, plan.excitations)
                 .map(|_| Step::Propose { count: 1, purpose: Purpose::Excitation });

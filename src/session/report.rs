@@ -90,7 +90,7 @@ impl SessionReport {
             directory: paths.root().to_owned(),
             identification: session.state().identification().clone(),
             profile: session.latest_profile()?,
-            ended: session.state().settled().map(|expected_gain| {
+            ended: session.state().gain_at_end().map(|expected_gain| {
                 let plan = session.settings().identification.unwrap_or_default();
                 EndedSearch { end: SearchEnd::of(&candidates, plan.candidates), expected_gain }
             }),

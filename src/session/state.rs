@@ -94,7 +94,7 @@ pub struct SessionState {
     entries: usize,
     candidates: Vec<Candidate>,
     identification: Identification,
-    settled: Option<f64>,
+    gain_at_end: Option<f64>,
     took_in_verification: bool,
     taken_out: Vec<TakenOutRig>,
 }
@@ -141,8 +141,8 @@ impl SessionState {
     /// The gain in return that one more candidate was expected to bring when the search around an
     /// identified Qube ended; `None` before its end and for other searches.
     #[must_use]
-    pub fn settled(&self) -> Option<f64> {
-        self.settled
+    pub fn gain_at_end(&self) -> Option<f64> {
+        self.gain_at_end
     }
 
     /// Whether the session has used the recordings of the verification: they have led to the last
@@ -235,10 +235,10 @@ impl SessionState {
                     doubts: doubts.clone(),
                     profiles,
                 };
-                self.took_in_verification = self.settled.is_some();
+                self.took_in_verification = self.gain_at_end.is_some();
             }
             Entry::NotUpdated { .. } => {
-                if self.settled.is_none() || self.took_in_verification {
+                if self.gain_at_end.is_none() || self.took_in_verification {
                     return Err("the verification cannot update the profile now");
                 }
                 self.took_in_verification = true;
@@ -250,10 +250,10 @@ impl SessionState {
                 self.identification = Identification::Refused(reason.clone());
             }
             Entry::SearchEnded { expected_gain } => {
-                if self.settled.is_some() {
+                if self.gain_at_end.is_some() {
                     return Err("the search has ended already");
                 }
-                self.settled = Some(expected_gain);
+                self.gain_at_end = Some(expected_gain);
             }
             Entry::RolloutVoid { candidate, rollout, attempt, .. } => {
                 self.candidate_due(candidate, rollout, attempt)?.void += 1;

@@ -84,7 +84,7 @@ fn outcome(source: &SessionSource) -> Vec<String> {
          succeeds if the pendulum is upright during the whole last second and the return is at least {SUCCESS_RETURN:.0}."
     ));
     if let (Identification::Found { .. }, Some(gain)) =
-        (source.state.identification(), source.state.settled())
+        (source.state.identification(), source.state.gain_at_end())
     {
         let plan = source.settings.identification.unwrap_or_default();
         let reason = SearchEnd::of(&source.candidates, plan.candidates);

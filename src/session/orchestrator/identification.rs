@@ -75,7 +75,7 @@ impl Session {
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        if self.ledger.state().settled().is_some() {
+        if self.ledger.state().gain_at_end().is_some() {
             return self.take_in_verification(on_event);
         }
         match self.fitted()? {
@@ -357,7 +357,7 @@ impl Session {
         };
         let state = self.ledger.state();
         let is_used = |purpose: Purpose| {
-            purpose.informs() || (state.settled().is_some() && purpose.verifies())
+            purpose.informs() || (state.gain_at_end().is_some() && purpose.verifies())
         };
         let candidates = state.candidates().iter();
         candidates.filter(|it| is_used(it.purpose)).flat_map(of).collect()
