@@ -165,7 +165,7 @@ pub fn reopened(
     }
     let folder = SessionFolder::open(directory).map_err(|error| failures::folder(&error))?;
     let settings =
-        SessionSettings::load(&folder.paths().configuration()).map_err(Failure::usage)?;
+        SessionSettings::load_to_resume(&folder.paths().configuration()).map_err(Failure::usage)?;
     if arguments.guard.is_some_and(|guard| Guard::from(guard) != settings.safety_box.guard) {
         return Err(Failure::usage(
             "a session keeps the guard that it began with: leave --guard out",

@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue, Deserializer};
 use toml::{Spanned, Table};
 
-use super::retired::{entry_at, rename_entries};
+use super::retired::{Retired, entry_at, rename_entries};
 use super::settings_check::NEW_SESSION_ADVICE;
 use super::{ConfigurationError, Extent, SessionSettings, take_retired};
 use crate::estimation::ObserverSettings;
@@ -18,28 +18,45 @@ use crate::simulation::SensorModel;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 impl SessionSettings {
-    /// Reads a session's complete configuration to resume the session. Entries that later versions
-    /// added may be missing and have the values of before: a file without a guard selects the box
-    /// alone, and one without `verifies_incumbent` verifies only the recommendation. Other missing
-    /// entries have their defaults or, in a table that is always written whole, are errors.
+    /// Reads a session's complete configuration to show it. Entries that later versions added may be
+    /// missing and have the values of before: a file without a guard selects the box alone, and one
+    /// without `verifies_incumbent` verifies only the recommendation. Other missing entries have
+    /// their defaults or, in a table that is always written whole, are errors. Entries that this
+    /// version does not have any more are ignored.
     ///
     /// # Errors
-    /// The file cannot be read or is not a configuration, a setting is unknown or out of its range,
-    /// or the session depended on a setting or a guard that this version does not have.
+    /// The file cannot be read or is not a configuration, or a setting is unknown or out of its
+    /// range.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
-        Self::loaded(&text, path).map_err(|error| error.located(&text, ""))
+        let loaded = Self::loaded(&text, path).map_err(|error| error.located(&text, ""));
+        loaded.map(|(settings, _)| settings)
     }
 
-    fn loaded(text: &str, path: &Path) -> Result<Self, ConfigurationError> {
+    /// Reads a session's complete configuration like [`load`](Self::load) to resume the session.
+    ///
+    /// # Errors
+    /// The errors of [`load`](Self::load), or the session depended on a setting or a guard that this
+    /// version does not have.
+    pub fn load_to_resume(path: &Path) -> Result<Self, ConfigurationError> {
+        let text = read(path)?;
+        let resumable = |(settings, retired): (Self, Vec<Retired>)| {
+            let changed = retired.iter().find(|entry| entry.changed_something());
+            let gone = changed.map(|entry| format!("{entry}: {NEW_SESSION_ADVICE}"));
+            match gone.or_else(|| settings.check_resumable().err()) {
+                Some(reason) => Err(out_of_range(path, reason)),
+                None => Ok(settings),
+            }
+        };
+        let loaded = Self::loaded(&text, path).and_then(resumable);
+        loaded.map_err(|error| error.located(&text, ""))
+    }
+
+    /// Reads a complete configuration, and its retired entries apart from it.
+    fn loaded(text: &str, path: &Path) -> Result<(Self, Vec<Retired>), ConfigurationError> {
         let mut entries = Entries::of(text, None, path)?;
         let mut table: Table = entries.read()?;
         let retired = take_retired(&mut table);
-        let out_of_range =
-            |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };
-        if let Some(entry) = retired.iter().find(|entry| entry.changed_something()) {
-            return Err(out_of_range(format!("{entry}: {NEW_SESSION_ADVICE}")));
-        }
         let without_retired;
         if !retired.is_empty() {
             without_retired = toml::to_string(&table)?;
@@ -47,9 +64,7 @@ impl SessionSettings {
         }
         // A session writes its tables whole, so one that lacks an entry is damaged.
         let _whole: Self = entries.read()?;
-        let settings = Self::of_oldest_files().with_overrides(&entries)?;
-        settings.check_resumable().map_err(out_of_range)?;
-        Ok(settings)
+        Ok((Self::of_oldest_files().with_overrides(&entries)?, retired))
     }
 
     /// The settings that files of the oldest versions mean by entries that they do not have.
@@ -121,15 +136,13 @@ impl SessionSettings {
         part: Option<&str>,
         path: &Path,
     ) -> Result<Self, ConfigurationError> {
-        let out_of_range =
-            |reason| ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason };
         let entries = Entries::of(text, part, path)?;
         if let Some(entry) = take_retired(&mut entries.read()?).first() {
-            return Err(out_of_range(format!("{entry}: leave it out")));
+            return Err(out_of_range(path, format!("{entry}: leave it out")));
         }
         let mut settings = self.with_overrides(&entries)?;
         settings.preset = Some(Preset::of(&settings.training));
-        settings.check_begun().map_err(out_of_range)?;
+        settings.check_begun().map_err(|reason| out_of_range(path, reason))?;
         Ok(settings)
     }
 
@@ -165,9 +178,7 @@ impl SessionSettings {
     fn checked(self, path: &Path) -> Result<Self, ConfigurationError> {
         match self.check() {
             Ok(()) => Ok(self),
-            Err(reason) => {
-                Err(ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason })
-            }
+            Err(reason) => Err(out_of_range(path, reason)),
         }
     }
 
@@ -184,6 +195,10 @@ impl SessionSettings {
 pub(super) fn read(path: &Path) -> Result<String, ConfigurationError> {
     read_text(path, SETTINGS_BYTES)
         .map_err(|source| ConfigurationError::Unreadable { path: path.to_owned(), source })
+}
+
+fn out_of_range(path: &Path, reason: String) -> ConfigurationError {
+    ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason }
 }
 
 fn invalid(path: &Path, source: toml::de::Error) -> ConfigurationError {
@@ -349,6 +364,26 @@ mod tests {
             let extent = SessionSettings::load(&path).unwrap().extent;
             assert_eq!(extent, Extent { verifies_incumbent: verifies, ..Extent::THESIS });
         }
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_resumed_can_be_shown() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("session.toml");
+        let written = SessionSettings::quick().to_toml().unwrap();
+        for (older, words) in [
+            (written.replace("guard = \"foresight\"", "guard = \"envelope\""), "safety_box.guard"),
+            (written.replace("[training]\n", "[training]\nwidening = 0.6\n"), "training.widening"),
+        ] {
+            assert_ne!(older, written);
+            std::fs::write(&path, older).unwrap();
+            let refused = SessionSettings::load_to_resume(&path).unwrap_err().to_string();
+            assert!(refused.contains(words), "{refused}");
+            let shown = SessionSettings::load(&path).unwrap();
+            assert_eq!(shown.training, SessionSettings::quick().training);
+        }
+        std::fs::write(&path, &written).unwrap();
+        assert_eq!(SessionSettings::load_to_resume(&path).unwrap(), SessionSettings::quick());
     }
 
     #[test]

@@ -190,10 +190,13 @@ fn a_retired_guard_is_refused_with_its_replacement() {
     ] {
         write("session/session.toml", &of_the_past(&whole, guard, widening));
         refused(directory.path(), &resume, &["session.toml", words[0], words[1]]);
+        // A report only shows the session.
+        let report = qube_hil(directory.path(), &["report", "session"]);
+        assert!(report.status.success(), "{}", String::from_utf8_lossy(&report.stderr));
     }
     let settings = of_the_past(&whole, "box", 0.0);
     write("session/session.toml", &settings);
-    let settings = SessionSettings::load(&root.join("session.toml")).unwrap();
+    let settings = SessionSettings::load_to_resume(&root.join("session.toml")).unwrap();
     assert_eq!(settings, SessionSettings::quick().with_guard(Guard::Box));
 
     let recipe = Recipe::of(Model::Nominal, &SessionSettings::quick());
