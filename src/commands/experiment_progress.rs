@@ -217,6 +217,7 @@ impl ExperimentProgress {
             | SessionEvent::Drift { .. }
             | SessionEvent::RigTakenOut { .. }
             | SessionEvent::Identified { .. }
+            | SessionEvent::RecordingLeftOut { .. }
             | SessionEvent::ExcitationRepeated(_)
             | SessionEvent::NotIdentified(_)
             | SessionEvent::NotUpdated(_)

@@ -146,6 +146,9 @@ impl SessionProgress {
                 self.progress.update(|state| state.phase = "planning".into());
                 self.line(identified(*recordings, doubts));
             }
+            SessionEvent::RecordingLeftOut { candidate, rollout, reason } => self.line(format!(
+                "candidate {candidate}, rollout {rollout}: the identification leaves the recording out: {reason}"
+            )),
             SessionEvent::ExcitationRepeated(reason) => {
                 self.line(format!("{reason}. Another recording is made"));
             }

@@ -22,6 +22,16 @@ pub enum SessionEvent<'a> {
         /// Names of the effects that the verdict says are missing.
         doubts: &'a [String],
     },
+    /// The fit of a profile leaves a recording out, because it cannot be fitted. A session reports
+    /// each such recording once.
+    RecordingLeftOut {
+        /// Number of the candidate.
+        candidate: u32,
+        /// Number of the rollout.
+        rollout: u32,
+        /// Reason, as a text for the operator.
+        reason: &'a str,
+    },
     /// Another excitation follows, for this reason: no recording can be fitted yet, or the Qube has
     /// contradicted its profile.
     ExcitationRepeated(&'a str),

@@ -199,9 +199,10 @@ fn a_second_excitation_is_the_one_that_is_expected_to_tell_most() {
 }
 
 /// Runs a session whose computer stalls in its first `stalling` connections. Returns the numbers of
-/// repeated excitations, first identifications and refused identifications, and the number of
-/// recordings that the first profile was fitted to.
-fn excited_again(stalling: u32) -> [u32; 4] {
+/// repeated excitations, first identifications and refused identifications, the number of
+/// recordings that the first profile was fitted to, and the number of these first connections whose
+/// recording was reported as left out.
+fn excited_again(stalling: u32) -> [u32; 5] {
     let directory = tempfile::tempdir().unwrap();
     let mut settings = SessionSettings::quick();
     (settings.extent.initial_candidates, settings.extent.iterations) = (1, 0);
@@ -218,7 +219,7 @@ fn excited_again(stalling: u32) -> [u32; 4] {
         homing: settings.homing,
         ..RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(computer)))
     };
-    let mut told = [0; 4];
+    let mut told = [0; 5];
     let mut session =
         Session::open(folder, settings, rig, Arc::new(AtomicBool::new(false))).unwrap();
     let ran = session.run(&mut |event| match event {
@@ -228,6 +229,10 @@ fn excited_again(stalling: u32) -> [u32; 4] {
             (told[1], told[3]) = (1, recordings);
         }
         SessionEvent::NotIdentified(_) => told[2] += 1,
+        SessionEvent::RecordingLeftOut { candidate, reason, .. } if candidate < stalling => {
+            assert!(reason.contains("without a sample"), "{reason}");
+            told[4] += 1;
+        }
         _ => (),
     });
     ran.unwrap();
@@ -236,9 +241,9 @@ fn excited_again(stalling: u32) -> [u32; 4] {
 
 #[test]
 fn an_excitation_that_cannot_be_fitted_is_repeated() {
-    assert_eq!(excited_again(0), [0, 1, 0, 1]);
-    // Two recordings cannot be fitted and do not count.
-    assert_eq!(excited_again(2), [2, 1, 0, 1]);
+    assert_eq!(excited_again(0), [0, 1, 0, 1, 0]);
+    // Two recordings cannot be fitted and do not count; each is reported once.
+    assert_eq!(excited_again(2), [2, 1, 0, 1, 2]);
 }
 
 /// Runs a session around a Qube far outside the equations, whose motion contradicts its profile, up

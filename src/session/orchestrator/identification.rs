@@ -2,13 +2,13 @@
 //! continues.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 
 use super::Session;
 use super::proposals::Proposal;
 use super::rollouts::SessionRig;
 use crate::identification::{
-    Identified, IdentifyError, ModelVerdict, Unknown, check_recording, excitation_after, identify,
+    Identified, IdentifyError, ModelVerdict, Unfit, Unknown, check_recording, excitation_after,
+    identify,
 };
 use crate::policy::{Excitation, Policy};
 use crate::qube::Profile;
@@ -17,8 +17,8 @@ use crate::replay::MotionLog;
 use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
-    Candidate, Entry, Finished, FolderError, Identification, Purpose, ScoredCandidate,
-    SessionError, SessionEvent, StoredProfile, file_checksum, identified_profile,
+    Entry, Finished, FolderError, Identification, Purpose, ScoredCandidate, SessionError,
+    SessionEvent, StoredProfile, file_checksum, identified_profile,
 };
 use crate::storage::write_whole;
 
@@ -62,7 +62,7 @@ impl Session {
         let plant = self.settings.plant();
         let of_qube_v = self.settings.identification.unwrap_or_default().excitation_v;
         let limit_v = plant.volts_like(of_qube_v);
-        let profile = match self.fitted()? {
+        let profile = match self.fitted(&self.fit_data()?) {
             Fitted::Found(found) => Some(found.profile),
             Fitted::Unfit(_) | Fitted::Refused(_) => None,
         };
@@ -78,7 +78,8 @@ impl Session {
         if self.ledger.state().gain_at_end().is_some() {
             return self.take_in_verification(on_event);
         }
-        match self.fitted()? {
+        let data = self.fit_data_told(on_event)?;
+        match self.fitted(&data) {
             Fitted::Found(found) => self.append_profile(*found, on_event),
             Fitted::Unfit(reason) if self.may_excite_again() => {
                 on_event(SessionEvent::ExcitationRepeated(&reason));
@@ -99,12 +100,14 @@ impl Session {
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let reason = match self.fitted()? {
-            Fitted::Found(found) if found.recordings > self.fitted_recordings() => {
-                return self.append_profile(*found, on_event);
+        let data = self.fit_data_told(on_event)?;
+        let reason = if data.usable() > self.fitted_recordings() {
+            match self.fitted(&data) {
+                Fitted::Found(found) => return self.append_profile(*found, on_event),
+                Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
             }
-            Fitted::Found(_) => "none of its recordings can be fitted".to_owned(),
-            Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
+        } else {
+            "none of its recordings can be fitted".to_owned()
         };
         self.ledger.append(Entry::NotUpdated { reason: reason.clone() })?;
         on_event(SessionEvent::NotUpdated(&reason));
@@ -179,14 +182,18 @@ impl Session {
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<bool, SessionError> {
-        let used = self.fitted_recordings();
-        let why = match self.fitted()? {
-            Fitted::Found(found) if found.recordings > used => {
-                self.append_profile(*found, on_event)?;
-                return Ok(false);
+        let data = self.fit_data_told(on_event)?;
+        let why = if data.usable() > self.fitted_recordings() {
+            self.last_fit = data.usable();
+            match self.fitted(&data) {
+                Fitted::Found(found) => {
+                    self.append_profile(*found, on_event)?;
+                    return Ok(false);
+                }
+                Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
             }
-            Fitted::Found(_) => "no recording since then can be fitted".to_owned(),
-            Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
+        } else {
+            "no recording since then can be fitted".to_owned()
         };
         if !self.may_excite_again() {
             return Ok(false);
@@ -207,19 +214,20 @@ impl Session {
         Ok(())
     }
 
-    /// Updates the profile with the recordings so far, unless nothing has been searched yet, and
-    /// proposes the next candidate.
+    /// Updates the profile with the recordings so far, unless nothing has been searched yet or no
+    /// further recording can be fitted, and proposes the next candidate.
     fn propose_around(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let used = self.fitted_recordings();
-        if self.ledger.state().searched().next().is_some()
-            && self.used_recordings().len() > used as usize
-            && let Fitted::Found(found) = self.fitted()?
-            && found.recordings > used
-        {
-            self.append_profile(*found, on_event)?;
+        if self.ledger.state().searched().next().is_some() {
+            let data = self.fit_data_told(on_event)?;
+            if data.usable() > self.fitted_recordings().max(self.last_fit) {
+                self.last_fit = data.usable();
+                if let Fitted::Found(found) = self.fitted(&data) {
+                    self.append_profile(*found, on_event)?;
+                }
+            }
         }
         self.propose_next(on_event)
     }
@@ -266,40 +274,60 @@ impl Session {
         Ok((simulated - verified).max(0.0))
     }
 
-    /// Fits a profile to the recordings so far that identify the Qube.
-    fn fitted(&self) -> Result<Fitted, SessionError> {
-        let recordings = self.recordings()?;
-        let unknowns: Vec<Unknown> = Unknown::all().collect();
-        let mut unfit = "no recording shows a motion".to_owned();
-        let (mut usable, mut boards) = (Vec::new(), BTreeSet::new());
-        for recording in &recordings {
-            let Some(log) = MotionLog::of_recording(recording) else { continue };
-            match check_recording(&log) {
-                Ok(()) => {
-                    usable.push(log);
-                    boards.extend(recording.header.board().map(str::to_owned));
-                }
-                Err(reason) => unfit = format!("the recording cannot be fitted: {reason}"),
+    /// Reads the recordings so far that identify the Qube: of excitations and of the search's
+    /// candidates, and after the end of the search also of the verification.
+    fn fit_data(&self) -> Result<FitData, SessionError> {
+        let mut data = FitData::default();
+        let state = self.ledger.state();
+        let is_used = |purpose: Purpose| {
+            purpose.informs() || (state.gain_at_end().is_some() && purpose.verifies())
+        };
+        for candidate in state.candidates().iter().filter(|it| is_used(it.purpose)) {
+            for &Finished { rollout, attempt, .. } in &candidate.finished {
+                let path = self.recording(candidate.number, rollout, attempt);
+                data.add(&read_on(self.folder.disk(), &path)?, candidate.number);
             }
         }
-        let found = match identify(&usable, &unknowns, &self.settings.plant().nominal()) {
+        Ok(data)
+    }
+
+    /// Reads these recordings and reports each one that cannot be fitted once.
+    fn fit_data_told(
+        &mut self,
+        on_event: &mut dyn FnMut(SessionEvent),
+    ) -> Result<FitData, SessionError> {
+        let data = self.fit_data()?;
+        for it in &data.left_out {
+            let (candidate, rollout) = (it.candidate, it.rollout);
+            if self.told_left_out.insert((candidate, rollout)) {
+                let reason = it.reason();
+                on_event(SessionEvent::RecordingLeftOut { candidate, rollout, reason: &reason });
+            }
+        }
+        Ok(data)
+    }
+
+    /// Fits a profile to recordings.
+    fn fitted(&self, data: &FitData) -> Fitted {
+        let unknowns: Vec<Unknown> = Unknown::all().collect();
+        let found = match identify(&data.logs, &unknowns, &self.settings.plant().nominal()) {
             Ok(found) => found,
-            Err(IdentifyError::NoRecordings) => return Ok(Fitted::Unfit(unfit)),
-            Err(error) => return Ok(Fitted::Refused(error.to_string())),
+            Err(IdentifyError::NoRecordings) => return Fitted::Unfit(data.unfit()),
+            Err(error) => return Fitted::Refused(error.to_string()),
         };
         let doubts: Vec<String> = found.assessment.doubts.iter().map(ToString::to_string).collect();
         if found.assessment.verdict == ModelVerdict::DoesNotFit {
             let doubts = doubts.join("; ");
             let reason = format!("the model does not describe this Qube: {doubts}");
-            return Ok(Fitted::Refused(reason));
+            return Fitted::Refused(reason);
         }
-        let count = usable.len() as u32;
+        let count = data.usable();
         let name = match count {
             1 => "identified from 1 recording".to_owned(),
             _ => format!("identified from {count} recordings"),
         };
-        let profile = found.profile(&name, Vec::new(), boards.into_iter().collect());
-        Ok(Fitted::Found(Box::new(Found { recordings: count, profile, found, doubts })))
+        let profile = found.profile(&name, Vec::new(), data.boards.iter().cloned().collect());
+        Fitted::Found(Box::new(Found { recordings: count, profile, found, doubts }))
     }
 
     fn append_profile(
@@ -340,27 +368,59 @@ impl Session {
     fn profile_of(&self, found: &StoredProfile) -> Result<Profile, SessionError> {
         identified_profile(self.folder.disk(), self.folder.paths(), found)
     }
+}
 
-    /// The recordings that identify the Qube, in the order of their candidates: of excitations and
-    /// of the search's candidates, and after the end of the search also of the verification.
-    fn recordings(&self) -> Result<Vec<Recording>, SessionError> {
-        let read = |path: &PathBuf| Ok(read_on(self.folder.disk(), path)?);
-        self.used_recordings().iter().map(read).collect()
+/// Recordings to which a profile is fitted, in the order of their candidates.
+#[derive(Default)]
+struct FitData {
+    logs: Vec<MotionLog>,
+    /// The boards that made these recordings.
+    boards: BTreeSet<String>,
+    /// Recordings that cannot be fitted.
+    left_out: Vec<LeftOut>,
+}
+
+/// A recording that cannot be fitted.
+struct LeftOut {
+    candidate: u32,
+    rollout: u32,
+    /// Its defect; `None` if the Qube did not run in it.
+    defect: Option<Unfit>,
+}
+
+impl FitData {
+    /// Adds a recording of a candidate, or leaves it out if it cannot be fitted.
+    fn add(&mut self, recording: &Recording, candidate: u32) {
+        let log = MotionLog::of_recording(recording);
+        let defect = match log.as_ref().map(check_recording) {
+            Some(Ok(())) => {
+                self.logs.extend(log);
+                self.boards.extend(recording.header.board().map(str::to_owned));
+                return;
+            }
+            Some(Err(defect)) => Some(defect),
+            None => None,
+        };
+        self.left_out.push(LeftOut { candidate, rollout: recording.header.rollout, defect });
     }
 
-    /// The paths of the recordings that identify the Qube.
-    fn used_recordings(&self) -> Vec<PathBuf> {
-        let of = |candidate: &Candidate| {
-            let number = candidate.number;
-            let path = |it: &Finished| self.recording(number, it.rollout, it.attempt);
-            candidate.finished.iter().map(path).collect::<Vec<_>>()
-        };
-        let state = self.ledger.state();
-        let is_used = |purpose: Purpose| {
-            purpose.informs() || (state.gain_at_end().is_some() && purpose.verifies())
-        };
-        let candidates = state.candidates().iter();
-        candidates.filter(|it| is_used(it.purpose)).flat_map(of).collect()
+    /// Number of the recordings that can be fitted.
+    fn usable(&self) -> u32 {
+        self.logs.len() as u32
+    }
+
+    /// The reason why nothing can be fitted, if no recording can be.
+    fn unfit(&self) -> String {
+        match self.left_out.iter().rev().find_map(|it| it.defect) {
+            Some(defect) => format!("the recording cannot be fitted: {defect}"),
+            None => "no recording shows a motion".to_owned(),
+        }
+    }
+}
+
+impl LeftOut {
+    fn reason(&self) -> String {
+        self.defect.map_or_else(|| "it shows no motion".to_owned(), |it| it.to_string())
     }
 }
 

@@ -12,7 +12,7 @@ mod training_ahead;
 
 pub use boards::keep_on_board;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -56,6 +56,10 @@ pub struct Session {
     /// Whether trainings may begin before they are asked for: on this computer, if it has a core
     /// beside that of the control thread, while a Qube moves in real time.
     prepares: bool,
+    /// Number of recordings that the last fit used which was to update a profile; 0 before it.
+    last_fit: u32,
+    /// Candidates and rollouts of the recordings that were reported as left out of the fit.
+    told_left_out: HashSet<(u32, u32)>,
     /// Rollout that an earlier process gave up; `None` if there is none.
     given_up_before: Option<GivenUpBefore>,
 }
@@ -116,6 +120,8 @@ impl Session {
             ahead: None,
             prepared: PreparedTrainings::default(),
             prepares: in_real_time && has_another_core,
+            last_fit: 0,
+            told_left_out: HashSet::new(),
             given_up_before: None,
         };
         session.guard_as_unknown();
