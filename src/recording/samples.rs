@@ -110,7 +110,7 @@ pub(super) fn ticks(count: u32) -> Vec<TickRecord> {
 }
 
 /// A finished recording in memory.
-pub(super) fn recorded(ticks: &[TickRecord]) -> Vec<u8> {
+pub(crate) fn recorded(ticks: &[TickRecord]) -> Vec<u8> {
     let mut writer =
         RolloutWriter::begin(Vec::new(), Path::new("memory"), header(), POLICY).unwrap();
     for tick in ticks {

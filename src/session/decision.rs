@@ -146,7 +146,11 @@ mod tests {
             success,
             outcome: RolloutOutcome { ending: Ending::Completed, ..samples::outcome() },
         };
-        let rollout = |it| ScoredRollout { verdict: verdict(it), quietness: Quietness::NONE };
+        let rollout = |it| ScoredRollout {
+            verdict: verdict(it),
+            quietness: Quietness::NONE,
+            is_without_psi: false,
+        };
         ScoredCandidate::new(candidate, returns.iter().map(rollout))
     }
 

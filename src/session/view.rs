@@ -5,6 +5,7 @@ use super::{
     Candidate, Entry, Finished, LedgerError, SessionError, SessionPaths, SessionState,
     finished_rollout, parse_ledger,
 };
+use crate::policy::Policy;
 use crate::recording::Recording;
 use crate::scoring::{Quietness, Verdict, mean_of, mean_return};
 use crate::search::Observation;
@@ -58,13 +59,15 @@ impl<'a> SessionView<'a> {
     }
 }
 
-/// The verdict on a rollout, and the quietness of its balancing.
+/// The verdict on a rollout, the quietness of its balancing, and the kind of its policy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScoredRollout {
     /// Verdict on the rollout.
     pub verdict: Verdict,
     /// Quietness of its balancing.
     pub quietness: Quietness,
+    /// Whether its policy was trained without psi, such as for an unidentified Qube.
+    pub is_without_psi: bool,
 }
 
 impl ScoredRollout {
@@ -72,7 +75,10 @@ impl ScoredRollout {
     #[must_use]
     pub fn of(recording: &Recording, verdict: Verdict) -> Self {
         let quietness = Quietness::of(&recording.ticks, &recording.header.settings.plant);
-        Self { verdict, quietness }
+        let policy = Policy::from_bytes(&recording.policy);
+        let is_without_psi =
+            matches!(policy, Ok(Policy::Network(policy)) if policy.training.psi.is_none());
+        Self { verdict, quietness, is_without_psi }
     }
 }
 
@@ -85,6 +91,9 @@ pub struct ScoredCandidate {
     pub verdicts: Vec<Verdict>,
     /// Quietness of the balancing in these rollouts.
     pub quietness: Quietness,
+    /// Whether the policy of these rollouts was trained without psi, whatever the candidate's point
+    /// is: the policy for an unidentified Qube, which competes where an identification is doubted.
+    pub is_without_psi: bool,
 }
 
 /// The results of a candidate's rollouts on one of several rigs.
@@ -111,11 +120,13 @@ impl ScoredCandidate {
     #[must_use]
     pub fn new(candidate: Candidate, rollouts: impl IntoIterator<Item = ScoredRollout>) -> Self {
         let (mut verdicts, mut quietness) = (Vec::new(), Quietness::NONE);
+        let mut is_without_psi = false;
         for rollout in rollouts {
             verdicts.push(rollout.verdict);
             quietness.merge(&rollout.quietness);
+            is_without_psi |= rollout.is_without_psi;
         }
-        Self { candidate, verdicts, quietness }
+        Self { candidate, verdicts, quietness, is_without_psi }
     }
 
     /// Returns of the rollouts.
@@ -137,8 +148,8 @@ impl ScoredCandidate {
     }
 
     /// The rank of the candidate among others, higher is better; `None` without a rollout. A
-    /// candidate whose rollouts all succeeded without a buzz
-    /// ([`Quietness::is_loud`]) is better than any other. Otherwise the mean return decides.
+    /// candidate whose rollouts all succeeded quietly (not [`Quietness::is_loud`]) is better than any
+    /// other. Otherwise the mean return decides.
     #[must_use]
     pub fn rank(&self) -> Option<(bool, f64)> {
         let all_succeeded = self.successes() == self.verdicts.len();
@@ -167,7 +178,15 @@ impl ScoredCandidate {
         results.into_values().collect()
     }
 
-    /// The candidate's point with its returns: the data of the search.
+    /// Whether the search learns from the returns: there is one, and the policy was trained at the
+    /// candidate's point.
+    #[must_use]
+    pub fn informs_search(&self) -> bool {
+        !self.verdicts.is_empty() && !self.is_without_psi
+    }
+
+    /// The candidate's point with its returns: the data of the search, if the candidate
+    /// [informs it](Self::informs_search).
     #[must_use]
     pub fn observation(&self) -> Observation {
         Observation { point: self.candidate.point.clone(), returns: self.returns() }
@@ -186,5 +205,45 @@ impl ScoredCandidate {
             }
         }
         best.map(|(index, _)| index)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::policy::{NetworkPolicy, TrainingRecord};
+    use crate::recording::samples;
+    use crate::session::Purpose;
+
+    #[test]
+    fn a_policy_without_psi_does_not_inform_the_search() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
+        let Ok(Policy::Network(robust)) = Policy::load(&path) else { panic!("a network") };
+        assert_eq!(robust.training.psi, None);
+        let psi = Some(BTreeMap::from([("filter".to_owned(), 50.0)]));
+        let training = TrainingRecord { psi, ..robust.training.clone() };
+        let at_psi = NetworkPolicy { training, ..robust.clone() };
+        let candidate = Candidate {
+            number: 0,
+            purpose: Purpose::Initial,
+            point: vec![50.0],
+            trained: true,
+            finished: Vec::new(),
+            void: 0,
+            void_before: 0,
+            policy_of: None,
+        };
+        let informs = |policy: NetworkPolicy| {
+            let policy = Policy::Network(policy).to_bytes();
+            let recording = crate::recording::parse(&samples::recorded(&[])).unwrap();
+            let recording = Recording { policy, ..recording };
+            let verdict = Verdict::Void { reason: String::new() };
+            let rollout = ScoredRollout::of(&recording, verdict);
+            ScoredCandidate::new(candidate.clone(), [rollout]).informs_search()
+        };
+        assert!(informs(at_psi) && !informs(robust));
+        assert!(!ScoredCandidate::new(candidate.clone(), []).informs_search());
     }
 }

@@ -14,8 +14,10 @@ use qube_hil::recording::{Recording, read};
 use qube_hil::rig::{Connect, DeviceChoice, RigSettings, TimedDevice};
 use qube_hil::safety::Limit;
 use qube_hil::session::{
-    IdentificationSettings, Session, SessionError, SessionEvent, SessionFolder, SessionSettings,
+    IdentificationSettings, Session, SessionError, SessionEvent, SessionFolder, SessionPaths,
+    SessionSettings, SessionView,
 };
+use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Ending;
 use serde_json::Value;
 
@@ -111,20 +113,40 @@ fn a_qube_that_cannot_be_identified_is_searched_as_an_unknown_one() {
     assert_eq!(told["expected_gain"], Value::Null);
 }
 
+/// The point of a session's second searched candidate.
+fn second_point(folder: &Path) -> Vec<f64> {
+    let view = SessionView::read(&MachineDisk, SessionPaths::new(folder)).unwrap();
+    view.state().searched().nth(1).unwrap().point.clone()
+}
+
+/// The first two initial points of the search around a session's first profile.
+fn initial_points(folder: &Path) -> Vec<Vec<f64>> {
+    let settings = SessionSettings::load(&folder.join("session.toml")).unwrap();
+    let text = std::fs::read_to_string(folder.join("profile-1.toml")).unwrap();
+    let profile = Profile::parse(&text).unwrap();
+    let plan = settings.identification.unwrap();
+    let mut search = settings.around(&plan, &profile, &profile).search().unwrap();
+    search.propose(&[], &[], 2).unwrap()
+}
+
 #[test]
 fn where_the_fit_is_doubted_a_policy_for_an_unknown_qube_competes() {
     let directory = tempfile::tempdir().unwrap();
     // Policies of so small a training differ by luck alone, so the one for an unknown Qube wins
     // with some seeds.
     let kept = |effect: &[&str], seed: u32| {
-        let settings = format!("{SMALL}[identification]\ncandidates = 1\n")
+        let settings = format!("{SMALL}[identification]\ncandidates = 2\n")
             .replace("seed = 5", &format!("seed = {seed}"));
         let out = format!("s{seed}{}", effect.len());
         let arguments =
             [&["--config", "small.toml", "--profile", "lab", "--out", &out], effect].concat();
         let told = session(directory.path(), &settings, &arguments);
-        let policy = directory.path().join(out).join("candidates/001/policy.safetensors");
+        let folder = directory.path().join(out);
+        let policy = folder.join("candidates/001/policy.safetensors");
         let Policy::Network(policy) = Policy::load(&policy).unwrap() else { panic!("a network") };
+        // The search learns only from a policy that was trained at its own psi.
+        let learnt = usize::from(policy.training.model != "robust");
+        assert_eq!(second_point(&folder), initial_points(&folder)[learnt]);
         (list(&told["identification"], "doubts").len(), policy.training.model.clone())
     };
     let eccentric = ["--effect", "eccentricity_rad=0.03"];

@@ -37,7 +37,8 @@ pub struct SessionSurrogate {
 pub enum NoSurrogate {
     /// There are too few candidates.
     #[error(
-        "A surrogate of the return over psi needs {FEWEST_CANDIDATES} candidates; the session has {0} with rollouts."
+        "A surrogate of the return over psi needs {FEWEST_CANDIDATES} candidates; the session has {0} with rollouts of a policy \
+         that was trained at their psi."
     )]
     TooFew(usize),
     /// The strategy of the session fits no surrogate.
@@ -55,8 +56,8 @@ impl SessionSource {
     /// The candidates are too few, the strategy has no surrogate, or the data cannot be fitted.
     pub fn surrogate(&self) -> Result<SessionSurrogate, NoSurrogate> {
         let searched = self.candidates.iter().filter(|it| it.candidate.purpose.is_searched());
-        let scored = searched.filter(|it| !it.verdicts.is_empty());
-        let data: Vec<Observation> = scored.map(|it| it.observation()).collect();
+        let informing = searched.filter(|it| it.informs_search());
+        let data: Vec<Observation> = informing.map(|it| it.observation()).collect();
         if data.len() < FEWEST_CANDIDATES {
             return Err(NoSurrogate::TooFew(data.len()));
         }

@@ -152,13 +152,14 @@ impl Session {
                 let incumbent = &self.ledger.state().candidates()[candidate as usize];
                 self.append_proposal(Proposal::again(incumbent), on_event)
             }
-            Decision::EndBelow { verification, verified, smallest_gain } => {
-                let quietness = &scored[verification as usize].quietness;
+            Decision::EndBelow { verification, smallest_gain, .. } => {
+                let verification = &scored[verification as usize];
+                let quietness = &verification.quietness;
                 if let Some(figures) = quietness.figures().filter(|_| quietness.is_loud()) {
                     on_event(SessionEvent::TooLoud(figures));
                     return self.propose_around(on_event);
                 }
-                let expected_gain = self.expected_gain(&scored, verified)?;
+                let expected_gain = self.expected_gain(&scored, Some(verification))?;
                 if expected_gain < smallest_gain {
                     return self.end_search(expected_gain, on_event);
                 }
@@ -166,10 +167,9 @@ impl Session {
                 self.propose_around(on_event)
             }
             Decision::End => {
-                let verified = ScoredCandidate::best_verified(&scored)
-                    .and_then(|index| scored[index].mean_return())
-                    .unwrap_or(0.0);
-                let expected_gain = self.expected_gain(&scored, verified)?;
+                let verification =
+                    ScoredCandidate::best_verified(&scored).map(|index| &scored[index]);
+                let expected_gain = self.expected_gain(&scored, verification)?;
                 self.end_search(expected_gain, on_event)
             }
         }
@@ -235,33 +235,41 @@ impl Session {
     /// Proposes a candidate: first the distribution exactly as identified, then points of the
     /// search around the identified Qube.
     fn propose_next(&mut self, on_event: &mut dyn FnMut(SessionEvent)) -> Result<(), SessionError> {
-        let searched = self.ledger.state().searched().count() as u32;
-        if searched == 0 {
+        if self.ledger.state().searched().next().is_none() {
             let psi = self.settings.psi.as_identified();
             return self.append_proposal(Proposal::of(Purpose::Initial, psi), on_event);
         }
-        let purpose = if searched < INITIAL_AROUND { Purpose::Initial } else { Purpose::Search };
+        // An initial point counts once a policy that was trained at it has run.
+        let observations = self.observations()?;
+        let is_initial = (observations.len() as u32) < INITIAL_AROUND;
+        let purpose = if is_initial { Purpose::Initial } else { Purpose::Search };
         let mut strategy = self.settings.search()?;
-        let psi = strategy.propose(&self.observations()?, &[], 1)?.remove(0);
+        let psi = strategy.propose(&observations, &[], 1)?.remove(0);
         self.append_proposal(Proposal::of(purpose, psi), on_event)
     }
 
-    /// The return that one more candidate is expected to gain over the verified policy, at least 0.
+    /// The return that one more candidate is expected to gain over the policy of this verification,
+    /// at least 0.
     ///
     /// Once there are [`INITIAL_AROUND`] observations, the gain is the return that the search
-    /// expects at the recommended psi minus the return that it expects at the best evaluated psi.
-    /// Before, it is the highest mean return of a candidate's policy in simulations of the
+    /// expects at the recommended psi minus the return that it expects at the best evaluated psi,
+    /// or minus the verified return if the verified policy was trained without psi. Before, it is the highest mean return of a candidate's policy in simulations of the
     /// identified Qube minus the verified return: a search can win back no more than the loss from
     /// simulation to reality.
     fn expected_gain(
         &mut self,
         scored: &[ScoredCandidate],
-        verified: f64,
+        verification: Option<&ScoredCandidate>,
     ) -> Result<f64, SessionError> {
+        let verified = verification.and_then(ScoredCandidate::mean_return).unwrap_or(0.0);
         let observations = self.observations()?;
         if observations.len() as u32 >= INITIAL_AROUND {
             let best = self.settings.search()?.best(&observations)?;
-            return Ok((best.expected_return - best.best_evaluated_return).max(0.0));
+            let surpassed = match verification {
+                Some(verification) if verification.is_without_psi => verified,
+                _ => best.best_evaluated_return,
+            };
+            return Ok((best.expected_return - surpassed).max(0.0));
         }
         let mut simulated = 0.0_f64;
         for it in scored.iter().filter(|it| it.candidate.purpose.is_searched()) {

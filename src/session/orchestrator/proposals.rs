@@ -2,7 +2,7 @@
 
 use super::Session;
 use crate::search::{Observation, SearchError};
-use crate::session::{Candidate, Entry, Purpose, SessionError, SessionEvent};
+use crate::session::{Candidate, Entry, Purpose, ScoredCandidate, SessionError, SessionEvent};
 
 /// A candidate that is to be proposed.
 pub(super) struct Proposal {
@@ -93,10 +93,11 @@ impl Session {
         Ok(())
     }
 
-    /// The surrogate's data set, computed from ledger and recordings and stored nowhere.
+    /// The surrogate's data set, computed from ledger and recordings and stored nowhere. It lacks a
+    /// candidate whose policy was trained without psi.
     pub(super) fn observations(&mut self) -> Result<Vec<Observation>, SessionError> {
-        let with_results = self.searched()?.filter(|it| !it.verdicts.is_empty());
-        Ok(with_results.map(|it| it.observation()).collect())
+        let informing = self.searched()?.filter(ScoredCandidate::informs_search);
+        Ok(informing.map(|it| it.observation()).collect())
     }
 
     /// The searched candidate with the highest mean return; in a tie, the one proposed last.
