@@ -6,6 +6,7 @@ use crate::qube::Quantity;
 use crate::report::densities::{FIRST, density_chart, has_spread, words};
 use crate::report::page::{Cell, Page};
 use crate::session::{ScoredCandidate, SessionSettings};
+use crate::simulation::{DomainDistribution, Model};
 
 /// Adds the distribution of the best verified policy, or before a verification that of the searched
 /// candidate with the best mean return so far; adds nothing without either.
@@ -20,14 +21,11 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         return;
     };
     let trained_as = source.trained_as(&chosen.candidate);
-    let settings = source.search_settings(Some(trained_as));
     page.section("The distribution of simulations");
-    let distribution =
-        match settings.psi.psi(&chosen.candidate.point).and_then(|psi| settings.distribution(&psi))
-        {
-            Ok(distribution) => distribution,
-            Err(error) => return page.paragraph(&format!("It cannot be computed: {error}")),
-        };
+    let TrainedIn { distribution, model, search } = match trained_in(source, chosen, trained_as) {
+        Ok(trained_in) => trained_in,
+        Err(reason) => return page.paragraph(&format!("It is unknown: {reason}.")),
+    };
     let whose =
         if verified.is_some() { "the best verified policy" } else { "the best policy so far" };
     page.paragraph(&format!(
@@ -35,6 +33,13 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
          these distributions; the dashed vertical line marks the nominal Qube, as its maker describes it.",
         whose = crate::report::rollout::first_upper(whose)
     ));
+    if search.is_none() {
+        page.paragraph(&format!(
+            "It was trained in the distribution {model}, not around the identified Qube, and has no psi: where the \
+             identification has doubts, such a policy competes with those around the identified Qube, and the best in \
+             simulations is kept."
+        ));
+    }
     let directions = distribution.directions().len();
     if directions > 0 {
         page.paragraph(&format!(
@@ -42,8 +47,8 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
              once. Each curve shows one property whatever the others are."
         ));
     }
-    let nominal = settings.plant().nominal();
-    let base = settings.base_distribution().ok();
+    let nominal = source.settings.plant().nominal();
+    let base = search.as_ref().and_then(|settings| settings.base_distribution().ok());
     let order = FIRST.into_iter().map(Quantity::Parameter);
     let others = Quantity::all().filter(|quantity| !order.clone().any(|it| it == *quantity));
     let all: Vec<Quantity> = order.clone().chain(others).collect();
@@ -79,7 +84,46 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         let heads = ["quantity", "nominal", "mean", "standard deviation", "mean / nominal", "unit"];
         page.table(&heads, &rows, None);
     });
-    add_psi(page, &settings, &chosen.candidate.point);
+    if let Some(settings) = search {
+        add_psi(page, &settings, &chosen.candidate.point);
+    }
+}
+
+/// The distribution in which a policy was trained.
+struct TrainedIn {
+    distribution: DomainDistribution,
+    /// Name of its model.
+    model: &'static str,
+    /// Settings of the search that chose its psi; `None` for a policy without psi.
+    search: Option<SessionSettings>,
+}
+
+/// Finds the distribution in which the policy of this candidate was trained, by the record in its
+/// file: as candidate number `trained_as`.
+///
+/// # Errors
+/// The end of a sentence about the reason for which the distribution is unknown.
+fn trained_in(
+    source: &SessionSource,
+    chosen: &ScoredCandidate,
+    trained_as: u32,
+) -> Result<TrainedIn, String> {
+    let began = &source.settings;
+    let record = source.training_records.get(&chosen.candidate.number);
+    if let Some(record) = record.filter(|record| record.psi.is_none()) {
+        let model = Model::ALL.into_iter().find(|model| model.name() == record.model);
+        let model = model.ok_or_else(|| format!("no model has the name {}", record.model))?;
+        let distribution = model.distribution(began.plant(), began.family, None, None);
+        let distribution = distribution.map_err(|error| error.to_string())?;
+        return Ok(TrainedIn { distribution, model: model.name(), search: None });
+    }
+    let settings = source.search_settings(Some(trained_as)).ok_or(
+        "it lies around a profile that the session identified, and this profile cannot be read",
+    )?;
+    let psi = settings.psi.psi(&chosen.candidate.point);
+    let distribution = psi.and_then(|psi| settings.distribution(&psi));
+    let distribution = distribution.map_err(|error| error.to_string())?;
+    Ok(TrainedIn { distribution, model: settings.model.name(), search: Some(settings) })
 }
 
 /// Adds the entries of the chosen psi with units and ranges.
@@ -102,4 +146,70 @@ fn add_psi(page: &mut Page, settings: &SessionSettings, point: &[f64]) {
             .collect();
         page.table(&["entry", "value", "from", "to", "unit"], &rows, None);
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::TrainingRecord;
+    use crate::qube::Profile;
+    use crate::scoring::{Quietness, Verdict};
+    use crate::session::{
+        Candidate, Entry, IdentificationSettings, Purpose, ScoredRollout, SessionPaths,
+    };
+    use crate::storage::MachineDisk;
+
+    /// The section about a session whose first searched candidate, number 1, has the best policy.
+    fn section(source: &SessionSource) -> String {
+        let mut page = Page::new("a session");
+        add_distribution(&mut page, source);
+        page.finish().unwrap()
+    }
+
+    #[test]
+    fn the_section_says_so_where_the_policy_has_no_psi_or_its_profile_is_lost() {
+        let folder = tempfile::tempdir().unwrap();
+        let plan = IdentificationSettings::default();
+        let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
+        let path = SessionPaths::new(folder.path()).configuration();
+        std::fs::write(path, settings.to_toml().unwrap()).unwrap();
+        let mut source = SessionSource::read(&MachineDisk, folder.path()).unwrap();
+        let (verdict, doubts, checksum) = ("fits_but".into(), Vec::new(), String::new());
+        source.entries = vec![Entry::Identified { recordings: 1, verdict, doubts, checksum }];
+        source.profiles = vec![(1, Profile::lab())];
+        let candidate = Candidate {
+            number: 1,
+            purpose: Purpose::Initial,
+            point: source.search_settings(None).unwrap().psi.as_identified(),
+            trained: true,
+            finished: Vec::new(),
+            void: 0,
+            void_before: 0,
+            policy_of: None,
+        };
+        let outcome = crate::recording::samples::outcome();
+        let rollout = ScoredRollout {
+            verdict: Verdict::Result { return_: 500.0, success: true, outcome },
+            quietness: Quietness::NONE,
+            is_without_psi: false,
+        };
+        source.candidates = vec![ScoredCandidate::new(candidate, [rollout])];
+
+        let around = section(&source);
+        assert!(around.contains("Psi, which shapes the distribution"), "{around}");
+        assert!(!around.contains("has no psi"), "{around}");
+
+        let model = "robust".into();
+        let record = TrainingRecord { model, ..TrainingRecord::imported(50.0) };
+        source.training_records.insert(1, record);
+        let robust = section(&source);
+        assert!(robust.contains("in the distribution robust, not around the identified Qube"));
+        assert!(!robust.contains("Psi, which shapes the distribution"));
+
+        source.training_records.clear();
+        source.profiles.clear();
+        let lost = section(&source);
+        assert!(lost.contains("this profile cannot be read"), "{lost}");
+        assert!(!lost.contains("each simulated Qube draws"), "{lost}");
+    }
 }

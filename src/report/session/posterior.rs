@@ -44,6 +44,11 @@ pub enum NoSurrogate {
     /// The strategy of the session fits no surrogate.
     #[error("The strategy {0} has no surrogate.")]
     NoneInStrategy(&'static str),
+    /// A profile that the session identified cannot be read.
+    #[error(
+        "The surrogate is unknown, because a profile that determines its coordinates cannot be read."
+    )]
+    ProfileLost,
     /// The data cannot be fitted.
     #[error("The surrogate cannot be fitted: {0}")]
     Unfit(#[from] SearchError),
@@ -61,7 +66,7 @@ impl SessionSource {
         if data.len() < FEWEST_CANDIDATES {
             return Err(NoSurrogate::TooFew(data.len()));
         }
-        let settings = self.search_settings(None);
+        let settings = self.search_settings(None).ok_or(NoSurrogate::ProfileLost)?;
         let process = settings
             .surrogate(&data)?
             .ok_or_else(|| NoSurrogate::NoneInStrategy(settings.strategy.name()))?;

@@ -64,16 +64,14 @@ fn add_table(page: &mut Page, source: &SessionSource) {
             } else {
                 format!("{} of {}", scored.successes(), scored.verdicts.len())
             };
-            let names = source.search_settings(Some(candidate.number)).psi;
-            let psi: Vec<String> = if candidate.point.len() == names.dimensions().len() {
-                names
-                    .names()
-                    .zip(&candidate.point)
-                    .map(|(name, value)| format!("{name} {}", significant(*value)))
-                    .collect()
-            } else {
-                Vec::new()
-            };
+            let settings = source.search_settings(Some(candidate.number));
+            let space = settings.map(|settings| settings.psi).filter(|space| {
+                candidate.point.len() == space.dimensions().len() && !scored.is_without_psi
+            });
+            let psi: Vec<String> = space.map_or_else(Vec::new, |space| {
+                let entries = space.names().zip(&candidate.point);
+                entries.map(|(name, value)| format!("{name} {}", significant(*value))).collect()
+            });
             vec![
                 Cell::Number(candidate.number.to_string()),
                 source.purpose_words(candidate).into(),

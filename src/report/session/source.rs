@@ -1,8 +1,10 @@
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::time_line::TimeLine;
 use crate::identification::check_recording;
 use crate::learning::{CURVE_BYTES, CurvePoint, parse_curve_csv};
+use crate::policy::{Policy, TrainingRecord};
 use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
 use crate::replay::MotionLog;
@@ -36,6 +38,8 @@ pub struct SessionSource {
     pub(super) rollouts: Vec<(u32, RolloutView)>,
     /// Void attempts: candidate, rollout, attempt, and the fault, or why the recording does not show it.
     pub(super) void: Vec<(u32, u32, u32, String)>,
+    /// Records of the trainings of the candidates' policies, by candidate. An excitation has none.
+    pub(super) training_records: BTreeMap<u32, TrainingRecord>,
     /// Learning curves by candidate.
     pub(super) curves: Vec<(u32, Vec<CurvePoint>)>,
     /// Rollouts and trainings by the wall clock.
@@ -86,6 +90,7 @@ impl SessionSource {
             candidates: Vec::new(),
             rollouts: Vec::new(),
             void: Vec::new(),
+            training_records: BTreeMap::new(),
             curves: Vec::new(),
             time_line: TimeLine::default(),
             latencies: Latencies::default(),
@@ -178,6 +183,9 @@ impl SessionSource {
             None => recording.header.settings.plant.nominal(),
         };
         let number = candidate.number;
+        if let Ok(Policy::Network(policy)) = Policy::from_bytes(&recording.policy) {
+            self.training_records.insert(number, policy.training);
+        }
         self.rollouts.push((number, RolloutView::of(recording, &model)));
         let Some(&(fitted_to, _)) = self.profile_before_end() else { return };
         let Some(log) = MotionLog::of_recording(recording) else { return };
@@ -224,10 +232,10 @@ impl SessionSource {
         next_step(&self.state, extent, identification.as_ref()) == Step::Done
     }
 
-    /// The settings of the search at the proposal of this candidate; `None` gives the latest. They
-    /// vary the profile identified by then, or equal the session's settings if no profile was
-    /// identified, or if this or the first profile cannot be read.
-    pub(super) fn search_settings(&self, candidate: Option<u32>) -> SessionSettings {
+    /// The settings of the search at the proposal of this candidate, or without one the latest. They
+    /// vary the profile identified by then, or equal the session's settings if none was identified.
+    /// `None` if this or the first profile cannot be read.
+    pub(super) fn search_settings(&self, candidate: Option<u32>) -> Option<SessionSettings> {
         let (mut first, mut known) = (None, None);
         for entry in &self.entries {
             match entry {
@@ -241,14 +249,11 @@ impl SessionSource {
                 _ => {}
             }
         }
+        let (Some(first), Some(known)) = (first, known) else { return Some(self.settings.clone()) };
         let profile = |number: u32| self.profiles.iter().find(|(of, _)| *of == number);
-        match (first.and_then(profile), known.and_then(profile)) {
-            (Some((_, first)), Some((_, latest))) => {
-                let plan = self.settings.identification.unwrap_or_default();
-                self.settings.clone().around(&plan, first, latest)
-            }
-            _ => self.settings.clone(),
-        }
+        let ((_, first), (_, latest)) = profile(first).zip(profile(known))?;
+        let plan = self.settings.identification.unwrap_or_default();
+        Some(self.settings.clone().around(&plan, first, latest))
     }
 
     /// Number of the candidate whose training made this candidate's policy: for a verification of
@@ -303,9 +308,10 @@ mod tests {
         };
         source.entries = vec![identified(1), identified(3)];
         source.profiles = vec![(1, Profile::lab()), (3, Profile::lab())];
-        let (whole, began) = (source.search_settings(None), source.settings.clone());
-        assert_ne!(whole, began);
+        assert_ne!(source.search_settings(None).unwrap(), source.settings);
         source.profiles.remove(0);
-        assert_eq!(source.search_settings(None), began);
+        assert_eq!(source.search_settings(None), None);
+        source.entries.clear();
+        assert_eq!(source.search_settings(None).unwrap(), source.settings);
     }
 }
