@@ -32,7 +32,7 @@ pub enum Decision {
 /// The reason for which a search around an identified Qube ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SearchEnd {
-    /// A policy balanced quietly in all its verifying rollouts, and one more candidate was not
+    /// A policy succeeded quietly in all its verifying rollouts, and one more candidate was not
     /// worth its while ([`WORTHWHILE_GAIN`]).
     Verified,
     /// The largest number of candidates, this one, was reached.
@@ -53,7 +53,8 @@ impl std::fmt::Display for SearchEnd {
         match self {
             Self::Verified => write!(
                 formatter,
-                "a policy is verified, and one more candidate was expected to gain less than {} %",
+                "a policy succeeded quietly in all its verifying rollouts, and one more candidate was expected to gain \
+                 less than {} %",
                 100.0 * WORTHWHILE_GAIN
             ),
             Self::Candidates(1) => formatter.write_str("its only candidate has run"),
@@ -74,11 +75,12 @@ fn is_full(candidates: &[ScoredCandidate], largest: u32) -> bool {
 /// number of searched candidates.
 ///
 /// The candidate of the highest [`rank`](ScoredCandidate::rank), in a tie the latest, is verified at
-/// once if all its rollouts succeeded. One whose verification was loud or failed ranks as loud. If
-/// every rollout of the verification succeeded too, the search continues only while the policy is
-/// loud ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or one more candidate is
-/// expected to gain at least the fraction [`WORTHWHILE_GAIN`] of the verified return. If one failed,
-/// the search continues in any case.
+/// once if all its rollouts succeeded. A candidate whose verification failed, or was loud, counts as
+/// loud. If every rollout of the verification succeeded too, the search continues only while the
+/// policy is loud ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or one more
+/// candidate is expected to gain at least the fraction [`WORTHWHILE_GAIN`] of the verified return.
+/// If one failed, the search continues in any case.
+///
 /// At the largest number of candidates the best one is verified, unless it is verified already,
 /// whether or not its rollouts succeeded, and the search ends.
 #[must_use]

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::rivals::RivalKind;
 use crate::search::StrategyKind;
 
-/// A method that turns real rollouts into policies.
+/// A way to a policy for one Qube, with or without real rollouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Method {

@@ -54,8 +54,8 @@ fn outcome(source: &SessionSource) -> Vec<String> {
                 _ => "the search's recommendation".into(),
             };
             sentences.push(format!(
-                "The best policy, from {whose}, balanced the pendulum in {} of {} verifying rollouts on the Qube, with a \
-                 mean return of {mean:.1} of at most {largest}.",
+                "The best policy, from {whose}, succeeded in {} of {} verifying rollouts on the Qube, with a mean return of \
+                 {mean:.1} of at most {largest}.",
                 best.successes(),
                 best.verdicts.len(),
             ));

@@ -44,9 +44,9 @@ pub struct SessionSource {
     pub(super) curves: Vec<(u32, Vec<CurvePoint>)>,
     /// Rollouts and trainings by the wall clock.
     pub(super) time_line: TimeLine,
-    /// Timing of all ticks.
+    /// Timing of the ticks of finished rollouts.
     pub(super) latencies: Latencies,
-    /// Number of observer resets.
+    /// Number of observer resets in finished rollouts.
     pub(super) observer_resets: u64,
     /// Motions beside which the identified Qube is simulated.
     pub(super) motions: Vec<ComparedMotion>,

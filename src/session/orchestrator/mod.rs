@@ -81,9 +81,9 @@ impl Session {
     ///
     /// # Errors
     /// The ledger is damaged or cannot be opened, has lost its first line, or belongs to another
-    /// `session.toml`; a
-    /// profile that the session identified cannot be read or was changed; the recording that names
-    /// the identified board cannot be read; or a candidate's psi does not fit the settings.
+    /// `session.toml`; a profile that the session identified cannot be read or was changed; the
+    /// recording that names the identified board cannot be read; or a candidate's psi does not fit
+    /// the settings.
     pub fn open(
         folder: SessionFolder,
         settings: SessionSettings,
