@@ -1,6 +1,7 @@
 //! Tests ledgers and recordings cut off at every byte, and disks that fail at every operation: the
 //! session still ends with the same ledger.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -235,4 +236,13 @@ fn one_fault(world: &Undisturbed, disk: &SimulatedDisk, fault: DiskFault, what: 
             assert!(life.entries.is_empty(), "{what}, {stopped:?}: the settings are lost");
         }
     }
+}
+
+#[test]
+fn a_session_that_is_withdrawn_leaves_nothing_on_its_disk() {
+    let (disk, root) = (SimulatedDisk::default(), Path::new("/withdrawn"));
+    let folder = SessionFolder::create_on(Arc::new(disk.clone()), root, "seed = 1").unwrap();
+    assert!(disk.exists(&folder.paths().candidates()));
+    folder.withdraw();
+    assert!(disk.names(root).unwrap().is_empty());
 }
