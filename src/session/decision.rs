@@ -151,7 +151,7 @@ mod tests {
         let rollout = |it| ScoredRollout {
             verdict: verdict(it),
             quietness: Quietness::NONE,
-            is_without_psi: false,
+            model_without_psi: None,
         };
         ScoredCandidate::new(candidate, returns.iter().map(rollout))
     }

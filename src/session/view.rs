@@ -66,8 +66,9 @@ pub struct ScoredRollout {
     pub verdict: Verdict,
     /// Quietness of its balancing.
     pub quietness: Quietness,
-    /// Whether its policy was trained without psi, such as for an unidentified Qube.
-    pub is_without_psi: bool,
+    /// Name of the model that its policy was trained in without psi, such as `robust`; `None` if
+    /// the policy was trained for a psi or is no network.
+    pub model_without_psi: Option<String>,
 }
 
 impl ScoredRollout {
@@ -75,10 +76,11 @@ impl ScoredRollout {
     #[must_use]
     pub fn of(recording: &Recording, verdict: Verdict) -> Self {
         let quietness = Quietness::of(&recording.ticks, &recording.header.settings.plant);
-        let policy = Policy::from_bytes(&recording.policy);
-        let is_without_psi =
-            matches!(policy, Ok(Policy::Network(policy)) if policy.training.psi.is_none());
-        Self { verdict, quietness, is_without_psi }
+        let model_without_psi = match Policy::from_bytes(&recording.policy) {
+            Ok(Policy::Network(it)) if it.training.psi.is_none() => Some(it.training.model),
+            _ => None,
+        };
+        Self { verdict, quietness, model_without_psi }
     }
 }
 
@@ -91,9 +93,10 @@ pub struct ScoredCandidate {
     pub verdicts: Vec<Verdict>,
     /// Quietness of the balancing in these rollouts.
     pub quietness: Quietness,
-    /// Whether the policy of these rollouts was trained without psi, whatever the candidate's point
-    /// is: the policy for an unidentified Qube, which competes where an identification is doubted.
-    pub is_without_psi: bool,
+    /// Name of the model that the policy of these rollouts was trained in without psi, whatever the
+    /// candidate's point is: a policy for an unidentified Qube competes where an identification is
+    /// doubted. `None` if the policy was trained for a psi or is no network.
+    pub model_without_psi: Option<String>,
 }
 
 /// The results of a candidate's rollouts on one of several rigs.
@@ -120,13 +123,13 @@ impl ScoredCandidate {
     #[must_use]
     pub fn new(candidate: Candidate, rollouts: impl IntoIterator<Item = ScoredRollout>) -> Self {
         let (mut verdicts, mut quietness) = (Vec::new(), Quietness::NONE);
-        let mut is_without_psi = false;
+        let mut model_without_psi = None;
         for rollout in rollouts {
             verdicts.push(rollout.verdict);
             quietness.merge(&rollout.quietness);
-            is_without_psi |= rollout.is_without_psi;
+            model_without_psi = model_without_psi.or(rollout.model_without_psi);
         }
-        Self { candidate, verdicts, quietness, is_without_psi }
+        Self { candidate, verdicts, quietness, model_without_psi }
     }
 
     /// Returns of the rollouts.
@@ -182,7 +185,7 @@ impl ScoredCandidate {
     /// candidate's point.
     #[must_use]
     pub fn informs_search(&self) -> bool {
-        !self.verdicts.is_empty() && !self.is_without_psi
+        !self.verdicts.is_empty() && self.model_without_psi.is_none()
     }
 
     /// The candidate's point with its returns: the data of the search, if the candidate

@@ -109,10 +109,9 @@ fn trained_in(
     trained_as: u32,
 ) -> Result<TrainedIn, String> {
     let began = &source.settings;
-    let record = source.training_records.get(&chosen.candidate.number);
-    if let Some(record) = record.filter(|record| record.psi.is_none()) {
-        let model = Model::ALL.into_iter().find(|model| model.name() == record.model);
-        let model = model.ok_or_else(|| format!("no model has the name {}", record.model))?;
+    if let Some(name) = &chosen.model_without_psi {
+        let model = Model::ALL.into_iter().find(|model| model.name() == name);
+        let model = model.ok_or_else(|| format!("no model has the name {name}"))?;
         let distribution = model.distribution(began.plant(), began.family, None, None);
         let distribution = distribution.map_err(|error| error.to_string())?;
         return Ok(TrainedIn { distribution, model: model.name(), search: None });
@@ -151,7 +150,6 @@ fn add_psi(page: &mut Page, settings: &SessionSettings, point: &[f64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::TrainingRecord;
     use crate::qube::Profile;
     use crate::scoring::{Quietness, Verdict};
     use crate::session::{
@@ -191,7 +189,7 @@ mod tests {
         let rollout = ScoredRollout {
             verdict: Verdict::Result { return_: 500.0, success: true, outcome },
             quietness: Quietness::NONE,
-            is_without_psi: false,
+            model_without_psi: None,
         };
         source.candidates = vec![ScoredCandidate::new(candidate, [rollout])];
 
@@ -199,14 +197,12 @@ mod tests {
         assert!(around.contains("Psi, which shapes the distribution"), "{around}");
         assert!(!around.contains("has no psi"), "{around}");
 
-        let model = "robust".into();
-        let record = TrainingRecord { model, ..TrainingRecord::imported(50.0) };
-        source.training_records.insert(1, record);
+        source.candidates[0].model_without_psi = Some("robust".into());
         let robust = section(&source);
         assert!(robust.contains("in the distribution robust, not around the identified Qube"));
         assert!(!robust.contains("Psi, which shapes the distribution"));
 
-        source.training_records.clear();
+        source.candidates[0].model_without_psi = None;
         source.profiles.clear();
         let lost = section(&source);
         assert!(lost.contains("this profile cannot be read"), "{lost}");

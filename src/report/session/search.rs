@@ -66,7 +66,8 @@ fn add_table(page: &mut Page, source: &SessionSource) {
             };
             let settings = source.search_settings(Some(candidate.number));
             let space = settings.map(|settings| settings.psi).filter(|space| {
-                candidate.point.len() == space.dimensions().len() && !scored.is_without_psi
+                candidate.point.len() == space.dimensions().len()
+                    && scored.model_without_psi.is_none()
             });
             let psi: Vec<String> = space.map_or_else(Vec::new, |space| {
                 let entries = space.names().zip(&candidate.point);

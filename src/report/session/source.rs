@@ -1,10 +1,8 @@
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::time_line::TimeLine;
 use crate::identification::check_recording;
 use crate::learning::{CURVE_BYTES, CurvePoint, parse_curve_csv};
-use crate::policy::{Policy, TrainingRecord};
 use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
 use crate::replay::MotionLog;
@@ -38,8 +36,6 @@ pub struct SessionSource {
     pub(super) rollouts: Vec<(u32, RolloutView)>,
     /// Void attempts: candidate, rollout, attempt, and the fault, or why the recording does not show it.
     pub(super) void: Vec<(u32, u32, u32, String)>,
-    /// Records of the trainings of the candidates' policies, by candidate. An excitation has none.
-    pub(super) training_records: BTreeMap<u32, TrainingRecord>,
     /// Learning curves by candidate.
     pub(super) curves: Vec<(u32, Vec<CurvePoint>)>,
     /// Rollouts and trainings by the wall clock.
@@ -90,7 +86,6 @@ impl SessionSource {
             candidates: Vec::new(),
             rollouts: Vec::new(),
             void: Vec::new(),
-            training_records: BTreeMap::new(),
             curves: Vec::new(),
             time_line: TimeLine::default(),
             latencies: Latencies::default(),
@@ -183,9 +178,6 @@ impl SessionSource {
             None => recording.header.settings.plant.nominal(),
         };
         let number = candidate.number;
-        if let Ok(Policy::Network(policy)) = Policy::from_bytes(&recording.policy) {
-            self.training_records.insert(number, policy.training);
-        }
         self.rollouts.push((number, RolloutView::of(recording, &model)));
         let Some(&(fitted_to, _)) = self.profile_before_end() else { return };
         let Some(log) = MotionLog::of_recording(recording) else { return };

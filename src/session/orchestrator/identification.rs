@@ -266,7 +266,7 @@ impl Session {
         if observations.len() as u32 >= INITIAL_AROUND {
             let best = self.settings.search()?.best(&observations)?;
             let surpassed = match verification {
-                Some(verification) if verification.is_without_psi => verified,
+                Some(verification) if verification.model_without_psi.is_some() => verified,
                 _ => best.best_evaluated_return,
             };
             return Ok((best.expected_return - surpassed).max(0.0));
