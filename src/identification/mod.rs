@@ -5,8 +5,9 @@
 //! the recordings do not determine, and tests whether the model describes the Qube.
 //! [`next_excitations`] says which excitation would tell most about it. [`Drift`] compares the
 //! quantities that change from day to day with a profile. Only [`read_recordings`],
-//! [`read_fittable`] and [`duplicate`] look at files; the rest of the room is pure computation. It may import `policy` (the excitations),
-//! `recording`, `telemetry`, `qube`, `replay` and `elementary`.
+//! [`read_fittable`] and [`duplicate`] look at files; the rest of the room is pure computation. It
+//! may import `policy` (the excitations), `recording`, `telemetry`, `qube`, `replay` and
+//! `elementary`.
 //!
 //! This example drives an emulated Qube whose winding has 20 % more resistance than its name plate
 //! says, and finds it:

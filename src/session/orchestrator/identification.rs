@@ -253,9 +253,9 @@ impl Session {
     ///
     /// Once there are [`INITIAL_AROUND`] observations, the gain is the return that the search
     /// expects at the recommended psi minus the return that it expects at the best evaluated psi,
-    /// or minus the verified return if the verified policy was trained without psi. Before, it is the highest mean return of a candidate's policy in simulations of the
-    /// identified Qube minus the verified return: a search can win back no more than the loss from
-    /// simulation to reality.
+    /// or minus the verified return if the verified policy was trained without psi. Before, it is
+    /// the highest mean return of a candidate's policy in simulations of the identified Qube minus
+    /// the verified return: a search can win back no more than the loss from simulation to reality.
     fn expected_gain(
         &mut self,
         scored: &[ScoredCandidate],
