@@ -33,6 +33,14 @@ pub enum JobError {
         /// Endings of the failed tries.
         reasons: String,
     },
+    /// The executor ended without a result of the job, which [`Executor`](super::Executor) forbids.
+    #[error(
+        "the executor ended without a result of training {job} (counted from 0): mend its `train`"
+    )]
+    Unreported {
+        /// Index of the job in the list of jobs.
+        job: usize,
+    },
     /// The folder of jobs cannot be used.
     #[error(transparent)]
     Folder(#[from] Arc<JobFolderError>),

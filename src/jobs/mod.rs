@@ -44,7 +44,7 @@ pub use competition::{
     CHOSEN_OF_STARTS, Competition, ROUNDS, SUCCEEDED, TrainingScore, tenth_percentile,
 };
 pub use error::{JobError, JobFolderError};
-pub use executor::{Executor, JobEvent};
+pub use executor::{Executor, JobEvent, train_all};
 pub use folder_executor::{AtEnd, FolderExecutor};
 pub use local::LocalExecutor;
 pub use training_job::TrainingJob;

@@ -4,10 +4,10 @@
 use std::path::Path;
 
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
-use toml::de::{DeTable, DeValue, Deserializer};
+use toml::de::DeValue;
 use toml::{Spanned, Table};
 
+use super::located_entries::{LocatedEntries, invalid, merge_into};
 use super::retired::{Retired, entry_at, rename_entries};
 use super::settings_check::NEW_SESSION_ADVICE;
 use super::{ConfigurationError, Extent, SessionSettings, take_retired};
@@ -54,16 +54,16 @@ impl SessionSettings {
 
     /// Reads a complete configuration, and its retired entries apart from it.
     fn loaded(text: &str, path: &Path) -> Result<(Self, Vec<Retired>), ConfigurationError> {
-        let mut entries = Entries::of(text, None, path)?;
+        let mut entries = LocatedEntries::of(text, None, path)?;
         let mut table: Table = entries.read()?;
         let retired = take_retired(&mut table);
         let without_retired;
         if !retired.is_empty() {
             without_retired = toml::to_string(&table)?;
-            entries = Entries::of(&without_retired, None, path)?;
+            entries = LocatedEntries::of(&without_retired, None, path)?;
         }
         // A session writes its tables whole, so one that lacks an entry is damaged.
-        let _whole: Self = entries.read()?;
+        entries.read::<Self>()?;
         Ok((Self::of_oldest_files().with_overrides(&entries)?, retired))
     }
 
@@ -136,7 +136,7 @@ impl SessionSettings {
         part: Option<&str>,
         path: &Path,
     ) -> Result<Self, ConfigurationError> {
-        let entries = Entries::of(text, part, path)?;
+        let entries = LocatedEntries::of(text, part, path)?;
         if let Some(entry) = take_retired(&mut entries.read()?).first() {
             return Err(out_of_range(path, format!("{entry}: leave it out")));
         }
@@ -146,7 +146,7 @@ impl SessionSettings {
         Ok(settings)
     }
 
-    fn with_overrides(&self, above: &Entries<'_>) -> Result<Self, ConfigurationError> {
+    fn with_overrides(&self, above: &LocatedEntries<'_>) -> Result<Self, ConfigurationError> {
         let SelectedPreset { preset } = above.read()?;
         let below = match preset {
             Some(preset) => self.clone().trained_with(preset),
@@ -154,7 +154,7 @@ impl SessionSettings {
         };
         let text = toml::to_string(&below)?;
         let observer = toml::to_string(&ObserverSettings::default())?;
-        let mut all = Entries::of(&text, None, above.path)?;
+        let mut all = LocatedEntries::of(&text, None, above.path)?;
         let mut table = above.table.clone();
         rename_entries(table.get_mut());
         for place in OBSERVERS {
@@ -163,7 +163,7 @@ impl SessionSettings {
             if let (true, Some(below)) = (is_named, entry_at(all.table.get_mut(), place))
                 && !below.contains_key("observer")
             {
-                let entries = Entries::of(&observer, None, above.path)?.table;
+                let entries = LocatedEntries::of(&observer, None, above.path)?.table;
                 let (span, entries) = (entries.span(), entries.into_inner());
                 let name = Spanned::new(span.clone(), "observer".into());
                 below.insert(name, Spanned::new(span, DeValue::Table(entries)));
@@ -171,7 +171,7 @@ impl SessionSettings {
         }
         merge_into(all.table.get_mut(), table.into_inner());
         // The places of the file's entries are those in its own text.
-        let settings: Self = Entries { text: above.text, ..all }.read()?;
+        let settings: Self = LocatedEntries { text: above.text, ..all }.read()?;
         settings.checked(above.path)
     }
 
@@ -201,10 +201,6 @@ fn out_of_range(path: &Path, reason: String) -> ConfigurationError {
     ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason }
 }
 
-fn invalid(path: &Path, source: toml::de::Error) -> ConfigurationError {
-    ConfigurationError::Invalid { path: path.to_owned(), source: Box::new(source) }
-}
-
 /// The tables that may have an `observer`, which is absent by default. Where a file names some of
 /// its entries, the others have their defaults.
 const OBSERVERS: [&[&str]; 3] =
@@ -214,68 +210,6 @@ const OBSERVERS: [&[&str]; 3] =
 #[derive(Deserialize)]
 struct SelectedPreset {
     preset: Option<Preset>,
-}
-
-/// The entries of a TOML text with their places in it, so that an error names a line.
-struct Entries<'a> {
-    text: &'a str,
-    path: &'a Path,
-    table: Spanned<DeTable<'a>>,
-}
-
-impl<'a> Entries<'a> {
-    /// The entries of the table `part` of a text, which are none if the text has no such table;
-    /// `None` means those of the whole text. `path` only appears in errors.
-    fn of(text: &'a str, part: Option<&str>, path: &'a Path) -> Result<Self, ConfigurationError> {
-        let mut table = match DeTable::parse(text) {
-            Ok(table) => table,
-            Err(error) if error.span().is_some() => return Err(invalid(path, error)),
-            Err(error) => {
-                // The parser names no place for a key with too many parts.
-                let ends = text.match_indices('\n').map(|(at, _)| at + 1);
-                let ends: Vec<usize> = ends.chain([text.len()]).collect();
-                let is_fine = |end: &usize| {
-                    !DeTable::parse(&text[..*end]).is_err_and(|error| error.span().is_none())
-                };
-                return Err(ConfigurationError::OutOfRange {
-                    path: path.to_owned(),
-                    line: Some(1 + ends.partition_point(is_fine)),
-                    reason: format!("a key has too many parts: {}", error.message()),
-                });
-            }
-        };
-        if let Some(part) = part {
-            let value = table.get_mut().remove(part);
-            let value = value.map(|value| (value.span(), value.into_inner()));
-            table = match value {
-                Some((span, DeValue::Table(entries))) => Spanned::new(span, entries),
-                _ => Spanned::new(table.span(), DeTable::new()),
-            };
-        }
-        Ok(Self { text, path, table })
-    }
-
-    fn read<T: DeserializeOwned>(&self) -> Result<T, ConfigurationError> {
-        T::deserialize(Deserializer::from(self.table.clone())).map_err(|mut error| {
-            error.set_input(Some(self.text));
-            invalid(self.path, error)
-        })
-    }
-}
-
-fn merge_into<'a>(below: &mut DeTable<'a>, above: DeTable<'a>) {
-    for (key, value) in above {
-        let (span, value) = (value.span(), value.into_inner());
-        let under = below.remove(&**key.get_ref()).map(Spanned::into_inner);
-        let value = match (under, value) {
-            (Some(DeValue::Table(mut under)), DeValue::Table(above)) => {
-                merge_into(&mut under, above);
-                DeValue::Table(under)
-            }
-            (_, value) => value,
-        };
-        below.insert(key, Spanned::new(span, value));
-    }
 }
 
 #[cfg(test)]

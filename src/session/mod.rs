@@ -23,6 +23,7 @@ mod header;
 mod identification_settings;
 mod ledger;
 mod library_watchdog;
+mod located_entries;
 mod orchestrator;
 mod paths;
 mod plan;

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use super::prepared::{PreparedTraining, PreparedTrainings};
 use crate::jobs::{
     CHOSEN_OF_STARTS, Competition, Executor, JobError, JobEvent, TrainingJob, TrainingScore,
-    tenth_percentile,
+    tenth_percentile, train_all,
 };
 use crate::learning::{Origin, Preset, TrainSettings, Trained, curve_csv, evaluate_on_new_starts};
 use crate::policy::Network;
@@ -145,7 +145,7 @@ impl Trainer {
         let mut began_unix_ns = vec![unix_ns(); jobs.len()];
         // The first error is the cause; later ones, such as a stop, may only follow from it.
         let mut failed = None;
-        self.executor.train(&jobs, stop, &mut |event| match event {
+        train_all(self.executor.as_ref(), &jobs, stop, &mut |event| match event {
             JobEvent::Begun { job } => began_unix_ns[job] = unix_ns(),
             JobEvent::Update { job, update } => {
                 let Entrant { contest, training, .. } = of_job[job];

@@ -1,0 +1,85 @@
+//! Reads the entries of a TOML text and keeps their places, so that an error names a line.
+
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue, Deserializer};
+
+use super::ConfigurationError;
+
+/// The entries of a TOML text with their places in it, so that an error names a line.
+pub(super) struct LocatedEntries<'a> {
+    pub(super) text: &'a str,
+    pub(super) path: &'a Path,
+    pub(super) table: Spanned<DeTable<'a>>,
+}
+
+impl<'a> LocatedEntries<'a> {
+    /// The entries of the table `part` of a text, which are none if the text has no such table;
+    /// `None` means those of the whole text. `path` only appears in errors.
+    pub(super) fn of(
+        text: &'a str,
+        part: Option<&str>,
+        path: &'a Path,
+    ) -> Result<Self, ConfigurationError> {
+        let mut table = match DeTable::parse(text) {
+            Ok(table) => table,
+            Err(error) if error.span().is_some() => return Err(invalid(path, error)),
+            Err(error) => {
+                // The parser names no place for a key with too many parts.
+                let ends = text.match_indices('\n').map(|(at, _)| at + 1);
+                let ends: Vec<usize> = ends.chain([text.len()]).collect();
+                let is_fine = |end: &usize| {
+                    !DeTable::parse(&text[..*end]).is_err_and(|error| error.span().is_none())
+                };
+                return Err(ConfigurationError::OutOfRange {
+                    path: path.to_owned(),
+                    line: Some(1 + ends.partition_point(is_fine)),
+                    reason: format!("a key has too many parts: {}", error.message()),
+                });
+            }
+        };
+        if let Some(part) = part {
+            let value = table.get_mut().remove(part);
+            let value = value.map(|value| (value.span(), value.into_inner()));
+            table = match value {
+                Some((span, DeValue::Table(entries))) => Spanned::new(span, entries),
+                _ => Spanned::new(table.span(), DeTable::new()),
+            };
+        }
+        Ok(Self { text, path, table })
+    }
+
+    /// The entries as a value.
+    ///
+    /// # Errors
+    /// They are no such value; the error names the line.
+    pub(super) fn read<T: DeserializeOwned>(&self) -> Result<T, ConfigurationError> {
+        T::deserialize(Deserializer::from(self.table.clone())).map_err(|mut error| {
+            error.set_input(Some(self.text));
+            invalid(self.path, error)
+        })
+    }
+}
+
+/// Puts the entries of one table over those of another.
+pub(super) fn merge_into<'a>(below: &mut DeTable<'a>, above: DeTable<'a>) {
+    for (key, value) in above {
+        let (span, value) = (value.span(), value.into_inner());
+        let under = below.remove(&**key.get_ref()).map(Spanned::into_inner);
+        let value = match (under, value) {
+            (Some(DeValue::Table(mut under)), DeValue::Table(above)) => {
+                merge_into(&mut under, above);
+                DeValue::Table(under)
+            }
+            (_, value) => value,
+        };
+        below.insert(key, Spanned::new(span, value));
+    }
+}
+
+/// The error of a text that is not what it should be.
+pub(super) fn invalid(path: &Path, source: toml::de::Error) -> ConfigurationError {
+    ConfigurationError::Invalid { path: path.to_owned(), source: Box::new(source) }
+}
