@@ -1,8 +1,8 @@
 use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
 
-use super::ExperimentError;
 use super::seal::sealed;
+use super::{ExperimentError, ExperimentSettingError};
 use crate::session::{FolderError, PolicyPaths};
 use crate::storage::{
     Disk, Hold, MachineDisk, file_exists, is_unfinished_of, remove_unfinished, write_whole,
@@ -172,14 +172,12 @@ pub(super) fn make(path: &Path) -> Result<(), FolderError> {
 }
 
 /// Checks a name that also becomes the name of a folder; `kind` names the setting in the error.
-pub(super) fn check_name(kind: &str, name: &str) -> Result<(), String> {
+pub(super) fn check_name(kind: &'static str, name: &str) -> Result<(), ExperimentSettingError> {
     let allowed = |letter: char| letter.is_ascii_alphanumeric() || "-_.+%".contains(letter);
     if !name.is_empty() && name.len() <= 60 && !name.starts_with('.') && name.chars().all(allowed) {
         return Ok(());
     }
-    Err(format!(
-        "{kind}: {name:?} is not a valid name: use 1 to 60 characters of a-z A-Z 0-9 - _ . + %, and no dot at the beginning"
-    ))
+    Err(ExperimentSettingError::Name { kind, name: name.to_owned() })
 }
 
 #[cfg(test)]

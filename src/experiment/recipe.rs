@@ -61,7 +61,7 @@ impl Recipe {
             read_text(path, SETTINGS_BYTES).map_err(|error| unreadable(error.to_string()))?;
         let file: RecipeFile = toml::from_str(&text)
             .map_err(|error| unreadable(error.to_string().trim_end().to_owned()))?;
-        check_name("name", &file.name).map_err(unreadable)?;
+        check_name("name", &file.name).map_err(|refused| unreadable(refused.to_string()))?;
         let settings = base.overridden_by_part(&text, Some("settings"), path)?;
         Ok(Self::new(file.name, file.model, settings))
     }

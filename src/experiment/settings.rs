@@ -5,10 +5,9 @@ use toml::{Table, Value};
 
 use super::folder::check_name;
 use super::seal::is_unchanged;
-use super::{ExperimentError, MethodSettings, Plant, Recipe};
+use super::{ExperimentError, ExperimentSettingError, MethodSettings, Plant, Recipe};
 use crate::qube::PlantModel;
 use crate::session::{Retired, take_retired, toml_message};
-use crate::simulation::Model;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// The settings of an experiment, as `experiment.toml` contains them.
@@ -96,7 +95,7 @@ impl ExperimentSettings {
         } else {
             toml::from_str(&toml::to_string(&table)?).map_err(invalid)?
         };
-        settings.check().map_err(unreadable)?;
+        settings.check().map_err(|refused| unreadable(refused.to_string()))?;
         Ok((settings, retired))
     }
 
@@ -117,48 +116,44 @@ impl ExperimentSettings {
     /// Checks the settings.
     ///
     /// # Errors
-    /// Describes the first invalid setting.
-    pub fn check(&self) -> Result<(), String> {
+    /// The first invalid setting.
+    pub fn check(&self) -> Result<(), ExperimentSettingError> {
         for (name, value, most) in [
-            ("policies", self.policies, 1000),
-            ("rollouts", self.rollouts, 1000),
-            ("simulated_starts", self.simulated_starts, 100_000),
+            ("policies", self.policies, 1000.0),
+            ("rollouts", self.rollouts, 1000.0),
+            ("simulated_starts", self.simulated_starts, 100_000.0),
         ] {
-            if !(1..=most).contains(&value) {
-                return Err(format!("{name} = {value}: give a number from 1 to {most}"));
-            }
+            ExperimentSettingError::in_range(name, value.into(), [1.0, most])?;
         }
         if self.recipes.is_empty() || self.plants.is_empty() {
-            return Err("an experiment needs at least one recipe and one plant".into());
+            return Err(ExperimentSettingError::Empty);
         }
-        let recipes = self.recipes.iter().map(|recipe| recipe.name.as_str());
-        distinct("recipes", &recipes.collect::<Vec<_>>())?;
-        let plants = self.plants.iter().map(|plant| plant.name.as_str());
-        distinct("plants", &plants.collect::<Vec<_>>())?;
-        let plant = self.plant();
-        if let Some(other) = self.recipes.iter().find(|it| it.settings.plant() != plant) {
-            return Err(format!(
-                "recipe {}: it is for the plant {} and the first one for {}: compare recipes on one plant",
-                other.name,
-                other.settings.plant().name,
-                plant.name
-            ));
-        }
+        check_names("recipes", &self.recipe_names())?;
+        check_names("plants", &self.plant_names())?;
         for recipe in &self.recipes {
-            let limits = recipe.settings.check_limits();
-            limits.map_err(|reason| format!("recipe {}: {reason}", recipe.name))?;
+            let (of_recipe, first) = (recipe.settings.plant(), self.plant());
+            let recipe_name = || recipe.name.clone();
+            if of_recipe != first {
+                return Err(ExperimentSettingError::OtherPlant {
+                    recipe: recipe_name(),
+                    plant: of_recipe.name.to_string(),
+                    first: first.name.to_string(),
+                });
+            }
+            recipe.settings.check_limits().map_err(|source| ExperimentSettingError::Recipe {
+                recipe: recipe_name(),
+                source,
+            })?;
             if recipe.settings.identification.is_some() {
-                return Err(format!(
-                    "recipe {}: an experiment's searches identify no Qube: leave the table settings.identification out",
-                    recipe.name
-                ));
+                return Err(ExperimentSettingError::Identifies { recipe: recipe_name() });
             }
         }
-        for plant in &self.plants {
-            let (name, vary) = (&plant.name, plant.vary);
-            plant.emulated.check().map_err(|error| format!("plant {name}: {error}"))?;
-            if !(0.0..=0.5).contains(&vary) {
-                return Err(format!("plant {name}: vary = {vary}: give a number from 0 to 0.5"));
+        for Plant { name, emulated, vary } in &self.plants {
+            emulated
+                .check()
+                .map_err(|source| ExperimentSettingError::Plant { plant: name.clone(), source })?;
+            if !(0.0..=0.5).contains(vary) {
+                return Err(ExperimentSettingError::Vary { plant: name.clone(), vary: *vary });
             }
         }
         match &self.methods {
@@ -172,69 +167,70 @@ impl ExperimentSettings {
     /// experiments that have such names can be resumed and shown.
     ///
     /// # Errors
-    /// Describes the first invalid setting.
-    pub fn check_new(&self) -> Result<(), String> {
+    /// The first invalid setting.
+    pub fn check_new(&self) -> Result<(), ExperimentSettingError> {
         self.check()?;
-        let recipes = self.recipes.iter().map(|recipe| recipe.name.as_str());
-        distinct_in_any_case("recipes", &recipes.collect::<Vec<_>>())?;
-        let plants = self.plants.iter().map(|plant| plant.name.as_str());
-        distinct_in_any_case("plants", &plants.collect::<Vec<_>>())
+        check_folders("recipes", &self.recipe_names())?;
+        check_folders("plants", &self.plant_names())
     }
 
     /// Checks that one real Qube can run the policies of all recipes: it is homed once for all.
     ///
     /// # Errors
     /// Two recipes differ in their homing.
-    pub fn check_for_one_rig(&self) -> Result<(), String> {
+    pub fn check_for_one_rig(&self) -> Result<(), ExperimentSettingError> {
         let mut recipes = self.recipes.iter();
         let Some(first) = recipes.next() else { return Ok(()) };
         match recipes.find(|it| it.settings.homing != first.settings.homing) {
-            Some(other) => Err(format!(
-                "recipe {}: its settings.homing differ from those of recipe {}, and a real Qube is homed once for all \
-                 recipes: give all of them the same homing, or compare them in experiments of their own",
-                other.name, first.name
-            )),
+            Some(other) => Err(ExperimentSettingError::Homing {
+                recipe: other.name.clone(),
+                first: first.name.clone(),
+            }),
             None => Ok(()),
         }
     }
 
-    fn check_methods(&self, methods: &MethodSettings) -> Result<(), String> {
+    fn check_methods(&self, methods: &MethodSettings) -> Result<(), ExperimentSettingError> {
         methods.check()?;
         let [recipe] = self.recipes.as_slice() else {
-            return Err("methods are compared on one model: give one model or recipe".into());
+            return Err(ExperimentSettingError::SeveralModels);
         };
-        if !recipe.model.is_searched() {
-            return Err(format!(
-                "a comparison of methods searches psi, and the model {} has none: give one of {}",
-                recipe.model.name(),
-                Model::searched_names()
-            ));
+        let searches = methods.methods.iter().find(|method| method.searches_psi());
+        if let (Some(&method), false) = (searches, recipe.model.is_searched()) {
+            return Err(ExperimentSettingError::NoPsi { method, model: recipe.model });
         }
         if self.plants.len() > 1 && !methods.has_budgets() {
-            return Err("methods are compared on one plant: give one plant, or budgets".into());
+            return Err(ExperimentSettingError::SeveralPlants);
         }
         Ok(())
+    }
+
+    fn recipe_names(&self) -> Vec<&str> {
+        self.recipes.iter().map(|recipe| recipe.name.as_str()).collect()
+    }
+
+    fn plant_names(&self) -> Vec<&str> {
+        self.plants.iter().map(|plant| plant.name.as_str()).collect()
     }
 }
 
 /// Checks that the names are valid and that no two are equal; `kind` names them in the error.
-fn distinct(kind: &str, names: &[&str]) -> Result<(), String> {
+fn check_names(kind: &'static str, names: &[&str]) -> Result<(), ExperimentSettingError> {
     for (index, name) in names.iter().enumerate() {
         check_name(kind, name)?;
         if names[..index].contains(name) {
-            return Err(format!("{kind}: two are called {name}: give each a name of its own"));
+            return Err(ExperimentSettingError::SameName { kind, name: (*name).to_owned() });
         }
     }
     Ok(())
 }
 
 /// Checks that no two names differ in case only; `kind` names them in the error.
-fn distinct_in_any_case(kind: &str, names: &[&str]) -> Result<(), String> {
-    for (index, name) in names.iter().enumerate() {
-        if let Some(other) = names[..index].iter().find(|it| it.eq_ignore_ascii_case(name)) {
-            return Err(format!(
-                "{kind}: {other} and {name} would be one folder where case does not count: give each a name of its own"
-            ));
+fn check_folders(kind: &'static str, names: &[&str]) -> Result<(), ExperimentSettingError> {
+    for (index, other) in names.iter().enumerate() {
+        if let Some(name) = names[..index].iter().find(|it| it.eq_ignore_ascii_case(other)) {
+            let (name, other) = ((*name).to_owned(), (*other).to_owned());
+            return Err(ExperimentSettingError::SameFolder { kind, name, other });
         }
     }
     Ok(())
@@ -252,6 +248,7 @@ mod tests {
     use super::*;
     use crate::experiment::Method;
     use crate::session::{EmulatedQubeSettings, SessionSettings};
+    use crate::simulation::Model;
 
     fn settings() -> ExperimentSettings {
         let base = SessionSettings::thesis();
@@ -300,7 +297,7 @@ mod tests {
         let wrong = |change: fn(&mut ExperimentSettings)| {
             let mut settings = settings();
             change(&mut settings);
-            settings.check().unwrap_err()
+            settings.check().unwrap_err().to_string()
         };
         assert!(wrong(|it| it.policies = 0).contains("policies"));
         assert!(wrong(|it| it.plants.clear()).contains("plant"));
@@ -320,22 +317,22 @@ mod tests {
     #[test]
     fn names_that_differ_in_case_only_are_refused_in_a_new_experiment() {
         let mut settings = settings();
-        assert_eq!(settings.check_new(), Ok(()));
+        assert!(settings.check_new().is_ok());
         settings.plants.push(Plant { name: "LAB".into(), ..settings.plants[0].clone() });
-        assert!(settings.check_new().unwrap_err().contains("lab and LAB"));
-        assert_eq!(settings.check(), Ok(()), "an older experiment is readable");
+        assert!(settings.check_new().unwrap_err().to_string().contains("lab and LAB"));
+        assert!(settings.check().is_ok(), "an older experiment is readable");
         settings.plants.pop();
         settings.recipes[1].name = "Nominal".into();
-        assert!(settings.check_new().unwrap_err().contains("nominal and Nominal"));
+        assert!(settings.check_new().unwrap_err().to_string().contains("nominal and Nominal"));
     }
 
     #[test]
     fn recipes_with_different_homing_do_not_share_a_real_qube() {
         let mut settings = settings();
-        assert_eq!(settings.check_for_one_rig(), Ok(()));
+        assert!(settings.check_for_one_rig().is_ok());
         settings.recipes[2].settings.homing.theta_offset_rad = 0.1;
-        assert_eq!(settings.check(), Ok(()), "an emulated Qube is homed for each rollout");
-        let told = settings.check_for_one_rig().unwrap_err();
+        assert!(settings.check().is_ok(), "an emulated Qube is homed for each rollout");
+        let told = settings.check_for_one_rig().unwrap_err().to_string();
         for name in [&settings.recipes[0].name, &settings.recipes[2].name] {
             assert!(told.contains(name), "{told}");
         }
@@ -346,15 +343,20 @@ mod tests {
         let wrong = |change: fn(&mut ExperimentSettings)| {
             let mut settings = of_methods();
             change(&mut settings);
-            settings.check().unwrap_err()
+            settings.check().unwrap_err().to_string()
         };
-        assert_eq!(of_methods().check(), Ok(()));
+        assert!(of_methods().check().is_ok());
         assert!(wrong(|it| it.recipes = settings().recipes).contains("one model"));
         let nominal = wrong(|it| it.recipes[0].model = Model::Nominal);
         assert!(
-            nominal.contains("nominal has none") && nominal.contains("opt-robust"),
+            nominal.contains("bayrn searches psi, and the model nominal has none")
+                && nominal.contains("opt-robust"),
             "{nominal}"
         );
+        let mut without_search = of_methods();
+        without_search.recipes[0].model = Model::Robust;
+        without_search.methods.as_mut().unwrap().methods.retain(|it| !it.searches_psi());
+        assert!(without_search.check().is_ok());
         assert!(wrong(|it| it.methods.as_mut().unwrap().repetitions = 0).contains("repetitions"));
         let twice = wrong(|it| it.methods.as_mut().unwrap().methods.push(Method::Identify));
         assert!(twice.contains("identify is there twice"), "{twice}");
@@ -365,10 +367,10 @@ mod tests {
         let more = Plant { name: "more".into(), ..settings().plants[0].clone() };
         let mut two = of_methods();
         two.plants.push(more);
-        assert_eq!(two.check(), Ok(()));
+        assert!(two.check().is_ok());
         let methods = two.methods.as_mut().unwrap();
         methods.budgets.clear();
         methods.methods.retain(|method| !method.needs_budgets());
-        assert!(two.check().unwrap_err().contains("one plant"));
+        assert!(two.check().unwrap_err().to_string().contains("one plant"));
     }
 }

@@ -9,7 +9,7 @@ use toml::{Spanned, Table};
 
 use super::located_entries::{LocatedEntries, invalid, merge_into};
 use super::retired::{Retired, entry_at, rename_entries};
-use super::settings_check::NEW_SESSION_ADVICE;
+use super::setting_error::NEW_SESSION_ADVICE;
 use super::{ConfigurationError, Extent, SessionSettings, take_retired};
 use crate::estimation::ObserverSettings;
 use crate::learning::Preset;
@@ -43,7 +43,8 @@ impl SessionSettings {
         let resumable = |(settings, retired): (Self, Vec<Retired>)| {
             let changed = retired.iter().find(|entry| entry.changed_something());
             let gone = changed.map(|entry| format!("{entry}: {NEW_SESSION_ADVICE}"));
-            match gone.or_else(|| settings.check_resumable().err()) {
+            let refused = || settings.check_resumable().err().map(|error| error.to_string());
+            match gone.or_else(refused) {
                 Some(reason) => Err(out_of_range(path, reason)),
                 None => Ok(settings),
             }
@@ -142,7 +143,7 @@ impl SessionSettings {
         }
         let mut settings = self.with_overrides(&entries)?;
         settings.preset = Some(Preset::of(&settings.training));
-        settings.check_begun().map_err(|reason| out_of_range(path, reason))?;
+        settings.check_begun().map_err(|refused| out_of_range(path, refused.to_string()))?;
         Ok(settings)
     }
 
@@ -178,7 +179,7 @@ impl SessionSettings {
     fn checked(self, path: &Path) -> Result<Self, ConfigurationError> {
         match self.check() {
             Ok(()) => Ok(self),
-            Err(reason) => Err(out_of_range(path, reason)),
+            Err(refused) => Err(out_of_range(path, refused.to_string())),
         }
     }
 

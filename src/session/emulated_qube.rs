@@ -1,9 +1,10 @@
 use rand::{RngExt as _, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
-use crate::device::emulator::{Effects, EmulatorSettings};
-use crate::qube::{DomainParameter, QubeModel};
+use crate::device::emulator::{EffectError, Effects, EmulatorSettings};
+use crate::qube::{DomainParameter, ModelError, QubeModel};
 
 /// The settings of the emulated Qube of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,6 +33,27 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
+/// A number of an emulated Qube that is out of its range. Its text begins with the number's key.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum EmulatedQubeError {
+    /// A number of the model.
+    #[error("model.{0}")]
+    Model(#[from] ModelError),
+    /// A number beside the model.
+    #[error("{name} = {value}: give a number from 0 to {largest}")]
+    OutOfRange {
+        /// Name of the number.
+        name: &'static str,
+        /// Value of the number.
+        value: f64,
+        /// Largest accepted value.
+        largest: f64,
+    },
+    /// An effect that no simulation has.
+    #[error("effects.{0}")]
+    Effect(#[from] EffectError),
+}
+
 /// Largest deviation of a command's delay that is accepted, s.
 const LARGEST_JITTER_S: f64 = 0.1;
 
@@ -42,19 +64,19 @@ impl EmulatedQubeSettings {
     /// Checks that every number is in its range.
     ///
     /// # Errors
-    /// A number is out of its range; the text names the first one.
-    pub fn check(&self) -> Result<(), String> {
-        self.model.check().map_err(|error| format!("model.{error}"))?;
+    /// The first number that is out of its range.
+    pub fn check(&self) -> Result<(), EmulatedQubeError> {
+        self.model.check()?;
         let largest_play_rad = (Self::LARGEST_PLAY_DEG.to_radians() * 1e4).round() * 1e-4;
         for (name, value, largest) in [
             ("command_jitter_s", self.command_jitter_s, LARGEST_JITTER_S),
             ("play_rad", self.play_rad, largest_play_rad),
         ] {
             if !(0.0..=largest).contains(&value) {
-                return Err(format!("{name} = {value}: give a number from 0 to {largest}"));
+                return Err(EmulatedQubeError::OutOfRange { name, value, largest });
             }
         }
-        self.effects.check().map_err(|error| format!("effects.{error}"))
+        Ok(self.effects.check()?)
     }
 
     /// The settings of an emulator of this Qube without faults. The seed determines its random

@@ -1,5 +1,7 @@
 use serde::{Deserialize, Serialize};
 
+use super::SettingError;
+
 /// The settings of a session that identifies its Qube first and then searches around the identified
 /// model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,34 +36,20 @@ impl IdentificationSettings {
         trainings: 2,
     };
 
-    /// Checks that every setting is in its range; describes the first that is not.
+    /// Checks that every setting is in its range.
     ///
     /// # Errors
-    /// A setting is out of range.
-    pub fn check(&self) -> Result<(), String> {
-        let counts = [
-            ("excitations", self.excitations, 1..=10),
-            ("candidates", self.candidates, 1..=1000),
-            ("rollouts", self.rollouts, 1..=100),
-            ("trainings", self.trainings, 1..=64),
-        ];
-        for (name, value, range) in counts {
-            if !range.contains(&value) {
-                let (least, most) = range.into_inner();
-                return Err(format!(
-                    "identification.{name} = {value}: give a number from {least} to {most}"
-                ));
-            }
-        }
-        let numbers =
-            [("excitation_v", self.excitation_v, 0.1..=3.0), ("spread", self.spread, 0.0..=1.0)];
-        for (name, value, range) in numbers {
-            if !range.contains(&value) {
-                let (least, most) = range.into_inner();
-                return Err(format!(
-                    "identification.{name} = {value}: give a number from {least} to {most}"
-                ));
-            }
+    /// The first setting that is not.
+    pub fn check(&self) -> Result<(), SettingError> {
+        for (name, value, range) in [
+            ("excitations", self.excitations.into(), [1.0, 10.0]),
+            ("candidates", self.candidates.into(), [1.0, 1000.0]),
+            ("rollouts", self.rollouts.into(), [1.0, 100.0]),
+            ("trainings", self.trainings.into(), [1.0, 64.0]),
+            ("excitation_v", self.excitation_v, [0.1, 3.0]),
+            ("spread", self.spread, [0.0, 1.0]),
+        ] {
+            SettingError::in_range(format!("identification.{name}"), value, range)?;
         }
         Ok(())
     }
@@ -79,7 +67,7 @@ mod tests {
 
     #[test]
     fn a_setting_out_of_range_is_named() {
-        assert_eq!(IdentificationSettings::DEFAULT.check(), Ok(()));
+        assert!(IdentificationSettings::DEFAULT.check().is_ok());
         let default = IdentificationSettings::DEFAULT;
         for (wrong, name) in [
             (
@@ -89,7 +77,7 @@ mod tests {
             (IdentificationSettings { spread: f64::NAN, ..default }, "identification.spread = NaN"),
             (IdentificationSettings { excitation_v: 9.0, ..default }, "excitation_v = 9"),
         ] {
-            let reason = wrong.check().unwrap_err();
+            let reason = wrong.check().unwrap_err().to_string();
             assert!(reason.contains(name) && reason.contains("from"), "{reason}");
         }
     }

@@ -306,7 +306,9 @@ fn range(settings: &Table, path: &[String]) -> String {
         *place = trial;
         let range = match asked.try_into::<SessionSettings>() {
             Err(refused) => choices(refused.message()),
-            Ok(settings) => settings.check().err().and_then(|refused| bound(&refused, &key)),
+            Ok(settings) => {
+                settings.check().err().and_then(|refused| bound(&refused.to_string(), &key))
+            }
         };
         if let Some(range) = range
             && !ranges.contains(&range)

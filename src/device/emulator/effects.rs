@@ -2,6 +2,7 @@
 //! effects, so that identification and training meet differences that their model cannot express.
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 use crate::qube::{Acceleration, Dynamics, EquationsOfMotion, NonidealDynamics, State};
 
@@ -84,15 +85,27 @@ impl Effects {
     /// Checks that each effect is from 0 to its largest value in [`named`](Self::named).
     ///
     /// # Errors
-    /// A description of the first effect that is out of its range.
-    pub fn check(mut self) -> Result<(), String> {
-        for (name, value, most) in self.named() {
-            if !(0.0..=most).contains(value) {
-                return Err(format!("{name} = {value}: give a number from 0 to {most}"));
+    /// The first effect that is out of its range.
+    pub fn check(mut self) -> Result<(), EffectError> {
+        for (name, &mut value, largest) in self.named() {
+            if !(0.0..=largest).contains(&value) {
+                return Err(EffectError { name, value, largest });
             }
         }
         Ok(())
     }
+}
+
+/// An effect that is out of its range.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+#[error("{name} = {value}: give a number from 0 to {largest}")]
+pub struct EffectError {
+    /// Name of the effect.
+    pub name: &'static str,
+    /// Value of the effect.
+    pub value: f64,
+    /// Largest accepted value.
+    pub largest: f64,
 }
 
 /// The effects of a plant, with their internal state.
@@ -274,7 +287,7 @@ mod tests {
     #[test]
     fn an_effect_out_of_range_is_named() {
         assert_eq!(Effects::NONE.check(), Ok(()));
-        let reason = Effects { slack: 1.5, ..Effects::NONE }.check().unwrap_err();
+        let reason = Effects { slack: 1.5, ..Effects::NONE }.check().unwrap_err().to_string();
         assert!(reason.contains("slack = 1.5") && reason.contains("from 0 to 1"), "{reason}");
         assert!(Effects { stribeck: f64::NAN, ..Effects::NONE }.check().is_err());
     }

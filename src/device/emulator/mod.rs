@@ -15,7 +15,7 @@ mod pty;
 
 pub use board::Board;
 pub use bridge::UsbBridge;
-pub use effects::Effects;
+pub use effects::{EffectError, Effects};
 pub use fault::{EmulatorFault, UnknownFault};
 pub use plant::EmulatedPlant;
 pub use pty::EmulatedQube;

@@ -59,6 +59,12 @@ impl Method {
         }
     }
 
+    /// Whether the method searches psi, so that it needs a model with one.
+    #[must_use]
+    pub fn searches_psi(self) -> bool {
+        matches!(self, Self::Search(_))
+    }
+
     /// Whether the method can be compared only at fixed budgets, because it takes no real rollout
     /// or all its policies come from one training.
     #[must_use]

@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Method;
+use crate::experiment::ExperimentSettingError;
 
 /// The settings of a comparison of methods.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,37 +61,30 @@ impl MethodSettings {
     /// Checks the settings.
     ///
     /// # Errors
-    /// Describes the first invalid setting.
-    pub(in crate::experiment) fn check(&self) -> Result<(), String> {
+    /// The first invalid setting.
+    pub(in crate::experiment) fn check(&self) -> Result<(), ExperimentSettingError> {
         if self.methods.is_empty() {
-            return Err("strategies: name at least one method to compare".into());
+            return Err(ExperimentSettingError::NoMethod);
         }
         for (index, method) in self.methods.iter().enumerate() {
             if self.methods[..index].contains(method) {
-                return Err(format!("strategies: {method} is there twice: name it once"));
-            }
-        }
-        for (name, value) in [("repetitions", self.repetitions), ("recordings", self.recordings)] {
-            if !(1..=1000).contains(&value) {
-                return Err(format!("{name} = {value}: give a number from 1 to 1000"));
+                return Err(ExperimentSettingError::MethodTwice(*method));
             }
         }
         if !self.budgets.is_sorted_by(|a, b| a < b) || self.budgets.last() > Some(&1000) {
-            return Err("budgets: give numbers of real rollouts up to 1000, each larger than the one before".into());
+            return Err(ExperimentSettingError::Budgets);
         }
-        let budgeted = self.methods.iter().find(|method| method.needs_budgets());
-        if let (false, Some(budgeted)) = (self.has_budgets(), budgeted) {
-            let reason = match budgeted.needs_no_rollouts() {
-                true => "takes no real rollouts",
-                false => "makes all its policies from one training",
-            };
-            return Err(format!("{budgeted} {reason}: give budgets to compare it"));
+        let needs_budgets = self.methods.iter().find(|method| method.needs_budgets());
+        if let (false, Some(&method)) = (self.has_budgets(), needs_budgets) {
+            return Err(ExperimentSettingError::NeedsBudgets { method });
         }
-        if !(1..=64).contains(&self.trainings) {
-            return Err(format!("trainings = {}: give a number from 1 to 64", self.trainings));
-        }
-        if !(0.0..=1.0).contains(&self.spread) {
-            return Err(format!("spread = {}: give a number from 0 to 1", self.spread));
+        for (name, value, range) in [
+            ("repetitions", self.repetitions.into(), [1.0, 1000.0]),
+            ("recordings", self.recordings.into(), [1.0, 1000.0]),
+            ("trainings", self.trainings.into(), [1.0, 64.0]),
+            ("spread", self.spread, [0.0, 1.0]),
+        ] {
+            ExperimentSettingError::in_range(name, value, range)?;
         }
         Ok(())
     }
