@@ -22,7 +22,7 @@ use crate::qube::CONTROL_PERIOD_NS;
 use crate::recording::{Recording, read};
 use crate::rig::{MAX_NOT_BEGUN, Rig, RigError};
 use crate::safety::SafetyBox;
-use crate::scoring::{Verdict, score_recording};
+use crate::scoring::{Verdict, VoidReason, score_recording};
 use crate::session::RolloutPlan;
 use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
@@ -151,7 +151,7 @@ struct Soaked {
     missed_deadlines: u64,
     void: u64,
     last_was_void: bool,
-    last_fault: Option<String>,
+    last_fault: Option<VoidReason>,
     largest_lateness_ns: u64,
     memory_at_start_bytes: Option<i64>,
     memory_bytes: i64,
@@ -316,7 +316,7 @@ mod tests {
     #[test]
     fn scripts_get_the_reason_why_a_soak_that_ran_to_its_end_fails() {
         let lost = Soaked { lost: 2, ..Soaked::default() };
-        let void = Soaked { void: 1, last_fault: Some("late".into()), ..Soaked::default() };
+        let void = Soaked { void: 1, last_fault: Some(VoidReason::LostTicks), ..Soaked::default() };
         for (soaked, exit_code) in [(lost, 3), (void, 4)] {
             let ended_by = &soaked.json(&soaked.verdict())["ended_by"];
             assert_eq!(ended_by["exit_code"], exit_code, "{ended_by}");

@@ -32,4 +32,6 @@ pub use behaviour::Behaviour;
 pub use latencies::Latencies;
 pub use quietness::{Quietness, QuietnessFigures};
 pub use return_of::return_of;
-pub use verdict::{Verdict, mean_of, mean_return, read_finished, score, score_recording};
+pub use verdict::{
+    Verdict, VoidReason, mean_of, mean_return, read_finished, score, score_recording,
+};

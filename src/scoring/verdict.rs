@@ -4,7 +4,7 @@ use super::criterion::{SUCCESS_RETURN, balanced_to_the_end, running};
 use super::return_of;
 use crate::recording::{Completeness, Recording, RecordingError, read_on};
 use crate::storage::{Disk, is_absence};
-use crate::telemetry::{Ending, RolloutOutcome};
+use crate::telemetry::{Ending, Fault, RolloutOutcome};
 
 /// The verdict on a recording. It is stored nowhere, but computed from the ticks each time.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,12 +22,23 @@ pub enum Verdict {
     /// A fault ended the rollout, or the recording lacks ticks. The recording is kept but not given to
     /// the surrogate, and the rollout is repeated a limited number of times.
     Void {
-        /// Reason in words.
-        reason: String,
+        /// Reason.
+        reason: VoidReason,
     },
     /// The program was killed or stopped before the rollout ended; the rollout is repeated as if it
     /// had not begun.
     Unfinished,
+}
+
+/// The reason why a rollout is void.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum VoidReason {
+    /// A fault ended the rollout.
+    #[error(transparent)]
+    Fault(Fault),
+    /// The recording lacks ticks.
+    #[error("the recorder lost ticks")]
+    LostTicks,
 }
 
 impl Verdict {
@@ -94,8 +105,8 @@ pub fn score_recording(recording: &Recording) -> Verdict {
     };
     match outcome.ending {
         Ending::Stopped => Verdict::Unfinished,
-        Ending::Fault(fault) => Verdict::Void { reason: fault.to_string() },
-        _ if recording.lacks_ticks() => Verdict::Void { reason: "the recorder lost ticks".into() },
+        Ending::Fault(fault) => Verdict::Void { reason: VoidReason::Fault(fault) },
+        _ if recording.lacks_ticks() => Verdict::Void { reason: VoidReason::LostTicks },
         Ending::Completed | Ending::LeftBox(_) => {
             let return_ = return_of(&recording.ticks, &recording.header.reward);
             let success = outcome.ending == Ending::Completed

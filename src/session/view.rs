@@ -218,6 +218,7 @@ mod tests {
     use super::*;
     use crate::policy::{NetworkPolicy, TrainingRecord};
     use crate::recording::samples;
+    use crate::scoring::VoidReason;
     use crate::session::Purpose;
 
     #[test]
@@ -242,7 +243,7 @@ mod tests {
             let policy = Policy::Network(policy).to_bytes();
             let recording = crate::recording::parse(&samples::recorded(&[])).unwrap();
             let recording = Recording { policy, ..recording };
-            let verdict = Verdict::Void { reason: String::new() };
+            let verdict = Verdict::Void { reason: VoidReason::LostTicks };
             let rollout = ScoredRollout::of(&recording, verdict);
             ScoredCandidate::new(candidate.clone(), [rollout]).informs_search()
         };

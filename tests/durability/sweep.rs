@@ -10,7 +10,7 @@ use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::recording::read_on;
 use qube_hil::rig::{Rig, RigError};
 use qube_hil::safety::SafetyBox;
-use qube_hil::scoring::{Verdict, score};
+use qube_hil::scoring::{Verdict, VoidReason, score};
 use qube_hil::session::RolloutPlan;
 use qube_hil::storage::Disk;
 use qube_hil::telemetry::{Ending, Fault, Phase};
@@ -30,7 +30,7 @@ enum Outcome {
     /// A valid rollout.
     Finished,
     /// A void rollout, with the name of its fault.
-    Void(String),
+    Void(VoidReason),
 }
 
 /// Performs one run: hello, homing, settling, 60 steps, braking. Returns its result, the number of
@@ -105,7 +105,7 @@ fn rollout(rig: &Rig, disk: &SimulatedDisk) -> Outcome {
     match (score(disk, path).unwrap(), recorded.outcome.ending) {
         (Verdict::Result { .. }, Ending::Completed | Ending::LeftBox(_)) => Outcome::Finished,
         (Verdict::Void { reason }, Ending::Fault(fault)) => {
-            assert_eq!(reason, fault.to_string());
+            assert_eq!(reason, VoidReason::Fault(fault));
             Outcome::Void(reason)
         }
         other => panic!("{other:?}"),
@@ -221,7 +221,7 @@ fn a_device_that_comes_back_under_another_name_runs_again() {
             match rollout(&rig, &disk) {
                 // A rollout that has not ended is void, because the port is gone.
                 Outcome::Void(reason) => {
-                    assert_eq!(reason, Fault::LinkGone.to_string(), "{plan:?}");
+                    assert_eq!(reason, VoidReason::Fault(Fault::LinkGone), "{plan:?}");
                     assert!(!is_over, "{plan:?}: an earlier loss of the port left a result");
                     voids += 1;
                 }

@@ -14,7 +14,7 @@ use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::preflight::OtherSigns;
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
 use qube_hil::safety::SafetyBox;
-use qube_hil::scoring::{Verdict, score};
+use qube_hil::scoring::{Verdict, VoidReason, score};
 use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Fault;
@@ -197,7 +197,7 @@ fn a_port_that_is_gone_for_a_moment_or_for_seconds_is_opened_again() {
             let path = directory.path().join(format!("{away_s}-{number}.mcap"));
             rollout(&rig, &path).unwrap();
             if let Verdict::Void { reason } = score(&MachineDisk, &path).unwrap() {
-                assert_eq!(reason, Fault::LinkGone.to_string());
+                assert_eq!(reason, VoidReason::Fault(Fault::LinkGone));
                 rig.start_again().unwrap_or_else(|error| panic!("{away_s} s: {error}"));
                 voided += 1;
             }

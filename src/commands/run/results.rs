@@ -12,7 +12,7 @@ use crate::jobs::starter::quoted;
 use crate::qube::QubeModel;
 use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
-use crate::scoring::{Latencies, Quietness, Verdict, score_recording};
+use crate::scoring::{Latencies, Quietness, Verdict, VoidReason, score_recording};
 
 use crate::telemetry::{Ending, Fault};
 
@@ -32,10 +32,8 @@ pub struct RunResults {
     /// Largest load of the motor, as a fraction of its continuous rating; `None` if no recording
     /// has it.
     largest_motor_load: Option<f64>,
-    /// Fault that ended the last rollout, if one did.
-    pub fault: Option<Fault>,
-    /// Reason why the last rollout is void although no fault ended it: the recorder lost ticks.
-    void: Option<String>,
+    /// Reason why the last rollout is void, if it is.
+    void: Option<VoidReason>,
     /// Recordings of the first rollouts that are not void, at most [`DRIFT_ROLLOUTS`], for the
     /// estimate of the drift.
     first: Vec<Recording>,
@@ -108,7 +106,7 @@ impl RunResults {
         if self.largest_motor_load < load {
             self.largest_motor_load = load;
         }
-        (self.fault, self.void) = (None, None);
+        self.void = None;
         let without = |outcome: String| RolloutRow {
             recording: path.to_owned(),
             return_: None,
@@ -132,26 +130,33 @@ impl RunResults {
                 RolloutRow { recording, return_: Some(return_), success, ended_early, outcome }
             }
             Verdict::Void { reason } => {
-                match outcome.map(|outcome| outcome.ending) {
-                    Some(Ending::Fault(fault)) => self.fault = Some(fault),
-                    _ => self.void = Some(reason.clone()),
-                }
+                self.void = Some(reason);
                 without(format!("void: {reason}"))
             }
             Verdict::Unfinished => without("stopped".into()),
         });
-        if self.fault.is_none() && self.void.is_none() && self.first.len() < DRIFT_ROLLOUTS {
+        if self.void.is_none() && self.first.len() < DRIFT_ROLLOUTS {
             self.first.push(recording);
         }
         Ok(())
     }
 
-    /// Returns a failure if the last rollout is void for another reason than a fault; `fault` holds
-    /// the fault that ended it otherwise.
+    /// The fault that ended the last rollout, if one did.
+    pub fn fault(&self) -> Option<Fault> {
+        match self.void? {
+            VoidReason::Fault(fault) => Some(fault),
+            VoidReason::LostTicks => None,
+        }
+    }
+
+    /// Returns a failure if the last rollout is void for another reason than a
+    /// [`fault`](Self::fault).
     pub fn check_not_void(&self) -> Result<(), Failure> {
-        match &self.void {
-            Some(reason) => Err(Failure::fault(format!("the last rollout is void: {reason}"))),
-            None => Ok(()),
+        match self.void {
+            Some(reason @ VoidReason::LostTicks) => {
+                Err(Failure::fault(format!("the last rollout is void: {reason}")))
+            }
+            Some(VoidReason::Fault(_)) | None => Ok(()),
         }
     }
 

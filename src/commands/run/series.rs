@@ -87,7 +87,7 @@ impl RolloutSeries<'_> {
             return Err(self.stop.failure("stopped; the recordings are complete up to here"));
         }
         // Of a motor that nobody has confirmed to be off, the last rollout's recording knows nothing.
-        match rig.last_fault().or(results.fault) {
+        match rig.last_fault().or(results.fault()) {
             Some(fault) => Err(Failure::fault(fault_message(fault)).caused_by(Some(fault))),
             None => results.check_not_void(),
         }

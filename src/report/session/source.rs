@@ -161,7 +161,7 @@ impl SessionSource {
             score_recording(&recording)
         });
         let reason = match read {
-            Ok(Verdict::Void { reason }) => reason,
+            Ok(Verdict::Void { reason }) => reason.to_string(),
             Ok(_) => "the ledger counts it as void, but its recording does not show why".into(),
             Err(error) => error.to_string(),
         };

@@ -413,7 +413,7 @@ impl Session {
         let last = attempts.saturating_sub(1);
         let last = score(self.folder.disk(), &self.recording(candidate, rollout, last));
         let reason = match last {
-            Ok(Verdict::Void { reason }) => reason,
+            Ok(Verdict::Void { reason }) => reason.to_string(),
             Ok(_) | Err(_) => "its recording cannot be read".into(),
         };
         SessionError::GivenUp { candidate, rollout, tries, reason }

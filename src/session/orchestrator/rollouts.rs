@@ -206,7 +206,7 @@ impl Session {
         // The rig's last rollout may have ended with a fault that is not in the ledger, because
         // another rig's fault ended the round first.
         match self.rigs[index].opened.as_ref().and_then(Rig::last_fault) {
-            Some(fault) => self.start_again(turn, &fault.to_string()),
+            Some(fault) => self.start_again(turn, fault),
             None => Ok(()),
         }
     }
@@ -392,10 +392,10 @@ impl Session {
         if *not_begun > MAX_NOT_BEGUN {
             return Err(error.into());
         }
-        self.start_again(turn, &error.to_string())
+        self.start_again(turn, error)
     }
 
-    fn start_again(&mut self, turn: &Turn, reason: &str) -> Result<(), SessionError> {
+    fn start_again(&mut self, turn: &Turn, reason: impl ToString) -> Result<(), SessionError> {
         let span = span_of(self.number_of(turn.index));
         let Some(rig) = &mut self.rigs[turn.index].opened else { return Ok(()) };
         span.in_scope(|| rig.start_again()).map_err(|source| match source {
@@ -404,7 +404,7 @@ impl Session {
             source => SessionError::NotStartedAgain {
                 candidate: turn.candidate,
                 rollout: turn.rollout,
-                fault: reason.to_owned(),
+                fault: reason.to_string(),
                 source: Box::new(source),
             },
         })
