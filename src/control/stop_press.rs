@@ -50,7 +50,7 @@ pub struct StopPress {
     seen: PressOutcome,
 }
 
-/// What the arm is pressed against its stop for.
+/// The purpose of a press.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PressKind {
     /// Tests the voltage before the operator unplugs the board. It also ends as soon as a hand has

@@ -35,7 +35,7 @@ const HOMING: &str = "homing";
 pub struct ExaminationSettings {
     /// Signs of encoders and motor.
     pub signs: Calibration,
-    /// What follows if the signs that are found are not the assumed ones.
+    /// Reaction to signs that differ from the assumed ones.
     pub other_signs: OtherSigns,
     /// Identity of the device from its hello.
     pub identity: Identity,
@@ -43,7 +43,7 @@ pub struct ExaminationSettings {
     pub plant: PlantModel,
 }
 
-/// What an examination does when it finds other signs than the assumed ones.
+/// The reaction of an examination to signs that differ from the assumed ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OtherSigns {
     /// The check of the signs fails.

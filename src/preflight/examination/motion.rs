@@ -295,8 +295,8 @@ fn pendulum(seen: &Evidence) -> CheckResult {
         Pendulum::Exchanged { off_rad } => CheckResult::fail(
             PENDULUM,
             format!(
-                "it hangs {off_rad:+.3} rad from where it hung before the pushes, and what counts as \
-                 the arm came back: the encoders are exchanged"
+                "it hangs {off_rad:+.3} rad from where it hung before the pushes, and the count of \
+                 encoder 0, which should be the arm's, came back: the encoders are exchanged"
             ),
             "exchange the plugs of encoder 0 and encoder 1; if somebody touched the pendulum, \
              check again",
