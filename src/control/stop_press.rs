@@ -8,11 +8,12 @@ use crate::telemetry::Ending;
 /// Distance from a nominal stop within which the arm counts as at the stop, rad.
 const NEAR_STOP_RAD: f64 = 0.3;
 
-/// Ticks, 0.5 s, after which the arm is taken to be at rest against its stop and its angle is
-/// stored.
+/// Ticks, 0.5 s, after which an arm that has not left its stop is taken to be at rest there, and
+/// its angle is stored.
 const REST_TICKS: u32 = 50;
 
-/// Distance from the stored angle that only a push by hand explains, rad: 4 mm at the arm's end.
+/// Distance from the stored angle, or before the rest from the first one, that only a push by hand
+/// or too small a voltage explains, rad: 4 mm at the arm's end.
 const PUSHED_RAD: f64 = 0.05;
 
 /// Distance from the stored angle within which a pushed arm has come back, rad.
@@ -41,6 +42,8 @@ pub struct StopPress {
     ticks: u32,
     /// Direction of the stop, 1 or -1; 0 before the first sample.
     outward: f64,
+    /// First angle of the arm, positive outward, rad.
+    first_rad: f64,
     /// Angle at which the arm rests against the stop, positive outward, rad; `None` until the arm
     /// is at rest there.
     rest_rad: Option<f64>,
@@ -95,6 +98,7 @@ impl StopPress {
             watch: Watch::default(),
             ticks: 0,
             outward: 0.0,
+            first_rad: 0.0,
             rest_rad: None,
             pushed_ticks: 0,
             state: State::default(),
@@ -111,22 +115,24 @@ impl StopPress {
 
     /// Updates the result from the arm's angle; returns whether the press ends.
     fn update(&mut self) -> bool {
-        let reach_rad = self.state.theta * self.outward;
         if self.outward == 0.0 {
             self.outward = self.state.theta.signum();
-            if self.state.theta.abs() < self.plant.limits.hard_stop_rad - NEAR_STOP_RAD {
+            self.first_rad = self.state.theta.abs();
+        }
+        let reach_rad = self.state.theta * self.outward;
+        // An arm that leaves its stop before it has rested is compared with its first angle: else
+        // the place where it was held would count as the stop.
+        let off_rad = self.rest_rad.unwrap_or(self.first_rad) - reach_rad;
+        if self.rest_rad.is_none() && self.pushed_ticks == 0 && off_rad <= PUSHED_RAD {
+            if reach_rad < self.plant.limits.hard_stop_rad - NEAR_STOP_RAD {
                 self.seen = PressOutcome::NotAtStop;
                 return true;
             }
-            return false;
-        }
-        let Some(rest_rad) = self.rest_rad else {
             if self.ticks >= REST_TICKS {
                 self.rest_rad = Some(reach_rad);
             }
             return false;
-        };
-        let off_rad = rest_rad - reach_rad;
+        }
         if self.pushed_ticks > 0 {
             self.pushed_ticks += 1;
             if off_rad < BACK_RAD {
@@ -232,13 +238,13 @@ mod tests {
     /// Runs a rehearsal whose arm is off its stop by `off_rad` of the tick, rad; returns the last
     /// tick and the result.
     fn after_a_push(off_rad: impl Fn(u32) -> f64) -> Option<(u32, PressOutcome)> {
-        let mut press = StopPress::new(
-            &PlantModel::QUBE,
-            Calibration::IDENTITY,
-            0.5,
-            6000,
-            PressKind::Rehearsal,
-        );
+        press_of(PressKind::Rehearsal, off_rad)
+    }
+
+    /// Runs a press whose arm is off its stop by `off_rad` of the tick, rad; returns the last tick
+    /// and the result.
+    fn press_of(kind: PressKind, off_rad: impl Fn(u32) -> f64) -> Option<(u32, PressOutcome)> {
+        let mut press = StopPress::new(&PlantModel::QUBE, Calibration::IDENTITY, 0.5, 6000, kind);
         (0..6000).find_map(|tick| {
             let theta = HARD_STOP_RAD - off_rad(tick);
             let measurement = crate::qube::Measurement {
@@ -262,5 +268,39 @@ mod tests {
         assert!(matches!(away, Some((tick, PressOutcome::StayedAway)) if tick < 520), "{away:?}");
         let running = after_a_push(|tick| f64::from(tick.saturating_sub(200)) * 0.02);
         assert!(matches!(running, Some((_, PressOutcome::StayedAway))), "{running:?}");
+    }
+
+    #[test]
+    fn an_arm_that_leaves_its_stop_before_it_has_rested_is_not_taken_to_rest_elsewhere() {
+        for kind in [PressKind::Rehearsal, PressKind::Test] {
+            // Held by a finger from the first half second on.
+            let held = press_of(kind, |tick| if tick >= 20 { 0.12 } else { 0.0 });
+            assert!(
+                matches!(held, Some((tick, PressOutcome::StayedAway)) if tick < 400),
+                "{kind:?}: {held:?}"
+            );
+            // Carried off slowly, and already beyond a finger's push as the rest would be stored.
+            let carried = press_of(kind, |tick| f64::from(tick) * 0.005);
+            assert!(
+                matches!(carried, Some((tick, PressOutcome::StayedAway)) if tick < 400),
+                "{kind:?}: {carried:?}"
+            );
+            // Beside the stop at first, and farther away than the stop may be before it rests.
+            let beside = press_of(kind, |tick| 0.28 + f64::from(tick.min(30)) * 0.001);
+            assert!(
+                matches!(beside, Some((tick, PressOutcome::NotAtStop)) if tick < 50),
+                "{kind:?}: {beside:?}"
+            );
+        }
+        // A finger that is early shows as much as one that waits.
+        let early = after_a_push(|tick| if (10..40).contains(&tick) { 0.12 } else { 0.0 });
+        assert_eq!(early, Some((40, PressOutcome::CameBack)));
+        // The arm goes the last bit to its stop before it rests there.
+        let arrived = after_a_push(|tick| match tick {
+            0..40 => 0.2,
+            300..400 => 0.12,
+            _ => 0.0,
+        });
+        assert_eq!(arrived, Some((400, PressOutcome::CameBack)));
     }
 }
