@@ -44,6 +44,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod after_motion;
 mod asking_push;
 mod between_motions;
 mod count_drift;
@@ -79,6 +80,7 @@ mod thread;
 mod tick;
 mod watch;
 
+pub use after_motion::fault_after;
 pub use current_watch::WEAK_A_V;
 pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive, drive_warm};
 pub use error::{ControlError, ThreadGone};

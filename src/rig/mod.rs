@@ -39,7 +39,6 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod after_motion;
 mod connection;
 mod doubt;
 mod error;

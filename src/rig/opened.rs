@@ -3,14 +3,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use super::after_motion::fault_after;
 use super::connection::connect;
 use super::error::link_fault;
 use super::{ClockChoice, Doubt, DoubtStore, RigError, RigSettings};
 use crate::clock::RealtimeRefusals;
 use crate::control::{
     ControlError, ControlThread, HelloRetries, HomingMethod, HomingSettings, PressKind,
-    PressOutcome, Scheduling, StopPress, drive_warm,
+    PressOutcome, Scheduling, StopPress, drive_warm, fault_after,
 };
 use crate::device::emulator::EmulatedQube;
 use crate::device::{DeviceError, Identity, LinkFault};

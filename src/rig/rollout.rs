@@ -3,10 +3,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::after_motion::fault_after;
 use super::error::link_fault;
 use super::{Rig, RigError, RigSettingError};
-use crate::control::{ControlError, DriveReport, HomingMethod, Moved, RING_CAPACITY};
+use crate::control::{ControlError, DriveReport, HomingMethod, Moved, RING_CAPACITY, fault_after};
 use crate::estimation::MeasuredStops;
 use crate::policy::{Controller, External, Policy};
 use crate::preflight::admit_processor;

@@ -95,7 +95,7 @@ impl From<DeviceError> for Interruption {
 
 /// Examines a device that has answered a hello, and adds the heat of the pushes that test encoders
 /// and motor to `heat`. A hello at the end switches the motor off; if the device no longer answers,
-/// only its watchdog can. `Ok(None)`: a stop was requested.
+/// only its watchdog can. `Ok(None)`: a stop was requested, and the device answered that hello.
 ///
 /// # Errors
 /// The port is gone, the link loses too many samples or acts, or the device no longer answers or
@@ -118,7 +118,7 @@ pub fn examine(
     // A hello switches off a device that still answers; one whose emergency stop was opened is off.
     let left_off = device.hello();
     match outcome {
-        Err(Interruption::Stopped) => Ok(None),
+        Err(Interruption::Stopped) => left_off.map(|_| None),
         Err(Interruption::Device(error)) => Err(error),
         Ok(()) => left_off.map(|_| Some(found)),
     }
@@ -294,6 +294,130 @@ mod tests {
         let late_ns = device.greeted_ns - device.stopped_ns.unwrap();
         assert!(late_ns < 40_000_000, "{late_ns} ns");
         assert!(!device.sample(clock.now_ns() + 20_000_000).unwrap().status.armed);
+    }
+
+    /// An emulated board that counts as hardware, and whose first push goes wrong as `mishap` says.
+    struct Mishandled<'a> {
+        board: Box<dyn Device>,
+        clock: VirtualClock,
+        mishap: Mishap,
+        stop: &'a AtomicBool,
+        /// Motions so far: the test of the watchdog, then each push.
+        armed: u32,
+        /// Acts since the device was last armed.
+        acts: u32,
+    }
+
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    enum Mishap {
+        /// The computer stands still for this long, ns, before the third act.
+        StandsStill(Nanoseconds),
+        /// The device confirms no disarm.
+        Unconfirmed,
+        /// A stop is requested, and the device answers nothing more.
+        SilentAfterStop,
+    }
+
+    impl Mishandled<'_> {
+        fn is_pushed(&self) -> bool {
+            self.armed == 2
+        }
+
+        fn timeout<T>() -> Result<T, DeviceError> {
+            Err(DeviceError::Link { port: "test".into(), fault: LinkFault::Timeout })
+        }
+
+        fn is_silent(&self) -> bool {
+            self.mishap == Mishap::SilentAfterStop && self.stop.load(Ordering::Relaxed)
+        }
+    }
+
+    impl Device for Mishandled<'_> {
+        fn hello(&mut self) -> Result<Identity, DeviceError> {
+            if self.is_silent() { Self::timeout() } else { self.board.hello() }
+        }
+
+        fn arm(&mut self) -> Result<(), DeviceError> {
+            (self.armed, self.acts) = (self.armed + 1, 0);
+            self.board.arm()
+        }
+
+        fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+            self.board.sample(deadline_ns)
+        }
+
+        fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+            self.acts += 1;
+            if self.is_pushed() && self.acts == 3 {
+                match self.mishap {
+                    Mishap::StandsStill(pause_ns) => self.clock.advance(pause_ns),
+                    Mishap::SilentAfterStop => self.stop.store(true, Ordering::Relaxed),
+                    Mishap::Unconfirmed => {}
+                }
+            }
+            self.board.act(voltage_mv, sampled_at_us)
+        }
+
+        fn disarm(&mut self) -> Result<(), DeviceError> {
+            self.board.disarm()?;
+            let is_lost = self.mishap == Mishap::Unconfirmed && self.is_pushed();
+            if is_lost || self.is_silent() { Self::timeout() } else { Ok(()) }
+        }
+    }
+
+    /// The result of an examination whose first push goes wrong, and the number of its motions.
+    fn examined(mishap: Mishap) -> (Result<Option<Examination>, DeviceError>, u32) {
+        let clock = VirtualClock::default();
+        let board = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
+        let stop = AtomicBool::new(false);
+        let (board, armed, acts) = (Box::new(board), 0, 0);
+        let mut device =
+            Mishandled { board, clock: clock.clone(), mishap, stop: &stop, armed, acts };
+        let settings = ExaminationSettings {
+            signs: Calibration::IDENTITY,
+            other_signs: OtherSigns::Fail,
+            identity: device.hello().unwrap(),
+            plant: PlantModel::QUBE,
+        };
+        let heat = &mut MotorHeat::default();
+        let found = examine(&mut device, &clock, heat, &stop, &settings);
+        (found, device.armed)
+    }
+
+    /// The only failed check of an examination.
+    fn failed_check(found: Result<Option<Examination>, DeviceError>) -> CheckResult {
+        let results = found.unwrap().unwrap().results;
+        let mut failed = results.into_iter().filter(CheckResult::failed);
+        let result = failed.next().expect("a check failed");
+        assert_eq!(failed.next(), None);
+        result
+    }
+
+    #[test]
+    fn a_computer_that_slept_in_a_push_ends_the_examination() {
+        let (late, motions) = examined(Mishap::StandsStill(200_000_000));
+        assert!(late.unwrap().unwrap().passed());
+        assert_eq!(motions, 3, "the push is repeated");
+        let (slept, motions) = examined(Mishap::StandsStill(60_000_000_000));
+        let failed = failed_check(slept);
+        assert_eq!((failed.name.as_str(), motions), ("motor", 2), "{failed:?}");
+        assert!(failed.value.contains(&Fault::ComputerSlept.to_string()), "{failed:?}");
+    }
+
+    #[test]
+    fn a_push_whose_motor_nobody_confirmed_to_be_off_ends_the_examination() {
+        let (found, motions) = examined(Mishap::Unconfirmed);
+        let failed = failed_check(found);
+        assert_eq!((failed.name.as_str(), motions), ("motor", 2), "{failed:?}");
+        let told = failed.remedy.unwrap();
+        assert!(told.starts_with("Switch the Qube off"), "{told}");
+    }
+
+    #[test]
+    fn a_stopped_examination_says_if_nobody_confirmed_that_the_motor_is_off() {
+        let (stopped, motions) = examined(Mishap::SilentAfterStop);
+        assert_eq!(motions, 2);
+        assert!(matches!(stopped, Err(DeviceError::Link { .. })), "{stopped:?}");
     }
 
     #[test]

@@ -3,7 +3,7 @@ use std::sync::atomic::AtomicBool;
 use super::evidence::{Evidence, Pendulum, PushEffect};
 use super::{Examination, ExaminationSettings, Interruption, OtherSigns, ensure_going, rest};
 use crate::clock::Clock;
-use crate::control::{SignProbe, drive_warm};
+use crate::control::{SignProbe, drive_warm, fault_after};
 use crate::device::Device;
 use crate::estimation::Calibration;
 use crate::safety::MotorHeat;
@@ -54,7 +54,7 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
 fn give_up(found: &mut Examination, fault: Fault) {
     let value = format!("a fault ended the push: {fault}");
     let remedy = format!("{} Then check again", fault.operator_step());
-    let name = if fault.may_be_repeated() { MOTOR } else { STALL };
+    let name = if fault.leaves_doubt() { STALL } else { MOTOR };
     for each in ALL {
         found.results.push(if each == name {
             CheckResult::fail(name, value.clone(), remedy.clone())
@@ -131,19 +131,20 @@ fn probe(
                 device.hello()?;
                 let mut probe = SignProbe::new(&settings.plant, signs, push_v);
                 let report = drive_warm(device, clock, &mut probe, heat, None, stop)?;
-                match report.outcome.ending {
-                    Ending::Fault(Fault::LinkGone) => return Err(super::link::gone(port)),
-                    Ending::Fault(fault)
-                        if fault.may_be_repeated() && disturbed < MAX_REPETITIONS =>
-                    {
+                // The hello at the end of the examination confirms after a stop that the motor is off.
+                if report.outcome.ending == Ending::Stopped {
+                    return Err(Interruption::Stopped);
+                }
+                match fault_after(&report, device.is_hardware()) {
+                    Some(Fault::LinkGone) => return Err(super::link::gone(port)),
+                    Some(fault) if fault.may_be_repeated() && disturbed < MAX_REPETITIONS => {
                         disturbed += 1;
                         rest::wait_for_the_arm(device, clock, stop, port, encoders.theta)?;
                         before = rest::window(device, clock, stop, port)?;
                         continue;
                     }
-                    Ending::Fault(fault) => return Ok(Probed::Ended(fault)),
-                    Ending::Stopped => return Err(Interruption::Stopped),
-                    Ending::Completed | Ending::LeftBox(_) => {}
+                    Some(fault) => return Ok(Probed::Ended(fault)),
+                    None => {}
                 }
                 let mut effect = evidence.add(probe.trace());
                 if effect != PushEffect::NothingMoved {

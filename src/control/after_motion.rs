@@ -1,4 +1,4 @@
-use crate::control::DriveReport;
+use super::DriveReport;
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::telemetry::{Consequence, Ending, Fault, TickRecord};
 
@@ -6,9 +6,10 @@ use crate::telemetry::{Consequence, Ending, Fault, TickRecord};
 /// at the Qube then expects that the program goes on by itself.
 const SLEEP_US: u64 = 2_000_000;
 
-/// The fault to which the rig reacts after a motion: that of its ending, or one that only the whole
+/// The fault to which the program reacts after a motion: that of its ending, or one that only the whole
 /// report shows; `None` after a motion without any. At an emulated Qube a computer may sleep.
-pub(super) fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
+#[must_use]
+pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
     let fault = match report.outcome.ending {
         Ending::Fault(fault) => Some(fault),
         _ => None,
