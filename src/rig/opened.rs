@@ -68,6 +68,10 @@ pub struct Pressed {
     pub ending: Ending,
     /// Motion of the arm.
     pub outcome: PressOutcome,
+    /// Fault that ended the press, or that only the whole press shows, as [`fault_after`] finds it.
+    pub fault: Option<Fault>,
+    /// Whether the device confirmed that its motor is off. Otherwise nobody knows it.
+    pub is_off_confirmed: bool,
 }
 
 impl Rig {
@@ -247,11 +251,15 @@ impl Rig {
             }
             let mut press = StopPress::new(&plant, calibration, push_v, ticks, kind);
             let report = drive_warm(device, clock, &mut press, heat, None, stop)?;
-            let pressed = Pressed { ending: report.outcome.ending, outcome: press.outcome() };
-            Ok((pressed, fault_after(&report, is_hardware)))
+            Ok(Pressed {
+                ending: report.outcome.ending,
+                outcome: press.outcome(),
+                fault: fault_after(&report, is_hardware),
+                is_off_confirmed: report.disarmed.is_ok(),
+            })
         })?;
-        let (pressed, fault) = pressed.map_err(|error: DeviceError| self.in_doubt(error))?;
-        if let Some(fault) = fault {
+        let pressed = pressed.map_err(|error: DeviceError| self.in_doubt(error))?;
+        if let Some(fault) = pressed.fault {
             self.latch(fault);
         }
         Ok(pressed)

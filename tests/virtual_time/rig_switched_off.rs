@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
-use qube_hil::control::{HomingMethod, HomingSettings};
+use qube_hil::control::{HomingMethod, HomingSettings, PressKind};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
@@ -219,6 +219,21 @@ fn a_count_that_jumps_between_two_rollouts_ends_a_middle_that_a_hand_has_shown()
     let error = bench.rollout("b.mcap").unwrap_err();
     assert!(matches!(error, RigError::MiddleLost { fault: Fault::CountsMoved }), "{error}");
     assert!(error.to_string().contains("Put the arm into the middle"), "{error}");
+}
+
+#[test]
+fn a_press_says_whether_the_device_confirmed_that_the_motor_is_off() {
+    for (from_ns, fault) in
+        [(Nanoseconds::MAX, None), (10 * SECOND_NS, Some(Fault::OffUnconfirmed))]
+    {
+        let mut bench = Bench::open_unconfirmed(None, HomingMethod::Hand, from_ns);
+        bench.clock.sleep_until(10 * SECOND_NS);
+        let pressed = bench.rig.press(0.25, 10, PressKind::Test).unwrap();
+        assert_eq!(pressed.ending, Ending::Completed);
+        assert_eq!(pressed.fault, fault);
+        assert_eq!(pressed.is_off_confirmed, fault.is_none());
+        assert_eq!(bench.rig.last_fault(), fault);
+    }
 }
 
 #[test]

@@ -19,7 +19,7 @@ use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
 use crate::control::{PressKind, PressOutcome};
 use crate::device::Identity;
-use crate::rig::{Rig, RigError, RigSettings};
+use crate::rig::{Pressed, Rig, RigError, RigSettings};
 use crate::session::{PowerTest, QubeFile, UsbLost};
 use crate::telemetry::{Ending, Fault};
 
@@ -56,7 +56,6 @@ pub fn run(
     file: QubeFile,
     stop: &Stop,
 ) -> Result<Tested, Failure> {
-    let failed = |error| failures::rig(error, stop);
     let before = rig.identity().clone();
     ask(
         "The test of the motor without its board. Hands off the pendulum; one person stays at the \
@@ -70,31 +69,50 @@ pub fn run(
         "Now pull the USB plug out of the computer, within 60 s. Leave the Qube's own power on and \
          the arm alone. The board must have no other supply: no power plug, and no hub with its own.",
     );
+    let failed = |error| failures::rig(error, stop).followed_by(MAY_HAVE_VOLTAGE);
     let pressed = rig.press(push_v, STEP_TICKS, PressKind::Test).map_err(failed)?;
-    match pressed.ending {
-        Ending::Stopped => return Err(failed(RigError::Stopped { during: "the power test" })),
-        // A computer that was late for a moment loses samples, too, but then its port is still
-        // there. In that case the board has switched the motor off, which shows nothing about a
-        // motor without its board.
+    // A computer that was late for a moment loses samples, too, but then its port is still there.
+    // In that case the board has switched the motor off, which shows nothing about a motor without
+    // its board.
+    let is_silent = matches!(
+        pressed.ending,
         Ending::Fault(Fault::LinkGone | Fault::NoSample | Fault::BoardRestarted)
-            if rig.has_lost_port().map_err(failed)? => {}
-        Ending::Fault(fault) => return Err(failed(RigError::Ended { fault })),
-        _ => {
+    ) && pressed.fault != Some(Fault::ComputerSlept);
+    if !is_silent || !rig.has_lost_port().map_err(failed)? {
+        return Err(without_result(&pressed, stop));
+    }
+    // The port is closed before the operator answers, because the port of a dead board is useless.
+    drop(rig);
+    without_board(settings, path, file, push_v, &before, stop)
+        .map_err(|failure| failure.followed_by(MAY_HAVE_VOLTAGE))
+}
+
+/// The failure after a press that has shown nothing about a motor without its board.
+fn without_result(pressed: &Pressed, stop: &Stop) -> Failure {
+    let is_off = pressed.is_off_confirmed;
+    let failure = match (pressed.ending, pressed.fault) {
+        (Ending::Stopped, _) if is_off => {
+            stop.failure("the power test was stopped; the motor is off")
+        }
+        (Ending::Stopped, _) => stop.failure("the power test was stopped"),
+        (_, Some(fault)) => {
+            let step = if is_off { fault.motor_and_step() } else { String::new() };
+            let cause = format!("{fault}, so the test has no result. {step}");
+            Failure::fault(cause.trim_end()).caused_by(Some(fault))
+        }
+        (_, None) => {
             let cause = match pressed.outcome {
                 PressOutcome::NotAtStop | PressOutcome::StayedAway => {
                     "the arm left its stop before the plug was pulled"
                 }
                 PressOutcome::Stayed | PressOutcome::CameBack => "the plug was not pulled",
             };
-            return Err(Failure::failed(format!(
+            Failure::failed(format!(
                 "{cause}, so the test has no result: the motor is off, begin again"
-            )));
+            ))
         }
-    }
-    // The port is closed before the operator answers, because the port of a dead board is useless.
-    drop(rig);
-    without_board(settings, path, file, push_v, &before, stop)
-        .map_err(|failure| failure.followed_by(MAY_HAVE_VOLTAGE))
+    };
+    if is_off { failure } else { failure.followed_by(MAY_HAVE_VOLTAGE) }
 }
 
 /// The second half of the test, from the pulled plug on, in which nobody knows whether the motor is
@@ -171,31 +189,37 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
         let pressed = rig
             .press(push_v, STEP_TICKS, PressKind::Rehearsal)
             .map_err(|error| failures::rig(error, stop))?;
-        match (pressed.ending, pressed.outcome) {
-            (Ending::Stopped, _) => return Err(stop.failure("stopped; the motor is off")),
-            (Ending::Fault(fault), _) if fault.may_be_repeated() && disturbed < MAX_REPETITIONS => {
+        match (pressed.fault, pressed.outcome) {
+            _ if pressed.ending == Ending::Stopped => {
+                return Err(if pressed.is_off_confirmed {
+                    stop.failure("stopped; the motor is off")
+                } else {
+                    stop.failure("stopped").followed_by(Fault::OffUnconfirmed.operator_step())
+                });
+            }
+            (Some(fault), _) if fault.may_be_repeated() && disturbed < MAX_REPETITIONS => {
                 disturbed += 1;
                 print_message(&format!(
                     "The motor is off, and nothing is known yet: {fault}. Try once more."
                 ));
             }
-            (Ending::Fault(fault), _) => {
+            (Some(fault), _) => {
                 return Err(failures::rig(RigError::Ended { fault }, stop));
             }
-            (_, PressOutcome::CameBack) => {
+            (None, PressOutcome::CameBack) => {
                 print_message(
                     "It came back: this is how the arm feels while the motor has its voltage.",
                 );
                 return Ok(push_v);
             }
-            (_, PressOutcome::NotAtStop) => {
+            (None, PressOutcome::NotAtStop) => {
                 ask("The arm is not at a stop. Turn it there by hand, then press Enter.", stop)?;
             }
-            (_, PressOutcome::StayedAway) => {
+            (None, PressOutcome::StayedAway) => {
                 push_v += STEP_V;
                 ask("It stayed away: this was too little. Turn it to its stop, then Enter.", stop)?;
             }
-            (_, PressOutcome::Stayed) => {
+            (None, PressOutcome::Stayed) => {
                 return Err(Failure::failed(
                     "nobody pushed the arm within 60 s: the motor is off, no result was written",
                 ));
@@ -242,5 +266,37 @@ fn ask(question: &str, stop: &Stop) -> Result<String, Failure> {
             "nobody answers, so no result was written: this test needs an operator",
         )),
         Ok(_) => Ok(line),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pressed(ending: Ending, fault: Option<Fault>, is_off_confirmed: bool) -> Pressed {
+        Pressed { ending, outcome: PressOutcome::Stayed, fault, is_off_confirmed }
+    }
+
+    #[test]
+    fn a_motor_is_called_off_only_if_its_device_has_confirmed_it() {
+        let stop = Stop::default();
+        let stays_on = Some(Fault::OffUnconfirmed);
+        let late = Fault::WatchdogTripped;
+        for (pressed, exit_code) in [
+            (pressed(Ending::Completed, None, true), 1),
+            (pressed(Ending::Stopped, None, true), 130),
+            (pressed(Ending::Fault(late), Some(late), true), 4),
+            // The plug is pulled as the time of the press is over.
+            (pressed(Ending::Completed, stays_on, false), 4),
+            (pressed(Ending::Stopped, stays_on, false), 130),
+            (pressed(Ending::Fault(Fault::Stall), Some(Fault::Stall), false), 4),
+        ] {
+            let failure = without_result(&pressed, &stop);
+            let told = failure.cause().replace(&Fault::OffUnconfirmed.to_string(), "");
+            assert_eq!(failure.ended_by()["exit_code"], exit_code, "{told}");
+            let is_called_off = told.to_lowercase().contains("the motor is off");
+            assert_eq!(is_called_off, pressed.is_off_confirmed, "{told}");
+            assert_eq!(failure.cause().contains(MAY_HAVE_VOLTAGE), !pressed.is_off_confirmed);
+        }
     }
 }
