@@ -12,7 +12,7 @@ use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, State as QubeState, observation};
-use qube_hil::telemetry::{Ending, Fault};
+use qube_hil::telemetry::{Ending, Fault, MotorState};
 
 use crate::POLL_INTERVAL;
 use crate::device_thread::{DeviceThread, Episode, Order, Reply};
@@ -510,7 +510,8 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// The exception for an episode that a fault has ended.
 fn ended_by(fault: Fault) -> PyErr {
-    let motor_and_step = fault.motor_and_step();
+    // A motor that is not confirmed to be off is a fault of its own, which comes first.
+    let motor_and_step = fault.motor_and_step(MotorState::Off);
     DeviceError::new_err(format!("a fault ended the episode: {fault}. {motor_and_step}"))
 }
 

@@ -160,7 +160,9 @@ impl Server {
         };
         // The rig knows more than the recording: whether the device has confirmed that the motor is
         // off.
-        let ending = rig.last_fault().map_or(outcome.ending, Ending::Fault);
+        let unconfirmed = rig.check_off().err().and_then(|error| error.fault());
+        let fault = unconfirmed.or(rig.last_fault());
+        let ending = fault.map_or(outcome.ending, Ending::Fault);
         self.is_homed = !matches!(ending, Ending::Fault(_));
         let recording = read(&path)?;
         let running = recording.ticks.iter().rposition(|tick| tick.phase == Phase::Running);

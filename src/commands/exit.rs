@@ -81,6 +81,11 @@ impl Failure {
         &self.message
     }
 
+    /// Whether a signal, a key or the live view stopped the command.
+    pub fn is_stop(&self) -> bool {
+        self.code >= 128
+    }
+
     /// Whether the request was invalid.
     pub fn is_usage(&self) -> bool {
         self.code == 2

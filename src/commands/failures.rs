@@ -25,7 +25,11 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
     let failure = match error {
         RigError::Stopped { .. } => stop.failure(error),
         RigError::Homing { .. } | RigError::LinkLost { .. } => {
-            Failure::fault(format!("{error}{}", with_last_ticks(&error)))
+            let then = match error.doubt() {
+                Some(_) => " Then start again with --acknowledge.",
+                None => "",
+            };
+            Failure::fault(format!("{error}{then}{}", with_last_ticks(&error)))
         }
         RigError::ThreadGone(_)
         | RigError::Travel { .. }

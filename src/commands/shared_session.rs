@@ -21,7 +21,7 @@ use super::session_progress::SessionProgress;
 use super::session_settings::{asked, begun, name_in, origin_of_guard, reopened};
 use super::several_rigs::{emulated_of, resume_command};
 use super::stop::Stop;
-use crate::control::HomingSettings;
+use crate::control::{HomingMethod, HomingSettings};
 use crate::qube::{Profile, QubeModel};
 use crate::rig::RigSettings;
 use crate::safety::GuardConsent;
@@ -94,7 +94,9 @@ pub fn run(
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
-    let homing = settings.homing.method;
+    // After an acknowledgement all Qubes are homed again, also those that a hand has centred.
+    let by_hand = |(settings, _): &RigWithProfile| settings.homing.method == HomingMethod::Hand;
+    let homing = if rigs.iter().any(by_hand) { HomingMethod::Hand } else { HomingMethod::Stops };
     let (first, profile) = rigs.remove(0);
     let mut session = Session::open(folder, settings, first, Arc::clone(&stop.flag))
         .map_err(failed)?

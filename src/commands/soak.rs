@@ -88,7 +88,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut ended = soaked.soak(&arguments, &policy.to_bytes(), &device, &folder, &stop);
     drop(keyboard);
     if stop.requested() {
-        ended = Err(stop.failure("stopped before the hours were over"));
+        let why = match ended {
+            Err(failure) if !failure.is_stop() => format!(" ({failure})"),
+            Err(_) | Ok(()) => String::new(),
+        };
+        ended = Err(stop.failure(format!("stopped{why} before the hours were over")));
     }
     let ended = ended.and_then(|()| soaked.verdict());
     match &ended {

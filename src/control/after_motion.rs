@@ -8,19 +8,24 @@ const SLEEP_US: u64 = 2_000_000;
 
 /// The fault to which the program reacts after a motion: that of its ending, or one that only the whole
 /// report shows; `None` after a motion without any. At an emulated Qube a computer may sleep.
+///
+/// A fault that allows no other attempt comes before a motor that is not confirmed to be off, which
+/// the log then names beside it; [`DriveReport::disarmed`] tells both apart.
 #[must_use]
 pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
     let fault = match report.outcome.ending {
         Ending::Fault(fault) => Some(fault),
         _ => None,
     };
+    if let Err(error) = &report.disarmed {
+        let unconfirmed = Fault::OffUnconfirmed;
+        tracing::warn!("{unconfirmed}: {error}. {}", unconfirmed.operator_step());
+        if fault.is_none_or(|fault| fault.consequence() == Consequence::TryAgain) {
+            return Some(unconfirmed);
+        }
+    }
     if fault.is_some_and(|fault| fault.consequence() != Consequence::TryAgain) {
         return fault;
-    }
-    if let Err(error) = &report.disarmed {
-        let fault = Fault::OffUnconfirmed;
-        tracing::warn!("{fault}: {error}. {}", fault.operator_step());
-        return Some(fault);
     }
     if is_hardware && has_slept(&report.last_ticks) {
         return Some(Fault::ComputerSlept);

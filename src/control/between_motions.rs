@@ -92,19 +92,26 @@ impl Default for RestMonitor {
 impl RestMonitor {
     /// Watches with the amplifier off where arm and pendulum come to rest after a motion, and
     /// stores their counts in `left_at`.
+    ///
+    /// # Errors
+    /// A sample says that the device is armed, although it has confirmed that it is off.
     pub fn keep(
         &mut self,
         last: Option<&Measurement>,
         device: &mut dyn Device,
         clock: &dyn Clock,
         stop: &AtomicBool,
-    ) {
+    ) -> Result<(), DeviceError> {
         let mut watch = RestWatch::after(last, self.encoders);
-        let rest =
-            watch_rest(&mut watch, self.waits_until_still, device, clock, stop).ok().flatten();
+        let watched = watch_rest(&mut watch, self.waits_until_still, device, clock, stop);
+        if matches!(watched, Err(NoRest::Armed)) {
+            return Err(DeviceError::StaysArmed { port: self.port.clone() });
+        }
+        let rest = watched.ok().flatten();
         self.left_at =
             if watch.has_jumped() { Err(Moved::Jumped) } else { rest.ok_or(Moved::Unseen) };
         self.left_ns = clock.now_ns();
+        Ok(())
     }
 
     /// Checks before a rollout arms the device that arm and pendulum are where they were left.
@@ -120,13 +127,15 @@ impl RestMonitor {
         clock: &dyn Clock,
         stop: &AtomicBool,
     ) -> Result<(), ControlError> {
-        let link = |fault| match fault {
-            LinkFault::NotArmed => DeviceError::Restarted { port: self.port.clone() },
-            fault => DeviceError::Link { port: self.port.clone(), fault },
+        let port = self.port.clone();
+        let failed = |why| match why {
+            NoRest::Armed => DeviceError::StaysArmed { port },
+            NoRest::Link(LinkFault::NotArmed) => DeviceError::Restarted { port },
+            NoRest::Link(fault) => DeviceError::Link { port, fault },
         };
         let just_left = clock.now_ns().saturating_sub(self.left_ns) < SHORT_PAUSE_NS;
         let mut watch = RestWatch::new(self.encoders);
-        let rest = watch_rest(&mut watch, false, device, clock, stop).map_err(link)?;
+        let rest = watch_rest(&mut watch, false, device, clock, stop).map_err(failed)?;
         let Some(rest) = rest else {
             let stopped = stop.load(Ordering::Relaxed);
             return Err(if stopped { ControlError::Stopped } else { Moved::Unseen.into() });
@@ -139,25 +148,35 @@ impl RestMonitor {
     }
 }
 
+/// The reason why arm and pendulum are not watched to the end.
+#[derive(Clone, Copy, Debug)]
+enum NoRest {
+    /// The device says that its motor is on.
+    Armed,
+    /// The port is gone, the Qube is off, or it or the board has restarted.
+    Link(LinkFault),
+}
+
 /// Samples at 100 Hz until arm and pendulum are at rest; `None` if they are not in time or `stop`
 /// is set. With `until_still`, goes on until the arm is still; one that is at rest but not still when
 /// the time is over or `stop` is set counts as at rest.
 ///
 /// # Errors
-/// The port is gone, the Qube is off, or it or the board has restarted. Lost samples are tolerated.
+/// The device is armed or gone ([`NoRest`]). Lost samples are tolerated.
 fn watch_rest(
     watch: &mut RestWatch,
     until_still: bool,
     device: &mut dyn Device,
     clock: &dyn Clock,
     stop: &AtomicBool,
-) -> Result<Option<RestingCounts>, LinkFault> {
+) -> Result<Option<RestingCounts>, NoRest> {
     let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
     let begin_ns = clock.now_ns();
     let mut deadline_ns = begin_ns;
     let mut rest = None;
     while deadline_ns < begin_ns + REST_TIME_NS && !stop.load(Ordering::Relaxed) {
         match device.sample(clock.now_ns() + sample_time_ns) {
+            Ok(sample) if sample.status.armed => return Err(NoRest::Armed),
             Ok(sample) => {
                 rest = watch.update(&sample);
                 if rest.is_some() && (!until_still || watch.is_still()) {
@@ -165,7 +184,7 @@ fn watch_rest(
                 }
             }
             Err(fault @ (LinkFault::Gone | LinkFault::NotArmed | LinkFault::QubeOff)) => {
-                return Err(fault);
+                return Err(NoRest::Link(fault));
             }
             Err(_) => {}
         }

@@ -8,6 +8,7 @@ use super::rest::{StillnessDetector, Swing};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, LEAD_RAD_S};
 use super::stop_seek::{Found, StopSeek};
+use super::voltage_watch::VoltageWatch;
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, MeasuredRig, MeasuredStops};
@@ -49,6 +50,7 @@ pub struct Homing {
     /// Signs of the settings, with the zeros at the first sample; `state` is relative to them.
     provisional: Calibration,
     watch: Watch,
+    voltage: VoltageWatch,
     sensors: SensorWatch,
     current: CurrentWatch,
     control: ControlState,
@@ -103,6 +105,7 @@ impl Homing {
             estimator: None,
             provisional: settings.signs,
             watch: Watch::default(),
+            voltage: VoltageWatch::default(),
             // A contact with a stop may leave a tachometer at its last velocity for 0.21 s.
             sensors: SensorWatch::of(&settings.plant).without_drift_test(),
             current: CurrentWatch::default(),
@@ -422,7 +425,9 @@ impl Motion for Homing {
 
         // The arm is slow here, so that the amplifier can go off at once, even after a fault that
         // would brake a rollout.
-        let watched = self.watch.check(input);
+        self.voltage.remember_sent(self.device_mv(self.voltage_mv), input.skipped_periods);
+        let differs = input.measurement.as_ref().and_then(|sample| self.voltage.check(sample));
+        let watched = self.watch.check(input).or(differs);
         let watched = watched.map(|(Alarm::SwitchOff(fault) | Alarm::Brake(fault))| fault);
         let fault = watched
             .or_else(|| input.measurement.as_ref().and_then(|sample| self.sensor_fault(sample)));

@@ -60,6 +60,7 @@ mod homing_probe;
 mod homing_settings;
 mod homing_watch;
 mod last_ticks;
+mod latched_fault;
 mod latency;
 mod machine;
 mod momentum_watch;
@@ -78,6 +79,7 @@ mod stop_press;
 mod stop_seek;
 mod thread;
 mod tick;
+mod voltage_watch;
 mod watch;
 
 pub use after_motion::fault_after;

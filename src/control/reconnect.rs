@@ -33,7 +33,7 @@ pub(super) fn greet_until_answered(
     stop: &AtomicBool,
     retries: HelloRetries,
 ) -> Result<Identity, DeviceError> {
-    let end_ns = clock.now_ns() + retries.pause_ns + retries.limit_ns;
+    let end_ns = clock.now_ns().saturating_add(retries.pause_ns).saturating_add(retries.limit_ns);
     pause(clock, stop, retries.pause_ns);
     let mut pauses = PAUSES_NS.into_iter().chain(std::iter::repeat(PAUSES_NS[4]));
     loop {

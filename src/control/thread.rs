@@ -1,10 +1,12 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 
 use super::between_motions::{MotorCooling, RestMonitor};
+use super::latched_fault::{LatchedFault, ShownRollout};
 use super::reconnect::{HelloRetries, greet_until_answered};
 use super::{
     ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
@@ -15,7 +17,7 @@ use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::MeasuredRig;
 use crate::policy::Controller;
 use crate::safety::MotorHeat;
-use crate::telemetry::{TickRecord, TickSettings};
+use crate::telemetry::{Fault, TickRecord, TickSettings};
 
 /// The result of a homing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -25,6 +27,9 @@ pub struct Homed {
     /// Distance between the stops, rad; `None` unless both were touched.
     pub travel_rad: Option<f64>,
 }
+
+/// Time between two looks at the fault that a running rollout may have latched.
+const LATCHED_FAULT_POLL: Duration = Duration::from_millis(20);
 
 /// A command to the thread. It carries everything that the motion needs, so that the tick neither
 /// allocates nor loads a file.
@@ -57,6 +62,7 @@ pub struct ControlThread {
     handle: Option<JoinHandle<()>>,
     realtime: RealtimeRefusals,
     is_hardware: AtomicBool,
+    latched: Arc<LatchedFault>,
 }
 
 /// How the operating system schedules a control thread.
@@ -83,26 +89,18 @@ impl ControlThread {
         let (commands, inbox) = bounded::<Command>(1);
         let (outbox, events) = bounded::<Event>(1);
         let (ready, readiness) = bounded(1);
+        let latched = Arc::new(LatchedFault::default());
+        let shown = Arc::clone(&latched);
         let handle = std::thread::Builder::new().name("control".into()).spawn(move || {
             let report = match scheduling {
                 Scheduling::RealTime => enter_realtime(),
                 Scheduling::Ordinary => RealtimeRefusals::default(),
             };
             let _ = ready.send(report);
-            let mut state = ControlState::default();
-            let mut motor = MotorCooling::default();
-            let mut rest_monitor = RestMonitor::default();
+            let mut kept = KeptBetweenCommands::default();
             for command in inbox {
                 let (device, clock) = (device.as_mut(), clock.as_ref());
-                let event = execute(
-                    &mut state,
-                    &mut motor,
-                    &mut rest_monitor,
-                    command,
-                    device,
-                    clock,
-                    &stop,
-                );
+                let event = execute(&mut kept, command, device, clock, &stop, &shown);
                 if outbox.send(event).is_err() {
                     return;
                 }
@@ -115,6 +113,7 @@ impl ControlThread {
             handle: Some(handle),
             realtime,
             is_hardware: AtomicBool::new(true),
+            latched,
         })
     }
 
@@ -170,7 +169,9 @@ impl ControlThread {
     }
 
     /// Runs one rollout to its end and writes a record of each tick to `records`. Before it, arm
-    /// and pendulum must be at rest where the last motion left them.
+    /// and pendulum must be at rest where the last motion left them. If the rollout latches a fault
+    /// and the arm is still damped or braked a moment later, `on_latched` is called with the fault
+    /// on the calling thread.
     ///
     /// # Errors
     /// The thread is gone; the device has not been homed since its last hello or loan, or could not
@@ -181,8 +182,22 @@ impl ControlThread {
         settings: TickSettings,
         controller: Box<dyn Controller>,
         records: rtrb::Producer<TickRecord>,
+        on_latched: &mut dyn FnMut(Fault),
     ) -> Result<DriveReport, ControlError> {
-        match self.ask(Command::Rollout(Box::new(settings), controller, records))? {
+        self.order(Command::Rollout(Box::new(settings), controller, records))?;
+        let mut is_told = false;
+        let event = loop {
+            match self.events.recv_timeout(LATCHED_FAULT_POLL) {
+                Ok(event) => break event,
+                Err(RecvTimeoutError::Disconnected) => return Err(ThreadGone.into()),
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            if let Some(fault) = self.latched.get().filter(|_| !is_told) {
+                is_told = true;
+                on_latched(fault);
+            }
+        };
+        match event {
             Event::Finished(result) => result,
             _ => Err(ThreadGone.into()),
         }
@@ -234,9 +249,13 @@ impl ControlThread {
         }
     }
 
-    fn ask(&self, command: Command) -> Result<Event, ThreadGone> {
+    fn order(&self, command: Command) -> Result<(), ThreadGone> {
         let commands = self.commands.as_ref().ok_or(ThreadGone)?;
-        commands.send(command).map_err(|_| ThreadGone)?;
+        commands.send(command).map_err(|_| ThreadGone)
+    }
+
+    fn ask(&self, command: Command) -> Result<Event, ThreadGone> {
+        self.order(command)?;
         self.events.recv().map_err(|_| ThreadGone)
     }
 }
@@ -250,15 +269,23 @@ impl Drop for ControlThread {
     }
 }
 
+/// Knowledge that the thread keeps from one command to the next.
+#[derive(Default)]
+struct KeptBetweenCommands {
+    state: ControlState,
+    motor: MotorCooling,
+    rest_monitor: RestMonitor,
+}
+
 fn execute(
-    state: &mut ControlState,
-    motor: &mut MotorCooling,
-    rest_monitor: &mut RestMonitor,
+    kept: &mut KeptBetweenCommands,
     command: Command,
     device: &mut dyn Device,
     clock: &dyn Clock,
     stop: &AtomicBool,
+    latched: &LatchedFault,
 ) -> Event {
+    let KeptBetweenCommands { state, motor, rest_monitor } = kept;
     match command {
         Command::Hello(retries) => {
             let identified = greet_until_answered(device, clock, stop, retries);
@@ -294,15 +321,15 @@ fn execute(
             let driven = home.and_then(|()| {
                 drive_and_adopt_state(state, motor, device, clock, &mut homing, None, stop)
             });
-            if let (Ok(report), ControlState::Ready) = (&driven, *state) {
-                rest_monitor.keep(report.last_measurement.as_ref(), device, clock, stop);
-            }
+            let driven =
+                driven.map(|report| keep_at_rest(report, state, rest_monitor, device, clock, stop));
             let homed = Homed { rig: homing.measured(), travel_rad: homing.travel_rad() };
             Event::Homed(driven.map(|report| (report, homed)))
         }
         Command::Rollout(settings, controller, mut records) => {
             let before = *state;
             let driven = allowed(state, ControlEvent::Rollout).and_then(|()| {
+                motor.cool_down(clock, stop);
                 if let Err(error) = rest_monitor.compare(&settings, device, clock, stop) {
                     *state = before;
                     if matches!(error, ControlError::Device(_)) {
@@ -310,22 +337,21 @@ fn execute(
                     }
                     return Err(error);
                 }
-                let mut tick = Tick::new(&settings, controller);
+                let mut rollout = ShownRollout::new(Tick::new(&settings, controller), latched);
                 drive_and_adopt_state(
                     state,
                     motor,
                     device,
                     clock,
-                    &mut tick,
+                    &mut rollout,
                     Some(&mut records),
                     stop,
                 )
             });
             rest_monitor.left_at = Err(Moved::Unseen);
-            if let (Ok(report), ControlState::Ready) = (&driven, *state) {
-                rest_monitor.keep(report.last_measurement.as_ref(), device, clock, stop);
-            }
-            Event::Finished(driven)
+            Event::Finished(
+                driven.map(|report| keep_at_rest(report, state, rest_monitor, device, clock, stop)),
+            )
         }
         Command::Lend(borrower) => {
             let lent = allowed(state, ControlEvent::Check).map(|()| {
@@ -381,6 +407,26 @@ fn drive_and_adopt_state(
     }
 }
 
+/// Watches after a motion without a fault where arm and pendulum come to rest. A device whose samples
+/// say that its motor is on has not switched it off, whatever it answered.
+fn keep_at_rest(
+    mut report: DriveReport,
+    state: &mut ControlState,
+    rest_monitor: &mut RestMonitor,
+    device: &mut dyn Device,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+) -> DriveReport {
+    if *state == ControlState::Ready
+        && let Err(stays_armed) =
+            rest_monitor.keep(report.last_measurement.as_ref(), device, clock, stop)
+    {
+        state.take(ControlEvent::NoAnswer);
+        report.disarmed = Err(stays_armed);
+    }
+    report
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::plant_device::{PlantDevice, TestFault};
@@ -392,7 +438,7 @@ mod tests {
     use crate::policy::{ClassicalController, ClassicalGains, Policy};
     use crate::qube::{PlantModel, State};
     use crate::safety::SafetyBox;
-    use crate::telemetry::{Ending, Fault};
+    use crate::telemetry::Ending;
 
     /// A thread whose device loses its port at sample `gone_at`, and settings for a short rollout.
     fn control(gone_at: u32) -> (ControlThread, TickSettings) {
@@ -419,7 +465,9 @@ mod tests {
     fn rollout(thread: &ControlThread, settings: TickSettings) -> Result<Ending, ControlError> {
         let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
         let (producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
-        thread.rollout(settings, Box::new(policy), producer).map(|report| report.outcome.ending)
+        thread
+            .rollout(settings, Box::new(policy), producer, &mut |_| ())
+            .map(|report| report.outcome.ending)
     }
 
     fn is_refused(result: &Result<Ending, ControlError>) -> bool {

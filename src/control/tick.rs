@@ -4,6 +4,7 @@ use super::rest::{CentredDetector, RestDetector, STOPPED_RAD_S};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, Settler};
 use super::slowness::SlownessWatch;
+use super::voltage_watch::VoltageWatch;
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::elementary::Scalar;
@@ -41,6 +42,13 @@ const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
 /// up.
 const RUNAWAY_RAD_S: f64 = 5.0;
 
+/// Ticks of braking, 1 s, after which an arm that is faster than [`STILL_FAST_RAD_S`] does not obey
+/// the motor: the brake of any plant within the domain of the guard has stopped it long before.
+const SURELY_BRAKED_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
+
+/// Velocity of an arm that the brake makes faster, rad/s.
+const STILL_FAST_RAD_S: f64 = 15.0;
+
 /// Periods of braking within which a jump of the pendulum's count is taken for the reason of the
 /// brake. A jump is recognised one sample later than the guard acts on it.
 const JUMP_KNOWN_TICKS: u32 = 2;
@@ -56,6 +64,7 @@ pub struct Tick<C = Policy> {
     estimator: Estimator,
     watch: Watch,
     slowness: SlownessWatch,
+    voltage: VoltageWatch,
     sensors: SensorWatch,
     /// Tests with a push whether an arm with a constant count can move; `None` before the policy
     /// runs and under [`TickRules::First`].
@@ -107,6 +116,7 @@ impl<C: Controller> Tick<C> {
             estimator: Estimator::new(settings.estimator, settings.calibration),
             watch: if cross_checks { Watch::default() } else { Watch::of_the_first_rules() },
             slowness: SlownessWatch::default(),
+            voltage: VoltageWatch::default(),
             sensors: sensor_watch(settings),
             asking: None,
             settler: Settler::of(plant),
@@ -151,6 +161,15 @@ impl<C: Controller> Tick<C> {
     #[must_use]
     pub fn foreseen_angle(&self) -> Option<ForeseenAngle> {
         self.angle
+    }
+
+    /// The fault that the rollout has latched, also while the arm is still damped or braked.
+    #[must_use]
+    pub fn latched_fault(&self) -> Option<Fault> {
+        match self.reason {
+            Ending::Fault(fault) => Some(fault),
+            Ending::Completed | Ending::Stopped | Ending::LeftBox(_) => None,
+        }
     }
 
     /// Applies an event to the state table and carries out the action; `reason` is the rollout's
@@ -266,6 +285,12 @@ impl<C: Controller> Tick<C> {
             }
         };
         let time_is_up = self.periods_in_phase >= most_ticks;
+        let is_still_fast = self.settings.rules >= TickRules::VoltageCompared
+            && self.periods_in_phase >= SURELY_BRAKED_TICKS
+            && speed_rad_s > STILL_FAST_RAD_S;
+        if is_still_fast {
+            return Some((ControlEvent::SwitchOffFault, Ending::Fault(Fault::BrakingTimedOut)));
+        }
         if !is_at_rest && time_is_up && speed_rad_s > RUNAWAY_RAD_S {
             Some((ControlEvent::SwitchOffFault, Ending::Fault(Fault::BrakingTimedOut)))
         } else if is_at_rest || time_is_up {
@@ -327,6 +352,13 @@ impl<C: Controller> Tick<C> {
         unanswered.then(|| Alarm::SwitchOff(self.sensors.why_arm_rests(sample, self.voltage_mv)))
     }
 
+    /// The alarm for a motor that has another voltage than it was sent, if there is one.
+    fn voltage_differs(&mut self, input: &TickInput) -> Option<Alarm> {
+        self.voltage.remember_sent(self.device_mv(self.voltage_mv), input.skipped_periods);
+        let differs = self.voltage.check(input.measurement.as_ref()?);
+        differs.filter(|_| self.settings.rules >= TickRules::VoltageCompared)
+    }
+
     /// How the last motion of the Qube contradicts the profile that foresight simulates.
     fn contradiction_of_profile(&mut self, device_time_us: u64) -> Option<Contradiction> {
         self.foresight.as_mut()?.contradiction(
@@ -384,7 +416,7 @@ impl<C: Controller> Tick<C> {
 /// The alarm to act on: the first that does not trust the brake, otherwise the first of all. An
 /// overheated motor or a late computer gives an alarm in each tick, also while the brake works, and
 /// must not hide a fault of the arm. Before [`TickRules::FaultsFirst`] it is the first of all.
-fn most_urgent(alarms: [Option<Alarm>; 3], rules: TickRules) -> Option<Alarm> {
+fn most_urgent(alarms: [Option<Alarm>; 4], rules: TickRules) -> Option<Alarm> {
     let mut given = alarms.into_iter().flatten();
     let distrusts_brake =
         |alarm: &Alarm| rules >= TickRules::FaultsFirst && matches!(alarm, Alarm::SwitchOff(_));
@@ -446,6 +478,7 @@ impl<C: Controller> Motion for Tick<C> {
             .as_ref()
             .and_then(|sample| self.sensors.check(sample, Some(arm_input)));
         let unanswered = input.measurement.as_ref().and_then(|sample| self.unanswered(sample));
+        let differs = self.voltage_differs(input);
         // The count may be right although a test doubts it; with the motor off, a moving arm would
         // then coast into its stop. The brake damps such an arm by its velocity. For an arm at rest
         // it asks for 0 V anyway.
@@ -455,7 +488,7 @@ impl<C: Controller> Motion for Tick<C> {
         let is_slow = self.slowness.is_too_slow(input.skipped_periods)
             && self.settings.rules >= TickRules::SlownessTested;
         let slow = is_slow.then_some(Alarm::Brake(Fault::TooLate));
-        let alarms = [self.watch.check(input).or(slow), seen, unanswered];
+        let alarms = [self.watch.check(input).or(slow), differs, seen, unanswered];
         let off = match most_urgent(alarms, self.settings.rules) {
             Some(Alarm::SwitchOff(fault)) if damps && fault.doubts_count() => {
                 if !self.damps {

@@ -297,6 +297,12 @@ pub enum DeviceError {
         /// The port.
         port: String,
     },
+    /// The device says that its motor is on, although it was told to switch it off.
+    #[error("{port} still says that its motor is on")]
+    StaysArmed {
+        /// The port.
+        port: String,
+    },
     /// The device refused a request.
     #[error("{port} refused to {action}: {}", reason.describe())]
     Refused {

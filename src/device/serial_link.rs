@@ -514,6 +514,13 @@ impl<T: Transport> Device for SerialLink<T> {
         self.amplifier = AmplifierState::Off;
         for attempt in 1.. {
             match self.exchange(Request::Disarm, ANSWER_TIME_NS) {
+                // Only a device that says so has switched its motor off.
+                Ok(Reply::Disarm(reply)) if reply.state == DeviceState::Armed => {
+                    if attempt == ATTEMPTS {
+                        let port = self.name();
+                        return Err(DeviceError::StaysArmed { port });
+                    }
+                }
                 Ok(Reply::Disarm(reply)) => {
                     self.nonce = (reply.nonce != 0).then_some(reply.nonce);
                     // The watchdog tripped while this call waited for the answer to a lost disarm.
@@ -524,7 +531,9 @@ impl<T: Transport> Device for SerialLink<T> {
                     }
                     break;
                 }
-                Ok(Reply::Refusal { reason, .. }) => return Err(self.refused("disarm", reason)),
+                Ok(Reply::Refusal { reason, .. }) if attempt == ATTEMPTS => {
+                    return Err(self.refused("disarm", reason));
+                }
                 Ok(_) | Err(LinkFault::Timeout | LinkFault::Full) if attempt < ATTEMPTS => {}
                 Ok(_) => return Err(self.not_a_qube("it gave a disarm a wrong reply".into())),
                 Err(fault) => return Err(self.link_error(fault)),

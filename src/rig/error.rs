@@ -9,7 +9,7 @@ use crate::preflight::TooSlow;
 use crate::qube::PlantError;
 use crate::recording::RecordingError;
 use crate::safety::HardwareRefusal;
-use crate::telemetry::{CheckResult, Consequence, Fault, TickRecord};
+use crate::telemetry::{CheckResult, Consequence, Fault, MotorState, TickRecord};
 
 /// The reason why a setting of a rig cannot be used.
 #[derive(Debug, Error)]
@@ -56,10 +56,14 @@ pub enum RigError {
     #[error(transparent)]
     ThreadGone(#[from] ThreadGone),
     /// A fault ended homing.
-    #[error("homing failed: {fault}. {}", fault.motor_and_step())]
+    #[error("homing failed: {fault}. {}", fault.motor_and_step(*motor))]
     Homing {
         /// Fault that ended homing.
         fault: Fault,
+        /// State of the motor afterwards.
+        motor: MotorState,
+        /// Doubt about the Qube that the fault leaves, if it leaves one.
+        doubt: Option<Box<Doubt>>,
         /// Ticks of the last second before the fault. A homing has no recording that would contain
         /// them.
         last_ticks: Vec<TickRecord>,
@@ -79,7 +83,7 @@ pub enum RigError {
     },
     /// The link failed before a rollout could begin, or the counts moved after homing, so that the
     /// zeros are out of date. The rollout has moved nothing.
-    #[error("the rollout could not begin: {source}. {}", fault.motor_and_step())]
+    #[error("the rollout could not begin: {source}. {}", fault.motor_and_step(MotorState::Off))]
     NotBegun {
         /// Entry of the table of faults that corresponds to the cause.
         fault: Fault,
@@ -245,6 +249,16 @@ impl RigError {
         }
     }
 
+    /// The doubt about the Qube that an operator must acknowledge, if there is one.
+    #[must_use]
+    pub fn doubt(&self) -> Option<&Doubt> {
+        match self {
+            Self::InDoubt(doubt) => Some(doubt),
+            Self::Homing { doubt, .. } => doubt.as_deref(),
+            _ => None,
+        }
+    }
+
     /// Whether the Qube, its board or its link caused the error, and not the request, the computer
     /// or the operator.
     #[must_use]
@@ -314,10 +328,13 @@ pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
             RefusalReason::QubeAbsent => Some(Fault::QubeOff),
             RefusalReason::EmergencyStop => Some(Fault::EmergencyStop),
             RefusalReason::Faulted => Some(Fault::Amplifier),
+            // A device that has had a hello says that its motor is on.
+            RefusalReason::AlreadyArmed => Some(Fault::OffUnconfirmed),
             _ => None,
         },
         DeviceError::Link { .. } | DeviceError::FellSilent { .. } => Some(Fault::NoSample),
         DeviceError::Restarted { .. } => Some(Fault::BoardRestarted),
+        DeviceError::StaysArmed { .. } => Some(Fault::OffUnconfirmed),
         DeviceError::Hil(error) if error.is_silence() => Some(Fault::NoSample),
         _ => None,
     }

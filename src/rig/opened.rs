@@ -8,8 +8,8 @@ use super::error::link_fault;
 use super::{ClockChoice, Doubt, DoubtStore, RigError, RigSettings};
 use crate::clock::RealtimeRefusals;
 use crate::control::{
-    ControlError, ControlThread, HelloRetries, HomingMethod, HomingSettings, PressKind,
-    PressOutcome, Scheduling, StopPress, drive_warm, fault_after,
+    ControlError, ControlThread, DriveReport, HelloRetries, HomingMethod, HomingSettings,
+    PressKind, PressOutcome, Scheduling, StopPress, drive_warm, fault_after,
 };
 use crate::device::emulator::EmulatedQube;
 use crate::device::{DeviceError, Identity, LinkFault};
@@ -21,7 +21,9 @@ use crate::preflight::{
 use crate::qube::PlantModel;
 use crate::recording::Viewer;
 use crate::safety::{HardwareLimits, IdentifiedQube, MotorHeat};
-use crate::telemetry::{CheckResult, Consequence, Ending, Fault, MeasuredLink, Preflight};
+use crate::telemetry::{
+    CheckResult, Consequence, Ending, Fault, MeasuredLink, MotorState, Preflight,
+};
 
 /// Pauses before the second and third attempt at homing, ns. A link or computer that is late for
 /// two seconds does not use up all attempts.
@@ -57,8 +59,14 @@ pub struct Rig {
     /// Fault of the last motion, or fault that kept it from beginning, until the Qube is homed
     /// again.
     pub(super) last_fault: Cell<Option<Fault>>,
+    /// State of the motor after the last motion, until the device answers a hello.
+    pub(super) motor: Cell<MotorState>,
     /// Emulator, which serves the rig until it is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
+}
+
+fn motor_state(is_off_confirmed: bool) -> MotorState {
+    if is_off_confirmed { MotorState::Off } else { MotorState::Unconfirmed }
 }
 
 /// The result of pressing the arm against its stop.
@@ -180,6 +188,7 @@ impl Rig {
             identified: Cell::new(settings.identified()),
             viewers: settings.viewers.clone(),
             last_fault: Cell::new(None),
+            motor: Cell::new(MotorState::Off),
             _emulator: emulator,
         })
     }
@@ -259,6 +268,7 @@ impl Rig {
             })
         })?;
         let pressed = pressed.map_err(|error: DeviceError| self.in_doubt(error))?;
+        self.motor.set(motor_state(pressed.is_off_confirmed));
         if let Some(fault) = pressed.fault {
             self.latch(fault);
         }
@@ -368,6 +378,8 @@ impl Rig {
                 found: identity.serial,
             });
         }
+        // A hello switches the motor off.
+        self.motor.set(MotorState::Off);
         self.accept_restart(identity)
     }
 
@@ -423,6 +435,11 @@ impl Rig {
     /// Remembers the fault of a motion; a doubt is also stored so that it outlives the program.
     pub(super) fn latch(&self, fault: Fault) {
         self.last_fault.set(Some(fault));
+        self.store_doubt(fault);
+    }
+
+    /// Stores the doubt that a fault leaves, if it leaves one.
+    pub(super) fn store_doubt(&self, fault: Fault) {
         if let Some(memory) = self.memory.as_ref().filter(|_| fault.leaves_doubt()) {
             memory.store(&self.doubt(fault));
         }
@@ -449,10 +466,7 @@ impl Rig {
             ControlError::Device(source) => self.in_doubt(source),
             error => error.into(),
         })?;
-        let fault = fault_after(&report, self.is_hardware());
-        if let Some(fault) = fault {
-            self.latch(fault);
-        }
+        let fault = self.react_to(&report);
         match (fault, found.rig) {
             (None, Some(measured)) => {
                 self.measured = measured;
@@ -463,11 +477,15 @@ impl Rig {
                 self.last_fault.set(None);
                 Ok(())
             }
-            (Some(Fault::TravelWrong), _) => Err(RigError::Travel {
+            (Some(Fault::TravelWrong), _) if report.disarmed.is_ok() => Err(RigError::Travel {
                 travel_rad: found.travel_rad.unwrap_or_default(),
                 expected_rad: homing.expected_travel_rad(),
             }),
-            (Some(fault), _) => Err(RigError::Homing { fault, last_ticks: report.last_ticks }),
+            (Some(fault), _) => {
+                let motor = self.motor.get();
+                let doubt = fault.leaves_doubt().then(|| Box::new(self.doubt(fault)));
+                Err(RigError::Homing { fault, motor, doubt, last_ticks: report.last_ticks })
+            }
             (None, None) => Err(RigError::Stopped { during: "homing" }),
         }
     }
@@ -482,12 +500,23 @@ impl Rig {
     /// Checks, after the last motion, that the device has confirmed that its motor is off.
     ///
     /// # Errors
-    /// It has not: [`Fault::OffUnconfirmed`].
+    /// It has not, whatever ended the motion: [`Fault::OffUnconfirmed`].
     pub fn check_off(&self) -> Result<(), RigError> {
-        match self.last_fault.get() {
-            Some(fault @ Fault::OffUnconfirmed) => Err(RigError::Ended { fault }),
-            _ => Ok(()),
+        match self.motor.get() {
+            MotorState::Off => Ok(()),
+            MotorState::Unconfirmed => Err(RigError::Ended { fault: Fault::OffUnconfirmed }),
         }
+    }
+
+    /// Remembers the state of the motor after a motion and latches the motion's fault, which is
+    /// returned.
+    pub(super) fn react_to(&self, report: &DriveReport) -> Option<Fault> {
+        self.motor.set(motor_state(report.disarmed.is_ok()));
+        let fault = fault_after(report, self.is_hardware());
+        if let Some(fault) = fault {
+            self.latch(fault);
+        }
+        fault
     }
 
     /// The identity of the device.

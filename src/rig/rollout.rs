@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::error::link_fault;
 use super::{Rig, RigError, RigSettingError};
-use crate::control::{ControlError, DriveReport, HomingMethod, Moved, RING_CAPACITY, fault_after};
+use crate::control::{ControlError, DriveReport, HomingMethod, Moved, RING_CAPACITY};
 use crate::estimation::MeasuredStops;
 use crate::policy::{Controller, External, Policy};
 use crate::preflight::admit_processor;
@@ -185,7 +185,10 @@ impl Rig {
         let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let recorder =
             Recorder::start(disk, path, header, policy_file, consumer, self.viewers.clone())?;
-        let report = match self.control.rollout(settings, controller, producer) {
+        // A program that is killed while the arm is still damped leaves its doubt behind.
+        let mut on_latched = |fault| self.store_doubt(fault);
+        let driven = self.control.rollout(settings, controller, producer, &mut on_latched);
+        let report = match driven {
             Ok(report) => with_last_answer(report, last_v),
             Err(ControlError::ThreadGone(gone)) => return Err(gone.into()),
             Err(error) => {
@@ -193,9 +196,7 @@ impl Rig {
                 return Err(self.not_begun(error));
             }
         };
-        if let Some(fault) = fault_after(&report, self.is_hardware()) {
-            self.latch(fault);
-        }
+        self.react_to(&report);
         if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
             let how =
                 report.outcome.contradiction.map_or_else(String::new, |it| format!(" ({it})"));

@@ -197,11 +197,8 @@ impl SessionError {
     pub fn doubt(&self) -> Option<&Doubt> {
         match self {
             Self::InDoubt { doubt, .. } => Some(doubt),
-            Self::Rig(RigError::InDoubt(doubt)) => Some(doubt),
-            Self::NotStartedAgain { source, .. } => match source.as_ref() {
-                RigError::InDoubt(doubt) => Some(doubt),
-                _ => None,
-            },
+            Self::Rig(error) => error.doubt(),
+            Self::NotStartedAgain { source, .. } | Self::NotHomed { source, .. } => source.doubt(),
             _ => None,
         }
     }

@@ -44,6 +44,15 @@ impl Consequence {
     }
 }
 
+/// The state of the motor after a motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MotorState {
+    /// The device has confirmed that its motor is off.
+    Off,
+    /// The device has not confirmed it; the motor may have its last voltage.
+    Unconfirmed,
+}
+
 /// Generates the enum, its causes and the table from rows in the order of the table.
 macro_rules! faults {
     ($($(#[$attribute:meta])* $fault:ident: $consequence:ident, $cause:literal, $operator:literal;)+) => {
@@ -124,6 +133,9 @@ faults! {
     Amplifier: Examine,
         "the amplifier reports a fault",
         "Switch the Qube off, let it cool down, check its supply and the motor.";
+    VoltageDiffers: Examine,
+        "the device reports another voltage at its motor than the program has sent",
+        "Switch the Qube off: its motor does not follow the program. Check the board, its firmware and its wires.";
     StallError: Examine,
         "the Qube reports a stall and has switched its motor off",
         "Free the arm; check whether cables have wound around it.";
@@ -158,7 +170,7 @@ faults! {
         "arm and pendulum did not come to rest within 15 s",
         "Check whether something moves or holds arm or pendulum.";
     BrakingTimedOut: Examine,
-        "the arm still turned faster than 5 rad/s when the time for braking was over",
+        "the arm still turned faster than 15 rad/s after 1 s of braking, or than 5 rad/s when the time for braking was over",
         "Switch the Qube off; check the motor and the arm's encoder.";
     HomingTimedOut: Examine,
         "the arm's stops were not found within 60 s",
@@ -199,10 +211,16 @@ impl Fault {
     /// The state of the motor after this fault and the operator's step, in whole sentences. After a
     /// lost link nobody knows whether the motor is off, and the step says so.
     #[must_use]
-    pub fn motor_and_step(self) -> String {
-        match self.consequence() {
-            Consequence::Reconnect => self.operator_step().to_owned(),
-            _ => format!("The motor is off. {}", self.operator_step()),
+    pub fn motor_and_step(self, motor: MotorState) -> String {
+        let step = self.operator_step();
+        match motor {
+            _ if self.consequence() == Consequence::Reconnect => step.to_owned(),
+            MotorState::Off => format!("The motor is off. {step}"),
+            MotorState::Unconfirmed => {
+                let unconfirmed = "The device has not confirmed that the motor is off: it may still have its last \
+                                   voltage. Switch the Qube off.";
+                format!("{unconfirmed} {step}")
+            }
         }
     }
 
@@ -291,11 +309,15 @@ mod tests {
     #[test]
     fn the_motor_counts_as_off_unless_the_step_says_that_it_may_not_be() {
         for fault in Fault::ALL {
-            let told = fault.motor_and_step();
-            assert!(told.contains(fault.operator_step()), "{fault}");
-            let may_run = told.contains("may still have");
-            assert_ne!(told.contains("The motor is off"), may_run, "{fault}");
-            assert_eq!(may_run, fault.consequence() == Consequence::Reconnect, "{fault}");
+            for motor in [MotorState::Off, MotorState::Unconfirmed] {
+                let told = fault.motor_and_step(motor);
+                assert!(told.contains(fault.operator_step()), "{fault}");
+                let may_run = told.contains("may still have");
+                assert_ne!(told.contains("The motor is off"), may_run, "{fault}");
+                let reconnects = fault.consequence() == Consequence::Reconnect;
+                assert_eq!(may_run, reconnects || motor == MotorState::Unconfirmed, "{fault}");
+                assert!(!may_run || told.contains("Switch the Qube off"), "{fault}");
+            }
         }
     }
 }

@@ -87,11 +87,15 @@ pub enum TickRules {
     /// As [`DriftTested`](Self::DriftTested); in addition, a computer that skips control periods
     /// again and again is a fault, and a policy that overheats the motor has left a limit.
     SlownessTested,
+    /// As [`SlownessTested`](Self::SlownessTested); in addition, a device that reports another
+    /// voltage at its motor than it was sent is a fault, and so is an arm that is fast after a
+    /// second of braking.
+    VoltageCompared,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::SlownessTested;
+    pub const NEWEST: Self = Self::VoltageCompared;
 }
 
 /// The record that precedes a rollout.

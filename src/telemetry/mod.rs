@@ -17,7 +17,7 @@ mod latency_summary;
 mod preflight;
 mod record;
 
-pub use fault::{Consequence, Fault, fault_table};
+pub use fault::{Consequence, Fault, MotorState, fault_table};
 pub use header::{Ending, RolloutHeader, RolloutOutcome, TickRules, TickSettings};
 pub use latency_summary::LatencySummary;
 pub use preflight::{CheckResult, CheckVerdict, MeasuredLink, Preflight};

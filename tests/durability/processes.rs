@@ -136,7 +136,9 @@ fn a_process_that_is_stopped_in_a_rollout_finds_the_watchdog_tripped_and_says_so
         assert!(stderr.contains("watchdog"), "{stderr}");
         let recording = directory.path().join("out/rollout-0.mcap");
         match score(&MachineDisk, &recording).unwrap() {
-            Verdict::Void { reason } => assert!(reason.to_string().contains("watchdog"), "{reason}"),
+            Verdict::Void { reason } => {
+                assert!(reason.to_string().contains("watchdog"), "{reason}")
+            }
             other => panic!("{other:?}"),
         }
         // The device's last answer shows that its watchdog tripped and that the motor had no

@@ -19,7 +19,7 @@ use qube_hil::rig::{
 use qube_hil::safety::SafetyBox;
 use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
-use qube_hil::telemetry::{Ending, Fault};
+use qube_hil::telemetry::{Ending, Fault, MotorState};
 
 const SECOND_NS: Nanoseconds = 1_000_000_000;
 
@@ -98,6 +98,14 @@ impl Bench {
         method: HomingMethod,
         off_unconfirmed_from_ns: Nanoseconds,
     ) -> Self {
+        Self::opened(fault, method, off_unconfirmed_from_ns).unwrap()
+    }
+
+    fn opened(
+        fault: Option<EmulatorFault>,
+        method: HomingMethod,
+        off_unconfirmed_from_ns: Nanoseconds,
+    ) -> Result<Self, RigError> {
         let folder = tempfile::tempdir().unwrap();
         let clock = VirtualClock::default();
         let device = Timed { clock: clock.clone(), off_unconfirmed_from_ns };
@@ -108,8 +116,8 @@ impl Bench {
             recovery: Recovery { memory, ..Recovery::default() },
             ..RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(device)))
         };
-        let rig = Rig::open(&settings, &Arc::default()).unwrap();
-        Self { folder, clock, rig }
+        let rig = Rig::open(&settings, &Arc::default())?;
+        Ok(Self { folder, clock, rig })
     }
 
     fn rollout(&self, name: &str) -> Result<Ending, RigError> {
@@ -250,4 +258,41 @@ fn a_motor_that_nobody_confirmed_to_be_off_keeps_the_next_rollout_from_beginning
     // Homing ends in the same way.
     let error = bench.rig.start_again().unwrap_err();
     assert_eq!(error.fault(), Some(Fault::OffUnconfirmed), "{error}");
+}
+
+#[test]
+fn a_motor_that_is_not_confirmed_to_be_off_is_told_beside_the_fault_of_homing() {
+    let frozen = EmulatorFault::FrozenTheta { after_s: 0.5 };
+    let homed = Bench::opened(Some(frozen), HomingMethod::Stops, 0);
+    let Err(error) = homed.map(drop) else { panic!("homed with a frozen encoder") };
+    assert!(matches!(error, RigError::Homing { motor: MotorState::Unconfirmed, .. }), "{error:?}");
+    let told = error.to_string();
+    assert!(!told.contains("The motor is off."), "{told}");
+    assert!(told.contains("may still have its last voltage. Switch the Qube off"), "{told}");
+}
+
+#[test]
+fn a_device_that_says_that_it_stays_armed_is_named_whatever_ended_the_motion() {
+    let ignored = EmulatorFault::IgnoredDisarm { after_s: 20.0 };
+    let bench = Bench::open(Some(ignored), HomingMethod::Hand);
+    let mut rollouts = 0;
+    while bench.rig.last_fault().is_none() && rollouts < 9 {
+        bench.rollout(&format!("{rollouts}.mcap")).unwrap();
+        rollouts += 1;
+    }
+    assert_eq!(bench.rig.last_fault(), Some(Fault::OffUnconfirmed));
+    let unconfirmed = bench.rig.check_off().unwrap_err();
+    assert!(unconfirmed.to_string().contains("Switch the Qube off"), "{unconfirmed}");
+}
+
+#[test]
+fn a_motor_with_a_voltage_of_its_own_is_off_within_a_tenth_of_a_second() {
+    let stuck = EmulatorFault::StuckOutput { after_s: 6.0, voltage_v: 1.5 };
+    let bench = Bench::open(Some(stuck), HomingMethod::Hand);
+    assert_eq!(bench.rollout("0.mcap").unwrap(), Ending::Fault(Fault::VoltageDiffers));
+    let recorded = recording::read(&bench.path("0.mcap")).unwrap();
+    let stuck_since =
+        recorded.ticks.iter().rev().take_while(|tick| tick.measurement.unwrap().applied_mv == 1499);
+    assert!((3..=10).contains(&stuck_since.count()));
+    assert!(bench.has_stored_doubt());
 }

@@ -21,7 +21,7 @@ use crate::control::{PressKind, PressOutcome};
 use crate::device::Identity;
 use crate::rig::{Pressed, Rig, RigError, RigSettings};
 use crate::session::{PowerTest, QubeFile, UsbLost};
-use crate::telemetry::{Ending, Fault};
+use crate::telemetry::{Ending, Fault, MotorState};
 
 /// Step of the voltages that are tried until a pushed arm returns, V. The first voltage at which it
 /// returns is at most 0.25 V above friction, so that the arm is slower than 2 rad/s after a
@@ -96,7 +96,7 @@ fn without_result(pressed: &Pressed, stop: &Stop) -> Failure {
         }
         (Ending::Stopped, _) => stop.failure("the power test was stopped"),
         (_, Some(fault)) => {
-            let step = if is_off { fault.motor_and_step() } else { String::new() };
+            let step = if is_off { fault.motor_and_step(MotorState::Off) } else { String::new() };
             let cause = format!("{fault}, so the test has no result. {step}");
             Failure::fault(cause.trim_end()).caused_by(Some(fault))
         }

@@ -10,7 +10,7 @@ use crate::commands::printable::print_message;
 use crate::commands::screen::{Progress, time_left};
 use crate::commands::stop::Stop;
 use crate::commands::{command_hints, failures, warn_without_realtime};
-use crate::rig::{Doubt, MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
+use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
 use crate::session::RolloutPlan;
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};
@@ -83,31 +83,49 @@ impl RolloutSeries<'_> {
                 rig = self.after_fault(rig, fault)?;
             }
         }
-        if self.stop.requested() {
-            return Err(self.stop.failure("stopped; the recordings are complete up to here"));
-        }
         // Of a motor that nobody has confirmed to be off, the last rollout's recording knows nothing.
-        match rig.last_fault().or(results.fault()) {
-            Some(fault) => Err(Failure::fault(fault_message(fault)).caused_by(Some(fault))),
-            None => results.check_not_void(),
+        let unconfirmed = rig.check_off().err();
+        if self.stop.requested() {
+            let why = unconfirmed.map_or_else(String::new, |error| format!(" ({error})"));
+            return Err(self
+                .stop
+                .failure(format!("stopped{why}; the recordings are complete up to here")));
+        }
+        match (rig.last_fault().or(results.fault()), unconfirmed) {
+            (Some(Fault::OffUnconfirmed) | None, Some(error)) => {
+                Err(failures::rig(error, self.stop))
+            }
+            (Some(fault), unconfirmed) => {
+                let failure = Failure::fault(fault_message(fault)).caused_by(Some(fault));
+                Err(match unconfirmed {
+                    Some(error) => failure.preceded_by(&error.to_string()),
+                    None => failure,
+                })
+            }
+            (None, None) => results.check_not_void(),
         }
     }
 
-    /// Opens the rig. The operator may acknowledge a remembered doubt at a terminal.
+    /// Opens the rig. The operator may acknowledge a remembered doubt, and one that homing leaves,
+    /// at a terminal.
     fn open(&mut self) -> Result<Rig, Failure> {
         let opened = match Rig::open(&self.settings, &self.stop.flag) {
-            Err(RigError::InDoubt(doubt)) if self.acknowledges(&doubt) => {
+            Err(error) if self.acknowledges(&error) => {
                 self.settings.recovery.acknowledged = true;
+                self.settings.recovery.doubt = error.doubt().cloned();
                 Rig::open(&self.settings, &self.stop.flag)
             }
             opened => opened,
         };
         self.settings.recovery.acknowledged = false;
+        self.settings.recovery.doubt = None;
         opened.map_err(|error| failures::rig(error, self.stop))
     }
 
-    fn acknowledges(&self, doubt: &Doubt) -> bool {
-        self.keyboard.acknowledges(doubt, self.settings.homing.method, self.stop)
+    /// Whether the error leaves a doubt, and the operator acknowledges it.
+    fn acknowledges(&self, error: &RigError) -> bool {
+        let method = self.settings.homing.method;
+        error.doubt().is_some_and(|doubt| self.keyboard.acknowledges(doubt, method, self.stop))
     }
 
     /// Runs a rollout, and homes again before it where the counts have moved. Returns the rig too,
@@ -137,7 +155,7 @@ impl RolloutSeries<'_> {
     fn after_fault(&mut self, mut rig: Rig, fault: Fault) -> Result<Rig, Failure> {
         match rig.start_again() {
             Ok(()) => Ok(rig),
-            Err(error @ RigError::InDoubt(_)) => self.reopened(rig, error),
+            Err(error) if error.doubt().is_some() => self.reopened(rig, error),
             Err(error @ RigError::Ended { .. }) => Err(failures::rig(error, self.stop)),
             Err(error) => {
                 let failure = failures::rig(error, self.stop);
@@ -150,17 +168,13 @@ impl RolloutSeries<'_> {
     /// Opens the rig anew if the error is a doubt that the operator acknowledges; any other error is
     /// the failure of the run.
     fn reopened(&mut self, rig: Rig, error: RigError) -> Result<Rig, Failure> {
-        match error {
-            RigError::InDoubt(doubt) if self.acknowledges(&doubt) => {
-                drop(rig);
-                self.settings.recovery.acknowledged = true;
-                self.settings.recovery.doubt = Some(*doubt);
-                let opened = self.open();
-                self.settings.recovery.doubt = None;
-                opened
-            }
-            error => Err(failures::rig(error, self.stop)),
+        if !self.acknowledges(&error) {
+            return Err(failures::rig(error, self.stop));
         }
+        drop(rig);
+        self.settings.recovery.acknowledged = true;
+        self.settings.recovery.doubt = error.doubt().cloned();
+        self.open()
     }
 }
 

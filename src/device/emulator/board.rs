@@ -352,12 +352,12 @@ impl Board {
             let elapsed_us = (self.now_us - sample_us).min(u64::from(NO_ACT_US) - 1);
             self.sample_to_act_us = elapsed_us as u16;
         }
-        self.drive(motor_counts(voltage_mv));
+        self.drive(self.stuck_output_counts().unwrap_or(motor_counts(voltage_mv)));
         Ok(())
     }
 
     fn disarm(&mut self) -> Reply {
-        if self.state == DeviceState::Armed {
+        if self.state == DeviceState::Armed && !self.ignores_disarm() {
             self.leave_armed(DeviceState::Greeted);
             self.nonce = self.new_nonce();
         }

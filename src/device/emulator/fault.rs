@@ -161,6 +161,18 @@ pub enum EmulatorFault {
         /// Whether the positive direction works.
         positive: bool,
     },
+    /// The board drives the motor with a voltage of its own while it is armed, and reports it.
+    StuckOutput {
+        /// Onset, s.
+        after_s: f64,
+        /// Voltage at the motor, V, from -5 to 5.
+        voltage_v: f64,
+    },
+    /// A disarm has no effect, as the board's answers to it say; its watchdog works.
+    IgnoredDisarm {
+        /// Onset, s.
+        after_s: f64,
+    },
     /// The arm's encoder has another number of lines than a Qube's.
     ScaledTheta {
         /// Ratio of the encoder's counts to a Qube's, above 0 and at most 10.
@@ -194,7 +206,7 @@ pub enum EmulatorFault {
 
 /// The text form of each fault, and its effect. S, D, N, F and V are numbers: S is a time after the
 /// start, s, D a duration, s, N a number of counts or replies, F a factor, V a voltage, V.
-const FORMS: [(&str, &str); 26] = [
+const FORMS: [(&str, &str); 28] = [
     ("silent@S", "answers nothing from S on"),
     ("garble@N", "a bit of each N-th reply is flipped"),
     ("wrong-version", "answers with the previous version of the protocol"),
@@ -212,6 +224,8 @@ const FORMS: [(&str, &str); 26] = [
     ("dead-motor@S", "no current flows"),
     ("weak-motor@F", "only the fraction F of the current flows"),
     ("one-sided-motor@S:+|-", "only voltages of this sign drive"),
+    ("stuck-output@S:V", "an armed board drives with V volts, whatever it is told"),
+    ("ignored-disarm@S", "a disarm has no effect, and the board says so"),
     ("blocked-arm@S", "something holds the arm"),
     ("pushed-arm@S+D:V", "a hand pushes the arm as V volts would"),
     ("held-pendulum@S+D", "a hand holds the pendulum"),
@@ -260,6 +274,8 @@ impl EmulatorFault {
             | Self::DriftingTheta { after_s, .. }
             | Self::DeadMotor { after_s }
             | Self::OneSidedMotor { after_s, .. }
+            | Self::StuckOutput { after_s, .. }
+            | Self::IgnoredDisarm { after_s }
             | Self::PushedArm { after_s, .. }
             | Self::HeldPendulum { after_s, .. }
             | Self::BlockedArm { after_s }
@@ -332,6 +348,10 @@ impl fmt::Display for EmulatorFault {
             Self::OneSidedMotor { after_s, positive } => {
                 write!(formatter, "one-sided-motor@{after_s}:{}", if *positive { '+' } else { '-' })
             }
+            Self::StuckOutput { after_s, voltage_v } => {
+                write!(formatter, "stuck-output@{after_s}:{voltage_v}")
+            }
+            Self::IgnoredDisarm { after_s } => write!(formatter, "ignored-disarm@{after_s}"),
             Self::ScaledTheta { factor } => write!(formatter, "scaled-theta@{factor}"),
             Self::PushedArm { after_s, lasts_s, like_v } => {
                 write!(formatter, "pushed-arm@{after_s}+{lasts_s}:{like_v}")
@@ -425,6 +445,14 @@ impl FromStr for EmulatorFault {
                 };
                 Self::OneSidedMotor { after_s: parsed(after)?, positive }
             }
+            "stuck-output" => {
+                let (after, volts) =
+                    value.and_then(|value| value.split_once(':')).ok_or_else(unknown)?;
+                let voltage_v = volts.parse().ok().filter(|volts| (-5.0..=5.0).contains(volts));
+                let voltage_v = voltage_v.ok_or_else(unknown)?;
+                Self::StuckOutput { after_s: parsed(after)?, voltage_v }
+            }
+            "ignored-disarm" => Self::IgnoredDisarm { after_s: seconds()? },
             "scaled-theta" => Self::ScaledTheta {
                 factor: seconds()
                     .ok()
@@ -506,6 +534,8 @@ mod tests {
             "weak-motor@0.3",
             "one-sided-motor@2:+",
             "one-sided-motor@0:-",
+            "stuck-output@3:1.5",
+            "ignored-disarm@2",
             "scaled-theta@0.5",
             "pushed-arm@3+0.5:-2",
             "held-pendulum@3+0.5",
@@ -517,7 +547,8 @@ mod tests {
         let forms = EmulatorFault::forms();
         let names = forms.split([' ', ',', '\n']).filter(|word| word.contains('@'));
         for name in names.map(|word| word.split('@').next().unwrap()) {
-            let may_be = ["@1", "@0.5", "@1:+", "@1+1:1", "@1+1"].map(|end| format!("{name}{end}"));
+            let may_be =
+                ["@1", "@0.5", "@1:+", "@1:1", "@1+1:1", "@1+1"].map(|end| format!("{name}{end}"));
             let is_known = may_be.iter().any(|text| text.parse::<EmulatorFault>().is_ok());
             assert!(is_known, "{name} is listed and unknown");
         }
@@ -537,6 +568,8 @@ mod tests {
             "weak-motor@2",
             "one-sided-motor@2",
             "scaled-theta@0",
+            "stuck-output@2",
+            "stuck-output@2:7",
             "pushed-arm@2+1",
             "frozen-alpha@1+",
         ] {

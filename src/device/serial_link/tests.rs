@@ -73,6 +73,17 @@ fn the_watchdog_trips_and_only_hello_and_arm_leave_that() {
 }
 
 #[test]
+fn a_device_that_says_that_it_stays_armed_has_not_switched_its_motor_off() {
+    let (mut link, _) = armed(Some(EmulatorFault::IgnoredDisarm { after_s: 0.0 }));
+    let refused = link.disarm().unwrap_err();
+    assert!(matches!(refused, DeviceError::StaysArmed { .. }), "{refused}");
+    let (mut link, clock) = armed(Some(EmulatorFault::IgnoredDisarm { after_s: 0.0 }));
+    clock.advance(60 * MS);
+    // The watchdog has switched the motor off.
+    link.disarm().unwrap();
+}
+
+#[test]
 fn a_disarmed_device_arms_again_without_a_hello() {
     let (mut link, clock) = armed(None);
     link.disarm().unwrap();

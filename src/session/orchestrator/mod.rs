@@ -202,7 +202,12 @@ impl Session {
         goes_on: impl Fn(&SessionState) -> bool,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let ended = self.perform_while(goes_on, on_event);
+        let mut ended = self.perform_while(goes_on, on_event);
+        if matches!(ended, Ok(()) | Err(SessionError::Stopped)) {
+            // The recording of the last rollout does not say whether its motor was confirmed to be
+            // off.
+            ended = self.check_motors_off().and(ended);
+        }
         if ended.is_err() {
             // An error ends the trainings that run ahead; they begin again when the session is
             // resumed.
@@ -250,7 +255,10 @@ impl Session {
                 Step::Done => break,
             }
         }
-        // The recording of the last rollout does not say whether its motor was confirmed to be off.
+        Ok(())
+    }
+
+    fn check_motors_off(&self) -> Result<(), SessionError> {
         for rig in self.rigs.iter().filter_map(|rig| rig.opened.as_ref()) {
             rig.check_off()?;
         }

@@ -2,6 +2,7 @@
 //! then reports or no longer does.
 
 use firmware_protocol::DeviceState;
+use firmware_protocol::scaling::motor_counts;
 
 use super::super::EmulatorFault;
 use super::Board;
@@ -67,6 +68,13 @@ impl Board {
                 self.plant.disconnect_motor();
                 false
             }
+            Some(EmulatorFault::StuckOutput { .. }) => {
+                if let (DeviceState::Armed, Some(counts)) = (self.state, self.stuck_output_counts())
+                {
+                    self.drive(counts);
+                }
+                false
+            }
             Some(EmulatorFault::BlockedArm { .. }) => {
                 self.plant.block_arm();
                 false
@@ -106,6 +114,22 @@ impl Board {
     /// Whether the fault of the settings is of this kind and has begun.
     pub(super) fn has_begun(&self, which: impl Fn(&EmulatorFault) -> bool) -> bool {
         self.fault_began && self.settings.fault.as_ref().is_some_and(which)
+    }
+
+    /// The motor's counts that an armed board drives with, whatever it is told; `None` unless its
+    /// output is stuck.
+    pub(super) fn stuck_output_counts(&self) -> Option<i16> {
+        match self.settings.fault {
+            Some(EmulatorFault::StuckOutput { voltage_v, .. }) if self.fault_began => {
+                Some(motor_counts((voltage_v * 1e3) as i16))
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether a disarm has no effect.
+    pub(super) fn ignores_disarm(&self) -> bool {
+        self.has_begun(|fault| matches!(fault, EmulatorFault::IgnoredDisarm { .. }))
     }
 
     /// Whether the board no longer finds its Qube.
