@@ -1,14 +1,14 @@
 //! The keys of an operator at a terminal: the space bar requests a stop, and `a` acknowledges a
 //! doubt. With a screen its keys work, too.
 
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd, OwnedFd};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
-use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::event::{EventfdFlags, eventfd};
 use rustix::stdio::stdin;
 use rustix::termios::isatty;
 use signal_hook::consts::SIGTSTP;
@@ -19,9 +19,6 @@ use super::stop::Stop;
 use super::terminal;
 use crate::control::HomingMethod;
 use crate::rig::Doubt;
-
-/// Longest wait for a key before the thread checks whether the program was suspended.
-const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
 /// A reader of single keys from the terminal; dropping it restores the terminal.
 ///
@@ -162,14 +159,7 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
         }
         terminal::set_single_keys();
         terminal::resume_screen();
-        let input = stdin();
-        let mut ready =
-            [PollFd::new(&input, PollFlags::IN), PollFd::new(&shared.wake, PollFlags::IN)];
-        let readable = match poll(&mut ready, Some(&POLL_INTERVAL)) {
-            Ok(_) => ready[0].revents(),
-            Err(_) => continue,
-        };
-        if readable.is_empty() {
+        if !terminal::wait_for_input(Some(shared.wake.as_fd())) {
             continue;
         }
         if !terminal::is_foreground() {
@@ -178,7 +168,7 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
         }
         let mut buffer = [0; 16];
         // A closed terminal ends this thread; SIGHUP then stops the program.
-        let Ok(length @ 1..) = rustix::io::read(input, &mut buffer) else { return };
+        let Ok(length @ 1..) = rustix::io::read(stdin(), &mut buffer) else { return };
         for &key in &buffer[..length] {
             if shared.asking.load(Ordering::Relaxed) {
                 let _ = keys.try_send(key);

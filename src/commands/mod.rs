@@ -49,6 +49,7 @@ mod plant_arguments;
 mod plant_file;
 mod printable;
 mod profile;
+mod question;
 mod recover;
 mod replay;
 mod report;

@@ -1,8 +1,8 @@
 //! Stop requests by Ctrl-C, SIGTERM, SIGHUP, a key or the live view: what moves is braked, the
 //! state is kept, and the exit code names the signal.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
@@ -16,6 +16,7 @@ pub struct Stop {
     /// Flag of the request, which the control thread and the trainings watch.
     pub flag: Arc<AtomicBool>,
     signal: Arc<AtomicUsize>,
+    answer: Arc<Mutex<&'static str>>,
 }
 
 impl Stop {
@@ -35,6 +36,8 @@ impl Stop {
             |error: String| Failure::failed(format!("signals cannot be handled: {error}"));
         let (interrupt, interrupted_by) = (Arc::clone(&flag), Arc::clone(&signal));
         let interrupted = AtomicBool::new(false);
+        let answer = Arc::new(Mutex::new(answer));
+        let answered = Arc::clone(&answer);
         ctrlc::set_handler(move || {
             if interrupted.swap(true, Ordering::Relaxed) {
                 terminal::restore();
@@ -44,6 +47,7 @@ impl Stop {
             if !interrupt.swap(true, Ordering::Relaxed) {
                 interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
             }
+            let answer = *answered.lock().unwrap_or_else(PoisonError::into_inner);
             print_message(&format!("\n{answer} (Ctrl-C again ends the program at once)"));
         })
         .map_err(|error| handlers(error.to_string()))?;
@@ -52,7 +56,12 @@ impl Stop {
                 .and_then(|_| signal_hook::flag::register(kind, Arc::clone(&flag)))
                 .map_err(|error| handlers(error.to_string()))?;
         }
-        Ok(Self { flag, signal })
+        Ok(Self { flag, signal, answer })
+    }
+
+    /// Replaces the words that are printed after the first Ctrl-C.
+    pub fn say(&self, answer: &'static str) {
+        *self.answer.lock().unwrap_or_else(PoisonError::into_inner) = answer;
     }
 
     /// Whether a stop was requested.

@@ -3,14 +3,17 @@
 
 use std::fs::File;
 use std::io::{self, Write};
+use std::os::fd::BorrowedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError, TryLockError};
 use std::time::Duration;
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::fcntl_dupfd_cloexec;
 use rustix::stdio::{stderr, stdin};
 use rustix::termios::{
-    LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcgetpgrp, tcsetattr,
+    LocalModes, OptionalActions, QueueSelector, SpecialCodeIndex, Termios, tcflush, tcgetattr,
+    tcgetpgrp, tcsetattr,
 };
 
 /// The terminal's settings before single keys were read; `None` while these settings are in force.
@@ -28,6 +31,9 @@ const ENTER: &[u8] = b"\x1b[?1049h\x1b[?25l\x1b[2J";
 /// Resets the style, shows the cursor and leaves the alternate screen, so that the terminal's
 /// earlier contents are shown again.
 const LEAVE: &[u8] = b"\x1b[0m\x1b[?25h\x1b[?1049l";
+
+/// Longest wait for input, after which the caller looks at its other reasons to go on.
+const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
 struct ScreenTerminal {
     /// A duplicate of stderr as it was before its capture: the terminal.
@@ -140,6 +146,24 @@ pub fn set_single_keys() {
     single.special_codes[SpecialCodeIndex::VQUIT] = 0;
     if tcsetattr(stdin(), OptionalActions::Now, &single).is_ok() {
         *saved = Some(before);
+    }
+}
+
+/// Waits until stdin has input or has ended, until `wake` can be read, or for 0.1 s; returns whether
+/// stdin has input or has ended.
+pub fn wait_for_input(wake: Option<BorrowedFd<'_>>) -> bool {
+    let input = stdin();
+    let wake = wake.unwrap_or(input);
+    let mut ready =
+        [PollFd::new(&input, PollFlags::IN), PollFd::from_borrowed_fd(wake, PollFlags::IN)];
+    poll(&mut ready, Some(&POLL_INTERVAL)).is_ok() && !ready[0].revents().is_empty()
+}
+
+/// Discards the keys that were typed and not read. Input from elsewhere than a terminal stays, and so
+/// does that of a terminal in which the program is in the background: the system would stop it.
+pub fn discard_typed_keys() {
+    if is_foreground() {
+        let _ = tcflush(stdin(), QueueSelector::IFlush);
     }
 }
 

@@ -1,5 +1,5 @@
 //! Tests the space bar at a terminal: it brakes like Ctrl-C, and the terminal is restored on every
-//! way out. The terminal is a real pty and the program's controlling terminal.
+//! way out. Keys that were typed ahead answer no question, and Ctrl-C ends one. The terminal is a real pty and the program's controlling terminal.
 
 use std::io::Read;
 use std::os::fd::{AsFd, OwnedFd};
@@ -8,6 +8,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
+use qube_hil::qube::State;
 use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
 use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, unlockpt};
 use rustix::termios::{LocalModes, tcgetattr};
@@ -205,6 +207,38 @@ fn a_terminal_is_given_back_by_ctrl_c_twice_sigterm_and_while_stopped() {
         let _ = kill_process(process, Signal::INT);
         assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
         assert!(terminal.is_cooked());
+    });
+}
+
+#[test]
+fn keys_that_were_typed_ahead_answer_no_question_and_ctrl_c_ends_one() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let start = Some(State::default());
+        let settings = EmulatorSettings { seed: 5, start, ..EmulatorSettings::default() };
+        let mut qube = EmulatedQube::spawn(settings).unwrap();
+        qube.link_as(&directory.path().join("qube")).unwrap();
+        let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test"];
+        let mut terminal = Terminal::start(directory.path(), &arguments);
+        let wait_for = |terminal: &mut Terminal, question: &str| {
+            terminal.wait_until(question, |it| {
+                it.shown.contains(question) || it.child.try_wait().unwrap().is_some()
+            });
+            assert!(terminal.shown.contains(question), "{}", terminal.shown);
+        };
+        wait_for(&mut terminal, "Turn the arm by hand to one of its stops");
+        // The arm is in its middle, so that the next question follows at once.
+        terminal.press(b"\n\n\n");
+        let next = "The arm is not at a stop";
+        wait_for(&mut terminal, next);
+        std::thread::sleep(Duration::from_secs(1));
+        terminal.look();
+        assert_eq!(terminal.shown.matches(next).count(), 1, "{}", terminal.shown);
+        kill_process(Pid::from_child(&terminal.child), Signal::INT).unwrap();
+        assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
+        terminal.look();
+        assert!(terminal.shown.contains("the motor is switched off"), "{}", terminal.shown);
+        assert!(!terminal.shown.contains("is braked"), "{}", terminal.shown);
     });
 }
 

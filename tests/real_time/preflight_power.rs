@@ -44,6 +44,8 @@ enum AtThePlug {
     /// Pulls the plug of a board that another supply keeps alive, does not see its light, and
     /// answers this.
     OnAnotherSupply(&'static str),
+    /// Pulls the plug, and presses Ctrl-C at the next question.
+    Interrupted,
     /// Leaves the plug in, while the program is stopped for a moment.
     Stopped,
 }
@@ -71,7 +73,7 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
         .spawn()
         .unwrap();
     let mut operator = child.stdin.take().unwrap();
-    let mut told = Vec::new();
+    let (mut told, mut light_questions) = (Vec::new(), 0);
     for line in BufReader::new(child.stderr.take().unwrap()).lines() {
         let line = line.unwrap();
         if line.contains("Turn the arm by hand to one of its stops") {
@@ -80,7 +82,10 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
             writeln!(operator).unwrap();
         } else if line.contains("Now pull the USB plug") {
             match at_the_plug {
-                AtThePlug::Pulled(_) | AtThePlug::OnAnotherSupply(_) | AtThePlug::LightOn => {
+                AtThePlug::Pulled(_)
+                | AtThePlug::OnAnotherSupply(_)
+                | AtThePlug::LightOn
+                | AtThePlug::Interrupted => {
                     std::thread::sleep(AN_OPERATOR_TAKES);
                     connected = None;
                 }
@@ -93,14 +98,26 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
                 }
             }
         } else if line.contains("Is the light on the board out") {
-            let light = if matches!(at_the_plug, AtThePlug::LightOn) { "n" } else { "y" };
+            light_questions += 1;
+            let light = match at_the_plug {
+                AtThePlug::Interrupted => {
+                    kill_process(Pid::from_child(&child), Signal::INT).unwrap();
+                    continue;
+                }
+                // An empty answer is none, so that the question comes again.
+                _ if light_questions == 1 => "",
+                AtThePlug::LightOn => "n",
+                _ => "y",
+            };
             writeln!(operator, "{light}").unwrap();
         } else if line.contains("The board is dead") {
             match at_the_plug {
                 AtThePlug::Pulled(answer) | AtThePlug::OnAnotherSupply(answer) => {
                     writeln!(operator, "{answer}").unwrap();
                 }
-                AtThePlug::LightOn | AtThePlug::Stopped => panic!("it is not: {line}"),
+                AtThePlug::LightOn | AtThePlug::Interrupted | AtThePlug::Stopped => {
+                    panic!("it is not: {line}")
+                }
             }
         } else if line.contains("Plug the USB cable in again") {
             let restarts = !matches!(at_the_plug, AtThePlug::OnAnotherSupply(_));
@@ -192,6 +209,19 @@ fn a_board_that_another_supply_keeps_alive_shows_nothing() {
             assert!(told.contains(words) && told.contains("switch the Qube off"), "{told}");
             assert!(!directory.path().join("qube.toml").exists());
         }
+    });
+}
+
+#[test]
+fn ctrl_c_while_the_board_is_dead_ends_the_test_and_says_to_switch_the_qube_off() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::Interrupted);
+        assert_eq!(code, Some(130), "{told}\n{text}");
+        assert!(!told.contains("is braked"), "{told}");
+        // Both at once after Ctrl-C and at the end.
+        assert_eq!(told.matches("motor may still have its voltage").count(), 2, "{told}");
+        assert!(!directory.path().join("qube.toml").exists());
     });
 }
 

@@ -3,7 +3,7 @@
 mod conformance;
 mod power_test;
 
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
@@ -18,6 +18,7 @@ use super::failures;
 use super::keyboard::Keyboard;
 use super::output::Output;
 use super::printable::print_message;
+use super::question::ask_choice;
 use super::screen::Screen;
 use super::stop::Stop;
 use super::warn_without_realtime;
@@ -165,8 +166,14 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         let note = if arguments.write.is_some() { ", so nothing was written" } else { "" };
         Err(Failure::failed(format!("failed: {}{note}", failed_names(results))))
     } else {
-        let is_offered = written.is_some() && wants_power_test(&tested_path);
-        if arguments.power_test || is_offered {
+        let is_wanted = if arguments.power_test {
+            Ok(true)
+        } else if written.is_some() {
+            wants_power_test(&tested_path, &stop)
+        } else {
+            Ok(false)
+        };
+        if let Ok(true) = is_wanted {
             let file = QubeFile {
                 port: Some(stable_port_name(&rig.identity().port)),
                 board: Some(rig.identity().serial.clone()),
@@ -180,7 +187,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             };
             tested.map(|tested| output.print_for_people(&tested.text))
         } else {
-            Ok(())
+            is_wanted.map(|_| ())
         }
     };
     output.print_for_scripts(&value);
@@ -188,19 +195,20 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 }
 
 /// Whether the operator wants the power test. Asks only at a terminal, and only if the file has no
-/// result of that test; otherwise the answer is no.
-fn wants_power_test(path: &Path) -> bool {
+/// result of that test; otherwise, and at the end of the input, the answer is no. Fails after a stop
+/// request.
+fn wants_power_test(path: &Path, stop: &Stop) -> Result<bool, Failure> {
     let is_known = QubeFile::load(path).is_ok_and(|file| file.power.is_some());
     if is_known || !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {
-        return false;
+        return Ok(false);
     }
-    let _ = write!(
-        std::io::stderr(),
-        "Test now how the motor behaves when its board loses power (3 minutes)? [y/N] "
-    );
-    let mut line = String::new();
-    let read = std::io::stdin().read_line(&mut line);
-    read.is_ok() && matches!(line.trim(), "y" | "Y" | "yes")
+    stop.say("stopping: the motor is off, and the file is written");
+    let question = "Test now how the motor behaves when its board loses power (3 minutes)? [y/N]";
+    let answer = ask_choice(question, stop, (true, false), Some(false));
+    if stop.requested() {
+        return Err(stop.failure("stopped before the power test; the file is written"));
+    }
+    Ok(answer.unwrap_or(false))
 }
 
 /// The entries that the check and the power test start from when they write the file `path`: those

@@ -7,7 +7,6 @@
 //! one finger whether the voltage persists. The operator first rehearses the same push with the
 //! board alive, because an arm that does not return could also mean that the voltage was too small.
 
-use std::io::{BufRead, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -16,6 +15,7 @@ use serde_json::{Value, json};
 use crate::commands::exit::Failure;
 use crate::commands::failures;
 use crate::commands::printable::print_message;
+use crate::commands::question;
 use crate::commands::stop::Stop;
 use crate::control::{PressKind, PressOutcome};
 use crate::device::Identity;
@@ -39,6 +39,12 @@ const REPLUG: Duration = Duration::from_secs(120);
 const MAY_HAVE_VOLTAGE: &str =
     "If the USB plug is still out, switch the Qube off: its motor may still have its voltage";
 
+/// Words after Ctrl-C before the plug is pulled.
+const STOPPING: &str = "stopping: the motor is switched off, and no result is written";
+/// Words after Ctrl-C from the request to pull the plug on.
+const STOPPING_WITHOUT_BOARD: &str = "stopping: no result is written. If the USB plug is out, switch \
+    the Qube off: its motor may still have its voltage";
+
 /// Largest number of repetitions in a rehearsal after a late computer or link ended the push.
 const MAX_REPETITIONS: u32 = 2;
 
@@ -57,6 +63,7 @@ pub fn run(
     stop: &Stop,
 ) -> Result<Tested, Failure> {
     let before = rig.identity().clone();
+    stop.say(STOPPING);
     ask(
         "The test of the motor without its board. Hands off the pendulum; one person stays at the \
          Qube's own switch.\nTurn the arm by hand to one of its stops and let go. Then press Enter: \
@@ -65,6 +72,7 @@ pub fn run(
     )?;
     let push_v = rehearse(&mut rig, stop)?;
 
+    stop.say(STOPPING_WITHOUT_BOARD);
     print_message(
         "Now pull the USB plug out of the computer, within 60 s. Leave the Qube's own power on and \
          the arm alone. The board must have no other supply: no power plug, and no hub with its own.",
@@ -125,24 +133,23 @@ fn without_board(
     before: &Identity,
     stop: &Stop,
 ) -> Result<Tested, Failure> {
-    let light = ask("The port is gone. Is the light on the board out, too? [y/n]", stop)?;
-    if !light.trim().starts_with(['y', 'Y']) {
+    let question = "The port is gone. Is the light on the board out, too? [y/n]";
+    let is_dark = question::ask_choice(question, stop, (true, false), None);
+    if !is_dark.ok_or_else(|| unanswered(stop))? {
         return Err(Failure::failed(
             "a board whose light is on has another supply, so no result was written: take that supply away (a power \
              plug, a hub with its own) and begin again",
         ));
     }
-    let answer = ask(
+    let usb_lost = question::ask_choice(
         "The board is dead. With one finger push the arm a finger's breadth (1 cm) off its stop, as \
          before, and let go. Does it go back to its stop by itself, or press against the finger? \
          [y/n, or Enter if you cannot tell]",
         stop,
-    )?;
-    let usb_lost = match answer.trim().chars().next() {
-        Some('y' | 'Y') => UsbLost::KeepsVoltage,
-        Some('n' | 'N') => UsbLost::MotorOff,
-        _ => UsbLost::Unknown,
-    };
+        (UsbLost::KeepsVoltage, UsbLost::MotorOff),
+        Some(UsbLost::Unknown),
+    )
+    .ok_or_else(|| unanswered(stop))?;
     ask(
         match usb_lost {
             UsbLost::MotorOff => "Plug the USB cable in again and press Enter.",
@@ -251,22 +258,18 @@ fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
     }
 }
 
-/// Asks a question and returns the line that was typed. The messages of its failures do not say
-/// that the motor is off: a motor without its board may keep its voltage.
+/// Asks a question and returns the line that was typed. A failure says that no result was written;
+/// the caller adds the state of the motor.
 fn ask(question: &str, stop: &Stop) -> Result<String, Failure> {
-    print_message(&format!("\n{question}"));
-    let _ = std::io::stderr().flush();
-    let mut line = String::new();
-    let read = std::io::stdin().lock().read_line(&mut line);
+    question::ask(question, stop).ok_or_else(|| unanswered(stop))
+}
+
+/// The failure after a question without an answer.
+fn unanswered(stop: &Stop) -> Failure {
     if stop.requested() {
-        return Err(stop.failure("stopped; no result was written"));
+        return stop.failure("stopped; no result was written");
     }
-    match read {
-        Ok(0) | Err(_) => Err(Failure::failed(
-            "nobody answers, so no result was written: this test needs an operator",
-        )),
-        Ok(_) => Ok(line),
-    }
+    Failure::failed("nobody answers, so no result was written: this test needs an operator")
 }
 
 #[cfg(test)]
