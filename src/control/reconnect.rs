@@ -24,9 +24,8 @@ pub struct HelloRetries {
 /// before each further attempt.
 ///
 /// # Errors
-/// The error of the last hello. Three errors end the attempts at once, because waiting does not
-/// cure them: a version mismatch, an emergency stop, and a Qube that was switched off, which
-/// somebody may be about to touch. A request to stop ends them, too.
+/// The error of the last hello. An error that [waiting does not
+/// cure](DeviceError::is_cured_by_waiting) ends the attempts at once, and so does a request to stop.
 pub(super) fn greet_until_answered(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -41,7 +40,7 @@ pub(super) fn greet_until_answered(
             Ok(identity) => return Ok(identity),
             Err(error) => {
                 let is_over = clock.now_ns() >= end_ns || stop.load(Ordering::Relaxed);
-                if is_over || !is_cured_by_waiting(&error) {
+                if is_over || !error.is_cured_by_waiting() {
                     return Err(error);
                 }
             }
@@ -50,15 +49,6 @@ pub(super) fn greet_until_answered(
         // If the port has not come back, the next hello reports it.
         let _ = device.reopen();
     }
-}
-
-fn is_cured_by_waiting(error: &DeviceError) -> bool {
-    !matches!(
-        error,
-        DeviceError::VersionMismatch { .. }
-            | DeviceError::StopOpened { .. }
-            | DeviceError::SwitchedOff { .. }
-    )
 }
 
 fn pause(clock: &dyn Clock, stop: &AtomicBool, pause_ns: Nanoseconds) {

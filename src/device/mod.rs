@@ -333,3 +333,17 @@ pub enum DeviceError {
         source: std::io::Error,
     },
 }
+
+impl DeviceError {
+    /// Whether the device may answer after a while without any change of its settings: its port
+    /// comes back, another program closes it, the board starts, or the Qube is switched on.
+    /// Waiting cures neither another version of the protocol nor an emergency stop, nor a Qube that
+    /// was switched off, which somebody may be about to touch.
+    #[must_use]
+    pub fn is_cured_by_waiting(&self) -> bool {
+        !matches!(
+            self,
+            Self::VersionMismatch { .. } | Self::StopOpened { .. } | Self::SwitchedOff { .. }
+        )
+    }
+}

@@ -20,16 +20,23 @@ use crate::program::program;
 /// homing.
 const AT_STOP_S: u64 = 20;
 
+/// Seed of the tested Qube and serial number of its board.
+const SEED: u64 = 5;
+
 /// Delay of the operator's hand: the motor presses by then.
 const AN_OPERATOR_TAKES: Duration = Duration::from_millis(500);
 
 /// An emulated Qube with or without an operator's finger at its arm, at the port `link`; with
 /// `restarts`, its board begins with another start than the first one's.
 fn qube(link: &Path, finger: Option<Finger>, restarts: bool) -> EmulatedQube {
+    qube_of(SEED, link, finger, restarts)
+}
+
+/// As [`qube`], of the board whose serial number is this seed.
+fn qube_of(seed: u64, link: &Path, finger: Option<Finger>, restarts: bool) -> EmulatedQube {
     let start = Some(State::default());
     let fault = restarts.then_some(EmulatorFault::BoardRestart { after_s: 0.0 });
-    let settings =
-        EmulatorSettings { seed: 5, start, finger, fault, ..EmulatorSettings::default() };
+    let settings = EmulatorSettings { seed, start, finger, fault, ..EmulatorSettings::default() };
     let mut qube = EmulatedQube::spawn(settings).unwrap();
     qube.link_as(link).unwrap();
     qube
@@ -44,6 +51,9 @@ enum AtThePlug {
     /// Pulls the plug of a board that another supply keeps alive, does not see its light, and
     /// answers this.
     OnAnotherSupply(&'static str),
+    /// Pulls the plug, and plugs another board in afterwards. The file of the Qube names the first
+    /// one.
+    OtherBoard,
     /// Pulls the plug, and presses Ctrl-C at the next question.
     Interrupted,
     /// Leaves the plug in, while the program is stopped for a moment.
@@ -66,6 +76,14 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
     let mut connected = Some(qube(&link, Some(finger), false));
     let started = Instant::now();
     let arguments = ["check", "--device", "qube", "--home", "hand", "--power-test", "--json"];
+    let arguments = match at_the_plug {
+        AtThePlug::OtherBoard => {
+            std::fs::write(directory.join("qube.toml"), format!("board = \"{SEED:016x}\"\n"))
+                .unwrap();
+            [&arguments[..], &["--qube", "qube.toml"]].concat()
+        }
+        _ => arguments.to_vec(),
+    };
     let mut child = program(directory, &arguments)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -85,6 +103,7 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
                 AtThePlug::Pulled(_)
                 | AtThePlug::OnAnotherSupply(_)
                 | AtThePlug::LightOn
+                | AtThePlug::OtherBoard
                 | AtThePlug::Interrupted => {
                     std::thread::sleep(AN_OPERATOR_TAKES);
                     connected = None;
@@ -115,13 +134,15 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
                 AtThePlug::Pulled(answer) | AtThePlug::OnAnotherSupply(answer) => {
                     writeln!(operator, "{answer}").unwrap();
                 }
+                AtThePlug::OtherBoard => writeln!(operator, "n").unwrap(),
                 AtThePlug::LightOn | AtThePlug::Interrupted | AtThePlug::Stopped => {
                     panic!("it is not: {line}")
                 }
             }
         } else if line.contains("Plug the USB cable in again") {
             let restarts = !matches!(at_the_plug, AtThePlug::OnAnotherSupply(_));
-            connected = Some(qube(&link, None, restarts));
+            let seed = SEED + u64::from(matches!(at_the_plug, AtThePlug::OtherBoard));
+            connected = Some(qube_of(seed, &link, None, restarts));
             writeln!(operator).unwrap();
         }
         told.push(line);
@@ -209,6 +230,20 @@ fn a_board_that_another_supply_keeps_alive_shows_nothing() {
             assert!(told.contains(words) && told.contains("switch the Qube off"), "{told}");
             assert!(!directory.path().join("qube.toml").exists());
         }
+    });
+}
+
+#[test]
+fn another_board_that_is_plugged_in_again_is_named_at_once() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let begun = Instant::now();
+        let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::OtherBoard);
+        assert_eq!(code, Some(1), "{told}\n{text}");
+        assert!(told.contains("another board answers now"), "{told}");
+        assert!(begun.elapsed() < Duration::from_secs(100), "{told}");
+        let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
+        assert_eq!(file.power, None);
     });
 }
 

@@ -18,7 +18,7 @@ use crate::commands::printable::print_message;
 use crate::commands::question;
 use crate::commands::stop::Stop;
 use crate::control::{PressKind, PressOutcome};
-use crate::device::Identity;
+use crate::device::{DeviceError, Identity};
 use crate::rig::{Pressed, Rig, RigError, RigSettings};
 use crate::session::{PowerTest, QubeFile, UsbLost};
 use crate::telemetry::{Ending, Fault, MotorState};
@@ -238,23 +238,46 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     )))
 }
 
-/// Opens the Qube at its port again as soon as it answers; fails after [`REPLUG`] or at a stop
-/// request.
+/// Opens the Qube at its port again as soon as it answers, whichever board it is. Fails after
+/// [`REPLUG`], at a stop request, and at an error that waiting does not cure.
 fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
+    // The caller compares the board with the tested one.
+    let settings = RigSettings { board: None, ..settings.clone() };
     let end = Instant::now() + REPLUG;
     loop {
-        match Rig::connect(settings, &stop.flag) {
+        let error = match Rig::connect(&settings, &stop.flag) {
             Ok(rig) => return Ok(rig),
-            // The Qube did not come back, which is no bad usage, whatever the port says.
-            Err(error) if Instant::now() >= end => {
-                let failure = failures::rig(error, stop);
-                return Err(Failure::fault(failure.cause()).caused_by(Some(Fault::LinkGone)));
-            }
-            Err(_) if stop.requested() => {
-                return Err(stop.failure("stopped; no result was written"));
-            }
-            Err(_) => std::thread::sleep(Duration::from_millis(300)),
+            Err(error) => error,
+        };
+        if stop.requested() {
+            return Err(stop.failure("stopped; no result was written"));
         }
+        if !may_come_back(&error) || Instant::now() >= end {
+            return Err(not_reconnected(error, stop));
+        }
+        std::thread::sleep(Duration::from_millis(300));
+    }
+}
+
+/// Whether the Qube may answer later although opening it failed with this error.
+fn may_come_back(error: &RigError) -> bool {
+    matches!(error, RigError::Device(source) if source.is_cured_by_waiting())
+}
+
+/// The failure of a Qube that could not be opened again. A Qube that did not come back is no bad
+/// usage, whatever its port says.
+fn not_reconnected(error: RigError, stop: &Stop) -> Failure {
+    let fault = match &error {
+        RigError::Device(DeviceError::QubeAbsent { .. }) => Some(Fault::QubeOff),
+        error if may_come_back(error) => Some(Fault::LinkGone),
+        error => error.fault(),
+    };
+    let failure = failures::rig(error, stop);
+    let cause = failure.cause().trim_end_matches('.');
+    let cause = format!("{cause}. No result was written");
+    match fault {
+        Some(_) => Failure::fault(cause).caused_by(fault),
+        None => Failure::failed(cause),
     }
 }
 
@@ -278,6 +301,32 @@ mod tests {
 
     fn pressed(ending: Ending, fault: Option<Fault>, is_off_confirmed: bool) -> Pressed {
         Pressed { ending, outcome: PressOutcome::Stayed, fault, is_off_confirmed }
+    }
+
+    #[test]
+    fn only_a_qube_that_may_come_back_is_awaited_and_called_a_lost_link() {
+        let port = || "/dev/qube".to_owned();
+        let device = |error| RigError::Device(error);
+        let gone = device(DeviceError::NoSuchPort { port: port(), available: "none".into() });
+        let absent = device(DeviceError::QubeAbsent { port: port(), module_id: 0 });
+        let starting = device(DeviceError::NotAQube { port: port(), reason: "silence".into() });
+        let older = device(DeviceError::VersionMismatch { port: port(), theirs: 1, ours: 2 });
+        let opened = device(DeviceError::StopOpened { port: port() });
+        let (expected, found) = ("1".to_owned(), "2".to_owned());
+        let other = RigError::WrongBoard { port: port(), expected, found };
+        for (error, is_awaited, fault, exit_code) in [
+            (gone, true, Some(Fault::LinkGone), 4),
+            (starting, true, Some(Fault::LinkGone), 4),
+            (absent, true, Some(Fault::QubeOff), 4),
+            (opened, false, Some(Fault::EmergencyStop), 4),
+            (older, false, None, 1),
+            (other, false, None, 1),
+        ] {
+            assert_eq!(may_come_back(&error), is_awaited, "{error}");
+            let ended = not_reconnected(error, &Stop::default()).ended_by();
+            assert_eq!(ended["fault"], serde_json::json!(fault), "{ended}");
+            assert_eq!(ended["exit_code"], exit_code, "{ended}");
+        }
     }
 
     #[test]
