@@ -2,6 +2,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
+use super::limited;
 use crate::elementary::Scalar;
 use crate::qube::{DomainParameters, Dynamics, MAX_VOLTAGE_V, State, wrap_angle};
 
@@ -110,10 +111,7 @@ impl ClassicalController {
         let direction = if swing > 0.0 { -1.0 } else { 1.0 };
         let limit_v = self.gains.pump_limit_v;
         let wanted_v = self.gains.pump_v_per_j * lacking_j;
-        // Unlike `clamp`, this cannot panic in the tick for gains that no file may have.
-        let limited_v =
-            if wanted_v.abs() > limit_v { limit_v.copysign(wanted_v) } else { wanted_v };
-        let pump_v = limited_v * direction;
+        let pump_v = limited(wanted_v, limit_v) * direction;
         pump_v
             - self.gains.centring_v_per_rad * (state.theta + self.gains.recoil_rad * sin)
             - self.gains.damping_v_s_per_rad * (theta_dot + self.gains.recoil_rad * swing)

@@ -2,6 +2,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
+use super::limited;
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, State};
 
@@ -104,7 +105,7 @@ impl Excitation {
         self.tick = self.tick.saturating_add(1);
         let limit_v = self.voltage_v.abs();
         let wanted_v = part * self.voltage_v - CENTRING_V_PER_RAD * state.theta;
-        wanted_v.clamp(-limit_v, limit_v)
+        limited(wanted_v, limit_v)
     }
 }
 
@@ -180,6 +181,17 @@ mod tests {
             assert!(mean_v.abs() < 0.2, "{shape:?}: {mean_v}");
             excitation.start();
             assert_eq!(voltages(&mut excitation, 0.0), voltages_v);
+        }
+    }
+
+    #[test]
+    fn an_impossible_voltage_does_not_panic_in_the_tick() {
+        for shape in [ExcitationShape::Chirp, ExcitationShape::Steps] {
+            for voltage_v in [f64::NAN, f64::INFINITY, -f64::INFINITY] {
+                let voltages_v = voltages(&mut Excitation::new(shape, voltage_v), 0.1);
+                let is_refused = |voltage_v: &f64| !voltage_v.is_finite();
+                assert!(voltages_v.iter().all(is_refused), "{shape:?} {voltage_v}");
+            }
         }
     }
 

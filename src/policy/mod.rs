@@ -126,8 +126,14 @@ pub trait Controller: Send {
     fn applied(&mut self, _voltage_v: f64) {}
 
     /// Returns the voltage for a state, V. Implementations must not allocate, because the control
-    /// loop calls them. The voltage gate of `safety` limits the result.
+    /// loop calls them. `safety::clamp_to_mv` limits the result.
     fn voltage_v(&mut self, state: &State) -> f64;
+}
+
+/// Limits a voltage, V, to both signs of `limit_v`. Unlike `clamp`, this cannot panic in the tick
+/// for a limit that no file may have, such as NaN.
+fn limited(voltage_v: f64, limit_v: f64) -> f64 {
+    if voltage_v.abs() > limit_v { limit_v.copysign(voltage_v) } else { voltage_v }
 }
 
 impl<C: Controller + ?Sized> Controller for Box<C> {
