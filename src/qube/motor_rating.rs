@@ -1,3 +1,5 @@
+use std::ops::RangeInclusive;
+
 use serde::{Deserialize, Serialize};
 
 /// Thermal rating of a motor.
@@ -20,6 +22,12 @@ impl MotorRating {
     /// the housing dominates, so 30 s for the whole motor is a conservative assumption, not a measurement.
     pub const NOMINAL: Self = Self { continuous_a: 0.54, time_constant_s: 30.0 };
 
+    /// Continuous currents, A, that a file may give: those of motors of table-top size.
+    pub const CURRENTS_A: RangeInclusive<f64> = 0.05..=10.0;
+
+    /// Thermal time constants, s, that a file may give.
+    pub const TIME_CONSTANTS_S: RangeInclusive<f64> = 1.0..=1000.0;
+
     /// The rating with the smaller current and the smaller time constant of the two.
     #[must_use]
     pub fn lower(&self, other: &Self) -> Self {
@@ -27,6 +35,13 @@ impl MotorRating {
             continuous_a: self.continuous_a.min(other.continuous_a),
             time_constant_s: self.time_constant_s.min(other.time_constant_s),
         }
+    }
+
+    /// Whether both numbers of the rating are in the range that a file may give.
+    #[must_use]
+    pub fn is_plausible(&self) -> bool {
+        Self::CURRENTS_A.contains(&self.continuous_a)
+            && Self::TIME_CONSTANTS_S.contains(&self.time_constant_s)
     }
 
     /// Whether both numbers of the rating are positive and no larger than those of another one.

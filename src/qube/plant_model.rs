@@ -1,3 +1,5 @@
+use std::ops::RangeInclusive;
+
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use thiserror::Error;
@@ -199,28 +201,22 @@ impl Default for PlantModel {
     }
 }
 
-/// Smallest and largest accepted value.
-type Range = (f64, f64);
+/// The accepted values.
+type Range = RangeInclusive<f64>;
 
 /// Accepted angles of a stop, rad. With a smaller angle no box leaves enough room for a swing-up;
 /// from half a turn on the two stops would overlap.
-const HARD_STOPS_RAD: Range = (0.6, 3.1);
+const HARD_STOPS_RAD: Range = 0.6..=3.1;
 
 /// Accepted largest voltages, V: homing needs 2.75 V.
-const LARGEST_VOLTAGES_V: Range = (3.0, MAX_VOLTAGE_V);
-
-/// Accepted continuous currents, A.
-const CURRENTS_A: Range = (0.05, 10.0);
-
-/// Accepted thermal time constants, s.
-const TIME_CONSTANTS_S: Range = (1.0, 1000.0);
+const LARGEST_VOLTAGES_V: Range = 3.0..=MAX_VOLTAGE_V;
 
 fn within<'de, D: Deserializer<'de>>(deserializer: D, range: Range) -> Result<f64, D::Error> {
     let value = f64::deserialize(deserializer)?;
-    let (least, most) = range;
-    if (least..=most).contains(&value) {
+    if range.contains(&value) {
         Ok(value)
     } else {
+        let (least, most) = (range.start(), range.end());
         Err(D::Error::custom(format!("{value}: give a number from {least} to {most}")))
     }
 }
@@ -230,16 +226,23 @@ fn hard_stop<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error
 }
 
 fn largest_voltage<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    within(deserializer, LARGEST_VOLTAGES_V)
-        .map_err(|error| D::Error::custom(format!("{error} V, the most that the wire carries")))
+    let value = f64::deserialize(deserializer)?;
+    if LARGEST_VOLTAGES_V.contains(&value) {
+        return Ok(value);
+    }
+    let (least, most) = (LARGEST_VOLTAGES_V.start(), LARGEST_VOLTAGES_V.end());
+    Err(D::Error::custom(format!(
+        "{value}: give a number from {least} to {most} V: homing needs nearly {least} V, and the wire carries \
+         {most} V at most"
+    )))
 }
 
 fn current<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    within(deserializer, CURRENTS_A)
+    within(deserializer, MotorRating::CURRENTS_A)
 }
 
 fn time_constant<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    within(deserializer, TIME_CONSTANTS_S)
+    within(deserializer, MotorRating::TIME_CONSTANTS_S)
 }
 
 /// A parameter that must be above 0, in a range that covers table-top pendulums.
@@ -259,19 +262,19 @@ struct Length(#[serde(deserialize_with = "length")] f64);
 struct NotNegative(#[serde(deserialize_with = "not_negative")] f64);
 
 fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    within(deserializer, (1e-6, 1e3))
+    within(deserializer, 1e-6..=1e3)
 }
 
 fn mass<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    within(deserializer, (1e-6, DomainParameter::PendulumMass.largest()))
+    within(deserializer, 1e-6..=DomainParameter::PendulumMass.largest())
 }
 
 fn length<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    within(deserializer, (1e-6, DomainParameter::PendulumLength.largest()))
+    within(deserializer, 1e-6..=DomainParameter::PendulumLength.largest())
 }
 
 fn not_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    within(deserializer, (0.0, 1e3))
+    within(deserializer, 0.0..=1e3)
 }
 
 /// The parameters as a file contains them. Each value is checked as it is read, so that the error
@@ -349,7 +352,8 @@ mod tests {
             ("R_m", "nan", "NaN"),
             ("D_p", "-1e-9", "from 0 to"),
             ("hard_stop_rad", "3.2", "from 0.6 to 3.1"),
-            ("largest_voltage_v", "12.0", "from 3 to 5"),
+            ("largest_voltage_v", "2.0", "from 3 to 5 V: homing needs nearly 3 V"),
+            ("largest_voltage_v", "12.0", "the wire carries 5 V at most"),
             ("theta_counts_per_revolution", "12", "from 1000"),
             ("continuous_a", "0.0", "from 0.05"),
             ("time_constant_s", "inf", "from 1 to 1000"),
@@ -364,6 +368,9 @@ mod tests {
             let message = with(old, "");
             assert!(message.contains(&format!("missing field `{key}`")), "{message}");
         }
+        let old = LARGER.lines().find(|line| line.starts_with("largest_voltage_v")).unwrap();
+        let message = with(old, "largest_voltage_v = \"five\"");
+        assert!(message.contains("f64") && !message.contains("wire"), "{message}");
         let message = with("[limits]", "[limits]\nhard_stop_deg = 90\n");
         assert!(message.contains("hard_stop_deg"), "{message}");
     }

@@ -223,13 +223,16 @@ fn offset<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
 fn motor_rating<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MotorRating, D::Error> {
     let rating = MotorRating::deserialize(deserializer)?;
     let MotorRating { continuous_a, time_constant_s } = MotorRating::NOMINAL;
-    if rating.is_within(&MotorRating::NOMINAL) {
+    if rating.is_plausible() && rating.is_within(&MotorRating::NOMINAL) {
         return Ok(rating);
     }
     Err(D::Error::custom(format!(
-        "continuous_a = {}, time_constant_s = {} is no rating of a Qube's motor: give continuous_a \
-         above 0, at most {continuous_a}, and time_constant_s above 0, at most {time_constant_s}",
-        rating.continuous_a, rating.time_constant_s
+        "continuous_a = {}, time_constant_s = {} is no rating of a Qube's motor: give continuous_a of at \
+         least {}, at most {continuous_a}, and time_constant_s of at least {}, at most {time_constant_s}",
+        rating.continuous_a,
+        rating.time_constant_s,
+        MotorRating::CURRENTS_A.start(),
+        MotorRating::TIME_CONSTANTS_S.start(),
     )))
 }
 
@@ -298,6 +301,8 @@ mod tests {
             "continuous_a = nan",
             "time_constant_s = 31.0",
             "time_constant_s = -1.0",
+            "continuous_a = 0.049",
+            "time_constant_s = 0.9",
         ] {
             let error = read_back(&format!("[motor]\n{wrong}\n")).unwrap_err().to_string();
             let given = wrong.trim_end_matches(".0");
