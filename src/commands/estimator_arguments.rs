@@ -79,7 +79,8 @@ impl EstimatorArguments {
     }
 }
 
-fn corner(text: &str) -> Result<f64, String> {
+/// Parses the corner of a velocity filter, rad/s.
+pub fn corner(text: &str) -> Result<f64, String> {
     positive(text, LARGEST_CORNER_RAD_S)
 }
 

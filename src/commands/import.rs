@@ -3,9 +3,11 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::destination::OutputFile;
+use super::estimator_arguments::corner;
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::output::Output;
+use super::printable::one_line;
 use crate::estimation::EstimatorSettings;
 use crate::policy::Policy;
 use crate::policy::onnx::{
@@ -92,7 +94,9 @@ impl Arguments {
 /// Reads the model and writes the policy.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let path = arguments.file.display();
-    let refused = |message: &dyn std::fmt::Display| Failure::usage(format!("{path}: {message}"));
+    // The file is foreign, and so are the names of operators and constants in it.
+    let refused =
+        |message: &dyn std::fmt::Display| Failure::usage(one_line(&format!("{path}: {message}")));
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
     let bytes = read_bounded(&arguments.file, MAX_FILE_BYTES).map_err(|error| {
         let remedy = if error.kind() == std::io::ErrorKind::NotFound { EXPORT_FAILED } else { "" };
@@ -120,11 +124,6 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 fn scale(text: &str) -> Result<f64, String> {
     let scale_v = between(text, -100.0, 100.0)?;
     if scale_v == 0.0 { Err("give a voltage other than 0".into()) } else { Ok(scale_v) }
-}
-
-/// Parses a filter's corner from 1 to 10 000 rad/s.
-fn corner(text: &str) -> Result<f64, String> {
-    between(text, 1.0, 10_000.0)
 }
 
 /// Parses a limit of the observation's entries from 0.001 to 1e6.

@@ -55,6 +55,24 @@ fn policies_that_are_none() {
 }
 
 #[test]
+fn a_foreign_name_in_an_onnx_file_begins_no_line() {
+    let directory = tempfile::tempdir().unwrap();
+    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx/tanh.onnx");
+    let mut bytes = std::fs::read(model).unwrap();
+    for place in 0..bytes.len() - 3 {
+        if &bytes[place..place + 4] == b"Tanh" {
+            bytes[place..place + 4].copy_from_slice(b"T\nnh");
+        }
+    }
+    std::fs::write(directory.path().join("model.onnx"), bytes).unwrap();
+    let import = ["import", "model.onnx", "--action-scale", "5", "--filter", "0.5"];
+    let output = qube_hil(directory.path(), &import);
+    has_refused(&output, 2, &["model.onnx", "operator"]);
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(told.lines().count(), 1, "{told}");
+}
+
+#[test]
 fn configurations_that_are_none() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("my.toml");
