@@ -31,12 +31,18 @@ use protobuf::Malformed;
 /// Largest file that is read, bytes: far more than the largest network of this program.
 pub const MAX_FILE_BYTES: u64 = 16 << 20;
 
+/// Largest number of operators in a graph that is read, far more than a multilayer perceptron has.
+pub const MAX_OPERATORS: usize = 1000;
+
 /// The reason why an ONNX file gives no policy.
 #[derive(Debug, Error, PartialEq)]
 pub enum ImportError {
     /// The file is too large.
     #[error("is larger than {MAX_FILE_BYTES} bytes, more than any policy")]
     TooLarge,
+    /// The graph has too many operators.
+    #[error("has more than {MAX_OPERATORS} operators, more than any policy")]
+    TooManyOperators,
     /// The bytes are no ONNX model, or its graph is broken: an operator lacks an input, weights are
     /// no matrix, or no way leads back from the output to the input.
     #[error("is not an ONNX model, or is damaged: export it again")]

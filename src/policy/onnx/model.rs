@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::protobuf::{Fields, Malformed, Value, floats};
-use super::{ImportError, MAX_FILE_BYTES};
+use super::{ImportError, MAX_FILE_BYTES, MAX_OPERATORS};
 
 /// ONNX's numbers for the types of a tensor's elements: `float`, `int64` and `double`.
 const FLOAT: i64 = 1;
@@ -68,6 +68,9 @@ impl<'a> Graph<'a> {
         let mut read = Self::default();
         for field in Fields::of(graph.ok_or(ImportError::NotOnnx)?) {
             match field? {
+                (1, _) if read.nodes.len() == MAX_OPERATORS => {
+                    return Err(ImportError::TooManyOperators);
+                }
                 (1, value) => read.nodes.push(Node::read(value.bytes()?)?),
                 (5, value) => {
                     let (name, tensor) = tensor(value.bytes()?)?;

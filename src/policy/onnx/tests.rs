@@ -3,6 +3,7 @@
 
 use serde_json::Value;
 
+use super::message::Message;
 use super::*;
 
 const MODELS: [(&str, &[u8]); 4] = [
@@ -56,6 +57,24 @@ fn the_functions_of_a_network_are_recognised() {
         linear(Activation::Relu),
     ];
     assert_eq!(functions, expected);
+}
+
+#[test]
+fn a_graph_with_too_many_operators_is_refused_at_once() {
+    let read = |operators: usize| {
+        let node = |index: usize| {
+            let [from, to] = [index, index + 1].map(|name| format!("v{name}"));
+            Message::default().text(1, &from).text(2, &to).text(4, "Identity")
+        };
+        let nodes: Vec<Message> = (0..operators).map(node).collect();
+        let end = |name: &str| Message::default().text(1, name);
+        let graph = Message::default().messages(1, &nodes).message(11, &end("v0"));
+        let graph = graph.message(12, &end(&format!("v{operators}")));
+        Layers::from_onnx(&Message::default().message(7, &graph).into_bytes())
+    };
+    assert_eq!(read(MAX_OPERATORS).map(|layers| layers.layers.len()), Ok(0));
+    assert_eq!(read(MAX_OPERATORS + 1), Err(ImportError::TooManyOperators));
+    assert_eq!(read(100_000), Err(ImportError::TooManyOperators));
 }
 
 #[test]
