@@ -6,6 +6,9 @@ use thiserror::Error;
 /// Default size of an encoder's jump, counts.
 const USUAL_JUMP_COUNTS: i32 = 300;
 
+/// Largest number in the text form of a fault, for times in s more than thirty years.
+const LARGEST: f64 = 1e9;
+
 /// A fault of an emulated Qube or its board. Real Qubes and boards have the same faults.
 ///
 /// Times are in seconds since the emulated Qube started. [`forms`](Self::forms) lists the text
@@ -374,10 +377,10 @@ impl FromStr for EmulatorFault {
         };
         let parsed = |text: &str| {
             let seconds = text.parse::<f64>().ok();
-            seconds.filter(|after_s| after_s.is_finite() && *after_s >= 0.0).ok_or_else(unknown)
+            seconds.filter(|after_s| (0.0..=LARGEST).contains(after_s)).ok_or_else(unknown)
         };
         let number = |value: &str| {
-            value.parse::<f64>().ok().filter(|number| number.is_finite() && *number >= 0.0)
+            value.parse::<f64>().ok().filter(|number| (0.0..=LARGEST).contains(number))
         };
         // The form S+D: from S on, for the duration D.
         let lapse = || {
@@ -572,6 +575,8 @@ mod tests {
             "stuck-output@2:7",
             "pushed-arm@2+1",
             "frozen-alpha@1+",
+            "silent@1e20",
+            "qube-absent@2+1e20",
         ] {
             assert_eq!(text.parse::<EmulatorFault>(), Err(UnknownFault { text: text.to_owned() }));
         }

@@ -85,7 +85,7 @@ impl Board {
             }
             Some(EmulatorFault::AmplifierFault { .. } | EmulatorFault::QubeAbsent { .. }) => true,
             Some(EmulatorFault::SwitchedOffAndOn { off_s, .. }) => {
-                self.qube_returns_us = Some(self.now_us + (off_s * 1e6) as u64);
+                self.qube_returns_us = Some(self.now_us.saturating_add((off_s * 1e6) as u64));
                 true
             }
             Some(EmulatorFault::EmergencyStop { .. }) => {
