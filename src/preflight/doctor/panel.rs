@@ -1,9 +1,13 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use thiserror::Error;
+
 use super::Diagnosis;
 use crate::clock::{Clock, PunctualClock};
-use crate::device::{Device, DeviceError, HilAddress, HilError, HilLink, find_library};
+use crate::device::{
+    Device, DeviceError, HilAddress, HilError, HilLink, NotAnAddress, find_library,
+};
 use crate::preflight::measure_link;
 use crate::telemetry::MeasuredLink;
 
@@ -12,6 +16,20 @@ const LIBRARY: &str = "panel library";
 /// The step that installs the vendor's library.
 const INSTALL: &str =
     "install the vendor's package quanser-sdk, or name its libhil.so in QUBE_HIL_LIBHIL";
+
+/// The step for a card whose error names none.
+const CHECK_PLUG: &str = "check that it is plugged in";
+
+/// The reason why a card's link could not be measured.
+#[derive(Debug, Error)]
+enum CardError {
+    /// The text is no address of a card.
+    #[error(transparent)]
+    Address(#[from] NotAnAddress),
+    /// The card or its library failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+}
 
 /// Tests whether the vendor's library is here; if it is, greets and samples each of these cards.
 pub(super) fn diagnose(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
@@ -40,7 +58,7 @@ pub(super) fn diagnose(cards: &[String], stop: &AtomicBool) -> Vec<Diagnosis> {
     std::iter::once(library).chain(each).collect()
 }
 
-fn of_card(card: &str, measured: Result<Option<MeasuredLink>, String>) -> Diagnosis {
+fn of_card(card: &str, measured: Result<Option<MeasuredLink>, CardError>) -> Diagnosis {
     let name = format!("card {card}");
     match measured {
         Ok(Some(link)) => {
@@ -55,25 +73,20 @@ fn of_card(card: &str, measured: Result<Option<MeasuredLink>, String>) -> Diagno
             Diagnosis::well(&name, value)
         }
         Ok(None) => Diagnosis::advice(&name, "not measured: stopped", "run the doctor again"),
-        Err(reason) => {
-            let (value, remedy) =
-                reason.split_once(". ").unwrap_or((&reason, "check that it is plugged in"));
-            Diagnosis::unfit(&name, value, remedy)
+        Err(CardError::Device(DeviceError::Hil(error))) => {
+            Diagnosis::unfit(&name, error.cause(), error.remedy().unwrap_or(CHECK_PLUG))
         }
+        Err(error) => Diagnosis::unfit(&name, error.to_string(), CHECK_PLUG),
     }
 }
 
 /// Measures the link to a card, whose amplifier stays off. `Ok(None)`: a stop was requested.
-fn measured(card: &str, stop: &AtomicBool) -> Result<Option<MeasuredLink>, String> {
-    let address: HilAddress =
-        card.parse().map_err(|error: crate::device::NotAnAddress| error.to_string())?;
+fn measured(card: &str, stop: &AtomicBool) -> Result<Option<MeasuredLink>, CardError> {
+    let address: HilAddress = card.parse()?;
     let clock: Arc<dyn Clock> = Arc::new(PunctualClock::new());
-    let sampled = || -> Result<Option<MeasuredLink>, DeviceError> {
-        let mut link = HilLink::open(&address, Arc::clone(&clock))?;
-        link.hello()?;
-        measure_link(&mut link, &*clock, stop, card)
-    };
-    sampled().map_err(|error| error.to_string())
+    let mut link = HilLink::open(&address, Arc::clone(&clock))?;
+    link.hello()?;
+    Ok(measure_link(&mut link, &*clock, stop, card)?)
 }
 
 #[cfg(test)]
@@ -83,9 +96,13 @@ mod tests {
 
     #[test]
     fn a_card_that_is_not_there_is_named_with_its_remedy() {
-        let failed = of_card("hil", Err("hil is not there: no board. Plug it in. Now".into()));
+        let error = HilError::NoCard { port: "hil".into(), reason: "no. 1. board".into() };
+        let failed = of_card("hil", Err(DeviceError::from(error).into()));
         assert_eq!(failed.verdict, Suitability::Unfit);
-        assert_eq!(failed.value, "hil is not there: no board");
-        assert_eq!(failed.remedy.unwrap(), "Plug it in. Now");
+        assert_eq!(failed.value, "hil is not there: no. 1. board");
+        assert!(failed.remedy.unwrap().starts_with("Switch the Qube on, plug its USB cable in"));
+        let error = HilError::NoThread { port: "hil".into(), reason: "ended".into() };
+        let failed = of_card("hil", Err(DeviceError::from(error).into()));
+        assert_eq!(failed.remedy.unwrap(), CHECK_PLUG);
     }
 }
