@@ -276,11 +276,14 @@ fn clock_difference_s(there: u64, here: u64, since_counted: Duration) -> u64 {
     earliest.saturating_sub(there).max(there.saturating_sub(here))
 }
 
+/// Number of bytes at the end of a log in which its last line is looked for.
+const LOG_END_BYTES: u64 = 64 << 10;
+
 /// The last line of the newest log of a start or a worker.
 fn last_log_line(folder: &JobFolder) -> Option<String> {
     let logs = std::fs::read_dir(folder.root().join("logs")).ok()?.flatten();
     let newest = logs.max_by_key(|log| log.metadata().and_then(|it| it.modified()).ok())?.path();
-    let text = std::fs::read(&newest).ok()?;
+    let text = folder.disk().read_end(&newest, LOG_END_BYTES).ok()?;
     let text = String::from_utf8_lossy(&text);
     let line = text.lines().rfind(|line| !line.trim().is_empty())?;
     Some(format!("The last line of {} is: {line}", newest.display()))
@@ -343,6 +346,21 @@ mod tests {
             assert!(pool.start_missing(&folder, 1, 0).is_ok());
         }
         assert_eq!(pool.starts_without_worker, 0);
+    }
+
+    #[test]
+    fn the_last_line_of_a_long_log_is_found_at_its_end() {
+        let directory = tempfile::tempdir().unwrap();
+        let (_, folder) = pool(directory.path(), None);
+        let logs = directory.path().join("logs");
+        std::fs::create_dir_all(&logs).unwrap();
+        assert_eq!(last_log_line(&folder), None);
+        let log = logs.join("start-1.log");
+        let mut text = "a line\n".repeat(100_000);
+        text.push_str("no module named qube\n\n");
+        std::fs::write(&log, text).unwrap();
+        let line = format!("The last line of {} is: no module named qube", log.display());
+        assert_eq!(last_log_line(&folder), Some(line));
     }
 
     #[test]

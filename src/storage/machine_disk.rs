@@ -54,6 +54,15 @@ impl Disk for MachineDisk {
         Ok(bytes)
     }
 
+    fn read_end(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+        let mut file = open_regular(path)?;
+        let start = file.metadata()?.len().saturating_sub(limit);
+        file.seek(SeekFrom::Start(start))?;
+        let mut bytes = Vec::new();
+        file.take(limit).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    }
+
     fn exists(&self, path: &Path) -> bool {
         path.exists()
     }
@@ -139,6 +148,8 @@ mod tests {
         assert_eq!(longer.kind(), io::ErrorKind::FileTooLarge);
         assert!(longer.to_string().contains("more than 7 bytes"), "{longer}");
         assert_eq!(MachineDisk.read_beginning(&path, 3).unwrap(), b"one");
+        assert_eq!(MachineDisk.read_end(&path, 4).unwrap(), b"more");
+        assert_eq!(MachineDisk.read_end(&path, 100).unwrap(), b"one more");
         MachineDisk.create(&path, true).unwrap();
         assert_eq!(MachineDisk.read(&path, 100).unwrap(), b"");
         assert_eq!(MachineDisk.names(&folder).unwrap(), ["file"]);

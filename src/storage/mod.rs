@@ -49,6 +49,17 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The file does not exist or is not a regular file, or the operating system refuses.
     fn read_beginning(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>>;
 
+    /// Reads the last bytes of a regular file, at most `limit`. This implementation, for disks with
+    /// small files, reads the whole file.
+    ///
+    /// # Errors
+    /// The file does not exist or is not a regular file, or the operating system refuses.
+    fn read_end(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+        let mut bytes = self.read_beginning(path, u64::MAX)?;
+        let limit = usize::try_from(limit).unwrap_or(usize::MAX);
+        Ok(bytes.split_off(bytes.len().saturating_sub(limit)))
+    }
+
     /// Reads a whole regular file of at most `limit` bytes.
     ///
     /// # Errors
