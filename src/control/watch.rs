@@ -8,7 +8,8 @@ const MAX_BLIND_NS: u64 = 35_000_000;
 /// Lateness above which a tick counts as late, ns.
 const MAX_LATENESS_NS: u64 = 10_000_000;
 
-/// Consecutive late ticks that are a fault.
+/// Late ticks that are a fault, if no tick in time lies between them. Ticks without a valid sample
+/// are not counted, neither as late nor as in time.
 const MAX_LATE_TICKS: u32 = 5;
 
 /// Time by which the device's clock may gain on the computer's between two samples, us; a larger
@@ -43,7 +44,8 @@ pub enum Alarm {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Watch {
     last_valid_ns: Option<u64>,
-    late_in_a_row: u32,
+    /// Late ticks since the last tick in time, of those with a valid sample.
+    late_ticks: u32,
     clock: ClockWatch,
     ignores_clock: bool,
 }
@@ -138,8 +140,8 @@ impl Watch {
             return Some(Alarm::Brake(Fault::MotorOverheated));
         }
         let late = input.lateness_ns > MAX_LATENESS_NS;
-        self.late_in_a_row = if late { self.late_in_a_row + 1 } else { 0 };
-        (self.late_in_a_row >= MAX_LATE_TICKS).then_some(Alarm::Brake(Fault::TooLate))
+        self.late_ticks = if late { self.late_ticks + 1 } else { 0 };
+        (self.late_ticks >= MAX_LATE_TICKS).then_some(Alarm::Brake(Fault::TooLate))
     }
 }
 
@@ -274,6 +276,18 @@ mod tests {
             .map(|tick| watch.check(&TickInput { lateness_ns: 11_000_000, ..input(tick) }));
         assert_eq!(alarms[3], None);
         assert_eq!(alarms[4], Some(Alarm::Brake(Fault::TooLate)));
+    }
+
+    #[test]
+    fn a_tick_without_a_sample_is_neither_late_nor_in_time() {
+        let mut watch = Watch::default();
+        let late = |tick| TickInput { lateness_ns: 11_000_000, ..input(tick) };
+        let lost = |tick| TickInput { measurement: None, ..late(tick) };
+        let inputs = [late(0), late(1), lost(2), late(3), lost(4), lost(5), late(6)];
+        for input in inputs {
+            assert_eq!(watch.check(&input), None);
+        }
+        assert_eq!(watch.check(&late(7)), Some(Alarm::Brake(Fault::TooLate)));
     }
 
     #[test]
