@@ -397,7 +397,8 @@ impl Board {
     }
 
     /// Starts the program: the first frame switches the motor off, and the program has forgotten
-    /// everything that is not in its EEPROM.
+    /// everything that is not in its EEPROM. The Qube itself latches a stall error, which only an
+    /// arm clears.
     fn boot(&mut self) {
         if self.motor_counts != 0 {
             self.switched_off_us = Some(self.now_us);
