@@ -21,6 +21,9 @@ const BOOT_TIME_NS: Nanoseconds = 3_000_000_000;
 /// time.
 const PTY_BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 
+/// States of a port that is gone, if it gives no bytes either.
+const GONE: PollFlags = PollFlags::HUP.union(PollFlags::ERR).union(PollFlags::NVAL);
+
 /// A serial port of the operating system, opened exclusively.
 pub struct Tty {
     /// The open port; `None` after a failed attempt to open it again.
@@ -69,9 +72,11 @@ impl Transport for Tty {
             match rustix::io::read(fd, &mut *buffer) {
                 Ok(0) => return Err(LinkFault::Gone),
                 Ok(length) => return Ok(length),
-                Err(Errno::INTR | Errno::AGAIN) if !ready[0].revents().contains(PollFlags::HUP) => {
-                }
+                Err(Errno::INTR | Errno::AGAIN) if !ready[0].revents().intersects(GONE) => {}
                 Err(_) => return Err(LinkFault::Gone),
+            }
+            if self.clock.now_ns() >= deadline_ns {
+                return Ok(0);
             }
         }
     }
