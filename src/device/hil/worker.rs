@@ -221,7 +221,8 @@ impl Shared {
         job: impl FnOnce(Sender<Result<T, HilError>>) -> Job,
         longest: Duration,
     ) -> Result<T, Unperformed> {
-        let (result, done) = crossbeam_channel::bounded(1);
+        // A channel without a buffer: `send` fails if the caller has given up waiting.
+        let (result, done) = crossbeam_channel::bounded(0);
         self.jobs.send(job(result)).map_err(|_| Unperformed::NoResult)?;
         wake(&self.asked);
         let result = done.recv_timeout(longest).map_err(|_| Unperformed::NoResult)?;
@@ -260,7 +261,12 @@ fn serve(
                 while requests.pop().is_ok() {}
                 match job {
                     Job::Hello(result) => drop(result.send(panel.hello())),
-                    Job::Arm(result) => drop(result.send(panel.arm())),
+                    // A late arm must not leave the amplifier on for a caller that has given up.
+                    Job::Arm(result) => {
+                        if result.send(panel.arm()).is_err() {
+                            let _ = panel.off();
+                        }
+                    }
                     Job::Off(result) => drop(result.send(panel.off())),
                     Job::End(result) => {
                         let off = panel.off();
