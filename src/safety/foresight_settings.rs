@@ -180,6 +180,10 @@ impl ForesightSettings {
 
     /// The foresight for a plant. Both its ends have the distance of the nearest stop, measured or
     /// described, minus the margin, but at least 0.01 rad.
+    ///
+    /// # Panics
+    /// Panics if a number of the settings is outside the range that a file may give, as described
+    /// at [`Foresight::new`].
     #[must_use]
     pub fn foresight(&self, stops: Option<MeasuredStops>, plant: &PlantModel) -> TrustedForesight {
         let described_rad = plant.limits.hard_stop_rad;

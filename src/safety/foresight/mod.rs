@@ -56,9 +56,9 @@ pub struct Foresight<B> {
 /// The numbers of control periods of a prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PredictionHorizon {
-    /// Control periods for which the voltage is held before the brake begins.
+    /// Control periods for which the voltage is held before the brake begins, at least 1.
     pub held_periods: u32,
-    /// Largest number of control periods that are simulated.
+    /// Largest number of control periods that are simulated, at least 1.
     pub horizon_periods: u32,
 }
 
@@ -105,12 +105,14 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     /// frequency.
     ///
     /// # Panics
-    /// Panics if there is no particle, if an end lies on the wrong side of 0, if a share of the
-    /// voltage is outside 0 to 1, or if a delay is longer than [`MAX_HISTORY`] control periods.
+    /// Panics if there is no particle, if an end lies on the wrong side of 0, if a number of the
+    /// horizon is 0, if a share of the voltage is outside 0 to 1, or if a delay is longer than
+    /// [`MAX_HISTORY`] control periods.
     #[must_use]
     pub fn new(particles: &[Particle], brake: B, ends: Ends, horizon: PredictionHorizon) -> Self {
         assert!(!particles.is_empty(), "no particles");
         assert!(ends.low_rad < 0.0 && ends.high_rad > 0.0, "{ends:?}");
+        assert!(horizon.held_periods > 0 && horizon.horizon_periods > 0, "{horizon:?}");
         let count = particles.len();
         let groups = count.div_ceil(GROUP * BLOCK);
         let largest_v = brake.largest_v() as f32;

@@ -340,3 +340,15 @@ fn a_brake_that_is_not_late_takes_energy_from_every_qube() {
         }
     }
 }
+
+#[test]
+fn a_horizon_that_predicts_nothing_is_refused() {
+    let particle = Particle::exact(QubeModel::NOMINAL);
+    for (held_periods, horizon_periods) in [(0, HORIZON), (1, 0)] {
+        let horizon = PredictionHorizon { held_periods, horizon_periods };
+        let made = std::panic::catch_unwind(|| {
+            Foresight::new(&[particle], CentringBrake::default(), ENDS, horizon)
+        });
+        assert!(made.is_err(), "{horizon:?}");
+    }
+}
