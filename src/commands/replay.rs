@@ -1,12 +1,11 @@
 use std::fmt::Write;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use serde_json::json;
 
 use super::command_hints;
-use super::destination::OutputFile;
+use super::destination::{OutputFile, OutputFolder};
 use super::exit::Failure;
 use super::output::{Output, path_as_text};
 use super::picture_names::picture_names;
@@ -160,10 +159,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         Some(name) => profile::named_of_any_plant(name)?,
         None => None,
     };
-    if let Some(folder) = &arguments.plot {
-        fs::create_dir_all(folder)
-            .map_err(|error| Failure::usage(format!("--plot {}: {error}", folder.display())))?;
-    }
+    let _plots = arguments
+        .plot
+        .as_deref()
+        .map(|folder| OutputFolder::of_option("--plot", folder))
+        .transpose()?;
     if arguments.animate.is_some() && arguments.files.len() > 1 {
         return Err(Failure::usage("--animate draws one recording: name one file"));
     }

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde_json::json;
 
+use super::destination::OutputFolder;
 use super::exit::Failure;
 use super::output::Output;
 use super::printable::print_message;
@@ -69,9 +70,7 @@ enum Suite {
 
 /// Runs one suite.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-    std::fs::create_dir_all(&arguments.out).map_err(|error| {
-        Failure::usage(format!("cannot make the folder {}: {error}", arguments.out.display()))
-    })?;
+    let _place = OutputFolder::of_option("--out", &arguments.out)?;
     match arguments.suite {
         Suite::Regret => regret(arguments, output),
         Suite::Noise => noise(arguments, output),
