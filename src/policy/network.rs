@@ -135,6 +135,9 @@ impl Network {
         })
     }
 
+    /// Bounds of an entry of the observation that is not clipped.
+    pub const OPEN_BOUNDS: [f32; 2] = [f32::NEG_INFINITY, f32::INFINITY];
+
     /// Replaces the functions of the hidden neurons and of the output.
     #[must_use]
     pub fn with_functions(self, activation: Activation, output: OutputKind) -> Self {
@@ -155,7 +158,7 @@ impl Network {
         if !fits || !bounds.iter().all(|[lower, upper]| lower <= upper) {
             return Err(NetworkError::Bounds { given, entries });
         }
-        let open = [f32::NEG_INFINITY, f32::INFINITY];
+        let open = Self::OPEN_BOUNDS;
         let opened = |[lower, upper]: [f32; 2]| {
             [
                 if lower > f32::MIN { lower } else { open[0] },

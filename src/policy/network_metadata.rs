@@ -137,12 +137,8 @@ impl NetworkMetadata {
             return Err(PolicyFault::Inputs { entries: observation.len(), sizes });
         }
         self.training.check()?;
-        let open = [f32::MIN, f32::MAX];
-        let bounds = bounds.unwrap_or_default().into_iter().map(|pair| {
-            let [lower, upper] = pair.unwrap_or(open);
-            let lower = if lower > f32::MIN { lower } else { f32::NEG_INFINITY };
-            [lower, if upper < f32::MAX { upper } else { f32::INFINITY }]
-        });
+        let bounds = bounds.unwrap_or_default().into_iter();
+        let bounds = bounds.map(|pair| pair.unwrap_or(Network::OPEN_BOUNDS));
         let network = Network::new(&sizes, &layers(&sizes)?, action_scale_v)?
             .with_functions(function, output.unwrap_or_default())
             .with_bounds(bounds.collect())?;
