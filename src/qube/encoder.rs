@@ -1,6 +1,7 @@
 use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 use crate::elementary::Scalar;
 
@@ -90,17 +91,25 @@ impl Encoder {
     }
 }
 
-impl TryFrom<i32> for Encoder {
-    type Error = String;
+/// The error for a resolution that no encoder of a plant may have.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error(
+    "{counts_per_revolution} counts a revolution: give a number from {fewest} to {most}",
+    fewest = Encoder::FEWEST, most = Encoder::MOST
+)]
+pub struct UnfitResolution {
+    /// Counts in one revolution that were given.
+    pub counts_per_revolution: i32,
+}
 
-    fn try_from(counts_per_revolution: i32) -> Result<Self, String> {
+impl TryFrom<i32> for Encoder {
+    type Error = UnfitResolution;
+
+    fn try_from(counts_per_revolution: i32) -> Result<Self, UnfitResolution> {
         if (Self::FEWEST..=Self::MOST).contains(&counts_per_revolution) {
             Ok(Self { counts_per_revolution })
         } else {
-            let (fewest, most) = (Self::FEWEST, Self::MOST);
-            Err(format!(
-                "{counts_per_revolution} counts a revolution: give a number from {fewest} to {most}"
-            ))
+            Err(UnfitResolution { counts_per_revolution })
         }
     }
 }
@@ -190,7 +199,7 @@ mod tests {
     fn a_resolution_that_no_encoder_has_is_refused() {
         for (counts, words) in [(0, "from 1000"), (-2048, "from 1000"), (1 << 21, "to 1048576")] {
             let refused = Encoder::try_from(counts).unwrap_err();
-            assert!(refused.contains(words), "{refused}");
+            assert!(refused.to_string().contains(words), "{refused}");
         }
         assert_eq!(Encoder::try_from(COUNTS_PER_REVOLUTION), Ok(Encoder::QUBE));
     }

@@ -43,7 +43,8 @@ pub use delay_line::limited_to;
 pub use distribution::Distribution;
 pub use dynamics::{Acceleration, Dynamics, EquationsOfMotion};
 pub use encoder::{
-    COUNTS_PER_REVOLUTION, Encoder, Encoders, Quantiser, RAD_PER_COUNT, counts, quantised,
+    COUNTS_PER_REVOLUTION, Encoder, Encoders, Quantiser, RAD_PER_COUNT, UnfitResolution, counts,
+    quantised,
 };
 pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
 pub use lanes::{BLOCK, InLanes, Lanes};
@@ -59,9 +60,9 @@ pub use observation::{
 };
 pub use parameters::{DomainParameter, DomainParameters, ParameterError};
 pub use plant_model::{PlantError, PlantLimits, PlantModel, PlantMotor};
-pub use plant_name::PlantName;
+pub use plant_name::{NoPlantName, PlantName};
 pub use profile::{Correlations, Profile, ProfileError, Provenance};
-pub use quantity::{Nonideality, Quantity};
+pub use quantity::{Nonideality, Quantity, UnknownQuantity};
 pub use qube_lanes::{ControlPeriod, QubeLanes};
 pub use reward::RewardWeights;
 pub use state::{State, wrap_angle};

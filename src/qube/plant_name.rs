@@ -1,6 +1,7 @@
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 /// Longest name of a plant, letters.
 const LONGEST: usize = 32;
@@ -43,16 +44,23 @@ impl Default for PlantName {
     }
 }
 
-impl TryFrom<String> for PlantName {
-    type Error = String;
+/// The error for a text that is no name of a plant.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error(
+    "{name:?} is no name of a plant: give 1 to {LONGEST} letters, digits, dots, hyphens and underscores"
+)]
+pub struct NoPlantName {
+    /// Text given.
+    pub name: String,
+}
 
-    fn try_from(name: String) -> Result<Self, String> {
+impl TryFrom<String> for PlantName {
+    type Error = NoPlantName;
+
+    fn try_from(name: String) -> Result<Self, NoPlantName> {
         let allowed = |letter: &u8| letter.is_ascii_alphanumeric() || b"-_.".contains(letter);
         if name.is_empty() || name.len() > LONGEST || !name.as_bytes().iter().all(allowed) {
-            return Err(format!(
-                "{name:?} is no name of a plant: give 1 to {LONGEST} letters, digits, dots, hyphens and \
-                 underscores"
-            ));
+            return Err(NoPlantName { name });
         }
         let mut letters = [0; LONGEST];
         letters[..name.len()].copy_from_slice(name.as_bytes());

@@ -1,6 +1,7 @@
 use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 use super::{DomainParameter, Nonidealities, QubeModel};
 
@@ -175,11 +176,19 @@ impl From<Quantity> for String {
     }
 }
 
-impl TryFrom<String> for Quantity {
-    type Error = String;
+/// The error for a name that no quantity has.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("there is no quantity {name}")]
+pub struct UnknownQuantity {
+    /// Name given.
+    pub name: String,
+}
 
-    fn try_from(name: String) -> Result<Self, String> {
-        Self::from_name(&name).ok_or_else(|| format!("there is no quantity {name}"))
+impl TryFrom<String> for Quantity {
+    type Error = UnknownQuantity;
+
+    fn try_from(name: String) -> Result<Self, UnknownQuantity> {
+        Self::from_name(&name).ok_or(UnknownQuantity { name })
     }
 }
 

@@ -1,6 +1,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use thiserror::Error;
+
 use crate::clock::Nanoseconds;
 
 /// Interval of the timer by which the 16U2 of a genuine Uno or Mega passes received bytes to USB,
@@ -67,14 +69,22 @@ impl fmt::Display for UsbBridge {
     }
 }
 
-impl FromStr for UsbBridge {
-    type Err = String;
+/// The error for a text that names no bridge.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("unknown bridge {text}: give 16u2 or slow")]
+pub struct UnknownBridge {
+    /// Text given.
+    pub text: String,
+}
 
-    fn from_str(text: &str) -> Result<Self, String> {
+impl FromStr for UsbBridge {
+    type Err = UnknownBridge;
+
+    fn from_str(text: &str) -> Result<Self, UnknownBridge> {
         [Self::Atmega16u2, Self::Slow]
             .into_iter()
             .find(|bridge| bridge.to_string() == text)
-            .ok_or_else(|| format!("unknown bridge {text}: give 16u2 or slow"))
+            .ok_or_else(|| UnknownBridge { text: text.to_owned() })
     }
 }
 

@@ -14,7 +14,7 @@ mod play;
 mod pty;
 
 pub use board::Board;
-pub use bridge::UsbBridge;
+pub use bridge::{UnknownBridge, UsbBridge};
 pub use effects::{EffectError, Effects};
 pub use fault::{EmulatorFault, UnknownFault};
 pub use plant::EmulatedPlant;

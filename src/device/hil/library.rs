@@ -132,8 +132,10 @@ impl Library {
                     std::mem::forget(library);
                     return Ok(Self { functions, name: name.to_owned() });
                 }
-                Err(reason) if is_absent(name, &reason) => {}
-                Err(reason) => refused = refused.or(Some(format!("{name}: {reason}"))),
+                Err(NotOpened::Absent) => {}
+                Err(NotOpened::Refused(reason)) => {
+                    refused = refused.or(Some(format!("{name}: {reason}")));
+                }
             }
         }
         Err(match refused {
@@ -285,21 +287,27 @@ fn plain(text: &[c_char; TEXT_BYTES]) -> String {
     line.trim_end_matches('.').chars().take(LONGEST).collect()
 }
 
-/// Loads the library of this name, or returns the loader's reason.
-fn open(name: &str) -> Result<Loaded, String> {
+/// The reasons why a library is not loaded.
+enum NotOpened {
+    /// Its file is missing.
+    Absent,
+    /// The loader's reason; a file that the library needs may be missing.
+    Refused(String),
+}
+
+/// Loads the library of this name.
+fn open(name: &str) -> Result<Loaded, NotOpened> {
     // SAFETY: loading runs the library's own start-up code; the user has installed this library, or
     // named its file.
     let loaded = unsafe { Loaded::open(Some(name), RTLD_NOW | RTLD_LOCAL) };
-    loaded.map_err(|error| match std::error::Error::source(&error) {
-        Some(source) => source.to_string(),
-        None => error.to_string(),
+    loaded.map_err(|error| {
+        let reason = match std::error::Error::source(&error) {
+            Some(source) => source.to_string(),
+            None => error.to_string(),
+        };
+        let is_absent = reason.starts_with(name) && reason.contains("No such file or directory");
+        if is_absent { NotOpened::Absent } else { NotOpened::Refused(reason) }
     })
-}
-
-/// Whether the loader's reason is that the file of this name itself is missing, and not one that
-/// it needs.
-fn is_absent(name: &str, reason: &str) -> bool {
-    reason.starts_with(name) && reason.contains("No such file or directory")
 }
 
 fn find_functions(library: &Loaded, name: &str) -> Result<Functions, HilError> {

@@ -29,4 +29,4 @@ pub use heartbeat::{ClaimEnding, Heartbeat, HeartbeatState, HeartbeatWatch};
 pub use holder::Holder;
 pub use job_folder::{JobFolder, JobResult, Terms, program};
 pub use tries::{NextTry, Tries};
-pub use worker::{Slot, WorkReport, Worker, WorkerEvent};
+pub use worker::{NotASlot, Slot, WorkReport, Worker, WorkerEvent};

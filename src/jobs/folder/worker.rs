@@ -3,6 +3,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use thiserror::Error;
+
 use super::job_loop::{JobLoop, POLL_INTERVAL};
 use super::{ClaimEnding, Heartbeat, Holder, JobFolder};
 use crate::elementary::Level;
@@ -18,12 +20,17 @@ pub struct Slot {
     pub count: u32,
 }
 
+/// The error for a text that is no worker's number with the number of workers.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error("give a worker's number and the number of workers, as 3/16")]
+pub struct NotASlot;
+
 impl FromStr for Slot {
-    type Err = String;
+    type Err = NotASlot;
 
     /// Reads `k/N` with `k` from 0 to N. Schedulers count from 0 or from 1, so N is accepted and
     /// means 0.
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> Result<Self, NotASlot> {
         let parsed: Option<(u32, u32)> = text
             .split_once('/')
             .and_then(|(number, count)| Some((number.parse().ok()?, count.parse().ok()?)));
@@ -31,7 +38,7 @@ impl FromStr for Slot {
             Some((number, count)) if count > 0 && number <= count => {
                 Ok(Self { number: number % count, count })
             }
-            _ => Err("give a worker's number and the number of workers, as 3/16".to_owned()),
+            _ => Err(NotASlot),
         }
     }
 }

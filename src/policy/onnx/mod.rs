@@ -18,7 +18,7 @@ mod write;
 
 use thiserror::Error;
 
-pub use observation_layout::ObservationLayout;
+pub use observation_layout::{ObservationLayout, UnknownEntry};
 pub use write::{OPSET, to_onnx};
 
 use super::file::network_of_metadata;

@@ -1,5 +1,7 @@
 //! Translates the observation of another program into this program's observation.
 
+use thiserror::Error;
+
 use crate::qube::{ALPHA_DOT_FACTOR, MAX_HISTORY, OBSERVATION_SIZE, THETA_DOT_FACTOR};
 
 /// Names of the quantities that an observation may contain, in the order of this program's
@@ -31,6 +33,18 @@ pub struct ObservationLayout {
     inputs: usize,
 }
 
+/// The error for an entry of an observation whose name is unknown, or whose factor is 0 or no finite
+/// number.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error(
+    "{entry:?} is not an entry of an observation: give some of {names}, each with or without a factor \
+     other than 0, as 0.1*theta_dot", names = NAMES.map(|(name, _)| name).join(", ")
+)]
+pub struct UnknownEntry {
+    /// Entry given.
+    pub entry: String,
+}
+
 impl ObservationLayout {
     /// This program's own observation with this many last commands, at most [`MAX_HISTORY`].
     #[must_use]
@@ -44,7 +58,7 @@ impl ObservationLayout {
     ///
     /// # Errors
     /// Names the first entry whose name is unknown, or whose factor is 0 or no finite number.
-    pub fn parse(text: &str) -> Result<Self, String> {
+    pub fn parse(text: &str) -> Result<Self, UnknownEntry> {
         let mut entries = Vec::new();
         for entry in text.split(',').map(str::trim) {
             let (factor, name) = entry.split_once('*').unwrap_or(("1", entry));
@@ -52,13 +66,7 @@ impl ObservationLayout {
             let known = NAMES.iter().position(|(known, _)| *known == name.trim());
             match known.filter(|_| factor.is_finite() && factor != 0.0) {
                 Some(index) => entries.push((index, factor / NAMES[index].1)),
-                None => {
-                    let names = NAMES.map(|(name, _)| name).join(", ");
-                    return Err(format!(
-                        "{entry:?} is not an entry of an observation: give some of {names}, each with or without a factor \
-                         other than 0, as 0.1*theta_dot"
-                    ));
-                }
+                None => return Err(UnknownEntry { entry: entry.to_owned() }),
             }
         }
         let last = entries.iter().map(|&(index, _)| index + 1).max().unwrap_or_default();
@@ -135,7 +143,8 @@ mod tests {
         for (wrong, message) in
             [("sin_beta", "sin_beta"), ("0*theta_dot", "0*theta_dot"), ("", "\"\"")]
         {
-            assert!(ObservationLayout::parse(wrong).unwrap_err().contains(message), "{wrong}");
+            let error = ObservationLayout::parse(wrong).unwrap_err().to_string();
+            assert!(error.contains(message) && error.contains("command_4, each"), "{error}");
         }
     }
 }
