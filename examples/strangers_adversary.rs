@@ -1,5 +1,5 @@
-//! Measures how close to its stop an adversary brings the arm of a guarded Qube. This adversary
-//! knows only the promise of foresight, not its implementation.
+//! An independent search: measures how close to its stop an adversary brings the arm of a guarded
+//! Qube. A person who knew only the promise of foresight and the public functions wrote it.
 //!
 //! `cargo run --release --example strangers_adversary -- --searches 20 --first 1 --optimiser both
 //! --belief unknown --out FILE`. Each finished search is a line of FILE and is not repeated.

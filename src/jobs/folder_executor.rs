@@ -91,7 +91,7 @@ struct Shared {
     at_end: AtEnd,
 }
 
-/// What becomes of the workers and of jobs without a result when an executor ends before them.
+/// The handling of workers and unfinished jobs when their executor ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AtEnd {
     /// The executor withdraws the jobs and ends the workers.

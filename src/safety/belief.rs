@@ -20,7 +20,7 @@ fn velocity_error_rad_s(encoder: Encoder) -> f64 {
 pub(super) const MODEL_ERROR: f64 = 0.1;
 
 /// Least relative error of an identified number whose profile names correlations; it is added to
-/// the correlated errors. With 0 and with 0.03 the stranger's adversary threw an arm into its stop
+/// the correlated errors. With 0 and with 0.03 an independent search threw an arm into its stop
 /// (SAFETY.md).
 const LEAST_MODEL_ERROR: f64 = 0.05;
 

@@ -1,4 +1,5 @@
-//! An adversary that knows the promise of foresight and not its implementation.
+//! An adversary, written by a person who knew only the promise of foresight and the public
+//! functions.
 //!
 //! A scenario determines the kind of attack of a seed; an optimiser searches the genes with which
 //! the arm comes closest to its true stop. Every episode uses the library's `drive` and `Tick` in

@@ -62,7 +62,7 @@ enum Claim<'a> {
     Over,
 }
 
-/// What became of a claimed job.
+/// The result of a claimed job.
 enum JobEnd {
     /// The training is finished, with or without success.
     Finished,
