@@ -1,8 +1,10 @@
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde_json::json;
 
+use super::destination::folder_of;
 use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::output::Output;
@@ -14,7 +16,8 @@ use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Usb
 ///
 /// The emulated Qube has the nominal parameters unless --profile says otherwise, quantised encoders that start at
 /// unknown counts, hard stops, and the latched watchdog of the real firmware. The command prints the path of the
-/// pty. It runs until Ctrl-C or SIGTERM stops it, or until a fault such as unplug takes the pty away.
+/// pty. It runs until Ctrl-C or SIGTERM stops it, or until a fault such as unplug takes the pty away; these are its
+/// regular ends, with exit code 0.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil emulate --link /tmp/qube &\n  \
@@ -71,6 +74,20 @@ enum Wire {
     Motor,
 }
 
+/// The failure for a link that cannot be made.
+fn link_refused(link: &Path, error: &io::Error) -> Failure {
+    let shown = link.display();
+    Failure::usage(match error.kind() {
+        // The message names the path and what has it.
+        ErrorKind::AlreadyExists => format!("--link: {error}"),
+        ErrorKind::NotFound | ErrorKind::NotADirectory => format!(
+            "--link {shown}: the folder {} does not exist: create it first, or name a path in another folder",
+            folder_of(link).display()
+        ),
+        _ => format!("--link {shown}: {error}: name a path in a folder that you may write to"),
+    })
+}
+
 /// Serves the Qube until a signal arrives or the pty is gone.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::saying("stopping: the emulated Qube's port is closed")?;
@@ -93,7 +110,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut qube = EmulatedQube::spawn(settings)
         .map_err(|error| Failure::failed(format!("no emulated Qube can be served: {error}")))?;
     if let Some(link) = &arguments.link {
-        qube.link_as(link).map_err(|error| Failure::usage(format!("--link: {error}")))?;
+        qube.link_as(link).map_err(|error| link_refused(link, &error))?;
     }
     let port = qube.port().display().to_string();
     let link = arguments.link.as_deref().map(Path::to_string_lossy);

@@ -6,7 +6,7 @@ mod tests;
 
 use std::path::PathBuf;
 
-use clap::ValueEnum;
+use clap::{ArgGroup, ValueEnum};
 use serde_json::json;
 
 pub use self::controller::policy;
@@ -42,6 +42,7 @@ use crate::session::RolloutPlan;
 /// Exit code 0 also if the box or the guard ended a rollout, because such a rollout has a result; 4 if
 /// a fault ended the command, or the last rollout is void.
 #[derive(Debug, clap::Args)]
+#[command(group = ArgGroup::new("controller").args(["policy", "excite"]).required(true))]
 #[command(after_help = "Examples:\n  \
     qube-hil run --policy classical              # a swing-up without any training\n  \
     qube-hil run --policy policies/robust.safetensors --rollouts 5\n  \
@@ -52,7 +53,7 @@ use crate::session::RolloutPlan;
 pub struct Arguments {
     /// Policy file, or `classical` for the built-in energy swing-up with balance; this or --excite is
     /// required
-    #[arg(long, value_name = "FILE|classical", required_unless_present = "excite")]
+    #[arg(long, value_name = "FILE|classical")]
     policy: Option<PathBuf>,
 
     /// Instead of a policy, apply a voltage for 10 s that makes a recording for `identify`; consecutive

@@ -55,6 +55,24 @@ fn policies_that_are_none() {
 }
 
 #[test]
+fn a_run_without_a_controller_names_both_ways_to_choose_one() {
+    let directory = tempfile::tempdir().unwrap();
+    refused(directory.path(), &["run"], 2, &["--policy", "--excite"]);
+    let output = qube_hil(directory.path(), &["run", "--json"]);
+    let json = String::from_utf8(output.stdout).unwrap();
+    assert!(json.contains("--policy") && json.contains("--excite"), "{json}");
+    let both = ["run", "--policy", "classical", "--excite", "chirp"];
+    refused(directory.path(), &both, 2, &["--policy", "cannot be used with", "--excite"]);
+}
+
+#[test]
+fn a_link_in_a_folder_that_is_missing_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let words = ["--link missing/qube", "the folder missing", "create it first"];
+    refused(directory.path(), &["emulate", "--link", "missing/qube"], 2, &words);
+}
+
+#[test]
 fn a_foreign_name_in_an_onnx_file_begins_no_line() {
     let directory = tempfile::tempdir().unwrap();
     let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx/tanh.onnx");
