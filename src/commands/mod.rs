@@ -43,6 +43,7 @@ mod named_values;
 mod number_arguments;
 mod onnx_model;
 mod output;
+mod oversize;
 mod parquet_table;
 mod picture_names;
 mod plant_arguments;
@@ -143,6 +144,7 @@ enum Command {
 /// Parses the command line, runs the command, and returns the exit code.
 #[must_use]
 pub fn main() -> ExitCode {
+    oversize::report_as_errors();
     ExitCode::from(main_with(std::env::args_os().collect()))
 }
 

@@ -1,0 +1,16 @@
+//! Files beyond the limit for their size (`ulimit -f`).
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use signal_hook::consts::SIGXFSZ;
+
+/// Lets a write beyond the limit fail with an error, which names the file. By default the signal
+/// SIGXFSZ would end the program without a sentence, before the motor is braked.
+///
+/// The signal is handled and not ignored, because programs that this one starts would inherit the
+/// latter.
+pub fn report_as_errors() {
+    // Without the handler the signal keeps its effect; nothing else can be done about it here.
+    let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
+}
