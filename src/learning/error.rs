@@ -2,10 +2,8 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-use crate::estimation::SettingsError;
 use crate::policy::NetworkError;
-use crate::qube::PlantError;
-use crate::simulation::DistributionError;
+use crate::simulation::{DistributionError, SimulationSettingError};
 
 /// The reason why a training produced no policy.
 #[derive(Debug, Error)]
@@ -35,12 +33,9 @@ pub enum TrainError {
         /// Range that the setting must lie in.
         bound: &'static str,
     },
-    /// The settings of the simulated estimator are invalid.
-    #[error("training setting simulation.sensors.estimator.{0}")]
-    Estimator(#[from] SettingsError),
-    /// A number of the simulated plant is outside its range.
-    #[error("training setting simulation.plant: {0}")]
-    Plant(#[from] PlantError),
+    /// A setting of the simulation is refused.
+    #[error("training setting simulation.{0}")]
+    Simulation(#[from] SimulationSettingError),
     /// The distribution can draw a Qube that cannot be simulated.
     #[error("the training distribution cannot be simulated: {0}")]
     Distribution(#[from] DistributionError),

@@ -4,8 +4,8 @@ use std::ops::RangeBounds;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::TrainError;
-use crate::qube::{MAX_HISTORY, MAX_STEPS};
-use crate::simulation::{SensorModel, SimulationSettings};
+use crate::qube::MAX_STEPS;
+use crate::simulation::SimulationSettings;
 
 /// The settings of a training. Their values are defined in the presets [`Self::thesis`],
 /// [`Self::quick`] and [`Self::robust`] alone.
@@ -156,21 +156,7 @@ impl TrainSettings {
             // Each step earns at most 1.
             bounded("target_return", target_return, 0.0..=MAX_STEPS as f64, "0 to 600")?;
         }
-        let reward = &self.simulation.reward;
-        for (name, weight) in [
-            ("simulation.reward.theta", reward.theta),
-            ("simulation.reward.alpha", reward.alpha),
-            ("simulation.reward.theta_dot", reward.theta_dot),
-            ("simulation.reward.alpha_dot", reward.alpha_dot),
-            ("simulation.reward.voltage", reward.voltage),
-        ] {
-            bounded(name, weight, 0.0..=1e6, "0 to 1 000 000")?;
-        }
-        bounded("simulation.history", self.simulation.history, 0..=MAX_HISTORY, "0 to 4")?;
-        if let SensorModel::Encoders { estimator } = &self.simulation.sensors {
-            estimator.check()?;
-        }
-        self.simulation.plant.check()?;
+        self.simulation.check_without_box()?;
         bounded("evaluation_starts", self.evaluation_starts, 1..=10_000, "1 to 10 000")?;
         bounded("threads", self.threads, 1..=1024, "1 to 1024")
     }

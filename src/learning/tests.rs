@@ -1,8 +1,8 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::*;
-use crate::qube::{PlantModel, QubeModel};
-use crate::simulation::{DomainDistribution, Family, SimulationSettings};
+use crate::qube::{PlantModel, QubeModel, RewardWeights};
+use crate::simulation::{DomainDistribution, Family, SimulationSettingError, SimulationSettings};
 
 /// Settings that are small enough for a test and large enough to exercise each part of a training.
 pub(super) fn small() -> TrainSettings {
@@ -118,6 +118,7 @@ fn a_stop_that_is_set_ends_the_training_within_the_update() {
 fn settings_out_of_range_are_named() {
     let refused = |settings: TrainSettings| match train_small(&settings, 0, None, u32::MAX) {
         Err(TrainError::Setting { name, .. }) => name,
+        Err(TrainError::Simulation(SimulationSettingError::OutOfRange { name, .. })) => name,
         other => panic!("{other:?}"),
     };
     assert_eq!(refused(TrainSettings { updates: 0, ..small() }), "updates");
@@ -131,7 +132,10 @@ fn settings_out_of_range_are_named() {
     assert_eq!(refused(weight_of_nothing), "voltage_change_weight");
     assert_eq!(refused(TrainSettings { threads: 0, ..small() }), "threads");
     let simulation = SimulationSettings { history: 5, ..small().simulation };
-    assert_eq!(refused(TrainSettings { simulation, ..small() }), "simulation.history");
+    assert_eq!(refused(TrainSettings { simulation, ..small() }), "history");
+    let reward = RewardWeights { alpha: -1.0, ..small().simulation.reward };
+    let simulation = SimulationSettings { reward, ..small().simulation };
+    assert_eq!(refused(TrainSettings { simulation, ..small() }), "reward.alpha");
     assert!(TrainSettings::thesis().check().is_ok() && TrainSettings::quick().check().is_ok());
 }
 
@@ -228,7 +232,10 @@ fn plants_and_distributions_that_cannot_be_simulated_are_refused() {
     plant.parameters.rotary_mass_kg = f64::NAN;
     let simulation = SimulationSettings { plant, ..small().simulation };
     let refused = train_small(&TrainSettings { simulation, ..small() }, 0, None, u32::MAX);
-    assert!(matches!(refused, Err(TrainError::Plant(_))), "{refused:?}");
+    assert!(
+        matches!(refused, Err(TrainError::Simulation(SimulationSettingError::Plant(_)))),
+        "{refused:?}"
+    );
 
     let mut late = QubeModel::NOMINAL;
     late.nonidealities.command_delay_s = 10.0;

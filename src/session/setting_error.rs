@@ -69,10 +69,10 @@ pub enum SettingError {
     #[error("{}", of_search(.0))]
     Search(#[source] SearchError),
     /// The box of the rollouts is invalid or wider than the task's.
-    #[error("{}", under_its_file_name(.0))]
+    #[error("{}", box_file::refusal_in_files(.0))]
     SafetyBox(#[source] HardwareRefusal),
     /// The box of the simulations is invalid or wider than the task's.
-    #[error("training.simulation.{}", under_its_file_name(.0))]
+    #[error("training.simulation.{}", box_file::refusal_in_files(.0))]
     SimulatedBox(#[source] HardwareRefusal),
     /// A setting of homing is refused.
     #[error("homing.{0}")]
@@ -117,7 +117,7 @@ fn of_training(error: &TrainError) -> String {
         TrainError::Setting { name, value, bound } => {
             format!("training.{name} = {value}: it must be {bound}")
         }
-        TrainError::Estimator(error) => format!("training.simulation.sensors.estimator.{error}"),
+        TrainError::Simulation(error) => format!("training.simulation.{error}"),
         other => other.to_string(),
     }
 }
@@ -127,14 +127,4 @@ fn of_search(error: &SearchError) -> String {
         SearchError::BadSettings { reason } => format!("bayrn.{reason}"),
         other => other.to_string(),
     }
-}
-
-/// A refusal in words, with the limit of a box under its name in files.
-fn under_its_file_name(refusal: &HardwareRefusal) -> String {
-    let wrong = refusal.to_string();
-    let renamed = box_file::NAMES.iter().find_map(|(bare, name)| {
-        let value = wrong.strip_prefix(&format!("safety_box.{bare} "))?;
-        Some(format!("safety_box.{name} {value}"))
-    });
-    renamed.unwrap_or(wrong)
 }

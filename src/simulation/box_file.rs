@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::safety::{Guard, SafetyBox};
+use crate::safety::{Guard, HardwareRefusal, SafetyBox};
 
 /// The names of each limit: without its unit, as [`SafetyBox`] has it, and with its unit, as files
 /// have it.
@@ -77,4 +77,15 @@ pub fn serialize<S: Serializer>(safety_box: &SafetyBox, serializer: S) -> Result
 /// not checked.
 pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SafetyBox, D::Error> {
     BoxFile::deserialize(deserializer).map(SafetyBox::from)
+}
+
+/// A refusal of a box in words, with the limit under its name in files.
+#[must_use]
+pub fn refusal_in_files(refusal: &HardwareRefusal) -> String {
+    let wrong = refusal.to_string();
+    let renamed = NAMES.iter().find_map(|(bare, name)| {
+        let value = wrong.strip_prefix(&format!("safety_box.{bare} "))?;
+        Some(format!("safety_box.{name} {value}"))
+    });
+    renamed.unwrap_or(wrong)
 }

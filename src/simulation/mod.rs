@@ -34,6 +34,7 @@ mod psi_dimension;
 mod psi_error;
 mod psi_space;
 mod sensors;
+mod setting_error;
 mod settings;
 mod shaping;
 #[cfg(test)]
@@ -51,5 +52,6 @@ pub use psi::Psi;
 pub use psi_dimension::{PsiDimension, PsiTarget};
 pub use psi_error::PsiError;
 pub use psi_space::PsiSpace;
+pub use setting_error::SimulationSettingError;
 pub use settings::{SensorModel, SimulationSettings};
 pub use trajectory::{START_REACH_RAD, Trajectory};

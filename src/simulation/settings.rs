@@ -1,10 +1,10 @@
 use serde::{Deserialize, Serialize};
 
 use crate::estimation::EstimatorSettings;
-use crate::qube::{OBSERVATION_SIZE, PlantModel, RewardWeights};
+use crate::qube::{MAX_HISTORY, OBSERVATION_SIZE, PlantModel, RewardWeights};
 use crate::safety::SafetyBox;
 
-use super::{Psi, box_file};
+use super::{Psi, SimulationSettingError, box_file};
 
 /// The settings of simulated trajectories: sensors, observation, reward, and the box that ends
 /// them.
@@ -36,6 +36,44 @@ impl SimulationSettings {
     #[must_use]
     pub fn observation_size(&self) -> usize {
         OBSERVATION_SIZE + self.history
+    }
+
+    /// Checks that every setting is in its range, and the box no wider than the task's,
+    /// [`SafetyBox::GUARDED`].
+    ///
+    /// # Errors
+    /// Names the first setting that is refused.
+    pub fn check(&self) -> Result<(), SimulationSettingError> {
+        self.check_without_box()?;
+        Ok(self.safety_box.check_within(&SafetyBox::GUARDED)?)
+    }
+
+    /// Checks that every setting is in its range, except the safety box.
+    ///
+    /// # Errors
+    /// Names the first setting that is out of range.
+    pub fn check_without_box(&self) -> Result<(), SimulationSettingError> {
+        let reward = &self.reward;
+        let weights = [
+            ("reward.theta", reward.theta),
+            ("reward.alpha", reward.alpha),
+            ("reward.theta_dot", reward.theta_dot),
+            ("reward.alpha_dot", reward.alpha_dot),
+            ("reward.voltage", reward.voltage),
+        ];
+        // No range contains NaN.
+        if let Some((name, value)) = weights.into_iter().find(|(_, it)| !(0.0..=1e6).contains(it)) {
+            let bound = "a number from 0 to 1 000 000";
+            return Err(SimulationSettingError::OutOfRange { name, value, bound });
+        }
+        if self.history > MAX_HISTORY {
+            let (value, bound) = (self.history as f64, "a whole number from 0 to 4");
+            return Err(SimulationSettingError::OutOfRange { name: "history", value, bound });
+        }
+        if let SensorModel::Encoders { estimator } = &self.sensors {
+            estimator.check()?;
+        }
+        Ok(self.plant.check()?)
     }
 
     /// Sets the velocity filter's corner frequency to the one in psi, if psi names it. A simulation
@@ -129,6 +167,43 @@ impl From<SensorTable> for SensorModel {
         match kind {
             SensorKind::TrueState => Self::TrueState,
             SensorKind::Encoders => Self::Encoders { estimator },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_out_of_range_are_named_as_in_files() {
+        let settings = SimulationSettings::default();
+        for fine in [settings, SimulationSettings::machine(), SimulationSettings::robust()] {
+            fine.check().unwrap();
+        }
+        let weighted = |alpha| RewardWeights { alpha, ..settings.reward };
+        let boxed = |theta| SafetyBox { theta, ..settings.safety_box };
+        let filtered = EstimatorSettings::filter(0.0);
+        for (wrong, words) in [
+            (SimulationSettings { reward: weighted(-1.0), ..settings }, "reward.alpha = -1: give"),
+            (SimulationSettings { reward: weighted(f64::NAN), ..settings }, "reward.alpha = NaN"),
+            (SimulationSettings { reward: weighted(1e308), ..settings }, "reward.alpha = 1000"),
+            (SimulationSettings { history: 5, ..settings }, "history = 5: give a whole number"),
+            (
+                SimulationSettings { safety_box: boxed(-1.0), ..settings },
+                "safety_box.theta_rad = -1: give a number above 0, at most 2.3",
+            ),
+            (SimulationSettings { safety_box: boxed(3.0), ..settings }, "safety_box.theta_rad = 3"),
+            (
+                SimulationSettings {
+                    sensors: SensorModel::Encoders { estimator: filtered },
+                    ..settings
+                },
+                "sensors.estimator.corner_rad_s = 0",
+            ),
+        ] {
+            let message = wrong.check().unwrap_err().to_string();
+            assert!(message.starts_with(words), "{message}");
         }
     }
 }
