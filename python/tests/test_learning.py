@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 from conftest import program
 
@@ -383,3 +384,30 @@ def test_a_qube_is_identified_from_its_recordings(tmp_path):
         qube_hil.identify([])
     with pytest.raises(qube_hil.IdentificationError, match="missing.mcap"):
         qube_hil.identify(tmp_path / "missing.mcap")
+
+
+def test_a_table_names_phases_by_numbers_or_names_and_others_are_refused_with_their_line(tmp_path):
+    program("run", "--clock", "virtual", "--excite", "chirp", "--profile", "lab", "--out", tmp_path / "chirp")
+    program("export", tmp_path / "chirp" / "rollout-0.mcap", "--out", tmp_path)
+    exported = pandas.read_csv(tmp_path / "rollout-0.csv")
+    values = qube_hil.identify(tmp_path / "rollout-0.csv").estimates
+
+    def identified(table):
+        table.to_csv(tmp_path / "table.csv", index=False)
+        return qube_hil.identify(tmp_path / "table.csv")
+
+    names = exported.assign(phase=exported["phase"].map({0: "settling", 1: "running", 2: "braking"}))
+    assert identified(names).estimates == identified(exported.astype({"phase": float})).estimates == values
+    # The table of a recording has its samples by another clock, and its state is that of the policy as in the export.
+    read = identified(pandas.DataFrame(qube_hil.recording(tmp_path / "chirp" / "rollout-0.mcap")))
+    assert read.estimates["R_m"].value == pytest.approx(values["R_m"].value, rel=1e-6)
+    for column, value, told in [
+        ("phase", "abc", "line 302: `abc` in column `phase` is no phase: give 0 or settling, 1 or running"),
+        ("phase", "7", "line 302: `7` in column `phase`"),
+        ("voltage_v", "1e300", "line 302: `1e300` in column `voltage_v` is no voltage of a Qube"),
+        ("applied_mv", "abc", "line 302: `abc` in column `applied_mv` is not a finite number"),
+    ]:
+        wrong = exported.astype({column: object})
+        wrong.loc[300, column] = value
+        with pytest.raises(qube_hil.IdentificationError, match=told):
+            identified(wrong)

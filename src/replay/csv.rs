@@ -30,6 +30,32 @@ pub enum CsvError {
         /// Text of the field.
         text: String,
     },
+    /// The field of the column `phase` names no phase.
+    #[error(
+        "line {line}: `{text}` in column `phase` is no phase: give 0 or settling, 1 or running, 2 or braking"
+    )]
+    BadPhase {
+        /// Number of the line.
+        line: usize,
+        /// Text of the field.
+        text: String,
+    },
+    /// A voltage exceeds the range of a table that this program exported.
+    #[error(
+        "line {line}: `{text}` in column `{column}` is no voltage of a Qube: give at most {largest} {unit} of either sign"
+    )]
+    NotVolts {
+        /// Number of the line.
+        line: usize,
+        /// Name of the column.
+        column: &'static str,
+        /// Text of the field.
+        text: String,
+        /// Largest accepted value.
+        largest: f64,
+        /// Unit of the column.
+        unit: &'static str,
+    },
     /// A row ends before a required column.
     #[error("line {line} ends before column `{column}`")]
     ShortRow {
@@ -67,9 +93,9 @@ pub enum CsvError {
 /// Reads the samples of a table with a header line. The voltage of the last row may be empty,
 /// because no motion follows it; it is then 0 V.
 ///
-/// Of a table that this program exported, which has the columns `phase` and `applied_mv`, the rows
-/// are used that a recording gives: those with a sample, while the policy has the motor, with the
-/// voltage as the motor driver applies it.
+/// Of a table of ticks, which has the column `phase` and one of [`APPLIED`], the rows are used that
+/// a recording gives: those with a sample, while the policy has the motor, with the voltage as the
+/// motor driver applies it.
 pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     // Some programs put a byte-order mark before the text.
     let text = text.trim_start_matches('\u{feff}');
@@ -88,18 +114,22 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
         })?;
     }
     let place_of = |column: &str| names.iter().position(|name| *name == column);
-    let exported = place_of("phase").zip(place_of("applied_mv"));
+    let applied = APPLIED.into_iter().find_map(|it| Some((place_of(it.column)?, it)));
+    let exported = place_of("phase").zip(applied);
     let mut samples: Vec<MotionSample> = Vec::new();
     while let Some((line, row)) = lines.next() {
-        if let Some((phase, applied)) = exported {
+        if let Some((phase_place, (applied_place, applied))) = exported {
             let field = |place: usize| row.split(',').nth(place).map_or("", str::trim);
-            let is_running = field(phase).parse() == Ok(Phase::Running.number());
-            if !is_running || field(applied).is_empty() {
+            let phase = parse_phase(line, field(phase_place))?;
+            let has_sample = applied.is_there(line, field(applied_place))?;
+            if phase != Phase::Running || !has_sample {
                 continue;
             }
         }
         let mut sample = parse_row(line, row, &places, lines.peek().is_none())?;
         if exported.is_some() {
+            let text = row.split(',').nth(places[COLUMNS.len() - 1]).map_or("", str::trim);
+            COMMANDED.check(line, text, sample.voltage_v)?;
             let commanded_mv = (1000.0 * sample.voltage_v).round() as i16;
             sample.voltage_v = f64::from(applied_voltage_mv(commanded_mv)) / 1000.0;
         }
@@ -118,6 +148,62 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
         return Err(CsvError::TooFewRows { rows: samples.len() });
     }
     Ok(samples)
+}
+
+/// A column with a voltage of a table of ticks.
+#[derive(Clone, Copy)]
+struct VoltageColumn {
+    column: &'static str,
+    /// Largest value that the program writes: the wire has 16 bits for millivolts.
+    largest: f64,
+    unit: &'static str,
+}
+
+/// The columns that tell whether a tick has a sample: that of `qube-hil export`, and that of
+/// recordings in Python.
+const APPLIED: [VoltageColumn; 2] = [
+    VoltageColumn { column: "applied_mv", largest: 32_767.0, unit: "mV" },
+    VoltageColumn { column: "applied_v", ..COMMANDED },
+];
+
+const COMMANDED: VoltageColumn = VoltageColumn { column: "voltage_v", largest: 32.767, unit: "V" };
+
+impl VoltageColumn {
+    /// Whether a row has a voltage here. Python writes NaN where there is none.
+    fn is_there(self, line: usize, text: &str) -> Result<bool, CsvError> {
+        if text.is_empty() || text.eq_ignore_ascii_case("nan") {
+            return Ok(false);
+        }
+        let column = self.column;
+        let value = text.parse().map_err(|_| CsvError::BadNumber {
+            line,
+            column,
+            text: text.to_owned(),
+        })?;
+        self.check(line, text, value).map(|()| true)
+    }
+
+    fn check(self, line: usize, text: &str, value: f64) -> Result<(), CsvError> {
+        let Self { column, largest, unit } = self;
+        if value.abs() <= largest {
+            return Ok(());
+        }
+        Err(CsvError::NotVolts { line, column, text: text.to_owned(), largest, unit })
+    }
+}
+
+/// A phase by its number, as `qube-hil export` writes it, or by its name, as recordings in Python
+/// have it.
+fn parse_phase(line: usize, text: &str) -> Result<Phase, CsvError> {
+    let phases =
+        [(Phase::Settling, "settling"), (Phase::Running, "running"), (Phase::Braking, "braking")];
+    // Some programs write whole numbers with decimals.
+    let number = text.parse::<f64>().ok();
+    let is_named = |phase: Phase, name| text == name || number == Some(phase.number().into());
+    phases
+        .into_iter()
+        .find_map(|(phase, name)| is_named(phase, name).then_some(phase))
+        .ok_or_else(|| CsvError::BadPhase { line, text: text.to_owned() })
 }
 
 fn parse_row(
@@ -186,6 +272,43 @@ mod tests {
         let applied_v = f64::from(applied_voltage_mv(100)) / 1000.0;
         assert_eq!(found, [(0.01, 2.0, applied_v), (0.03, 3.0, applied_v)]);
         assert!(applied_v != 0.1 && (applied_v - 0.1).abs() < 0.013, "{applied_v}");
+    }
+
+    #[test]
+    fn a_table_of_ticks_names_phases_by_numbers_or_names_and_refuses_others() {
+        let exported = |applied: &str, [first, second]: [&str; 2]| {
+            parse_csv(&format!(
+                "phase,time_s,theta_rad,alpha_rad,theta_dot_rad_s,alpha_dot_rad_s,voltage_v,{applied}\n\
+                 settling,0.00,1,0,0,0,0.1,0\n\
+                 {first}\n\
+                 1.0,0.02,3,0,0,0,0.1,0.094\n\
+                 {second}\n"
+            ))
+        };
+        let without_sample = "running,0.03,0,0,0,0,0.1,NaN";
+        for applied in ["applied_mv", "applied_v"] {
+            let rows = ["running,0.01,2,0,0,0,0.1,0.094", without_sample];
+            let samples = exported(applied, rows).unwrap();
+            let thetas: Vec<f64> = samples.iter().map(|sample| sample.state.theta).collect();
+            assert_eq!(thetas, [2.0, 3.0]);
+        }
+        for (row, expected) in [
+            (
+                "abc,0.01,2,0,0,0,0.1,0.094",
+                "line 3: `abc` in column `phase` is no phase: give 0 or",
+            ),
+            ("7,0.01,2,0,0,0,0.1,0.094", "line 3: `7` in column `phase`"),
+            (",0.01,2,0,0,0,0.1,0.094", "line 3: `` in column `phase`"),
+            ("1,0.01,2,0,0,0,0.1,abc", "line 3: `abc` in column `applied_v` is not a finite"),
+            ("1,0.01,2,0,0,0,0.1,inf", "line 3: `inf` in column `applied_v` is no voltage"),
+            (
+                "1,0.01,2,0,0,0,1e30,0.094",
+                "line 3: `1e30` in column `voltage_v` is no voltage of a Qube: give at most 32.767 V",
+            ),
+        ] {
+            let message = exported("applied_v", [row, without_sample]).unwrap_err().to_string();
+            assert!(message.starts_with(expected), "{message}");
+        }
     }
 
     #[test]
