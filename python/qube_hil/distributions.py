@@ -8,18 +8,19 @@ from numbers import Real
 from typing import Any
 
 from .errors import SettingsError
+from .settings import shown
 
 
-def _finite(number: object) -> float:
-    """A number of a distribution as a float."""
+def _finite(name: str, number: object) -> float:
+    """The number of a distribution with this name as a float."""
     if not isinstance(number, Real):
-        raise SettingsError(f"a distribution has {number!r}: give a number")
+        raise SettingsError(f"{name} = {shown(number)}: give a number")
     try:
         value = float(number)
     except OverflowError:
         value = math.inf
     if not math.isfinite(value):
-        raise SettingsError(f"a distribution has {number!r}: give a finite number")
+        raise SettingsError(f"{name} = {shown(number)}: give a finite number")
     return value
 
 
@@ -30,10 +31,10 @@ class Constant:
     value: float
 
     def __post_init__(self) -> None:
-        _finite(self.value)
+        _finite("value", self.value)
 
     def _fields(self) -> dict[str, object]:
-        return {"type": "constant", "value": _finite(self.value)}
+        return {"type": "constant", "value": _finite("value", self.value)}
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ class Normal:
     standard_deviation: float
 
     def __post_init__(self) -> None:
-        _finite(self.mean)
-        if _finite(self.standard_deviation) < 0.0:
+        _finite("mean", self.mean)
+        if _finite("standard_deviation", self.standard_deviation) < 0.0:
             raise SettingsError(
                 f"Normal({self.mean!r}, {self.standard_deviation!r}): give a standard deviation of 0 or more"
             )
@@ -55,8 +56,8 @@ class Normal:
     def _fields(self) -> dict[str, object]:
         return {
             "type": "normal",
-            "mean": _finite(self.mean),
-            "standard_deviation": _finite(self.standard_deviation),
+            "mean": _finite("mean", self.mean),
+            "standard_deviation": _finite("standard_deviation", self.standard_deviation),
         }
 
 
@@ -70,12 +71,12 @@ class Uniform:
     upper: float
 
     def __post_init__(self) -> None:
-        lower, upper = _finite(self.lower), _finite(self.upper)
+        lower, upper = _finite("lower", self.lower), _finite("upper", self.upper)
         if not lower <= upper:
             raise SettingsError(f"Uniform({self.lower!r}, {self.upper!r}): give the smaller value first")
 
     def _fields(self) -> dict[str, object]:
-        lower, upper = _finite(self.lower), _finite(self.upper)
+        lower, upper = _finite("lower", self.lower), _finite("upper", self.upper)
         half_width = 0.5 * (upper - lower)
         return {
             "type": "uniform",
@@ -101,17 +102,14 @@ def read(fields: Mapping[str, Any]) -> Distribution:
 def written(distributions: Mapping[str, Distribution | float] | None) -> str:
     """The distributions by quantity as JSON; a number is a constant."""
     if not isinstance(distributions, Mapping | None):
-        raise SettingsError(f"distributions = {distributions!r}: give a mapping from names of quantities")
+        raise SettingsError(f"distributions = {shown(distributions)}: give a mapping from names of quantities")
     named = {}
     given: Any
     for name, given in (distributions or {}).items():
-        try:
-            distribution = Constant(_finite(given)) if isinstance(given, Real) else given
-            if not isinstance(distribution, Distribution):
-                raise SettingsError(f"{given!r} is no number: give one, or a Constant, Normal or Uniform")
-            named[name] = distribution._fields()
-        except SettingsError as error:
-            raise SettingsError(f"{name}: {error}") from None
+        distribution = Constant(_finite(name, given)) if isinstance(given, Real) else given
+        if not isinstance(distribution, Distribution):
+            raise SettingsError(f"{name} = {shown(given)}: give a number, a Constant, Normal or Uniform")
+        named[name] = distribution._fields()
     try:
         return json.dumps(named, allow_nan=False)
     except ValueError as error:

@@ -78,11 +78,11 @@ def identify(
 
     Raises:
         IdentificationError: The recordings cannot be read or fitted, or no Qube explains them.
-        SettingsError: A name in ``fixed`` is unknown, or every quantity is fixed.
+        SettingsError: ``recordings`` are no paths, a name in ``fixed`` is unknown, or every quantity is fixed.
     """
     if isinstance(recordings, (str, os.PathLike)):
         recordings = [recordings]
-    paths = as_texts("recordings", recordings, "paths of recordings")
+    paths = as_texts("recordings", recordings, "paths of recordings, which `identify` reads itself")
     fixed = as_texts("fixed", [fixed] if isinstance(fixed, str) else fixed, "names of quantities")
     read = json.loads(_core.identify(paths, as_text("name", name, "a name"), fixed))
     estimates = {it.pop("name"): Estimate(**it) for it in read["estimates"]}

@@ -75,13 +75,13 @@ def train(
             callback(json.loads(update))
 
     if callback is not None and not callable(callback):
-        raise SettingsError(f"callback = {callback!r}: give a function of one argument, or None")
+        raise SettingsError(f"callback = {_settings.shown(callback)}: give a function of one argument, or None")
     if initial is not None and not isinstance(initial, Policy):
-        raise SettingsError(f"initial = {initial!r}: give a Policy; Policy.load reads a file")
+        raise SettingsError(f"initial = {_settings.shown(initial)}: give a Policy; Policy.load reads a file")
     # JSON has no number for no limit: null stands for it.
     if changes.get("largest_gradient_norm") == math.inf:
         changes["largest_gradient_norm"] = None
-    changed = _settings.as_json(changes, "the training's")
+    changed = _settings.as_json(changes)
     if not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**64:
         raise SettingsError(f"seed = {seed!r}: give one whole number from 0 to 2^64 - 1")
     core, best_return, curve = _core.train(

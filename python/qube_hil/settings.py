@@ -4,6 +4,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Mapping
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -11,20 +12,46 @@ import numpy as np
 from .errors import SettingsError
 
 
+#: Most characters of a refused value in a message.
+_LONGEST = 200
+
+
+def shown(value: object) -> str:
+    """A value as messages show it: its beginning if it is long, such as a recording."""
+    text = " ".join(repr(value).splitlines())
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
 def as_text(name: str, value: object, wanted: str) -> str:
     """An argument that is a text; ``wanted`` says what it names."""
     if isinstance(value, str):
         return value
-    raise SettingsError(f"{name} = {value!r}: give {wanted}")
+    raise SettingsError(f"{name} = {shown(value)}: give {wanted}")
+
+
+def as_path(name: str, value: object, wanted: str) -> str:
+    """An argument that is a path; ``wanted`` says what it names."""
+    path = os.fspath(value) if isinstance(value, (str, os.PathLike)) else value
+    return as_text(name, path, wanted)
+
+
+def as_number(name: str, value: object, wanted: str) -> float:
+    """An argument that is a number; ``wanted`` says which one."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            pass
+    raise SettingsError(f"{name} = {shown(value)}: give {wanted}")
 
 
 def as_texts(name: str, values: object, wanted: str) -> list[str]:
     """An argument that lists texts or paths; ``wanted`` says what they are."""
-    if isinstance(values, Iterable) and not isinstance(values, (bytes, bytearray)):
+    if isinstance(values, Iterable) and not isinstance(values, (bytes, bytearray, Mapping)):
         listed = list(values)
         if all(isinstance(one, (str, os.PathLike)) for one in listed):
-            return [os.fspath(one) for one in listed]
-    raise SettingsError(f"{name} = {values!r}: give {wanted}")
+            return [as_path(name, one, wanted) for one in listed]
+    raise SettingsError(f"{name} = {shown(values)}: give {wanted}")
 
 
 def as_model(model: object) -> str | None:
@@ -37,44 +64,46 @@ def as_model(model: object) -> str | None:
 def refuse_options(options: object, remedy: str) -> None:
     """Refuses options of ``reset``, of which there are none; ``remedy`` says what to do instead."""
     if options:
-        raise SettingsError(f"options = {options!r}: reset takes none. {remedy}")
+        raise SettingsError(f"options = {shown(options)}: reset takes none. {remedy}")
 
 
-def _not_finite(value: object, name: str) -> str | None:
-    """The name and value of the first number that is not finite, below the entry ``name``."""
+def _fault(value: object, name: str) -> str | None:
+    """The first value below the entry ``name`` that JSON cannot hold, with what to give instead."""
     if isinstance(value, (np.generic, np.ndarray)):
         value = value.tolist()
+    if value is None or isinstance(value, (str, int)):
+        return None
     if isinstance(value, float):
-        return None if math.isfinite(value) else f"{name} = {value}"
+        return None if math.isfinite(value) else f"{name} = {value}: give a finite number"
     if isinstance(value, Mapping):
         parts = [(f"{name}.{key}" if name else str(key), part) for key, part in value.items()]
     elif isinstance(value, (list, tuple)):
         parts = [(f"{name}[{index}]", part) for index, part in enumerate(value)]
     else:
-        parts = []
-    found = (_not_finite(part, whose) for whose, part in parts)
+        return f"{name} = {shown(value)}: give a number, a text, a list or a mapping"
+    found = (_fault(part, whose) for whose, part in parts)
     return next((it for it in found if it is not None), None)
 
 
-def as_json(settings: object, whose: str) -> str:
-    """Settings as JSON, in which numbers and arrays of numpy count as Python's own."""
+def as_json(settings: object, argument: str = "") -> str:
+    """Settings as JSON, in which numbers and arrays of numpy count as Python's own. ``argument`` is the name of the
+    argument that holds them; without it, each is an argument of its own."""
 
     def plain(value: object) -> object:
         if isinstance(value, (np.generic, np.ndarray)):
             return value.tolist()
         if isinstance(value, Mapping):
             return dict(value)
-        raise TypeError(f"{value!r} is no number, text, list or mapping")
+        raise TypeError(f"{shown(value)} is no number, text, list or mapping")
 
+    prefix = f"{argument}: " if argument else ""
     try:
-        found = _not_finite(settings, "")
-        if found is not None:
-            raise SettingsError(f"{whose}: {found}: give a finite number")
-        return json.dumps(settings, allow_nan=False, default=plain)
+        fault = _fault(settings, "")
+        if fault is None:
+            return json.dumps(settings, allow_nan=False, default=plain)
     except (TypeError, ValueError, RecursionError) as error:
-        if isinstance(error, SettingsError):
-            raise
-        raise SettingsError(f"{whose} cannot be written as JSON: {error}") from error
+        raise SettingsError(f"{prefix}the values cannot be written as JSON: {error}") from error
+    raise SettingsError(f"{prefix}{fault}")
 
 
 def written(settings: str | Mapping[str, Any], argument: str) -> str:
@@ -83,5 +112,5 @@ def written(settings: str | Mapping[str, Any], argument: str) -> str:
     machine. ``robust``: as ``machine``, with the last two commands in the observation and a box of
     1.7 rad, for policies that are to run on a Qube. ``argument`` is the name of the argument."""
     if not isinstance(settings, (str, Mapping)):
-        raise SettingsError(f"{argument} = {settings!r}: give thesis, machine, robust, or a mapping")
+        raise SettingsError(f"{argument} = {shown(settings)}: give thesis, machine, robust, or a mapping")
     return as_json(settings if isinstance(settings, str) else dict(settings), argument)

@@ -4,19 +4,26 @@
 use pyo3::prelude::*;
 use qube_hil::estimation::{EstimatorSettings, ObserverSettings, SettingsError};
 use qube_hil::qube::MAX_HISTORY;
-use qube_hil::simulation::{SensorModel, SimulationSettings};
+use qube_hil::safety::HardwareRefusal;
+use qube_hil::simulation::{SensorModel, SimulationSettingError, SimulationSettings, box_file};
 use serde_json::{Map, Value};
 
 use crate::errors::{bad_settings, shown};
 
 /// Entries whose values are names, with the names that are accepted.
-const CHOICES: [(&str, &[&str]); 2] = [
-    ("sensors.type", &["true_state", "encoders"]),
-    ("safety_box.guard", &["box", "envelope", "foresight"]),
-];
+const CHOICES: [(&str, &[&str]); 1] = [("sensors.type", &["true_state", "encoders"])];
 
 /// Tables of which no entry has a default.
-const WITHOUT_DEFAULTS: [&str; 1] = ["reward"];
+const WITHOUT_DEFAULTS: [&str; 8] = [
+    "reward",
+    "plant",
+    "plant.parameters",
+    "plant.encoders",
+    "plant.limits",
+    "plant.motor",
+    "sensors.estimator.observer.model",
+    "sensors.estimator.observer.model.parameters",
+];
 
 /// Entries that may be left out by a null.
 const MAY_BE_NULL: [&str; 1] = ["sensors.estimator.observer"];
@@ -52,25 +59,59 @@ pub fn read_settings(argument: &str, json: &str) -> PyResult<SimulationSettings>
         }
         other => return Err(refused(format!("{other}: give a mapping or one of {names}"))),
     };
+    check_used(argument, &given).map_err(refused)?;
     check_table("", table, &every_entry()).map_err(refused)?;
     // The message of serde_json ends with a place in the text that Python never sees.
     let settings: SimulationSettings = serde_json::from_value(given.clone())
         .map_err(|error| refused(error.to_string().replace(" at line 0 column 0", "")))?;
-    if settings.history > MAX_HISTORY {
-        let history = settings.history;
-        return Err(refused(format!("history = {history}: give 0 to {MAX_HISTORY}")));
-    }
-    if let SensorModel::Encoders { estimator } = &settings.sensors {
-        estimator.check().map_err(|error| match error {
-            SettingsError::OutOfRange { name, value, largest } => refused(format!(
-                "sensors.estimator.{name} = {}: give a number above 0 and up to {}",
-                shown(value),
-                shown(largest)
-            )),
-            other @ SettingsError::Model(_) => refused(format!("sensors.estimator.{other}")),
-        })?;
-    }
+    settings.check().map_err(|error| refused(in_words(&error)))?;
     Ok(settings)
+}
+
+/// Checks that no entry is given which would have no effect. A record of a simulation names the
+/// guard that all simulations have, the box.
+fn check_used(argument: &str, given: &Value) -> Result<(), String> {
+    let guard = &given["safety_box"]["guard"];
+    if !guard.is_null() && guard != "box" {
+        let remedy = if argument == "settings" {
+            "leave it out, and give the environment guard=\"foresight\" for a simulated guard"
+        } else {
+            "simulations of a training know no guard but the box, so leave it out"
+        };
+        return Err(format!("safety_box.guard = {guard}: {remedy}"));
+    }
+    let sensors = &given["sensors"];
+    if sensors["type"] == "true_state" && !sensors["estimator"].is_null() {
+        return Err("sensors.estimator beside sensors.type = \"true_state\": true states need no estimator, so leave it \
+                    out, or give the type encoders"
+            .into());
+    }
+    Ok(())
+}
+
+/// The refusal of a setting, with short numbers.
+fn in_words(error: &SimulationSettingError) -> String {
+    match error {
+        SimulationSettingError::OutOfRange { name, value, bound } => {
+            format!("{name} = {}: give {bound}", shown(*value))
+        }
+        SimulationSettingError::Estimator(SettingsError::OutOfRange { name, value, largest }) => {
+            format!(
+                "sensors.estimator.{name} = {}: give a number above 0 and up to {}",
+                shown(*value),
+                shown(*largest)
+            )
+        }
+        SimulationSettingError::SafetyBox(HardwareRefusal::Limit { name, value, widest }) => {
+            let named = box_file::NAMES.iter().find(|(bare, _)| bare == name);
+            format!(
+                "safety_box.{} = {}: give a number above 0, at most {widest}",
+                named.map_or(*name, |(_, in_files)| *in_files),
+                shown(*value)
+            )
+        }
+        other => other.to_string(),
+    }
 }
 
 /// Settings in which every entry has a value, of the type that is accepted.

@@ -60,7 +60,7 @@ pub fn train(
     };
     let Qubes { distribution, origin } =
         read_qubes(model, profile.as_ref(), distributions, &settings.simulation)?;
-    settings.check().map_err(bad_settings)?;
+    settings.check().map_err(|error| refused(&error))?;
     let without = || bad_policy("the policy to start from has no network");
     let initial =
         initial.map(|initial| initial.get().network(py).ok_or_else(without)).transpose()?;
@@ -143,17 +143,67 @@ fn follow(
 /// names it.
 fn changed(settings: &TrainSettings, changes: &str) -> PyResult<TrainSettings> {
     let changes: Map<String, Value> = serde_json::from_str(changes).map_err(bad_settings)?;
+    let known = every_setting();
     let mut settings = settings.clone();
     for (name, value) in changes {
-        if name == "simulation" {
-            return Err(bad_settings("a training has no setting \"simulation\""));
-        }
-        let mut all = serde_json::to_value(&settings).map_err(bad_settings)?;
-        // The preset's settings lack those that are left out at their defaults, so a name that is
-        // not there may be a setting's all the same.
-        all[&name] = value;
-        settings = serde_json::from_value(all)
-            .map_err(|error| bad_settings(format!("the training's setting {name}: {error}")))?;
+        let Some(example) = known.get(&name) else {
+            let names = known.keys().cloned().collect::<Vec<_>>().join(", ");
+            return Err(bad_settings(format!(
+                "a training has no setting {name:?}: give some of {names}"
+            )));
+        };
+        let given = if value.is_null() { "None".to_owned() } else { value.to_string() };
+        settings = with(&settings, &name, value).map_err(|_| {
+            bad_settings(format!("{name} = {given}: give {}", wanted(&name, example)))
+        })?;
     }
     Ok(settings)
+}
+
+/// The settings, with another value of the one with this name.
+fn with(
+    settings: &TrainSettings,
+    name: &str,
+    value: Value,
+) -> Result<TrainSettings, serde_json::Error> {
+    let mut all = serde_json::to_value(settings)?;
+    all[name] = value;
+    serde_json::from_value(all)
+}
+
+/// The settings of a training with a value for each, without the simulation, which is an argument
+/// of its own.
+fn every_setting() -> Map<String, Value> {
+    let settings = TrainSettings {
+        adam_epsilon_beside_root: true,
+        target_return: Some(0.0),
+        worst_share: 0.5,
+        ..TrainSettings::default()
+    };
+    let Ok(Value::Object(mut all)) = serde_json::to_value(settings) else { return Map::new() };
+    all.remove("simulation");
+    all
+}
+
+/// The values that a setting accepts, in words. `example` is one of its type.
+fn wanted(name: &str, example: &Value) -> String {
+    let (kind, refused) = match example {
+        Value::Bool(_) => return "True or False".into(),
+        Value::Number(number) if number.is_u64() => ("a whole number", Value::from(0)),
+        _ => ("a number", Value::from(-1e3)),
+    };
+    // No setting accepts this value, so that the library's check tells the range.
+    let checked = with(&TrainSettings::default(), name, refused).map(|settings| settings.check());
+    match checked {
+        Ok(Err(TrainError::Setting { bound, .. })) => format!("{kind}, {bound}"),
+        _ => kind.into(),
+    }
+}
+
+/// The refusal of a setting of a training.
+fn refused(error: &TrainError) -> PyErr {
+    bad_settings(match error {
+        TrainError::Setting { name, value, bound } => format!("{name} = {value}: give {bound}"),
+        other => other.to_string(),
+    })
 }

@@ -87,11 +87,33 @@ def test_arguments_of_another_type_are_named():
         (name,) = wrong
         with pytest.raises(qube_hil.SettingsError, match=name):
             qube_hil.train(**wrong)
-    with pytest.raises(qube_hil.SettingsError, match="learning_rate = nan"):
-        qube_hil.train(learning_rate=math.nan)
+    found = qube_hil.Identified({}, "fits", [], 5000 * "x", [], [])
+    box = {"safety_box": {"theta_rad": -1.0}}
+    for wrong, told in [
+        ({"learning_rate": math.nan}, "^learning_rate = nan: give a finite number$"),
+        ({"learning_rate": None}, "^learning_rate = None: give a number, 0 to 1$"),
+        ({"learning_rate": 2.0}, "^learning_rate = 2: give 0 to 1$"),
+        ({"updates": -1}, "^updates = -1: give a whole number, 1 to 1 000 000$"),
+        ({"updates": 1.5}, r"^updates = 1\.5: give a whole number, 1 to 1 000 000$"),
+        ({"updates": 0}, "^updates = 0: give 1 to 1 000 000$"),
+        ({"num_envs": 10**9}, "^num_envs = 1000000000: give a whole number, 16 to 4096$"),
+        ({"target_return": "a"}, '^target_return = "a": give a number, 0 to 600$'),
+        ({"adam_epsilon_beside_root": 3}, "^adam_epsilon_beside_root = 3: give True or False$"),
+        ({"rate": 1.0}, '^a training has no setting "rate": give some of .*learning_rate'),
+        ({"clip": object()}, "^clip = <object .*: give a number"),
+        ({"initial": found}, r"^initial = Identified\(.*\.\.\.: give a Policy"),
+        ({"simulation": box}, r"^simulation: safety_box\.theta_rad = -1: give a number above 0"),
+        ({"simulation": {"safety_box": {"theta_rad": 3.0}}}, r"theta_rad = 3: .*at most 2\.3$"),
+        ({"simulation": {"safety_box": {"guard": "foresight"}}}, 'guard = "foresight": .*no guard but the box'),
+    ]:
+        with pytest.raises(qube_hil.SettingsError, match=told) as refused:
+            qube_hil.train(**wrong)
+        assert len(str(refused.value)) < 500
     for wrong, told in [
         ({"recordings": 3}, "recordings = 3"),
         ({"recordings": [3]}, "recordings"),
+        ({"recordings": {"tick": np.zeros(9)}}, "^recordings = {'tick'.*give paths of recordings"),
+        ({"recordings": b"x"}, "recordings = b'x'"),
         ({"recordings": [], "fixed": 3}, "fixed = 3"),
         ({"recordings": [], "fixed": "R_x"}, '"R_x"'),
         ({"recordings": [], "name": 3}, "name = 3"),
@@ -215,7 +237,7 @@ def test_settings_and_distributions_are_taken_and_recorded():
     for wrong in [{"updates": 0}, {"epoch": 1}, {"updates": "many"}, {"preset": "none"}, {"seed": -1}]:
         with pytest.raises(qube_hil.SettingsError):
             qube_hil.train(**wrong)
-    with pytest.raises(qube_hil.SettingsError, match="unknown field `epoch`.*`epochs`"):
+    with pytest.raises(qube_hil.SettingsError, match='no setting "epoch": .* epochs, '):
         qube_hil.train(epoch=1)
 
 
@@ -380,6 +402,9 @@ def test_a_qube_is_identified_from_its_recordings(tmp_path):
     env = QubeVectorEnv(2, profile=found, settings="robust")
     env.reset(seed=1)
     assert env.qube(0)["R_m"] != env.qube(1)["R_m"]
+    with pytest.raises(qube_hil.SettingsError, match="recordings = .*give paths of recordings") as refused:
+        qube_hil.identify(qube_hil.recording(recordings[0]))
+    assert len(str(refused.value)) < 500
     with pytest.raises(qube_hil.IdentificationError):
         qube_hil.identify([])
     with pytest.raises(qube_hil.IdentificationError, match="missing.mcap"):
