@@ -15,6 +15,7 @@ from ._core import MAX_VOLTAGE_V
 from .distributions import Distribution
 from .envs import Float32s
 from .errors import ActionError, PolicyError, SettingsError
+from .settings import as_number, as_path, as_text, shown
 
 
 class Policy:
@@ -27,8 +28,8 @@ class Policy:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Policy":
-        """Reads a policy file."""
-        return cls(_core.Policy.load(os.fspath(path)))
+        """Reads a policy file. Raises a `PolicyError` if it cannot be read, and a `SettingsError` if ``path`` is no path."""
+        return cls(_core.Policy.load(as_path("path", path, "the path of a policy file")))
 
     @classmethod
     def from_bytes(cls, data: bytes | bytearray | memoryview) -> "Policy":
@@ -37,7 +38,7 @@ class Policy:
         try:
             read = bytes(memoryview(data))
         except TypeError as error:
-            raise SettingsError(f"data = {data!r}: give the bytes of a policy file") from error
+            raise SettingsError(f"data = {shown(data)}: give the bytes of a policy file") from error
         return cls(_core.Policy.from_bytes(read))
 
     @classmethod
@@ -71,10 +72,14 @@ class Policy:
 
         Raises:
             PolicyError: Layers of these shapes or numbers make no network of 1 to 4 hidden layers of at most 256 neurons,
-                an entry of the observation is unknown or named twice, or another argument is refused.
+                an entry of the observation is unknown or named twice, or the value of another argument is refused.
+            SettingsError: An argument is of another type.
         """
         names, history = _named(observation), _as_history(history)
         _refuse_duplicates(names)
+        activation = as_text("activation", activation, "tanh, relu, elu or silu")
+        output = as_text("output", output, "linear or tanh")
+        scale_v = as_number("action_scale_v", action_scale_v, _A_VOLTAGE)
         arrays = _as_layers(layers)
         entries = len(names.split(",")) if names is not None else 6 + (history or 0)
         _check_chain(arrays, entries)
@@ -83,11 +88,11 @@ class Policy:
                 arrays,
                 activation,
                 output,
-                action_scale_v,
+                scale_v,
                 names,
                 history,
-                filter_rad_s,
-                clip_observation,
+                _as_corner(filter_rad_s),
+                _as_limit(clip_observation),
             )
         )
 
@@ -106,11 +111,10 @@ class Policy:
         and its other conventions, named as for `from_layers`. A file that this program exported contains its
         conventions: it takes no arguments, and gives exactly the policy that was exported."""
         names, history = _named(observation), _as_history(history)
-        return cls(
-            _core.Policy.from_onnx(
-                os.fspath(path), action_scale_v, names, history, filter_rad_s, clip_observation
-            )
-        )
+        file = as_path("path", path, "the path of an ONNX file")
+        scale_v = None if action_scale_v is None else as_number("action_scale_v", action_scale_v, _A_VOLTAGE)
+        corner_rad_s, limit = _as_corner(filter_rad_s), _as_limit(clip_observation)
+        return cls(_core.Policy.from_onnx(file, scale_v, names, history, corner_rad_s, limit))
 
     @classmethod
     def from_torch(cls, module: Any, *, action_scale_v: float, **named: Any) -> "Policy":
@@ -153,7 +157,7 @@ class Policy:
             )
         policy = getattr(model, "policy", None)
         if policy is None:
-            raise PolicyError(f"{model!r} has no policy: give a model of Stable-Baselines3")
+            raise PolicyError(f"{shown(model)} has no policy: give a model of Stable-Baselines3")
         # SB3's default extractor only flattens the observation.
         extractor = getattr(getattr(policy, "actor", policy), "features_extractor", None)
         if extractor is not None and type(extractor).__name__ != "FlattenExtractor":
@@ -181,7 +185,11 @@ class Policy:
                 "policy_kwargs=dict(net_arch=[256, 256])"
             )
         made = cls.from_layers(
-            layers, action_scale_v=action_scale_v, activation=activation, output=output, **named
+            layers,
+            action_scale_v=action_scale_v,
+            activation=activation,
+            output=output,
+            **named,
         )
         if normalised is None and getattr(model, "env", None) is None:
             warnings.warn(
@@ -199,8 +207,11 @@ class Policy:
 
     def save(self, path: str | os.PathLike[str], force: bool = False) -> None:
         """Writes the policy file, which appears whole or not at all. An existing file is replaced only with
-        ``force``."""
-        self._core.save(os.fspath(path), force)
+        ``force``, and a folder, a pipe or a device never."""
+        file = as_path("path", path, "the path of a policy file")
+        if not isinstance(force, (bool, np.bool_)):
+            raise SettingsError(f"force = {shown(force)}: give True or False")
+        self._core.save(file, bool(force))
 
     def to_onnx(self) -> bytes:
         """The bytes of an ONNX model, as `qube-hil export --onnx` writes it: from ``observation``, float32
@@ -298,7 +309,7 @@ def _named(observation: Sequence[str] | None) -> str | None:
     try:
         return ",".join(observation)
     except TypeError as error:
-        raise PolicyError(f"observation = {observation!r}: give names of entries") from error
+        raise PolicyError(f"observation = {shown(observation)}: give names of entries") from error
 
 
 def _refuse_duplicates(names: str | None) -> None:
@@ -363,14 +374,32 @@ def _as_history(history: int | None) -> int | None:
     """A number of last commands in an observation."""
     if history is None or (isinstance(history, (int, np.integer)) and 0 <= history <= 4):
         return history
-    raise PolicyError(f"history = {history!r}: give 0 to 4")
+    raise PolicyError(f"history = {shown(history)}: give 0 to 4")
+
+
+#: The values of arguments, as messages name them.
+_A_VOLTAGE = "a voltage from -100 to 100 that is not 0"
+
+
+def _as_corner(filter_rad_s: object) -> float | None:
+    """The corner of a velocity filter, rad/s; None for that of the program."""
+    if filter_rad_s is None:
+        return None
+    return as_number("filter_rad_s", filter_rad_s, "a number from 1 to 10000, or None")
+
+
+def _as_limit(clip_observation: object) -> float | None:
+    """The magnitude at which an observation is clipped; None without."""
+    if clip_observation is None:
+        return None
+    return as_number("clip_observation", clip_observation, "a number above 0, or None")
 
 
 def _listed(given: Any, wanted: str) -> list[Any]:
     try:
         return list(given)
     except TypeError as error:
-        raise PolicyError(f"{given!r} cannot be listed: give {wanted}") from error
+        raise PolicyError(f"{shown(given)} cannot be listed: give {wanted}") from error
 
 
 #: Most neurons of a layer.
@@ -385,6 +414,17 @@ class _LastTanh:
 _ACTIVATIONS = {"Tanh": "tanh", "_LastTanh": "tanh", "ReLU": "relu", "ELU": "elu", "SiLU": "silu"}
 
 
+def _array_of(tensor: Any) -> Any:
+    """The numbers of a tensor of torch."""
+    try:
+        return tensor.detach().cpu().numpy()
+    except (TypeError, RuntimeError) as error:
+        kind = getattr(tensor, "dtype", type(tensor).__name__)
+        raise SettingsError(
+            f"a Linear layer has numbers of the type {kind}, which numpy lacks: give module.float(), or a model of float32"
+        ) from error
+
+
 def _layers_of(modules: list[Any]) -> tuple[list[tuple[Any, Any]], str, str]:
     """The layers of modules in order, their activation and the function of the output."""
     layers: list[tuple[Any, Any]] = []
@@ -396,8 +436,8 @@ def _layers_of(modules: list[Any]) -> tuple[list[tuple[Any, Any]], str, str]:
         if kind == "Linear":
             if len(layers) != len(activations):
                 raise PolicyError("two Linear layers follow each other without an activation")
-            bias = None if module.bias is None else module.bias.detach().cpu().numpy()
-            layers.append((module.weight.detach().cpu().numpy(), bias))
+            bias = None if module.bias is None else _array_of(module.bias)
+            layers.append((_array_of(module.weight), bias))
         elif kind in _ACTIVATIONS and getattr(module, "alpha", 1.0) == 1.0:
             if len(layers) != len(activations) + 1:
                 raise PolicyError(f"the activation {kind} does not follow a Linear layer")

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from . import _core
 from .errors import RecordingError
 from .policies import Policy
+from .settings import as_path
 
 
 class Recording(dict[str, npt.NDArray[Any]]):
@@ -50,12 +51,14 @@ def recording(path: str | os.PathLike[str], *, partial: bool = False) -> Recordi
     Raises:
         RecordingError: The file cannot be read, a byte of it has changed, or it is cut off and ``partial`` is false. A
             recording that ``qube-hil recover`` has saved is not cut off, although ``is_whole`` is false.
+        SettingsError: ``path`` is no path.
     """
-    read = _core.read_recording(os.fspath(path))
+    file = as_path("path", path, "the path of a recording")
+    read = _core.read_recording(file)
     if read["cut"] and not partial:
         ticks = len(read["columns"]["tick"])
         raise RecordingError(
-            f"{os.fspath(path)}: the recording is cut off, and {ticks} ticks of it are whole ({read['cut']}): give partial=True "
+            f"{file}: the recording is cut off, and {ticks} ticks of it are whole ({read['cut']}): give partial=True "
             "to read these, or save them by `qube-hil recover`"
         )
     made = Recording(read["columns"])

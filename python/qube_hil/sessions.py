@@ -12,8 +12,12 @@ import numpy.typing as npt
 
 from . import _core
 from .errors import SettingsError
+from .settings import as_path, shown
 
 Float64s = npt.NDArray[np.float64]
+
+#: What the argument ``folder`` names.
+_FOLDER = "the path of a session's folder"
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Surrogate:
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         """Use `Session.surrogate`."""
-        self._core = _core.Surrogate(os.fspath(folder))
+        self._core = _core.Surrogate(as_path("folder", folder, _FOLDER))
         #: Lower and upper end of each entry of psi, by name, in the order of the coordinates.
         self.ranges: dict[str, tuple[float, float]] = {
             name: (lower, upper) for name, lower, upper in self._core.ranges
@@ -61,13 +65,14 @@ class Surrogate:
 
         Args:
             psi: Points ``[n, entries]`` with the entries in the order of ``ranges``, or numbers or arrays ``[n]`` by name;
-                a name that is left out stands for its entry of ``recommended_psi``.
+                a name that is left out stands for its entry of ``recommended_psi``. Points may lie outside of the ranges; one
+                so far away that its return is no finite number raises a `SettingsError`.
         """
         if isinstance(psi, Mapping):
             unknown = [name for name in psi if name not in self.ranges]
             if unknown:
                 known = ", ".join(self.ranges)
-                raise SettingsError(f"psi has no entry {unknown[0]!r}: give some of {known}")
+                raise SettingsError(f"psi has no entry {shown(unknown[0])}: give some of {known}")
             psi = self._points({**self.recommended_psi, **psi})
         try:
             points = np.atleast_2d(np.asarray(psi, np.float64))
@@ -90,8 +95,9 @@ class Session:
     """The results in a session's folder. The folder is only read, so that a running session may be using it."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
-        self.folder = Path(folder)
-        read = json.loads(_core.read_session(os.fspath(folder)))
+        path = as_path("folder", folder, _FOLDER)
+        self.folder = Path(path)
+        read = json.loads(_core.read_session(path))
         #: Names of psi, in the order of the search space.
         self.psi_names: list[str] = read["psi"]
         #: Candidates in order.

@@ -17,7 +17,7 @@ use qube_hil::qube::{
     ALPHA_DOT_FACTOR, Distribution, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity, State,
     THETA_DOT_FACTOR,
 };
-use qube_hil::storage::{Disk, MachineDisk, read_bounded, write_whole};
+use qube_hil::storage::{MachineDisk, read_bounded, write_whole};
 
 use crate::errors::{ActionError, bad_policy, shown};
 
@@ -146,13 +146,19 @@ impl Policy {
     }
 
     /// Writes the policy file, which appears whole or not at all. Only `force` replaces an existing
-    /// file.
+    /// file, and nothing replaces a folder, a pipe or a device.
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<()> {
-        if !force && MachineDisk.exists(&path) {
-            let path = path.display();
-            return Err(bad_policy(format!(
-                "{path}: exists already: give another name, or force=True"
-            )));
+        let shown = path.display();
+        match path.symlink_metadata() {
+            Ok(found) if !found.is_file() && !found.is_symlink() => {
+                return Err(bad_policy(format!("{shown}: it is not a file: give a file")));
+            }
+            Ok(_) if !force => {
+                return Err(bad_policy(format!(
+                    "{shown}: exists already: give another name, or force=True"
+                )));
+            }
+            _ => {}
         }
         let bytes = self.turn(py).to_bytes();
         write(&path, &bytes)

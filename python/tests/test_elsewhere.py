@@ -222,6 +222,10 @@ def test_arrays_and_names_that_cannot_be_are_named():
     ]:
         with pytest.raises(qube_hil.PolicyError, match=told):
             Policy.from_layers(**{"layers": layers, "action_scale_v": 5.0, **wrong})
+    for wrong in [{"action_scale_v": "5"}, {"activation": None}, {"output": 3}, {"filter_rad_s": "a"}, {"clip_observation": "a"}]:
+        ((name, value),) = wrong.items()
+        with pytest.raises(qube_hil.SettingsError, match=f"{name} = {value!r}: give"):
+            Policy.from_layers(**{"layers": layers, "action_scale_v": 5.0, **wrong})
     for call in [lambda: Policy.from_torch(3, action_scale_v=5.0), lambda: Policy.from_sb3(3)]:
         with pytest.raises(qube_hil.PolicyError, match="give a"):
             call()

@@ -3,6 +3,7 @@
 import _thread
 import copy
 import math
+import os
 import pickle
 import threading
 import time
@@ -321,6 +322,42 @@ def test_a_policy_is_saved_and_read(tmp_path):
     single = policy.act(observations[7])
     assert single.shape == (1,) and single == policy.act(observations)[7]
     assert np.abs(policy.act(1e3 * observations)).max() <= 1.0
+
+
+def test_a_policy_replaces_files_alone(tmp_path):
+    policy = qube_hil.train(**SMALL).policy
+    pipe, folder, link = tmp_path / "pipe", tmp_path / "folder", tmp_path / "link"
+    os.mkfifo(pipe)
+    folder.mkdir()
+    for place in [pipe, folder]:
+        for force in [True, False]:
+            with pytest.raises(qube_hil.PolicyError, match=f"{place}: it is not a file: give a file"):
+                policy.save(place, force=force)
+    assert pipe.is_fifo() and folder.is_dir()
+    # A link is replaced, and not what it leads to.
+    link.symlink_to(pipe)
+    with pytest.raises(qube_hil.PolicyError, match="exists already"):
+        policy.save(link)
+    policy.save(link, force=True)
+    assert pipe.is_fifo() and link.is_file() and not link.is_symlink()
+    assert sorted(tmp_path.iterdir()) == [folder, link, pipe]
+
+
+def test_paths_of_another_type_are_named(tmp_path):
+    policy = qube_hil.train(**SMALL).policy
+    for wrong in [b"x", None, 1]:
+        for name, call in [
+            ("path", Policy.load),
+            ("path", lambda path: Policy.from_onnx(path, action_scale_v=5.0)),
+            ("path", policy.save),
+            ("path", qube_hil.recording),
+            ("folder", qube_hil.Session),
+            ("folder", qube_hil.Surrogate),
+        ]:
+            with pytest.raises(qube_hil.SettingsError, match=f"{name} = {wrong!r}: give the path of a"):
+                call(wrong)
+    with pytest.raises(qube_hil.SettingsError, match="force = 'yes'"):
+        policy.save(tmp_path / "p.safetensors", force="yes")
 
 
 def test_a_bad_policy_or_observation_is_named(tmp_path):
