@@ -185,6 +185,11 @@ def main():
     result["mean_return"] = round(float(mean_return(policy, seed=17)), 1)
     agrees(qube_hil.Policy.from_sb3(model), model.predict(observations, deterministic=True)[0], observations)
 
+    # The recipe of the manual: the history is that of the environment.
+    robust = PPO("MlpPolicy", QubeVecEnv(4, model="robust", settings="robust"), n_steps=8, batch_size=32, device="cpu")
+    seen = np.random.default_rng(1).uniform(-1.0, 1.0, (500, 8)).astype(np.float32)
+    agrees(qube_hil.Policy.from_sb3(robust), robust.predict(seen, deterministic=True)[0], seen)
+
     sac = SAC("MlpPolicy", gymnasium.make("qube_hil/Qube-v0"), seed=1, device="cpu", buffer_size=1000)
     agrees(qube_hil.Policy.from_sb3(sac), sac.predict(observations, deterministic=True)[0], observations)
 

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from . import _core
 from . import distributions as _distributions
 from ._core import MAX_VOLTAGE_V
+from .device import QubeDeviceEnv
 from .distributions import Distribution
-from .envs import Float32s
+from .envs import Float32s, QubeEnv, QubeVectorEnv
 from .errors import ActionError, PolicyError, SettingsError
 from .settings import as_number, as_path, as_text, shown
 
@@ -82,7 +83,7 @@ class Policy:
         scale_v = as_number("action_scale_v", action_scale_v, _A_VOLTAGE)
         arrays = _as_layers(layers)
         entries = len(names.split(",")) if names is not None else 6 + (history or 0)
-        _check_chain(arrays, entries)
+        _check_chain(arrays, entries, is_own=names is None)
         return cls(
             _core.Policy.from_layers(
                 arrays,
@@ -144,7 +145,9 @@ class Policy:
             normalised: Whether ``VecNormalize`` scaled the observations in training. Give False if it did not. None asks
                 the model's environment. A model without one, such as one that ``load`` has read without ``env``, does not
                 know: then a ``UserWarning`` says so.
-            named: As for `from_layers`.
+            named: As for `from_layers`. Without ``observation`` and ``history``, the history is that of the model's
+                environment, and without ``filter_rad_s`` the corner is, if it is an environment of this package; a model
+                without one needs ``history`` where its observation has commands.
 
         Raises:
             PolicyError: ``VecNormalize`` scales the observations of the model's environment, or ``normalised`` is true; the
@@ -189,7 +192,7 @@ class Policy:
             action_scale_v=action_scale_v,
             activation=activation,
             output=output,
-            **named,
+            **_with_conventions_of(model, named),
         )
         if normalised is None and getattr(model, "env", None) is None:
             warnings.warn(
@@ -349,10 +352,17 @@ def _as_layers(layers: Any) -> list[tuple[Float32s, Float32s]]:
     return arrays
 
 
-def _check_chain(layers: list[tuple[Float32s, Float32s]], entries: int) -> None:
+def _check_chain(layers: list[tuple[Float32s, Float32s]], entries: int, is_own: bool) -> None:
     """Checks that each layer has as many inputs as the layer before has outputs, and that each bias fits its weight. Of
-    the first layer it finds weights that are transposed; the compiled part compares it with the observation."""
+    the first layer it finds weights that are transposed, and another number of commands in an observation that is this
+    program's own; the compiled part compares it with other observations."""
     source = f"the observation has {entries} entries"
+    first = layers[0][0].shape[1]
+    if is_own and first != entries and 6 <= first <= 10 and layers[0][0].shape[0] != entries:
+        raise PolicyError(
+            f"layer 1 has {first} inputs, and {source}: give history={first - 6} if these are this program's own observation "
+            f"with {first - 6} last commands, or name the entries by observation"
+        )
     for number, (matrix, vector) in enumerate(layers, 1):
         outputs, inputs = matrix.shape
         if inputs != entries and (number > 1 or outputs == entries):
@@ -393,6 +403,27 @@ def _as_limit(clip_observation: object) -> float | None:
     if clip_observation is None:
         return None
     return as_number("clip_observation", clip_observation, "a number above 0, or None")
+
+
+def _with_conventions_of(model: Any, named: dict[str, Any]) -> dict[str, Any]:
+    """The arguments of `Policy.from_layers`, with those that are not given from the environment of a model of
+    Stable-Baselines3, if it is one of this package."""
+    env: Any = getattr(model, "env", None)
+    while env is not None and not isinstance(env, (QubeEnv, QubeVectorEnv, QubeDeviceEnv)):
+        # A wrapper holds one environment, and a vector of environments several alike.
+        several = getattr(env, "envs", None)
+        holders = ("venv", "_envs", "env")
+        inside = next((getattr(env, name) for name in holders if hasattr(env, name)), None)
+        env = several[0] if several else inside
+    if env is None:
+        return named
+    conventions: dict[str, Any] = {}
+    if named.get("observation") is None and named.get("history") is None:
+        space: Any = env.single_observation_space if isinstance(env, QubeVectorEnv) else env.observation_space
+        conventions["history"] = space.shape[0] - 6
+    if named.get("filter_rad_s") is None and not isinstance(env, QubeDeviceEnv):
+        conventions["filter_rad_s"] = env._simulation.filter_rad_s
+    return {**named, **conventions}
 
 
 def _listed(given: Any, wanted: str) -> list[Any]:

@@ -9,7 +9,8 @@ use numpy::{
 use pyo3::prelude::*;
 use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity};
 use qube_hil::simulation::{
-    DomainDistribution, LANES_MULTIPLE, LaneStatus, Pendulums, SimulationSettings, Trajectory,
+    DomainDistribution, LANES_MULTIPLE, LaneStatus, Pendulums, SensorModel, SimulationSettings,
+    Trajectory,
 };
 
 use crate::distribution::{Around, Qubes, read_qubes};
@@ -32,6 +33,9 @@ const LONGEST: usize = OBSERVATION_SIZE + MAX_HISTORY;
 pub struct Simulation {
     num_envs: usize,
     observation_size: usize,
+    /// Corner of the velocity filter through which policies see the state, rad/s; `None` with true
+    /// states or an observer.
+    filter_rad_s: Option<f64>,
     episodes: Mutex<Episodes>,
 }
 
@@ -93,7 +97,20 @@ impl Simulation {
         let observation_size = lanes.pendulums.observation_size();
         let episodes =
             Episodes { lanes, guard, distribution, seed: 0, next: 0, numbers: vec![0; num_envs] };
-        Ok(Self { num_envs, observation_size, episodes: Mutex::new(episodes) })
+        let filter_rad_s = match settings.sensors {
+            SensorModel::Encoders { estimator } if estimator.observer.is_none() => {
+                Some(estimator.corner_rad_s)
+            }
+            SensorModel::Encoders { .. } | SensorModel::TrueState => None,
+        };
+        Ok(Self { num_envs, observation_size, filter_rad_s, episodes: Mutex::new(episodes) })
+    }
+
+    /// Corner of the velocity filter through which policies see the state, rad/s; `None` with true
+    /// states or an observer.
+    #[getter]
+    fn filter_rad_s(&self) -> Option<f64> {
+        self.filter_rad_s
     }
 
     /// Length of an observation.

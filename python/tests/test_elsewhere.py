@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -139,6 +140,47 @@ def test_a_model_without_its_environment_warns_of_observations_that_may_be_scale
             Policy.from_sb3(model, **named)
     only_rewards = Named(policy=policy, env=object(), get_vec_normalize_env=lambda: Named(norm_obs=False))
     assert Policy.from_sb3(only_rewards) == known
+
+
+class HalfPrecision(Array):
+    dtype = "torch.bfloat16"
+
+    def numpy(self):
+        raise TypeError("Got unsupported ScalarType BFloat16")
+
+
+def test_numbers_that_numpy_lacks_are_refused():
+    module = [Linear(6, 4), Tanh(), Linear(4, 1)]
+    module[2].weight = HalfPrecision(1, 4)
+    with pytest.raises(qube_hil.SettingsError, match=r"torch.bfloat16.*give module.float\(\)"):
+        Policy.from_torch(module, action_scale_v=5.0)
+
+
+def test_a_model_takes_the_observation_of_its_environment():
+    def model(inputs, env):
+        hidden, action = [Linear(inputs, 12), Tanh()], Linear(12, 1)
+        return Named(policy=Named(mlp_extractor=Named(policy_net=hidden), action_net=action), env=env)
+
+    robust = {"model": "robust", "settings": "robust"}
+    filtered = {"history": 2, "sensors": {"type": "encoders", "estimator": {"corner_rad_s": 60.0}}}
+    many = qube_hil.QubeVectorEnv(2, settings=filtered)
+    for env, corner_rad_s in [
+        (qube_hil.QubeEnv(**robust), 200.0),
+        (Named(envs=[gymnasium.make("qube_hil/Qube-v0", **robust)] * 2), 200.0),
+        (Named(venv=Named(_envs=many)), 60.0),
+        (many, 60.0),
+    ]:
+        policy = Policy.from_sb3(model(8, env))
+        assert policy.observation_size == 8
+        assert policy.training["sensors"]["corner_rad_s"] == corner_rad_s
+        again = Policy.from_sb3(model(8, env), filter_rad_s=70.0, history=2)
+        assert again.training["sensors"]["corner_rad_s"] == 70.0
+    names = ["sin_theta", "cos_theta", "sin_alpha", "cos_alpha"]
+    assert Policy.from_sb3(model(4, many), observation=names).sizes == [6, 12, 1]
+    with pytest.raises(qube_hil.PolicyError, match="8 inputs.*give history=2 if"):
+        Policy.from_sb3(model(8, object()))
+    with pytest.raises(qube_hil.PolicyError, match="6 inputs"):
+        Policy.from_sb3(model(6, many))
 
 
 def test_the_default_layers_of_td3_are_refused_with_layers_that_are_not():
