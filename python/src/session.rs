@@ -69,6 +69,13 @@ impl Surrogate {
             let at = rows.iter().map(|row| process.posterior(row));
             at.map(|posterior| (posterior.mean, posterior.deviation())).unzip()
         });
+        let is_known = |(mean, deviation): (&f64, &f64)| mean.is_finite() && deviation.is_finite();
+        if let Some(index) = means.iter().zip(&deviations).position(|it| !is_known(it)) {
+            return Err(bad_settings(format!(
+                "point {index} is so far from the ranges of psi that its return is no finite number: give points near \
+                 the ranges"
+            )));
+        }
         Ok([means, deviations].map(|values| PyArray1::from_vec(py, values)))
     }
 }

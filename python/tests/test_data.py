@@ -134,6 +134,11 @@ def test_the_surrogate_of_a_session_has_the_numbers_of_its_report(session_folder
     means, deviations = surrogate.posterior(points)
     assert means.shape == deviations.shape == (300,) and (deviations > 0.0).all()
     assert (means <= best[0] + 1.0).all()
+    (name, (lower, upper)), *_ = surrogate.ranges.items()
+    mean, _ = surrogate.posterior({name: [upper + 10.0 * (upper - lower)]})
+    assert np.isfinite(mean).all()
+    with pytest.raises(qube_hil.SettingsError, match="point 1 is so far from the ranges of psi.*near"):
+        surrogate.posterior({name: [lower, 1e160]})
     for wrong, told in [({"M_x": 1.0}, "M_x"), (np.zeros((2, 1)), "entries"), ("x", "numbers"), ({"M_x": "y"}, "M_x")]:
         with pytest.raises(qube_hil.SettingsError, match=told):
             surrogate.posterior(wrong)
