@@ -1,9 +1,11 @@
 """A real or emulated Qube as a Gymnasium environment, at 100 Hz."""
 
 import atexit
+import contextlib
 import difflib
 import os
 import re
+import tempfile
 import weakref
 from numbers import Real
 from pathlib import Path
@@ -13,18 +15,19 @@ import gymnasium
 
 from . import _core
 from ._core import MAX_VOLTAGE_V
-from .envs import Float32s, _as_actions, _as_seed, _whole, action_space, observation_space
+from .envs import Float32s, Uncopied, _as_actions, _whole, action_space, as_seed, observation_space
 from .errors import BusyError, DeviceError, QubeHilError, SettingsError
-from .settings import refuse_options
+from .identification import Identified
+from .settings import as_path, refuse_options, shown
 
 
-class QubeDeviceEnv(gymnasium.Env[Any, Any]):
+class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
     """One Qube, real or emulated: the control thread, the guard, the limit on the voltage and the watchdog stay in the
     program, which asks Python for a voltage at each tick.
 
     Args:
-        device: Serial port of a Qube, or ``hil:CARD@ID`` for a Qube with the USB panel. None drives the Qube whose port
-            the option ``qube`` names, and the emulated one without that option.
+        device: Serial port of a Qube, a text or a path, or ``hil:CARD@ID`` for a Qube with the USB panel. None drives the
+            Qube whose port the option ``qube`` names, and the emulated one without that option.
         deadline_ms: Time limit of an answer within the tick of 10 ms, 0.1 to 8.5 ms; None takes the time that the measured
             link leaves, at most 5 ms. After a late answer the last voltage is held; ten in a row brake the arm and raise a
             `LateError`.
@@ -35,8 +38,9 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
         history: Number of last commands in the observation, 0 to 4.
         seed: Seed of the arm's start angles, and of the emulated Qube.
         options: Other options of the command ``run``, with ``_`` for ``-``: ``qube="qube.toml"``, ``guard="box"``,
-            ``profile="lab"``, ``acknowledge=True`` ... Those that choose a controller are refused. Those for the number
-            of rollouts, the folder, the screen and the live view have no effect.
+            ``profile="lab"`` (or a path, or the result of `identify`), ``acknowledge=True`` ... Those that choose a
+            controller are refused. Those for the number of rollouts, the folder, the screen and the live view have no
+            effect.
 
     Spaces, rewards, termination and truncation are those of `QubeEnv`. The state is estimated from the encoders, and
     foresight is the guard unless an option says otherwise: an episode is terminated where the guard takes over. The
@@ -58,7 +62,7 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
 
     def __init__(
         self,
-        device: str | None = None,
+        device: str | os.PathLike[str] | None = None,
         *,
         deadline_ms: float | None = None,
         clock: str = "wall",
@@ -69,24 +73,33 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
         **options: Any,
     ) -> None:
         if render_mode is not None:
-            raise SettingsError(f"render_mode = {render_mode!r}: there is none, give None")
+            raise SettingsError(f"render_mode = {shown(render_mode)}: there is none, give None")
         self.render_mode = None
-        self._seed = _as_seed(seed) or 0
+        self._seed = as_seed(seed) or 0
         self._number = -1
         self._recording: Path | None = None
         history = _whole("history", history, 0, 4)
-        if device is not None and not isinstance(device, str):
-            raise SettingsError(f"device = {device!r}: give a text such as /dev/ttyACM0, or None")
+        if device is not None:
+            device = as_path("device", device, "a text such as /dev/ttyACM0, or None")
         if clock not in ("wall", "virtual"):
-            raise SettingsError(f"clock = {clock!r}: give wall or virtual")
+            raise SettingsError(f"clock = {shown(clock)}: give wall or virtual")
         if deadline_ms is not None and (isinstance(deadline_ms, bool) or not isinstance(deadline_ms, Real)):
-            raise SettingsError(f"deadline_ms = {deadline_ms!r}: give a number from 0.1 to 8.5, or None")
-        given = _as_options({"device": device, "clock": clock, "seed": self._seed, **options})
-        self._folder = _as_folder(recordings)
-        try:
-            self._device = _core.Device(given, deadline_ms, history)
-        except (SettingsError, DeviceError) as error:
-            raise type(error)(_in_words_of_python(str(error))) from None
+            raise SettingsError(f"deadline_ms = {shown(deadline_ms)}: give a number from 0.1 to 8.5, or None")
+        with contextlib.ExitStack() as files:
+            profile = options.get("profile")
+            if isinstance(profile, Identified):
+                folder = files.enter_context(tempfile.TemporaryDirectory(prefix="qube-hil-"))
+                options["profile"] = Path(folder) / "identified.toml"
+                options["profile"].write_text(profile.profile, "utf-8")
+            given = _as_options({"device": device, "clock": clock, "seed": self._seed, **options})
+            self._folder = _as_folder(recordings)
+            try:
+                self._device = _core.Device(given, deadline_ms, history)
+            except (SettingsError, DeviceError) as error:
+                told = _in_words_of_python(str(error))
+                if isinstance(profile, Identified):
+                    told = told.replace(str(options["profile"]), "profile")
+                raise type(error)(told) from None
         self.observation_space = observation_space(6 + history)
         self.action_space = action_space()
         _OPEN.add(self._device)
@@ -105,8 +118,8 @@ class QubeDeviceEnv(gymnasium.Env[Any, Any]):
         `SettingsError`. An error of the Qube is a `DeviceError`."""
         try:
             refuse_options(options, "Give the options of the Qube to the constructor")
-            super().reset(seed=seed)
-            given = _as_seed(seed)
+            given = as_seed(seed)
+            super().reset(seed=given)
             if given is not None:
                 self._seed, self._number = given, -1
             self._number += 1
@@ -162,7 +175,7 @@ def _as_options(named: dict[str, Any]) -> list[str]:
     for name, value in named.items():
         if name in _CONTROLLERS:
             raise SettingsError(
-                f"{name} = {value!r}: the controller of this environment is Python, which gives the voltages to step: leave "
+                f"{name} = {shown(value)}: the controller of this environment is Python, which gives the voltages to step: leave "
                 f"{name} out"
             )
         if name not in known:
@@ -172,10 +185,10 @@ def _as_options(named: dict[str, Any]) -> list[str]:
         option = "--" + name.replace("_", "-")
         if not known[name]:
             if value is not None and not isinstance(value, bool):
-                raise SettingsError(f"{name} = {value!r}: give True or False")
+                raise SettingsError(f"{name} = {shown(value)}: give True or False")
             options += [option] if value else []
         elif isinstance(value, bool):
-            raise SettingsError(f"{name} = {value!r}: give a value, or leave it out")
+            raise SettingsError(f"{name} = {shown(value)}: give a value, or leave it out")
         elif value is not None:
             values = value if isinstance(value, (list, tuple)) else [value]
             options.extend(f"{option}={_as_word(name, one)}" for one in values)
@@ -188,7 +201,7 @@ def _as_word(name: str, value: object) -> str:
         return str(os.fspath(value))
     if isinstance(value, (str, Real)):
         return str(value)
-    raise SettingsError(f"{name} = {value!r}: give a text, a path or a number")
+    raise SettingsError(f"{name} = {shown(value)}: give a text, a path or a number")
 
 
 def _in_words_of_python(message: str) -> str:
@@ -205,7 +218,7 @@ def _in_words_of_python(message: str) -> str:
 def _as_folder(recordings: object) -> Path:
     """The folder for recordings, which is made where it does not exist."""
     if not isinstance(recordings, (str, os.PathLike)):
-        raise SettingsError(f"recordings = {recordings!r}: give the path of a folder")
+        raise SettingsError(f"recordings = {shown(recordings)}: give the path of a folder")
     folder = Path(recordings)
     _make(folder)
     return folder

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NoReturn
 
 import gymnasium
 import numpy as np
@@ -15,9 +15,10 @@ from . import distributions as _distributions
 from . import settings as _settings
 from ._core import Simulation
 from .distributions import Distribution
-from .errors import ActionError, ClosedError, EpisodeOverError, QubeHilError, SettingsError
+from .errors import ActionError, ClosedError, CopyError, EpisodeOverError, QubeHilError, SettingsError
 from .identification import Identified
 from .profiles import around
+from .settings import shown
 
 Float32s = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
@@ -69,20 +70,20 @@ def _as_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Float32s:
     return array
 
 
-def _as_seed(seed: object) -> int | None:
+def as_seed(seed: object) -> int | None:
     """A seed from 0 to 2^64 - 1, or None."""
     if seed is None:
         return None
     if isinstance(seed, (int, np.integer)) and 0 <= seed < 2**64:
         return int(seed)
-    raise SettingsError(f"seed = {seed!r}: give one whole number from 0 to 2^64 - 1")
+    raise SettingsError(f"seed = {shown(seed)}: give one whole number from 0 to 2^64 - 1")
 
 
 def _whole(name: str, value: object, smallest: int, largest: int) -> int:
     """An argument that is a whole number from ``smallest`` to ``largest``."""
     if isinstance(value, (int, np.integer)) and smallest <= value <= largest:
         return int(value)
-    raise SettingsError(f"{name} = {value!r}: give a whole number from {smallest} to {largest}")
+    raise SettingsError(f"{name} = {shown(value)}: give a whole number from {smallest} to {largest}")
 
 
 def _simulation(
@@ -123,7 +124,23 @@ def _closed() -> ClosedError:
     return ClosedError("the environment is closed: make another one")
 
 
-class QubeEnv(gymnasium.Env[Any, Any]):
+class Uncopied:
+    """An environment that cannot be copied or pickled, because a copy would drive the same Qubes."""
+
+    def __copy__(self) -> NoReturn:
+        self.__reduce__()
+
+    def __deepcopy__(self, memo: Any) -> NoReturn:
+        self.__reduce__()
+
+    def __reduce__(self) -> NoReturn:
+        raise CopyError(
+            f"a {type(self).__name__} cannot be copied or pickled, because both would drive the same Qubes: make another "
+            "one, in the process that uses it"
+        )
+
+
+class QubeEnv(Uncopied, gymnasium.Env[Any, Any]):
     """One simulated Qube: swing the pendulum up and balance it, 600 steps of 10 ms.
 
     Args:
@@ -145,7 +162,7 @@ class QubeEnv(gymnasium.Env[Any, Any]):
     in (0, 1]. An episode is terminated where the state leaves the box or the guard takes over, and truncated after 600
     steps. ``info["episode_number"]`` of ``reset`` is the number of the episode under its seed. With foresight,
     ``info["guarded"]`` of ``step`` says whether the guard took over; the voltage of that step is the brake's. A refused
-    argument raises a `SettingsError`. An environment cannot be pickled or copied.
+    argument raises a `SettingsError`. An environment cannot be pickled or copied: both raise a `CopyError`.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 100}
@@ -167,7 +184,8 @@ class QubeEnv(gymnasium.Env[Any, Any]):
         self.render_mode = None
         self._simulation = _simulation(1, model, profile, spread, distributions, settings, guard)
         self._is_guarded = guard != "box"
-        self._first_seed = _as_seed(seed)
+        self._first_seed = as_seed(seed)
+        self._was_reset = False
         self._is_running = False
         self._is_closed = False
         size = self._simulation.observation_size
@@ -184,11 +202,12 @@ class QubeEnv(gymnasium.Env[Any, Any]):
         _refuse_options(options)
         if self._is_closed:
             raise _closed()
-        super().reset(seed=seed)
-        given = self._first_seed if seed is None else _as_seed(seed)
+        named = as_seed(seed)
+        super().reset(seed=named)
+        given = self._first_seed if named is None else named
         self._first_seed = None
         self._simulation.reset(given, self._observations)
-        self._is_running = True
+        self._was_reset = self._is_running = True
         return self._observations[0].copy(), {"episode_number": int(self._simulation.episodes[0])}
 
     def step(self, action: Float32s) -> tuple[Float32s, float, bool, bool, dict[str, Any]]:
@@ -209,7 +228,10 @@ class QubeEnv(gymnasium.Env[Any, Any]):
 
     @property
     def state(self) -> Float32s:
-        """The true state: theta, alpha (rad, alpha is 0 where the pendulum hangs), theta_dot, alpha_dot (rad/s)."""
+        """The true state: theta, alpha (rad, alpha is 0 where the pendulum hangs), theta_dot, alpha_dot (rad/s). Raises an
+        `EpisodeOverError` before the first ``reset``."""
+        if not self._was_reset:
+            raise _not_running(self._is_closed)
         return np.array(self._simulation.state(0), np.float32)
 
     def qube(self, episode_number: int) -> dict[str, float]:
@@ -217,11 +239,11 @@ class QubeEnv(gymnasium.Env[Any, Any]):
         return self._simulation.model(_whole("episode_number", episode_number, 0, _MAX_NUMBER))
 
 
-class QubeVectorEnv(VectorEnv[Any, Any, Any]):
+class QubeVectorEnv(Uncopied, VectorEnv[Any, Any, Any]):
     """Many simulated Qubes, each in an episode of its own, advanced at once.
 
     Args as for `QubeEnv`; ``num_envs`` is the number of Qubes. With ``copy=False`` each step returns the same arrays
-    again, overwritten, which is faster.
+    again, overwritten, which is faster. Actions may be a view of them.
 
     A Qube whose episode ends begins the next one in the same step (``AutoresetMode.SAME_STEP``). Its last observation
     is then in ``info["final_obs"]``, where ``info["_final_obs"]`` is true; ``info["episode_number"]`` has the numbers of
@@ -256,7 +278,8 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
         self._simulation = _simulation(
             num_envs, model, profile, spread, distributions, settings, guard
         )
-        self._first_seed = _as_seed(seed)
+        self._first_seed = as_seed(seed)
+        self._was_reset = False
         self._has_begun = False
         self._is_guarded = guard != "box"
         self._copy = copy
@@ -282,10 +305,10 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
         _refuse_options(options)
         if self.closed:
             raise _closed()
-        given = self._first_seed if seed is None else _as_seed(seed)
+        given = self._first_seed if seed is None else as_seed(seed)
         self._first_seed = None
         self._simulation.reset(given, self._observations)
-        self._has_begun = True
+        self._was_reset = self._has_begun = True
         return self._handed(self._observations), {"episode_number": self._simulation.episodes}
 
     def step(
@@ -300,6 +323,9 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
             raise ActionError(
                 f"the actions have the shape {actions.shape}: give {(self.num_envs, 1)}"
             )
+        if not self._copy and actions.base is not None:
+            # They may be a view of an array that this step overwrites.
+            actions = actions.copy()
         ended = self._simulation.step(
             actions,
             self._observations,
@@ -338,7 +364,10 @@ class QubeVectorEnv(VectorEnv[Any, Any, Any]):
 
     @property
     def states(self) -> Float32s:
-        """The true states ``[num_envs, 4]``: theta, alpha, theta_dot, alpha_dot in rad and rad/s."""
+        """The true states ``[num_envs, 4]``: theta, alpha, theta_dot, alpha_dot in rad and rad/s. Raises an
+        `EpisodeOverError` before the first ``reset``."""
+        if not self._was_reset:
+            raise _not_running(self.closed)
         states = [self._simulation.state(index) for index in range(self.num_envs)]
         return np.array(states, np.float32)
 

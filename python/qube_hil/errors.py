@@ -14,6 +14,10 @@ class ActionError(QubeHilError, ValueError):
     device has braked the arm and switched the motor off."""
 
 
+class CopyError(QubeHilError, TypeError):
+    """An environment cannot be copied or pickled: make another one."""
+
+
 class EpisodeOverError(QubeHilError, RuntimeError):
     """The episode is over, or none has begun: call ``reset`` first."""
 

@@ -14,6 +14,7 @@ from . import _core
 from . import distributions as _distributions
 from . import settings as _settings
 from .distributions import Distribution
+from .envs import as_seed
 from .errors import SettingsError
 from .identification import Identified
 from .policies import Policy
@@ -82,8 +83,9 @@ def train(
     if changes.get("largest_gradient_norm") == math.inf:
         changes["largest_gradient_norm"] = None
     changed = _settings.as_json(changes)
-    if not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**64:
-        raise SettingsError(f"seed = {seed!r}: give one whole number from 0 to 2^64 - 1")
+    first_seed = as_seed(seed)
+    if first_seed is None:
+        raise SettingsError("seed = None: give one whole number from 0 to 2^64 - 1")
     core, best_return, curve = _core.train(
         _settings.as_model(model),
         around(profile, spread),
@@ -91,7 +93,7 @@ def train(
         _settings.as_text("preset", preset, "quick, robust or thesis"),
         None if simulation is None else _settings.written(simulation, "simulation"),
         changed,
-        int(seed),
+        first_seed,
         None if initial is None else initial._core,
         on_update,
     )

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .envs import QubeVectorEnv
+from .envs import QubeVectorEnv, Uncopied
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -17,7 +17,7 @@ except ModuleNotFoundError as error:
     ) from error
 
 
-class QubeVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
+class QubeVecEnv(Uncopied, VecEnv):  # type: ignore[misc, unused-ignore]
     """A `QubeVectorEnv` in the interface of Stable-Baselines3; the arguments are the same.
 
     The last observation of an episode is in ``infos[i]["terminal_observation"]``, and ``infos[i]["TimeLimit.truncated"]``

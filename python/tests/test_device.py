@@ -1,8 +1,10 @@
 """A Qube that Python drives: the emulated one, mostly in virtual time."""
 
+import copy
 import gc
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -320,6 +322,37 @@ def test_messages_about_options_name_the_arguments(virtual, tmp_path):
         with pytest.raises((qube_hil.SettingsError, qube_hil.DeviceError)) as refused:
             virtual(**options)
         assert "--" not in str(refused.value)
+
+
+def test_a_device_may_be_a_path_and_a_profile_the_result_of_an_identification(virtual, tmp_path):
+    with pytest.raises((qube_hil.SettingsError, qube_hil.DeviceError), match="missing"):
+        QubeDeviceEnv(device=tmp_path / "missing", recordings=tmp_path / "episodes")
+    file = tmp_path / "mine.toml"
+    file.write_text('name = "mine"\n\n[parameters]\nR_m = 9.1\n\n[gap]\n\n[standard_errors]\nR_m = 0.5\n')
+    found = qube_hil.Identified({}, "fits", [], file.read_text(), [], [])
+    returns = [
+        episode(virtual(profile=profile, recordings=tmp_path / name), lambda seen: -0.1 * seen[:1])[2]["return"]
+        for name, profile in [("path", file), ("result", found)]
+    ]
+    assert returns[0] == returns[1]
+    with pytest.raises(qube_hil.SettingsError, match="^profile: "):
+        virtual(profile=qube_hil.Identified({}, "fits", [], "x", [], []))
+
+
+def test_a_device_is_neither_copied_nor_pickled(virtual):
+    env = virtual()
+    for duplicate in [copy.copy, copy.deepcopy, pickle.dumps]:
+        with pytest.raises(qube_hil.CopyError, match="QubeDeviceEnv cannot be copied"):
+            duplicate(env)
+    env.reset()
+
+
+def test_a_seed_of_reset_is_that_of_other_environments(virtual):
+    env = virtual()
+    env.reset(seed=np.int64(1))
+    for seed in [-1, 1.0]:
+        with pytest.raises(qube_hil.SettingsError, match=f"seed = {seed}"):
+            env.reset(seed=seed)
 
 
 def test_an_option_of_reset_is_refused(virtual):

@@ -1,6 +1,8 @@
 """The environments over the simulation."""
 
+import copy
 import json
+import pickle
 import threading
 import warnings
 
@@ -437,3 +439,49 @@ def test_qubes_around_a_profile_differ_by_its_errors_with_their_correlations():
     assert np.std([wide.qube(number)[one] for number in range(1000)]) > np.std([qube[one] for qube in drawn])
     assert json.loads(wide._simulation.distribution)["command_delay_s"] == {"type": "constant", "value": 0.01}
     assert QubeEnv(profile="ideal", spread=0.0).qube(0) == QubeEnv().qube(0)
+
+
+def test_an_environment_is_neither_copied_nor_pickled():
+    for env in [QubeEnv(), QubeVectorEnv(2)]:
+        for duplicate in [copy.copy, copy.deepcopy, pickle.dumps]:
+            for kind in [qube_hil.CopyError, qube_hil.QubeHilError, TypeError]:
+                with pytest.raises(kind, match=f"{type(env).__name__} cannot be copied or pickled.*make another"):
+                    duplicate(env)
+
+
+def test_every_environment_takes_the_same_seeds():
+    for env in [QubeEnv(), QubeVectorEnv(1)]:
+        first, _ = env.reset(seed=1)
+        for seed in [np.int64(1), np.uint8(1)]:
+            assert (env.reset(seed=seed)[0] == first).all()
+        env.reset(seed=2**64 - 1)
+        for seed in [-1, 2**64, 1.0, "1"]:
+            with pytest.raises(qube_hil.SettingsError, match=f"seed = {seed!r}"):
+                env.reset(seed=seed)
+
+
+def test_there_is_no_state_before_a_reset():
+    one, many = QubeEnv(), QubeVectorEnv(2)
+    for read in [lambda: one.state, lambda: many.states]:
+        with pytest.raises(qube_hil.EpisodeOverError, match="call reset"):
+            read()
+    one.reset(seed=1)
+    many.reset(seed=1)
+    assert (one.state == many.states[0]).all() and np.abs(one.state[:2]).max() > 0.0
+    # The last state can be read after the end.
+    many.close()
+    assert many.states.shape == (2, 4)
+
+
+def test_an_action_may_be_a_view_of_the_last_observations():
+    fast, slow = QubeVectorEnv(3, copy=False), QubeVectorEnv(3)
+    observations, expected = fast.reset(seed=1)[0], slow.reset(seed=1)[0]
+    for _ in range(5):
+        observations, rewards, *_ = fast.step(observations[:, :1])
+        expected, same_rewards, *_ = slow.step(expected[:, :1])
+        assert (observations == expected).all() and (rewards == same_rewards).all()
+    fast.step(rewards.reshape(3, 1))
+
+
+def test_a_simulated_box_names_the_guard_that_it_has():
+    assert QubeEnv(settings={"safety_box": {"theta_rad": 1.7, "guard": "box"}}).reset(seed=1)
