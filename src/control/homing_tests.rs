@@ -102,17 +102,23 @@ fn after_a_fault_the_arm_must_have_been_at_rest_for_a_second() {
 
 #[test]
 fn a_qube_in_which_nothing_answers_is_not_homed() {
-    let frozen = |tick: u64| TickInput {
+    let frozen = |tick: u64, applied_mv: i16| TickInput {
         deadline_ns: tick * 10_000_000,
         measurement: Some(Measurement {
             device_time_us: tick * 10_000,
+            applied_mv,
             status: crate::qube::Status { armed: true, ..Default::default() },
             ..Measurement::default()
         }),
         ..TickInput::default()
     };
     let mut homing = Homing::new(&HomingSettings::default());
-    let ending = (0..10_000).find_map(|tick| homing.decide(&frozen(tick)).ending);
+    let mut applied_mv = 0;
+    let ending = (0..10_000).find_map(|tick| {
+        let output = homing.decide(&frozen(tick, applied_mv));
+        applied_mv = output.voltage_mv;
+        output.ending
+    });
     assert_eq!(ending, Some(Ending::Fault(Fault::MotorDead)), "no current either");
     assert_eq!(homing.calibration(), None);
 }

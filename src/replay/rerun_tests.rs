@@ -90,6 +90,7 @@ fn recorded_under(
             theta_counts: counts(plant.theta),
             alpha_counts: counts(plant.alpha),
             tachometer_counts_s: (plant.theta_dot / RAD_PER_COUNT) as i32,
+            applied_mv: header.settings.calibration.device_mv(voltage_mv),
             status,
             ..Measurement::default()
         });

@@ -10,7 +10,7 @@ use qube_hil::control::{HomingMethod, HomingSettings, PressKind};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::qube::Measurement;
+use qube_hil::qube::{Measurement, applied_voltage_mv};
 use qube_hil::recording;
 use qube_hil::replay::rerun;
 use qube_hil::rig::{
@@ -19,7 +19,7 @@ use qube_hil::rig::{
 use qube_hil::safety::SafetyBox;
 use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
-use qube_hil::telemetry::{Ending, Fault, MotorState};
+use qube_hil::telemetry::{Ending, Fault, MotorState, TickRecord};
 
 const SECOND_NS: Nanoseconds = 1_000_000_000;
 
@@ -291,8 +291,9 @@ fn a_motor_with_a_voltage_of_its_own_is_off_within_a_tenth_of_a_second() {
     let bench = Bench::open(Some(stuck), HomingMethod::Hand);
     assert_eq!(bench.rollout("0.mcap").unwrap(), Ending::Fault(Fault::VoltageDiffers));
     let recorded = recording::read(&bench.path("0.mcap")).unwrap();
-    let stuck_since =
-        recorded.ticks.iter().rev().take_while(|tick| tick.measurement.unwrap().applied_mv == 1499);
-    assert!((3..=10).contains(&stuck_since.count()));
+    let stuck_mv = applied_voltage_mv(1500);
+    let is_stuck = |tick: &&TickRecord| tick.measurement.unwrap().applied_mv == stuck_mv;
+    let stuck_ticks = recorded.ticks.iter().rev().take_while(is_stuck).count();
+    assert!((3..=10).contains(&stuck_ticks), "{stuck_ticks} ticks");
     assert!(bench.has_stored_doubt());
 }
