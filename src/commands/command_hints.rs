@@ -73,6 +73,16 @@ pub fn too_wide(error: &HardwareRefusal) -> String {
     }
 }
 
+/// The warnings for an operator before a command drives a Qube under this guard; `power` is the one
+/// about a board that loses its power, if there is one.
+pub fn before_motion(
+    power: Option<&'static str>,
+    rig: &RigSettings,
+    guard: Guard,
+) -> impl Iterator<Item = String> {
+    power.map(str::to_owned).into_iter().chain(unidentified(rig, guard))
+}
+
 /// The warning before the program drives a Qube that is not identified, with the commands that make
 /// a profile of the Qube; `None` if it is identified or the guard is not foresight.
 pub fn unidentified(rig: &RigSettings, guard: Guard) -> Option<String> {

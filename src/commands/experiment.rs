@@ -12,7 +12,7 @@ use serde_json::json;
 
 use self::opening::{Opened, begun, narrowed, resumed, withdraw};
 use super::check_arguments::CheckArguments;
-use super::command_hints::unidentified;
+use super::command_hints::before_motion;
 use super::device_arguments::{DrivenPlantArguments, QubeArguments};
 use super::estimator_arguments::{EstimatorArguments, Sensors};
 use super::executor_arguments::ExecutorArguments;
@@ -239,10 +239,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             arguments.check,
         )
     };
-    if let Some(warning) = unidentified(&rig, first.safety_box.guard)
-        && !arguments.table
-    {
-        print_message(&format!("warning: {warning}"));
+    if !arguments.table {
+        for warning in before_motion(device.power_warning(), &rig, first.safety_box.guard) {
+            print_message(&format!("warning: {warning}"));
+        }
     }
     let live = match arguments.table {
         true => Live::default(),

@@ -15,7 +15,7 @@ use self::results::RunResults;
 use self::series::RolloutSeries;
 use super::check_arguments::CheckArguments;
 use super::chosen_device::ChosenDevice;
-use super::command_hints::unidentified;
+use super::command_hints::before_motion;
 use super::destination::OutputFolder;
 use super::device_arguments::DeviceArguments;
 use super::emulated_arguments::EmulatedArguments;
@@ -156,10 +156,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if !screen.progress().has_screen() {
         print_message(keyboard.hint());
     }
-    if let Some(warning) = device.power_warning() {
-        print_message(&format!("warning: {warning}"));
-    }
-    if let Some(warning) = unidentified(&settings, plan.safety_box.guard) {
+    for warning in before_motion(device.power_warning(), &settings, plan.safety_box.guard) {
         print_message(&format!("warning: {warning}"));
     }
     if settings.checks() {

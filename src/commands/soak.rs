@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 
 use super::check_arguments::CheckArguments;
 use super::chosen_device::ChosenDevice;
+use super::command_hints::before_motion;
 use super::destination::OutputFolder;
 use super::device_arguments::DeviceArguments;
 use super::exit::Failure;
@@ -177,6 +178,10 @@ impl Soaked {
         let emulator =
             EmulatorSettings { model, seed: arguments.seed, ..EmulatorSettings::default() };
         let settings = device.rig_settings(emulator, estimator, arguments.check);
+        let safety_box = device.safety_box(SafetyBox::default());
+        for warning in before_motion(device.power_warning(), &settings, safety_box.guard) {
+            print_message(&format!("warning: {warning}"));
+        }
         let mut rig = Rig::open(&settings, &stop.flag).map_err(failed)?;
         warn_without_realtime(rig.realtime());
 
@@ -189,7 +194,7 @@ impl Soaked {
                 rollout,
                 seed: arguments.seed,
                 estimator,
-                safety_box: device.safety_box(SafetyBox::default()),
+                safety_box,
                 ..RolloutPlan::single("soak", &arguments.policy.to_string_lossy())
             };
             match rig.rollout(&MachineDisk, &path, plan.header(), policy) {
