@@ -252,10 +252,10 @@ impl Rig {
     pub fn press(&mut self, push_v: f64, ticks: u32, kind: PressKind) -> Result<Pressed, RigError> {
         let (plant, calibration) = (self.plant, self.measured.calibration);
         let is_hardware = self.is_hardware();
-        let boot_id = self.identity.boot_id;
+        let before = self.identity.clone();
         let pressed = self.control.lend(move |device, clock, heat, stop| {
             let identity = device.hello()?;
-            if identity.boot_id != boot_id || identity.counts_anew {
+            if !before.is_same_start(&identity) {
                 return Err(DeviceError::Restarted { port: identity.port });
             }
             let mut press = StopPress::new(&plant, calibration, push_v, ticks, kind);
@@ -371,7 +371,7 @@ impl Rig {
             }
             Err(error) => return Err(error.into()),
         };
-        if (&identity.serial, &identity.kind) != (&self.identity.serial, &self.identity.kind) {
+        if !self.identity.is_same_board(&identity) {
             return Err(RigError::BoardChanged {
                 port: identity.port,
                 expected: self.identity.serial.clone(),
