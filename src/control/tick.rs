@@ -599,3 +599,42 @@ impl<C: Controller> Motion for Tick<C> {
         self.contradiction
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::{Calibration, EstimatorSettings};
+    use crate::policy::{ClassicalController, ClassicalGains};
+    use crate::qube::PlantModel;
+    use crate::safety::SafetyBox;
+
+    /// The end of a brake under foresight, after `periods` with the arm at this speed, rad/s.
+    fn end(rules: TickRules, periods: u32, theta_dot: f64) -> Option<(ControlEvent, Ending)> {
+        let settings = TickSettings {
+            calibration: Calibration::IDENTITY,
+            estimator: EstimatorSettings::default(),
+            safety_box: SafetyBox::GUARDED,
+            max_steps: 100,
+            start_theta_rad: 0.0,
+            stops: None,
+            foresight: None,
+            rules,
+            plant: PlantModel::QUBE,
+        };
+        let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+        let mut tick = Tick::new(&settings, policy);
+        (tick.phase, tick.periods_in_phase) = (Phase::Braking, periods);
+        tick.estimates.guarded.theta_dot = theta_dot;
+        tick.braking_end()
+    }
+
+    #[test]
+    fn an_arm_that_is_fast_after_a_second_of_braking_is_switched_off() {
+        let off = Some((ControlEvent::SwitchOffFault, Ending::Fault(Fault::BrakingTimedOut)));
+        assert_eq!(end(TickRules::NEWEST, 100, -16.0), off);
+        assert_eq!(end(TickRules::NEWEST, 99, -16.0), None);
+        assert_eq!(end(TickRules::NEWEST, 100, 14.0), None);
+        assert_eq!(end(TickRules::SlownessTested, 100, 16.0), None, "an old recording");
+        assert_eq!(end(TickRules::NEWEST, 1500, 6.0), off);
+    }
+}

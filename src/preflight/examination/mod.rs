@@ -282,18 +282,22 @@ mod tests {
             stopped_ns: None,
             greeted_ns: 0,
         };
-        let settings = ExaminationSettings {
-            signs: Calibration::IDENTITY,
-            other_signs: OtherSigns::Fail,
-            identity: device.hello().unwrap(),
-            plant: PlantModel::QUBE,
-        };
+        let settings = settings(device.hello().unwrap());
         let heat = &mut MotorHeat::default();
         let found = examine(&mut device, &clock, heat, &stop, &settings).unwrap();
         assert_eq!(found, None);
         let late_ns = device.greeted_ns - device.stopped_ns.unwrap();
         assert!(late_ns < 40_000_000, "{late_ns} ns");
         assert!(!device.sample(clock.now_ns() + 20_000_000).unwrap().status.armed);
+    }
+
+    fn settings(identity: Identity) -> ExaminationSettings {
+        ExaminationSettings {
+            signs: Calibration::IDENTITY,
+            other_signs: OtherSigns::Fail,
+            identity,
+            plant: PlantModel::QUBE,
+        }
     }
 
     /// An emulated board that counts as hardware, and whose first push goes wrong as `mishap` says.
@@ -373,12 +377,7 @@ mod tests {
         let (board, armed, acts) = (Box::new(board), 0, 0);
         let mut device =
             Mishandled { board, clock: clock.clone(), mishap, stop: &stop, armed, acts };
-        let settings = ExaminationSettings {
-            signs: Calibration::IDENTITY,
-            other_signs: OtherSigns::Fail,
-            identity: device.hello().unwrap(),
-            plant: PlantModel::QUBE,
-        };
+        let settings = settings(device.hello().unwrap());
         let heat = &mut MotorHeat::default();
         let found = examine(&mut device, &clock, heat, &stop, &settings);
         (found, device.armed)
