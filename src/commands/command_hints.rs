@@ -85,7 +85,7 @@ pub fn before_motion(
 
 /// The warning before the program drives a Qube that is not identified, with the commands that make
 /// a profile of the Qube; `None` if it is identified or the guard is not foresight.
-pub fn unidentified(rig: &RigSettings, guard: Guard) -> Option<String> {
+fn unidentified(rig: &RigSettings, guard: Guard) -> Option<String> {
     let warning = rig.identification_warning(guard)?;
     Some(format!("{warning}: qube-hil run --excite chirp --device PORT, then qube-hil identify"))
 }

@@ -195,12 +195,24 @@ fn is_bad_place(error: &io::Error) -> bool {
     )
 }
 
-/// The failure for an error of a session; `resume` is the command that continues the session.
+/// The failure for an error of a session; `resume` is the command that continues the session. A stop
+/// does not hide a fault.
 pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
+    // The stop may be the cause of the error, but of no fault.
+    let is_stopped = stop.requested() && !matches!(error, SessionError::Stopped);
+    match error.fault() {
+        Some(_) if is_stopped => ended_session(error, stop, resume)
+            .preceded_by(&format!("stopped; {resume} continues the session later. But")),
+        None if is_stopped => stop.failure(format!("stopped ({error}); continue with {resume}")),
+        _ => ended_session(error, stop, resume),
+    }
+}
+
+/// The failure for the error with which a session ended.
+fn ended_session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     let fault = error.fault();
     let failure = match error {
         SessionError::Stopped => stop.failure(format!("stopped; continue with {resume}")),
-        _ if stop.requested() => stop.failure(format!("stopped ({error}); continue with {resume}")),
         SessionError::GivenUp { .. } => {
             Failure::fault(format!("{error}, then continue with {resume}"))
         }
@@ -275,9 +287,9 @@ pub fn job_folder(error: &JobFolderError, stop: &Stop) -> Failure {
 pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure {
     match error {
         _ if error.is_stop() => stop.failure(format!("stopped; continue with {resume}")),
-        _ if stop.requested() => stop.failure(format!("stopped ({error}); continue with {resume}")),
         ExperimentError::Search { source, .. } => session(*source, stop, resume),
         ExperimentError::Session(error) => session(error, stop, resume),
+        _ if stop.requested() => stop.failure(format!("stopped ({error}); continue with {resume}")),
         ExperimentError::Curve { .. }
         | ExperimentError::Unwritable(_)
         | ExperimentError::WorkerGone => Failure::failed(error),

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::check_arguments::CheckArguments;
 use super::chosen_device::ChosenDevice;
-use super::command_hints::unidentified;
+use super::command_hints::before_motion;
 use super::destination::OutputFolder;
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
@@ -302,12 +302,12 @@ pub fn warnings(
     rig: &RigSettings,
     settings: &SessionSettings,
 ) -> Vec<String> {
-    // The advice is to identify the Qube. A session with an identification does so itself.
-    let needs_advice = settings.identification.is_none();
-    let guard = settings.safety_box.guard;
-    let advice = needs_advice.then(|| unidentified(rig, guard)).flatten();
-    let warning = device.power_warning().map(str::to_owned);
-    warning.into_iter().chain(advice).collect()
+    let power = device.power_warning();
+    // A session with an identification needs no advice to identify the Qube.
+    match settings.identification {
+        Some(_) => power.map(str::to_owned).into_iter().collect(),
+        None => before_motion(power, rig, settings.safety_box.guard).collect(),
+    }
 }
 
 /// The results of a session as text and as JSON, and its outcome. Writes the report into the

@@ -89,11 +89,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut ended = soaked.soak(&arguments, &policy.to_bytes(), &device, &folder, &stop);
     drop(keyboard);
     if stop.requested() {
-        let why = match ended {
-            Err(failure) if !failure.is_stop() => format!(" ({failure})"),
-            Err(_) | Ok(()) => String::new(),
-        };
-        ended = Err(stop.failure(format!("stopped{why} before the hours were over")));
+        let told = "stopped before the hours were over";
+        ended = Err(match ended {
+            Err(failure) if !failure.is_stop() => failure.preceded_by(&format!("{told}; but")),
+            Err(_) | Ok(()) => stop.failure(told),
+        });
     }
     let ended = ended.and_then(|()| soaked.verdict());
     match &ended {

@@ -203,11 +203,18 @@ impl PolicySeries<'_> {
                 }
                 Ok(ending) => {
                     not_begun = 0;
+                    opened.check_off()?;
                     if matches!(ending, Ending::Fault(_)) {
                         opened.start_again()?;
                     }
                 }
-                Err(error) => return Err(error),
+                Err(error) => {
+                    // A stop must not hide a motor that nobody has confirmed to be off.
+                    if error.is_stop() {
+                        opened.check_off()?;
+                    }
+                    return Err(error);
+                }
             }
             Ok(())
         })

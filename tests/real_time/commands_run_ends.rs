@@ -5,7 +5,7 @@
 //! and their reports are tested in virtual time beside the command.
 
 use std::path::Path;
-use std::process::{Child, Output, Stdio};
+use std::process::Output;
 use std::time::{Duration, Instant};
 
 use qube_hil::rig::{Doubt, DoubtStore};
@@ -14,39 +14,13 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::busy_computer::{TOO_LATE, in_real_time};
-use crate::program::program;
+use crate::program::{ServedQube, program};
 
 /// Time that suffices on any computer that is merely busy.
 const PATIENCE: Duration = Duration::from_secs(600);
 
 /// Seed of the emulated Qube, from which its serial number follows.
 const SEED: u64 = 5;
-
-/// An emulated Qube in a process that ends with the test.
-struct Qube(Child);
-
-impl Qube {
-    fn with(directory: &Path, fault: Option<&str>) -> Self {
-        let seed = SEED.to_string();
-        let mut arguments = vec!["emulate", "--link", "qube", "--seed", &seed];
-        arguments.extend(fault.map(|fault| ["--fault", fault]).into_iter().flatten());
-        let child = program(directory, &arguments).stdout(Stdio::null()).spawn().unwrap();
-        let qube = Self(child);
-        let begun = Instant::now();
-        while !directory.join("qube").exists() {
-            assert!(begun.elapsed() < PATIENCE, "no emulated Qube");
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        qube
-    }
-}
-
-impl Drop for Qube {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
 
 /// Calls `run` on that Qube with homing by hand, which takes only some seconds.
 fn run(directory: &Path, out: &str, more: &[&str]) -> (Output, Value, String) {
@@ -67,11 +41,12 @@ const UNPLUGGED_S: [f64; 4] = [0.7, 2.0, 6.0, 20.0];
 /// Calls `run` on an emulated Qube whose cable comes out while the program homes it; `back` says
 /// when it is plugged in again. A busy computer may not have begun to home by then: the cable of
 /// the next run comes out later.
-fn run_unplugged(back: &str, more: &[&str]) -> (TempDir, Qube, (Output, Value, String)) {
+fn run_unplugged(back: &str, more: &[&str]) -> (TempDir, ServedQube, (Output, Value, String)) {
     let mut last = String::new();
     for after_s in UNPLUGGED_S {
         let directory = tempfile::tempdir().unwrap();
-        let qube = Qube::with(directory.path(), Some(&format!("unplug@{after_s}{back}")));
+        let qube =
+            ServedQube::start(directory.path(), SEED, Some(&format!("unplug@{after_s}{back}")));
         let (output, result, told) = run(directory.path(), "out", more);
         let cause = result["ended_by"]["cause"].as_str().unwrap_or_default();
         let is_too_early = cause.ends_with("(unplugged?)") || code(&output) == Some(2);
@@ -96,7 +71,7 @@ fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
         let memory = DoubtStore::new(directory.join("qube-hil"));
         let board = format!("{SEED:016x}");
         memory.store(&Doubt { fault: Some(Fault::StallError), board: board.clone(), unix_s: None });
-        let _qube = Qube::with(directory, None);
+        let _qube = ServedQube::start(directory, SEED, None);
 
         // Without --acknowledge: refused before anything has moved.
         for flags in [&[][..], &["--skip-check"]] {

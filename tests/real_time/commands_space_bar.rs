@@ -1,5 +1,6 @@
 //! Tests the space bar at a terminal: it brakes like Ctrl-C, and the terminal is restored on every
-//! way out. Keys that were typed ahead answer no question, and Ctrl-C ends one. The terminal is a real pty and the program's controlling terminal.
+//! way out. Keys that were typed ahead answer no question, and Ctrl-C ends one. A doubt of the first
+//! homing is asked about. The terminal is a real pty and the program's controlling terminal.
 
 use std::io::Read;
 use std::os::fd::{AsFd, OwnedFd};
@@ -15,6 +16,7 @@ use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, unlockpt};
 use rustix::termios::{LocalModes, tcgetattr};
 
 use crate::busy_computer::in_real_time;
+use crate::program::ServedQube;
 
 /// Time that suffices on any computer that is merely busy.
 const PATIENCE: Duration = Duration::from_secs(600);
@@ -239,6 +241,28 @@ fn keys_that_were_typed_ahead_answer_no_question_and_ctrl_c_ends_one() {
         terminal.look();
         assert!(terminal.shown.contains("the motor is switched off"), "{}", terminal.shown);
         assert!(!terminal.shown.contains("is braked"), "{}", terminal.shown);
+    });
+}
+
+#[test]
+fn a_doubt_of_the_first_homing_is_asked_about_at_the_terminal() {
+    in_real_time(|| {
+        for command in [&["run", "--policy", "classical"][..], &["session"]] {
+            let directory = tempfile::tempdir().unwrap();
+            let fault = Some("frozen-theta@2");
+            let _qube = ServedQube::start(directory.path(), 5, fault);
+            let mut arguments = command.to_vec();
+            arguments.extend(["--device", "qube", "--skip-check", "--out", "out"]);
+            let mut terminal = Terminal::start(directory.path(), &arguments);
+            let question = "Then press a";
+            terminal.wait_until(question, |it| {
+                it.shown.contains(question) || it.child.try_wait().unwrap().is_some()
+            });
+            assert!(terminal.shown.contains(question), "{}", terminal.shown);
+            terminal.press(b"x");
+            terminal.press(&[3]);
+            assert_eq!(terminal.exit_code(), Some(4), "{}", terminal.shown);
+        }
     });
 }
 

@@ -10,6 +10,7 @@ mod commands_check;
 mod commands_run_ends;
 mod commands_screen;
 mod commands_space_bar;
+mod commands_unconfirmed_off;
 mod device_hil_faults;
 mod device_hil_panel;
 mod device_pty;

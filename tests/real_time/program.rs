@@ -1,7 +1,8 @@
-//! The program in a process of its own.
+//! The program in a process of its own, and an emulated Qube in another.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 /// The program with these arguments in a folder, without input. Its cache of known boards is in
 /// that folder too.
@@ -10,4 +11,32 @@ pub fn program(directory: &Path, arguments: &[&str]) -> Command {
     command.current_dir(directory).args(arguments).stdin(Stdio::null());
     command.env("XDG_STATE_HOME", directory).env_remove("STATE_DIRECTORY");
     command
+}
+
+/// An emulated Qube behind the port `qube` of a folder, in a process that ends with the test.
+pub struct ServedQube(Child);
+
+impl ServedQube {
+    /// Starts it and waits until its port is there; the serial number of its board follows from the
+    /// seed.
+    pub fn start(directory: &Path, seed: u64, fault: Option<&str>) -> Self {
+        let seed = seed.to_string();
+        let mut arguments = vec!["emulate", "--link", "qube", "--seed", &seed];
+        arguments.extend(fault.map(|fault| ["--fault", fault]).into_iter().flatten());
+        let child = program(directory, &arguments).stdout(Stdio::null()).spawn().unwrap();
+        let qube = Self(child);
+        let begun = Instant::now();
+        while !directory.join("qube").exists() {
+            assert!(begun.elapsed() < Duration::from_secs(600), "no emulated Qube");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        qube
+    }
+}
+
+impl Drop for ServedQube {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }

@@ -1,9 +1,11 @@
 //! Tests that a Qube that was switched off, or whose emergency stop was opened, moves no more before
-//! somebody has acknowledged it, whenever that happened; and that a middle that a hand has shown
-//! ends with the count that it was given in.
+//! somebody has acknowledged it, whenever that happened; that a doubt is stored before the motion
+//! has ended; and that a middle that a hand has shown ends with the count that it was given in.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::control::{HomingMethod, HomingSettings, PressKind};
@@ -29,15 +31,40 @@ struct Timed {
     clock: VirtualClock,
     /// Time from which the device confirms no disarm, ns.
     off_unconfirmed_from_ns: Nanoseconds,
+    /// Where each disarm looks whether a doubt is stored; `None` to ask nothing.
+    awaited: Option<AwaitedDoubt>,
 }
 
-struct Unconfirming {
-    link: Box<dyn Device>,
-    clock: VirtualClock,
+/// A folder of doubts in which one is to appear before the motor is switched off.
+#[derive(Clone, Debug)]
+struct AwaitedDoubt {
+    doubts: PathBuf,
+    /// Time by the Qube before which no doubt is expected, ns.
     from_ns: Nanoseconds,
+    has_come: Arc<AtomicBool>,
 }
 
-impl Device for Unconfirming {
+impl AwaitedDoubt {
+    /// Waits for it for at most a minute, because another thread stores it.
+    fn wait(&self) {
+        let begun = Instant::now();
+        while !has_files(&self.doubts) && begun.elapsed() < Duration::from_secs(60) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        self.has_come.store(has_files(&self.doubts), Ordering::Relaxed);
+    }
+}
+
+fn has_files(folder: &Path) -> bool {
+    folder.read_dir().is_ok_and(|mut files| files.next().is_some())
+}
+
+struct WatchedDisarm {
+    link: Box<dyn Device>,
+    timed: Timed,
+}
+
+impl Device for WatchedDisarm {
     fn hello(&mut self) -> Result<Identity, DeviceError> {
         self.link.hello()
     }
@@ -55,8 +82,12 @@ impl Device for Unconfirming {
     }
 
     fn disarm(&mut self) -> Result<(), DeviceError> {
+        let now_ns = self.timed.clock.now_ns();
+        if let Some(awaited) = self.timed.awaited.as_ref().filter(|it| now_ns >= it.from_ns) {
+            awaited.wait();
+        }
         self.link.disarm()?;
-        if self.clock.now_ns() >= self.from_ns {
+        if self.timed.clock.now_ns() >= self.timed.off_unconfirmed_from_ns {
             return Err(DeviceError::Link { port: "test".into(), fault: LinkFault::Timeout });
         }
         Ok(())
@@ -71,9 +102,7 @@ impl Connect for Timed {
     fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError> {
         let clock = self.clock.clone();
         let link = Box::new(SerialLink::in_process(*emulator, clock.clone()));
-        let from_ns = self.off_unconfirmed_from_ns;
-        let device = Unconfirming { link, clock: clock.clone(), from_ns };
-        Ok((Box::new(device), Arc::new(clock)))
+        Ok((Box::new(WatchedDisarm { link, timed: self.clone() }), Arc::new(clock)))
     }
 
     fn is_hardware(&self) -> bool {
@@ -106,9 +135,18 @@ impl Bench {
         method: HomingMethod,
         off_unconfirmed_from_ns: Nanoseconds,
     ) -> Result<Self, RigError> {
-        let folder = tempfile::tempdir().unwrap();
         let clock = VirtualClock::default();
-        let device = Timed { clock: clock.clone(), off_unconfirmed_from_ns };
+        let device = Timed { clock, off_unconfirmed_from_ns, awaited: None };
+        Self::with(fault, method, device, tempfile::tempdir().unwrap())
+    }
+
+    fn with(
+        fault: Option<EmulatorFault>,
+        method: HomingMethod,
+        device: Timed,
+        folder: tempfile::TempDir,
+    ) -> Result<Self, RigError> {
+        let clock = device.clock.clone();
         let memory = Some(DoubtStore::new(folder.path().join("doubts")));
         let settings = RigSettings {
             emulator: EmulatorSettings { fault, seed: 3, ..EmulatorSettings::default() },
@@ -138,8 +176,7 @@ impl Bench {
     }
 
     fn has_stored_doubt(&self) -> bool {
-        let doubts = self.folder.path().join("doubts");
-        doubts.read_dir().is_ok_and(|mut files| files.next().is_some())
+        has_files(&self.folder.path().join("doubts"))
     }
 }
 
@@ -296,4 +333,26 @@ fn a_motor_with_a_voltage_of_its_own_is_off_within_a_tenth_of_a_second() {
     let stuck_ticks = recorded.ticks.iter().rev().take_while(is_stuck).count();
     assert!((3..=10).contains(&stuck_ticks), "{stuck_ticks} ticks");
     assert!(bench.has_stored_doubt());
+}
+
+#[test]
+fn a_doubt_is_stored_while_the_arm_is_still_damped() {
+    let after_s = 6.0;
+    let folder = tempfile::tempdir().unwrap();
+    let has_come = Arc::new(AtomicBool::new(false));
+    let awaited = AwaitedDoubt {
+        doubts: folder.path().join("doubts"),
+        from_ns: (after_s * SECOND_NS as f64) as Nanoseconds,
+        has_come: has_come.clone(),
+    };
+    let device = Timed {
+        clock: VirtualClock::default(),
+        off_unconfirmed_from_ns: Nanoseconds::MAX,
+        awaited: Some(awaited),
+    };
+    let frozen = EmulatorFault::FrozenTheta { after_s };
+    let bench = Bench::with(Some(frozen), HomingMethod::Hand, device, folder).unwrap();
+    let Ending::Fault(fault) = bench.rollout("a.mcap").unwrap() else { panic!("no fault") };
+    assert!(fault.leaves_doubt(), "{fault:?}");
+    assert!(has_come.load(Ordering::Relaxed), "a program that is killed while it damps forgets");
 }

@@ -39,9 +39,6 @@ impl RolloutSeries<'_> {
         let mut rig = self.open()?;
         let began = Instant::now();
         warn_without_realtime(rig.realtime());
-        std::fs::create_dir_all(&self.directory).map_err(|error| {
-            Failure::usage(format!("--out {} cannot be created: {error}", self.directory.display()))
-        })?;
         for rollout in 0..rollouts {
             self.live.rollout(rollout, rollouts);
             self.progress.update(|state| {
@@ -86,10 +83,11 @@ impl RolloutSeries<'_> {
         // Of a motor that nobody has confirmed to be off, the last rollout's recording knows nothing.
         let unconfirmed = rig.check_off().err();
         if self.stop.requested() {
-            let why = unconfirmed.map_or_else(String::new, |error| format!(" ({error})"));
-            return Err(self
-                .stop
-                .failure(format!("stopped{why}; the recordings are complete up to here")));
+            let told = "stopped; the recordings are complete up to here";
+            return Err(match unconfirmed {
+                Some(error) => failures::rig(error, self.stop).preceded_by(&format!("{told}; but")),
+                None => self.stop.failure(told),
+            });
         }
         match (rig.last_fault().or(results.fault()), unconfirmed) {
             (Some(Fault::OffUnconfirmed) | None, Some(error)) => {
