@@ -130,7 +130,7 @@ impl RestMonitor {
         let port = self.port.clone();
         let failed = |why| match why {
             NoRest::Armed => DeviceError::StaysArmed { port },
-            NoRest::Link(LinkFault::NotArmed) => DeviceError::Restarted { port },
+            NoRest::Link(LinkFault::Restarted) => DeviceError::Restarted { port },
             NoRest::Link(fault) => DeviceError::Link { port, fault },
         };
         let just_left = clock.now_ns().saturating_sub(self.left_ns) < SHORT_PAUSE_NS;
@@ -183,7 +183,7 @@ fn watch_rest(
                     return Ok(rest);
                 }
             }
-            Err(fault @ (LinkFault::Gone | LinkFault::NotArmed | LinkFault::QubeOff)) => {
+            Err(fault @ (LinkFault::Gone | LinkFault::Restarted | LinkFault::QubeOff)) => {
                 return Err(NoRest::Link(fault));
             }
             Err(_) => {}

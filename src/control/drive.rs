@@ -99,7 +99,7 @@ pub fn drive_warm(
             stop_requested: stop.load(Ordering::Relaxed),
             measurement: sample.ok(),
             link_gone: sample == Err(LinkFault::Gone),
-            board_restarted: sample == Err(LinkFault::NotArmed),
+            board_restarted: sample == Err(LinkFault::Restarted),
             qube_off: sample == Err(LinkFault::QubeOff),
             motor_overheated: heat.is_overheated(),
         };

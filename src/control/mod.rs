@@ -47,6 +47,7 @@
 mod after_motion;
 mod asking_push;
 mod between_motions;
+mod brake_end;
 mod count_drift;
 mod count_range;
 mod cross_check;

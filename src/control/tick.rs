@@ -1,6 +1,7 @@
 use super::asking_push::AskingPush;
+use super::brake_end::{ArmAfterBrake, BrakeEnd};
 use super::push::ArmInput;
-use super::rest::{CentredDetector, RestDetector, STOPPED_RAD_S};
+use super::rest::RestDetector;
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, Settler};
 use super::slowness::SlownessWatch;
@@ -20,34 +21,9 @@ use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
 /// Most ticks for settling: 15 s. Settling takes less from any state in which a rollout may end.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 
-/// Most ticks for the brake of the guard `box`, which only stops the arm: 1 s.
-const MAX_BRAKING_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
-
-/// Most ticks for a brake that centres the arm and waits for the pendulum, and for one that damps
-/// an arm whose count is doubted: 15 s.
-const MAX_RETURN_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
-
-/// Error with which homing measures the stops, rad: homing of a nominal Qube may place a stop this
-/// much nearer than it is.
-const STOPS_MEASURED_WITHIN_RAD: f64 = 0.02;
-
-/// Consecutive ticks below `STOPPED_RAD_S` after which the arm counts as stopped.
-const STOPPED_TICKS: u32 = 3;
-
 /// Shares of the brake's voltage that foresight tries in turn. The negative share is for an arm
 /// that, after lost samples, already moves against its estimated velocity.
 const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
-
-/// Velocity of the arm above which it does not obey the motor, rad/s, once the time for braking is
-/// up.
-const RUNAWAY_RAD_S: f64 = 5.0;
-
-/// Ticks of braking, 1 s, after which an arm that is faster than [`STILL_FAST_RAD_S`] does not obey
-/// the motor: the brake of any plant within the domain of the guard has stopped it long before.
-const SURELY_BRAKED_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
-
-/// Velocity of an arm that the brake makes faster, rad/s.
-const STILL_FAST_RAD_S: f64 = 15.0;
 
 /// Periods of braking within which a jump of the pendulum's count is taken for the reason of the
 /// brake. A jump is recognised one sample later than the guard acts on it.
@@ -72,11 +48,10 @@ pub struct Tick<C = Policy> {
     settler: Settler,
     gentle: GentleSettler,
     rest: RestDetector,
-    centred: CentredDetector,
+    brake_end: BrakeEnd,
     control: ControlState,
     phase: Phase,
     periods_in_phase: u32,
-    stopped_ticks: u32,
     /// Simulates the brake before each voltage is sent; `None` unless the guard is foresight.
     foresight: Option<TrustedForesight>,
     /// Prediction for the voltage that the policy asked for in this tick; `None` without foresight,
@@ -106,9 +81,6 @@ impl<C: Controller> Tick<C> {
     #[must_use]
     pub fn new(settings: &TickSettings, policy: C) -> Self {
         let plant = &settings.plant;
-        let hard_stop_rad = plant.limits.hard_stop_rad;
-        let nearer_rad = settings.stops.map_or(hard_stop_rad, |stops| stops.nearer_rad());
-        let room_rad = (hard_stop_rad - STOPS_MEASURED_WITHIN_RAD - nearer_rad).max(0.0);
         let cross_checks = settings.rules >= TickRules::CrossChecked;
         let mut tick = Self {
             settings: *settings,
@@ -126,15 +98,10 @@ impl<C: Controller> Tick<C> {
             } else {
                 RestDetector::default()
             },
-            centred: if cross_checks {
-                CentredDetector::off_stops(hard_stop_rad - room_rad)
-            } else {
-                CentredDetector::default()
-            },
+            brake_end: BrakeEnd::of(settings),
             control: ControlState::Ready,
             phase: Phase::Settling,
             periods_in_phase: 0,
-            stopped_ticks: 0,
             foresight: (settings.safety_box.guard == Guard::Foresight).then(|| {
                 let foresight =
                     settings.foresight.unwrap_or_else(|| ForesightSettings::of_plant(plant));
@@ -143,7 +110,7 @@ impl<C: Controller> Tick<C> {
             angle: None,
             foreseen: None,
             contradiction: None,
-            brake: brake_of(settings, false),
+            brake: brake_of(settings),
             damps: false,
             periods_without_sample: 0,
             sent_v: [0.0; MAX_HISTORY],
@@ -201,7 +168,11 @@ impl<C: Controller> Tick<C> {
             ControlAction::Brake => {
                 self.phase = Phase::Braking;
                 // Settling may have used the brake before.
-                self.brake = brake_of(&self.settings, self.damps);
+                self.brake = if self.damps {
+                    damping_brake(&self.settings)
+                } else {
+                    brake_of(&self.settings)
+                };
             }
             ControlAction::Off => self.voltage_mv = 0,
             ControlAction::GoOn
@@ -247,6 +218,61 @@ impl<C: Controller> Tick<C> {
         }
     }
 
+    /// The most urgent alarm of link, clock, status flags, motor and sensors in this tick.
+    fn alarm(&mut self, input: &TickInput) -> Option<Alarm> {
+        let State { alpha, alpha_dot, .. } = self.estimates.guarded;
+        let swing_rad_s = Scalar::sin_cos(alpha).1 * alpha_dot;
+        let arm_input = ArmInput { voltage_mv: self.voltage_mv, swing_rad_s };
+        let sample = input.measurement.as_ref();
+        let sensors = sample.and_then(|sample| self.sensors.check(sample, Some(arm_input)));
+        let unanswered = sample.and_then(|sample| self.unanswered(sample));
+        let voltage = self.voltage_differs(input);
+        let is_slow = self.slowness.is_too_slow(input.skipped_periods)
+            && self.settings.rules >= TickRules::SlownessTested;
+        let slow = is_slow.then_some(Alarm::Brake(Fault::TooLate));
+        let link = self.watch.check(input).or(slow);
+        most_urgent([link, voltage, sensors, unanswered], self.settings.rules)
+    }
+
+    /// Applies the event that an alarm is in this phase. Returns whether the amplifier goes off.
+    fn react(&mut self, alarm: Alarm) -> bool {
+        match alarm {
+            Alarm::SwitchOff(fault) if fault.doubts_count() && self.may_damp() => {
+                if !self.damps {
+                    self.damps = true;
+                    self.brake = damping_brake(&self.settings);
+                }
+                self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
+            }
+            // The damping of a doubted count ends here, and its reason stays.
+            Alarm::SwitchOff(Fault::EncoderDrifts) if self.damps => {
+                self.take(ControlEvent::SwitchOffFault, self.reason)
+            }
+            Alarm::SwitchOff(fault) => {
+                self.take(ControlEvent::SwitchOffFault, Ending::Fault(fault))
+            }
+            // A policy that burns current has left a limit, and is a bad policy of a sound Qube.
+            Alarm::Brake(Fault::MotorOverheated) if self.is_limited_by_motor() => {
+                let of_motor = Ending::LeftBox(Limit::MotorLoad);
+                self.phase == Phase::Running && self.take(ControlEvent::LimitLeft, of_motor)
+            }
+            Alarm::Brake(fault) if self.explains_brake(fault) => {
+                self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
+            }
+            Alarm::Brake(fault) => self.take(ControlEvent::BrakeFault, Ending::Fault(fault)),
+        }
+    }
+
+    /// Whether an arm whose count is doubted is damped by its velocity instead of being left alone.
+    ///
+    /// The count may be right although a test doubts it; with the motor off, a moving arm would
+    /// then coast into its stop. For an arm at rest the brake asks for 0 V anyway.
+    fn may_damp(&self) -> bool {
+        let since =
+            if self.phase == Phase::Settling { TickRules::GainReducing } else { TickRules::Damped };
+        self.settings.rules >= since
+    }
+
     /// Whether this fault is the reason why box or guard began to brake. A step of the pendulum's
     /// count is known to be a jump only one sample later.
     fn explains_brake(&self, fault: Fault) -> bool {
@@ -266,38 +292,16 @@ impl<C: Controller> Tick<C> {
                     && self.reason == Ending::LeftBox(Limit::MotorLoad)))
     }
 
-    /// The event that ends braking, once the arm has stopped or time is up; a fault if the arm is
-    /// still faster than `RUNAWAY_RAD_S` then.
+    /// The event that ends braking, once the arm has stopped, or when it does not obey the motor.
     fn braking_end(&mut self) -> Option<(ControlEvent, Ending)> {
-        let State { theta, theta_dot, .. } = self.estimates.guarded;
-        let speed_rad_s = theta_dot.abs();
-        let (is_at_rest, most_ticks) = match self.settings.safety_box.guard {
-            // A frozen count looks stopped at once although the arm may move, so the count must
-            // stay in place for the longer time of the detector.
-            _ if self.damps => (self.centred.is_centred(theta), MAX_RETURN_TICKS),
-            Guard::Box => {
-                let slow = speed_rad_s < STOPPED_RAD_S;
-                self.stopped_ticks = if slow { self.stopped_ticks + 1 } else { 0 };
-                (self.stopped_ticks >= STOPPED_TICKS, MAX_BRAKING_TICKS)
+        let arm = &self.estimates.guarded;
+        let ended = self.brake_end.check(arm, self.periods_in_phase, self.damps)?;
+        Some(match ended {
+            ArmAfterBrake::Stopped => (ControlEvent::BrakingEnded, self.reason),
+            ArmAfterBrake::Disobeys => {
+                (ControlEvent::SwitchOffFault, Ending::Fault(Fault::BrakingTimedOut))
             }
-            Guard::Envelope | Guard::Foresight => {
-                (self.centred.is_centred(theta), MAX_RETURN_TICKS)
-            }
-        };
-        let time_is_up = self.periods_in_phase >= most_ticks;
-        let is_still_fast = self.settings.rules >= TickRules::VoltageCompared
-            && self.periods_in_phase >= SURELY_BRAKED_TICKS
-            && speed_rad_s > STILL_FAST_RAD_S;
-        if is_still_fast {
-            return Some((ControlEvent::SwitchOffFault, Ending::Fault(Fault::BrakingTimedOut)));
-        }
-        if !is_at_rest && time_is_up && speed_rad_s > RUNAWAY_RAD_S {
-            Some((ControlEvent::SwitchOffFault, Ending::Fault(Fault::BrakingTimedOut)))
-        } else if is_at_rest || time_is_up {
-            Some((ControlEvent::BrakingEnded, self.reason))
-        } else {
-            None
-        }
+        })
     }
 
     fn wanted_voltage(&mut self) -> f64 {
@@ -423,15 +427,22 @@ fn most_urgent(alarms: [Option<Alarm>; 4], rules: TickRules) -> Option<Alarm> {
     given.clone().find(distrusts_brake).or_else(|| given.next())
 }
 
-/// The brake of a rollout, before its first period; `damps` is whether the arm's count is doubted.
-fn brake_of(settings: &TickSettings, damps: bool) -> Brake {
-    let stops_only = damps || settings.safety_box.guard.is_box();
-    let brake = if stops_only {
-        Brake::stopping(&settings.plant)
+/// The brake of a rollout whose arm has a count that can be trusted, before its first period.
+fn brake_of(settings: &TickSettings) -> Brake {
+    if settings.safety_box.guard.is_box() {
+        damping_brake(settings)
     } else {
-        Brake::centring(&settings.plant)
-    };
-    if settings.rules >= TickRules::GainReducing { brake } else { brake.by_earlier_rules() }
+        by_rules(Brake::centring(&settings.plant), settings.rules)
+    }
+}
+
+/// The brake that uses the arm's velocity alone, before its first period.
+fn damping_brake(settings: &TickSettings) -> Brake {
+    by_rules(Brake::stopping(&settings.plant), settings.rules)
+}
+
+fn by_rules(brake: Brake, rules: TickRules) -> Brake {
+    if rules >= TickRules::GainReducing { brake } else { brake.by_earlier_rules() }
 }
 
 fn sensor_watch(settings: &TickSettings) -> SensorWatch {
@@ -468,54 +479,9 @@ impl<C: Controller> Motion for Tick<C> {
         self.remember_sent(input.skipped_periods);
 
         // Watch link, clock, the device's status flags, and sensors.
-        let arm_input = ArmInput {
-            voltage_mv: self.voltage_mv,
-            swing_rad_s: Scalar::sin_cos(self.estimates.guarded.alpha).1
-                * self.estimates.guarded.alpha_dot,
-        };
-        let seen = input
-            .measurement
-            .as_ref()
-            .and_then(|sample| self.sensors.check(sample, Some(arm_input)));
-        let unanswered = input.measurement.as_ref().and_then(|sample| self.unanswered(sample));
-        let differs = self.voltage_differs(input);
-        // The count may be right although a test doubts it; with the motor off, a moving arm would
-        // then coast into its stop. The brake damps such an arm by its velocity. For an arm at rest
-        // it asks for 0 V anyway.
-        let since =
-            if self.phase == Phase::Settling { TickRules::GainReducing } else { TickRules::Damped };
-        let damps = self.settings.rules >= since;
-        let is_slow = self.slowness.is_too_slow(input.skipped_periods)
-            && self.settings.rules >= TickRules::SlownessTested;
-        let slow = is_slow.then_some(Alarm::Brake(Fault::TooLate));
-        let alarms = [self.watch.check(input).or(slow), differs, seen, unanswered];
-        let off = match most_urgent(alarms, self.settings.rules) {
-            Some(Alarm::SwitchOff(fault)) if damps && fault.doubts_count() => {
-                if !self.damps {
-                    self.damps = true;
-                    self.brake = brake_of(&self.settings, true);
-                }
-                self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
-            }
-            // The damping of a doubted count ends here, and its reason stays.
-            Some(Alarm::SwitchOff(Fault::EncoderDrifts)) if self.damps => {
-                self.take(ControlEvent::SwitchOffFault, self.reason)
-            }
-            Some(Alarm::SwitchOff(fault)) => {
-                self.take(ControlEvent::SwitchOffFault, Ending::Fault(fault))
-            }
-            // A policy that burns current has left a limit, and is a bad policy of a sound Qube.
-            Some(Alarm::Brake(Fault::MotorOverheated)) if self.is_limited_by_motor() => {
-                let of_motor = Ending::LeftBox(Limit::MotorLoad);
-                self.phase == Phase::Running && self.take(ControlEvent::LimitLeft, of_motor)
-            }
-            Some(Alarm::Brake(fault)) if self.explains_brake(fault) => {
-                self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
-            }
-            Some(Alarm::Brake(fault)) => self.take(ControlEvent::BrakeFault, Ending::Fault(fault)),
-            None => false,
-        };
-        if off {
+        if let Some(alarm) = self.alarm(input)
+            && self.react(alarm)
+        {
             return self.off();
         }
 
@@ -597,44 +563,5 @@ impl<C: Controller> Motion for Tick<C> {
 
     fn contradiction(&self) -> Option<Contradiction> {
         self.contradiction
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::estimation::{Calibration, EstimatorSettings};
-    use crate::policy::{ClassicalController, ClassicalGains};
-    use crate::qube::PlantModel;
-    use crate::safety::SafetyBox;
-
-    /// The end of a brake under foresight, after `periods` with the arm at this speed, rad/s.
-    fn end(rules: TickRules, periods: u32, theta_dot: f64) -> Option<(ControlEvent, Ending)> {
-        let settings = TickSettings {
-            calibration: Calibration::IDENTITY,
-            estimator: EstimatorSettings::default(),
-            safety_box: SafetyBox::GUARDED,
-            max_steps: 100,
-            start_theta_rad: 0.0,
-            stops: None,
-            foresight: None,
-            rules,
-            plant: PlantModel::QUBE,
-        };
-        let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
-        let mut tick = Tick::new(&settings, policy);
-        (tick.phase, tick.periods_in_phase) = (Phase::Braking, periods);
-        tick.estimates.guarded.theta_dot = theta_dot;
-        tick.braking_end()
-    }
-
-    #[test]
-    fn an_arm_that_is_fast_after_a_second_of_braking_is_switched_off() {
-        let off = Some((ControlEvent::SwitchOffFault, Ending::Fault(Fault::BrakingTimedOut)));
-        assert_eq!(end(TickRules::NEWEST, 100, -16.0), off);
-        assert_eq!(end(TickRules::NEWEST, 99, -16.0), None);
-        assert_eq!(end(TickRules::NEWEST, 100, 14.0), None);
-        assert_eq!(end(TickRules::SlownessTested, 100, 16.0), None, "an old recording");
-        assert_eq!(end(TickRules::NEWEST, 1500, 6.0), off);
     }
 }

@@ -84,7 +84,8 @@ pub trait Device: Send {
     ///
     /// # Errors
     /// No complete, valid answer to this request arrives in time; the port is gone or accepts no
-    /// more bytes; or, as [`LinkFault::NotArmed`], the device has restarted since its last hello.
+    /// more bytes; the Qube behind the board does not answer; or board or Qube has restarted since
+    /// the last hello.
     fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault>;
 
     /// Sends a voltage, mV, that was decided from the sample taken at `sampled_at_us`, its
@@ -191,9 +192,12 @@ pub enum LinkFault {
     /// The port accepts no more bytes.
     #[error("the port took no more bytes")]
     Full,
-    /// The device is not armed.
+    /// The device is not armed, so that an act moves nothing.
     #[error("the device is not armed")]
     NotArmed,
+    /// Board or Qube has restarted since the last hello, so that its counts have begun anew.
+    #[error("the device has restarted since its last hello")]
+    Restarted,
     /// The board answers, but the Qube behind it does not.
     #[error("the Qube no longer answers its board (switched off?)")]
     QubeOff,

@@ -472,7 +472,7 @@ impl<T: Transport> Device for SerialLink<T> {
             // The device has restarted and has had no hello since.
             Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => {
                 self.amplifier = AmplifierState::Off;
-                Err(LinkFault::NotArmed)
+                Err(LinkFault::Restarted)
             }
             Reply::Refusal { reason: RefusalReason::QubeAbsent, .. } => {
                 self.amplifier = AmplifierState::Off;

@@ -168,7 +168,7 @@ fn the_firmware_knows_a_qube_by_its_module_id() {
         host.board.qube().module_id = QUBE_MODULE_ID;
         host.board.wait_us(10_000);
         // Its counters have begun anew, so nothing goes on without a new hello.
-        assert_eq!(refused(host.sample())?, Err(LinkFault::NotArmed));
+        assert_eq!(refused(host.sample())?, Err(LinkFault::Restarted));
         let refused = host.link.hello().unwrap_err();
         assert!(matches!(refused, DeviceError::SwitchedOff { .. }), "{refused}");
         let mut next = next_link(host);

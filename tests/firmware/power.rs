@@ -36,7 +36,7 @@ fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), D
     if refused == Err(LinkFault::Timeout) {
         return Err(Disturbed);
     }
-    assert_eq!(refused, Err(LinkFault::NotArmed), "a restarted board knows of no hello");
+    assert_eq!(refused, Err(LinkFault::Restarted), "a restarted board knows of no hello");
     let after = host.link.hello().unwrap();
     host.arm_and_drive()?;
     Ok((on_us, before, after))

@@ -250,7 +250,7 @@ fn a_restart_shows_in_the_next_hello() {
 fn a_device_that_restarted_refuses_samples_until_it_is_greeted() {
     let (mut link, clock) = armed(Some(EmulatorFault::BrownOut { after_s: 0.1 }));
     clock.advance(300 * MS);
-    assert_eq!(link.sample(clock.now_ns() + 6 * MS), Err(LinkFault::NotArmed));
+    assert_eq!(link.sample(clock.now_ns() + 6 * MS), Err(LinkFault::Restarted));
 }
 
 #[test]
@@ -354,7 +354,7 @@ fn a_qube_that_was_switched_off_and_on_needs_a_new_hello() {
         if looks_in_between {
             assert_eq!(sample_at(600), Err(LinkFault::QubeOff));
         }
-        assert_eq!(sample_at(1600), Err(LinkFault::NotArmed), "its counters have begun anew");
+        assert_eq!(sample_at(1600), Err(LinkFault::Restarted), "its counters have begun anew");
         for _ in 0..2 {
             let refused = link.hello().unwrap_err();
             assert!(matches!(refused, DeviceError::SwitchedOff { .. }), "{refused}");
