@@ -9,6 +9,7 @@ mod bridge;
 mod effects;
 mod fault;
 mod fault_progress;
+mod fault_text;
 mod plant;
 mod play;
 mod pty;
@@ -16,7 +17,8 @@ mod pty;
 pub use board::Board;
 pub use bridge::{UnknownBridge, UsbBridge};
 pub use effects::{EffectError, Effects};
-pub use fault::{EmulatorFault, UnknownFault};
+pub use fault::EmulatorFault;
+pub use fault_text::UnknownFault;
 pub use plant::EmulatedPlant;
 pub use pty::EmulatedQube;
 
