@@ -2,13 +2,13 @@ mod opening;
 #[cfg(test)]
 mod tests;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use self::opening::{Opened, begun, narrowed, resumed, withdraw};
 use super::check_arguments::CheckArguments;
@@ -32,7 +32,8 @@ use super::printable::print_message;
 use super::report;
 use super::screen::{Screen, ScreenArgument};
 use super::stop::Stop;
-use crate::experiment::{Experiment, ExperimentFolder};
+use crate::experiment::{Experiment, ExperimentError, ExperimentFolder, ExperimentSettings};
+use crate::jobs::Executor;
 use crate::jobs::starter::quoted;
 use crate::learning::Preset;
 use crate::rig::{Rig, RigSettings};
@@ -203,15 +204,6 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ));
     }
     let consent = arguments.consent.beside(arguments.guard)?;
-    let begins = arguments.resume.is_none();
-    // A new experiment that is refused before its work leaves nothing that a corrected command
-    // would find in its way.
-    let refused = |folder: ExperimentFolder, failure: Failure| {
-        if begins {
-            withdraw(folder);
-        }
-        failure
-    };
     let Opened { folder, mut settings, csv } = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => begun(&arguments, consent, &device)?,
@@ -229,98 +221,40 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     print_message(&format!("experiment in {}", folder.root().display()));
 
     let first = &settings.recipes[0].settings;
+    let emulated = &settings.plants[0].emulated;
     let rig = RigSettings {
         homing: first.homing,
-        unidentified: settings.plants[0].emulated.unidentified,
+        unidentified: emulated.unidentified,
         limits,
-        ..device.rig_settings(
-            settings.plants[0].emulated.emulator(settings.seed),
-            first.estimator,
-            arguments.check,
-        )
+        ..device.rig_settings(emulated.emulator(settings.seed), first.estimator, arguments.check)
     };
-    if !arguments.table {
+    let failed = |error| failures::experiment(error, &stop, &resume);
+    let (experiment, ended) = if arguments.table {
+        (Experiment::new(folder, settings, rig, 1, Arc::clone(&stop.flag)), Ok(()))
+    } else {
         for warning in before_motion(device.power_warning(), &rig, first.safety_box.guard) {
             print_message(&format!("warning: {warning}"));
         }
-    }
-    let live = match arguments.table {
-        true => Live::default(),
-        false => match arguments.live.serve("experiment", &stop) {
-            Ok(live) => live,
-            Err(failure) => return Err(refused(folder, failure)),
-        },
+        let attached = match Attached::open(&arguments, rig, folder.root(), &stop, output) {
+            Ok(attached) => attached,
+            Err(failure) => {
+                // A new experiment that is refused before its work leaves nothing that a corrected
+                // command would find in its way.
+                if arguments.resume.is_none() {
+                    withdraw(folder);
+                }
+                return Err(failure);
+            }
+        };
+        let (experiment, ended) = attached.carry_out(folder, settings, &stop);
+        (experiment, ended.map_err(failed))
     };
-    let all = std::thread::available_parallelism().map_or(1, usize::from);
-    let threads = arguments.threads.map_or(all, usize::from);
-    let failed = |error| failures::experiment(error, &stop, &resume);
-    let title = format!("qube-hil experiment in {}", folder.root().display());
-    let screen = match arguments.table {
-        true => Screen::none(),
-        false => arguments.screen.open(&title, output, &stop),
-    };
-    // Rollouts of emulated Qubes run at the same time, so the screen shows none of them.
-    let is_hardware = rig.is_hardware();
-    screen.progress().update(|state| {
-        state.has_rollouts = is_hardware;
-        state.can_pause = is_hardware;
-        if !is_hardware {
-            state.stop_effect = "finished work is kept, and --resume continues";
-        }
-    });
-    let screens = screen.viewer().filter(|_| is_hardware);
-    let viewers = screens.into_iter().chain(live.viewer()).collect();
-    screen.progress().update(|state| state.live = live.url());
-    let rig = RigSettings { viewers, ..rig };
-    let keyboard = match is_hardware && !arguments.table {
-        true => Some(Keyboard::watch(&stop, &screen.progress())),
-        false => Keyboard::of_screen(&stop, &screen.progress()),
-    };
-    let progress = ExperimentProgress::new(&settings, &screen.progress(), &stop);
-    let executor = match arguments.table {
-        true => None,
-        false => match arguments.executor.executor(folder.root(), &stop) {
-            Ok(executor) => executor,
-            Err(failure) => return Err(refused(folder, failure)),
-        },
-    };
-    // A Qube that cannot be driven is found before the first training and not after it.
-    if is_hardware
-        && !arguments.table
-        && let Err(error) = Rig::reach(&rig, &stop.flag)
-    {
-        return Err(refused(folder, failures::rig(error, &stop)));
-    }
-    let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag))
-        .trained_by(executor);
-    let mut ended = Ok(());
-    if !arguments.table {
-        ended = experiment
-            .run(&|event| {
-                progress.update(&event);
-                live.experiment(&event);
-            })
-            .map_err(failed);
-    }
-    drop(keyboard);
-    drop(screen);
-
     let report = match ExperimentReport::read(&experiment) {
         Ok(report) => report,
         // The reason why the experiment ended matters more than the reason why its results cannot be read.
         Err(error) => return Err(ended.err().unwrap_or_else(|| failed(error))),
     };
-    let directory = experiment.folder().root().display().to_string();
-    let mut result = report.json();
-    result["directory"] = json!(directory);
-    result["wall_s"] = json!(started.elapsed().as_secs_f64());
-    let mut text = format!("{}\neverything is in {directory}", report.text());
-    let page = report::write_into_experiment(&report, &experiment);
-    match &page {
-        Ok(path) => text.push_str(&format!("\na page for a browser: {}", path.display())),
-        Err(reason) => print_message(&format!("warning: no report was written: {reason}")),
-    }
-    result["report"] = json!(page.ok().map(|path| path.to_string_lossy().into_owned()));
+    let (text, mut result) = results(&report, &experiment);
     let ended = ended.and_then(|()| {
         let figures = || report.figures(&experiment).map_err(failed);
         let figures = arguments.figures.as_deref().map(|folder| figures()?.write(folder));
@@ -329,9 +263,97 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             ("--figures", figures),
         ])
     });
+    result["wall_s"] = json!(started.elapsed().as_secs_f64());
     result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
     output.print(&text, &result);
     ended
+}
+
+/// Everything that an experiment uses while it works: its rig, who trains, and who watches.
+struct Attached {
+    rig: RigSettings,
+    threads: usize,
+    executor: Option<Arc<dyn Executor>>,
+    live: Live,
+    screen: Screen,
+    keyboard: Option<Keyboard>,
+}
+
+impl Attached {
+    /// Opens live view and screen and finds the executor. Fails if a Qube cannot be driven, before
+    /// the first training and not after it.
+    fn open(
+        arguments: &Arguments,
+        rig: RigSettings,
+        root: &Path,
+        stop: &Stop,
+        output: &Output,
+    ) -> Result<Self, Failure> {
+        let live = arguments.live.serve("experiment", stop)?;
+        let executor = arguments.executor.executor(root, stop)?;
+        let title = format!("qube-hil experiment in {}", root.display());
+        let screen = arguments.screen.open(&title, output, stop);
+        // Rollouts of emulated Qubes run at the same time, so the screen shows none of them.
+        let is_hardware = rig.is_hardware();
+        screen.progress().update(|state| {
+            state.live = live.url();
+            state.has_rollouts = is_hardware;
+            state.can_pause = is_hardware;
+            if !is_hardware {
+                state.stop_effect = "finished work is kept, and --resume continues";
+            }
+        });
+        let screens = screen.viewer().filter(|_| is_hardware);
+        let viewers = screens.into_iter().chain(live.viewer()).collect();
+        let rig = RigSettings { viewers, ..rig };
+        let keyboard = if is_hardware {
+            Some(Keyboard::watch(stop, &screen.progress()))
+        } else {
+            Keyboard::of_screen(stop, &screen.progress())
+        };
+        if is_hardware {
+            Rig::reach(&rig, &stop.flag).map_err(|error| failures::rig(error, stop))?;
+        }
+        let all_cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let threads = arguments.threads.map_or(all_cores, usize::from);
+        Ok(Self { rig, threads, executor, live, screen, keyboard })
+    }
+
+    /// Carries out the experiment until it is complete, fails, or is stopped. Afterwards the screen
+    /// is closed.
+    fn carry_out(
+        self,
+        folder: ExperimentFolder,
+        settings: ExperimentSettings,
+        stop: &Stop,
+    ) -> (Experiment, Result<(), ExperimentError>) {
+        let Self { rig, threads, executor, live, screen, keyboard } = self;
+        let progress = ExperimentProgress::new(&settings, &screen.progress(), stop);
+        let experiment = Experiment::new(folder, settings, rig, threads, Arc::clone(&stop.flag))
+            .trained_by(executor);
+        let ended = experiment.run(&|event| {
+            progress.update(&event);
+            live.experiment(&event);
+        });
+        drop(keyboard);
+        drop(screen);
+        (experiment, ended)
+    }
+}
+
+/// The results of an experiment as text and as JSON. Writes the page for a browser into its folder.
+fn results(report: &ExperimentReport, experiment: &Experiment) -> (String, Value) {
+    let directory = experiment.folder().root().display().to_string();
+    let mut text = format!("{}\neverything is in {directory}", report.text());
+    let mut result = report.json();
+    result["directory"] = json!(directory);
+    let page = report::write_into_experiment(report, experiment);
+    match &page {
+        Ok(path) => text.push_str(&format!("\na page for a browser: {}", path.display())),
+        Err(reason) => print_message(&format!("warning: no report was written: {reason}")),
+    }
+    result["report"] = json!(page.ok().map(|path| path.to_string_lossy().into_owned()));
+    (text, result)
 }
 
 /// The failure to write the files of these options, if any; `None` stands for an option that is not
