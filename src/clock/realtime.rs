@@ -88,8 +88,9 @@ fn lock_memory() -> Result<(), std::io::Error> {
     Ok(mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)?)
 }
 
-/// Refuses to lock memory under a limit. All memory of the future would count towards it, and the
-/// first allocation beyond it, such as that of a training, would fail and end the program.
+/// Refuses to lock memory under a limit. All memory that the process allocates later would count
+/// towards the limit, and the first allocation beyond it, such as that of a training, would fail
+/// and end the program.
 fn check_lock_limit(limit_bytes: Option<u64>, may_exceed: bool) -> Result<(), std::io::Error> {
     match limit_bytes {
         Some(limit_bytes) if !may_exceed => {
@@ -100,6 +101,7 @@ fn check_lock_limit(limit_bytes: Option<u64>, may_exceed: bool) -> Result<(), st
     }
 }
 
+/// Puts the calling thread under SCHED_FIFO with [`FIFO_PRIORITY`].
 fn schedule_fifo() -> Result<(), std::io::Error> {
     let parameters = libc::sched_param { sched_priority: FIFO_PRIORITY };
     // SAFETY: `pthread_self` is always valid for the calling thread, and `parameters` outlives the

@@ -21,7 +21,7 @@ use thiserror::Error;
 /// The disk operations of sessions and recordings.
 ///
 /// The bytes of a file survive a loss of power once the file is synced; its name survives once its
-/// folder is synced. Every implementation has these rules of a real disk.
+/// folder is synced. Every implementation keeps these rules of a real disk.
 pub trait Disk: Send + Sync + fmt::Debug {
     /// Creates a folder and its missing parents. On return the new names survive a loss of power.
     ///
@@ -63,7 +63,7 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// Reads a whole regular file of at most `limit` bytes.
     ///
     /// # Errors
-    /// The errors of [`read_beginning`](Self::read_beginning); a longer file is an error of the kind
+    /// [`read_beginning`](Self::read_beginning) fails. A longer file is an error of the kind
     /// [`io::ErrorKind::FileTooLarge`].
     fn read(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
         // One byte more than the limit shows that the file is longer.
@@ -93,6 +93,9 @@ pub trait Disk: Send + Sync + fmt::Debug {
 
     /// Renames a file; an existing file, folder or link of the new name is an error of the kind
     /// [`io::ErrorKind::AlreadyExists`].
+    ///
+    /// This implementation looks for the new name first and then renames, so that a file which
+    /// another process creates in between is lost. A disk that processes share needs one step.
     ///
     /// # Errors
     /// The operating system refuses.
@@ -159,7 +162,7 @@ pub struct Hold {
 }
 
 impl Hold {
-    /// A hold that locks nothing, for a disk that only this process can see.
+    /// Makes a hold that locks nothing, for a disk that only this process can see.
     #[must_use]
     pub fn unshared() -> Self {
         Self { lock: None }
@@ -205,7 +208,7 @@ pub fn is_absence(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
-/// A file could not be written.
+/// The error of a file that could not be written.
 #[derive(Debug, Error)]
 #[error("{path}: {source}")]
 pub struct WriteError {
@@ -247,7 +250,8 @@ pub fn write_whole(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), Wri
 /// The operating system refuses, or the disk is full or failing. Nothing remains of the file.
 pub fn write_new(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
     let failed = |source| WriteError { path: path.to_owned(), source };
-    // Another process may take the name during the work, so it is tested again in the end.
+    // This spares the work of writing. `rename_new` tests the name again, because another process
+    // may take it meanwhile.
     if is_taken(disk, path) {
         return Err(failed(io::ErrorKind::AlreadyExists.into()));
     }
@@ -266,7 +270,8 @@ pub fn is_unfinished(name: &OsStr) -> bool {
     name.as_encoded_bytes().ends_with(UNFINISHED.as_bytes())
 }
 
-/// Whether `path` is such a file for the finished file `of`, and no link.
+/// Whether `path` has a name under which [`write_whole`] or [`write_new`] writes the file `of`, and
+/// is no link.
 #[must_use]
 pub fn is_unfinished_of(disk: &dyn Disk, path: &Path, of: &Path) -> bool {
     let belongs = |name: &OsStr, of: &OsStr| {
@@ -279,8 +284,8 @@ pub fn is_unfinished_of(disk: &dyn Disk, path: &Path, of: &Path) -> bool {
     belongs && path.parent() == of.parent() && !disk.is_link(path)
 }
 
-/// Removes the files that killed processes have left in writing the file `of`; ignores errors. The
-/// caller makes sure that no other process writes it.
+/// Removes the unfinished files that killed processes left when they wrote the file `of`; ignores
+/// errors. The caller makes sure that no other process is writing `of`.
 pub fn remove_unfinished(disk: &dyn Disk, of: &Path) {
     let folder = of.parent().unwrap_or(Path::new("."));
     for name in disk.names(folder).unwrap_or_default() {
@@ -296,7 +301,8 @@ fn is_taken(disk: &(impl Disk + ?Sized), path: &Path) -> bool {
     disk.exists(path) || disk.is_link(path)
 }
 
-/// Writes a file under an unfinished name and gives it to `rename`; if that fails, nothing remains.
+/// Writes and syncs a file under an unfinished name, then calls `rename` with that name. If a step
+/// fails, the unfinished file is removed.
 fn write_and(
     disk: &dyn Disk,
     path: &Path,
@@ -311,8 +317,8 @@ fn write_and(
     })
 }
 
-/// Creates the file that becomes `path`. A name that exists is left alone, because the file may
-/// be that of another computer's process, or a user's own.
+/// Creates the unfinished file that becomes `path`; returns its path too. A name that exists is
+/// skipped, because the file may belong to a process of another computer, or to the user.
 fn create_unfinished(disk: &dyn Disk, path: &Path) -> io::Result<(PathBuf, Box<dyn DiskFile>)> {
     let process = std::process::id();
     for number in 0..MOST_NAMES {
