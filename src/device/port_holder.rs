@@ -10,9 +10,9 @@ pub(super) fn holder_of(port: &str) -> String {
     pid.map_or_else(|| "another program".to_owned(), described)
 }
 
-/// Describes the process that has locked a port, as `process 1234 (name)`; `None` if none has, or if it
-/// cannot be found. The port is not opened. A process that has the port open without a lock does not
-/// count: the emulated Qube has its own port open.
+/// Describes the process that has locked a port, as `process 1234 (name)`; `None` if the port is
+/// not locked or the process cannot be found. The port is not opened. A process that has the port
+/// open without a lock does not count, because the emulated Qube has its own port open.
 #[must_use]
 pub fn locker_of(port: &str) -> Option<String> {
     find_locker(Path::new(port)).map(described)

@@ -9,7 +9,8 @@ use crate::qube::{Encoder, Encoders, Measurement};
 pub struct Calibration {
     /// Count of the arm's encoder at theta 0, the middle between the stops.
     pub theta_zero_counts: i32,
-    /// Count of the pendulum's encoder at alpha 0: while it hangs, or whole turns away from there.
+    /// Count of the pendulum's encoder at alpha 0: the count while the pendulum hangs, or a count
+    /// that is whole turns away from it.
     pub alpha_zero_counts: i32,
     /// Whether the arm's encoder counts down while theta grows.
     pub theta_inverted: bool,

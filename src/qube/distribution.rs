@@ -7,14 +7,15 @@ use serde::{Deserialize, Serialize};
 pub enum Distribution {
     /// Always the same value.
     Constant {
-        /// The value.
+        /// Value, in the unit of the quantity.
         value: f64,
     },
-    /// A normal distribution. The simulation truncates it on both sides of the mean.
+    /// A normal distribution. The simulation truncates it on both sides, at a distance from the
+    /// mean that depends on the quantity.
     Normal {
         /// Mean, in the unit of the quantity.
         mean: f64,
-        /// Standard deviation before truncation.
+        /// Standard deviation before truncation, in the unit of the quantity.
         standard_deviation: f64,
     },
     /// A uniform distribution with this mean and standard deviation. Its half-width is sqrt(3)
@@ -22,7 +23,7 @@ pub enum Distribution {
     Uniform {
         /// Mean, in the unit of the quantity.
         mean: f64,
-        /// Standard deviation before the limit.
+        /// Standard deviation before the limit, in the unit of the quantity.
         standard_deviation: f64,
     },
 }
@@ -44,7 +45,7 @@ impl Distribution {
         }
     }
 
-    /// A uniform distribution between two values.
+    /// The uniform distribution between two values, of which `lower` is the smaller one.
     #[must_use]
     pub fn between(lower: f64, upper: f64) -> Self {
         let (mean, half_width) = (0.5 * (lower + upper), 0.5 * (upper - lower));
@@ -71,8 +72,8 @@ impl Distribution {
         }
     }
 
-    /// The probability density at a value, before truncation; 0 for a constant or a standard
-    /// deviation of 0, which have no density.
+    /// The probability density at a value before truncation, in 1 / the unit of the quantity; 0 for
+    /// a constant or a standard deviation of 0, which have no density.
     #[must_use]
     pub fn density(&self, value: f64) -> f64 {
         let (mean, deviation) = (self.mean(), self.standard_deviation());

@@ -13,5 +13,6 @@ pub const CONTROL_PERIOD_NS: u64 = 10_000_000;
 /// Steps in a complete rollout of 6 s.
 pub const MAX_STEPS: usize = 600;
 
-/// Angle of a Qube's hard stop on either side, rad (about 137 degrees, measured on a sister model).
+/// Angle of a Qube's hard stop on either side, rad: about 137 degrees, as reported for a
+/// QUBE-Servo 3 (docs/hardware.md).
 pub const HARD_STOP_RAD: f64 = 2.39;

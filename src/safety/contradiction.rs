@@ -4,15 +4,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::qube::CONTROL_PERIOD_S;
 
-/// How the Qube contradicted its profile: no Qube within the profile's errors moves so.
+/// A motion of the Qube that contradicts its profile, because no simulated Qube within the
+/// profile's errors moves so.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Contradiction {
     /// The angle that lay farther outside the range of the simulated Qubes' angles than allowed; if
     /// both did, the one that lay farther outside.
     pub angle: PredictedAngle,
-    /// Distance of that angle from the range, rad; `None` if no simulated angle was a finite number.
+    /// Distance of `angle` from the range, rad; `None` if no simulated angle was a finite number.
     pub beyond_rad: Option<f32>,
-    /// Control periods since the simulated Qubes began in the Qube's state.
+    /// Number of control periods since the simulated Qubes began in the Qube's state.
     pub periods: u32,
 }
 

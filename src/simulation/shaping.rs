@@ -20,11 +20,12 @@ impl DomainDistribution {
     }
 
     /// Applies psi to the distribution. A quantity that psi names gets a distribution of this
-    /// family with psi's mean and standard deviation; of these two, the one that psi does not name
+    /// family with psi's mean and standard deviation; if psi names only one of the two, the other
     /// stays. Then the shifts along the directions, the common width and the lag of the command
     /// follow, as far as psi names them (see [`PsiTarget`]). A standard deviation that is too large
-    /// for its mean is reduced to the largest accepted one. The draws of a distribution of
-    /// specimens stay as they are.
+    /// for its mean is reduced to the largest accepted one.
+    ///
+    /// A distribution of specimens ([`Self::of_specimens`]) still draws the same Qubes.
     #[must_use]
     pub fn shaped_by(mut self, psi: &Psi, family: Family) -> Self {
         for quantity in Quantity::all() {
@@ -55,8 +56,8 @@ impl DomainDistribution {
         self
     }
 
-    /// Moves the means along the direction with this index, by `deviations` times its standard
-    /// deviation. A mean that would leave its range is put at the end of the range.
+    /// Moves the means along the direction with this index, by `deviations` times the direction's
+    /// standard deviation. A mean that would leave its range is put at the end of the range.
     fn shifted(mut self, direction: usize, deviations: f64, family: Family) -> Self {
         for quantity in Quantity::all() {
             let moved = deviations * self.directions[direction].of(quantity);
@@ -69,8 +70,8 @@ impl DomainDistribution {
         self
     }
 
-    /// Multiplies every standard deviation and every direction by a factor. A standard deviation that
-    /// becomes too large for its mean is reduced to the largest accepted one.
+    /// Multiplies every standard deviation and every direction by a factor. A standard deviation
+    /// that becomes too large for its mean is reduced to the largest accepted one.
     #[must_use]
     pub fn widened(mut self, factor: f64, family: Family) -> Self {
         for quantity in Quantity::all() {
@@ -86,7 +87,8 @@ impl DomainDistribution {
         self
     }
 
-    /// Adds an independent lag with this mean and standard deviation, s, to the command's delay.
+    /// Adds an independent lag with this mean and standard deviation, s, to the command's delay:
+    /// the means and the variances add.
     fn delayed(self, mean_s: f64, deviation_s: f64, family: Family) -> Self {
         let delay = Quantity::Nonideality(Nonideality::CommandDelay);
         let own = self.get(delay);

@@ -13,13 +13,13 @@ use crate::qube::{MAX_VOLTAGE_V, Measurement, Status};
 /// Time limit of the library's watchdog, s, equal to that of the boards' firmware.
 const WATCHDOG_S: f64 = WATCHDOG_MS as f64 * 1e-3;
 
-/// Time since the arm or the last successful act after which a sample first asks whether the
-/// watchdog has expired, ns. Acts come every 10 ms, so a running tick does not spend time on this
-/// call.
+/// Time since the amplifier was armed or the last act succeeded, after which a sample first asks
+/// whether the watchdog has expired, ns. Acts come every 10 ms, so a running tick does not spend
+/// time on this call.
 const DOUBTED_NS: Nanoseconds = 30_000_000;
 
-/// Consecutive failed acts after which the amplifier is switched off: their voltages have not
-/// reached the motor, which keeps an older one.
+/// Number of consecutive failed acts after which the amplifier is switched off: a voltage whose act
+/// failed may not have reached the motor, which then keeps an older one.
 const MAX_FAILED_ACTS: u32 = 2;
 
 /// The reason why the library gave no sample.
@@ -159,8 +159,11 @@ impl Panel {
         armed
     }
 
+    /// Takes the steps of [`Self::arm`] up to the first error, after which the amplifier may be on.
     fn try_arm(&mut self) -> Result<(), HilError> {
         let card = self.card()?;
+        // The amplifier is enabled last: the output is then 0 V, the card knows its outputs for an
+        // expired watchdog, and the watchdog runs.
         let enabled = card
             .watchdog_clear()
             .and_then(|()| card.write_voltage(0.0))
@@ -174,8 +177,8 @@ impl Panel {
         Ok(())
     }
 
-    /// Reads one sample. An expired watchdog shows in the sample's flags; if the library gives no
-    /// counts in that state, the counts are those of the sample before.
+    /// Reads one sample. The sample's flags show whether the watchdog has expired; if the library
+    /// gives no counts in that state, the counts are those of the previous sample.
     pub(super) fn sample(&mut self) -> Result<Measurement, NoSample> {
         let Some(card) = &self.card else { return Err(NoSample::Gone) };
         let asked_ns = self.clock.now_ns();
@@ -206,6 +209,7 @@ impl Panel {
         Ok(self.last)
     }
 
+    /// Stores what the card's channels show, with the counts relative to [`Self::base_counts`].
     fn take(&mut self, channels: &Channels) {
         let [theta_base, alpha_base] = *self.base_counts.get_or_insert(channels.counts);
         let [theta, alpha] = channels.counts;
@@ -251,8 +255,8 @@ impl Panel {
 
     /// Switches the amplifier off: disables it, writes 0 V, then stops the watchdog. If the library
     /// refuses because the watchdog has expired, clears the watchdog and tries once more. If the
-    /// amplifier cannot be switched off even so, starts the watchdog, waits until it has had time
-    /// to do that, and closes the card.
+    /// amplifier cannot be switched off even so, starts the watchdog, waits until it has expired,
+    /// which should switch the amplifier off, and closes the card.
     pub(super) fn off(&mut self) -> Result<(), HilError> {
         self.amplifier = AmplifierState::Off;
         self.applied_mv = 0;
