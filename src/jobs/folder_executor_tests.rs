@@ -20,9 +20,10 @@ fn job() -> TrainingJob {
 }
 
 /// A disk that refuses the first of each of the named operations, such as `create` in the subfolder
-/// `jobs`, and seems to be empty at that moment.
+/// `jobs`; the refused operation `exists` finds no file.
 #[derive(Debug)]
 struct Hiccups {
+    /// Operations that are still to be refused, each with its subfolder.
     to_come: Mutex<Vec<(&'static str, &'static str)>>,
 }
 
@@ -127,7 +128,8 @@ fn train(executor: &FolderExecutor) -> Result<Trained, JobError> {
     executor.train_one(&job(), &AtomicBool::new(false), &mut |_| ())
 }
 
-/// Trains a job by one worker on these disks of the coordinator and the worker.
+/// Trains a job with one worker. The coordinator and the worker see the folder through the disk of
+/// their name.
 fn trained_on(coordinator: Arc<Hiccups>, worker: Arc<Hiccups>) -> Result<Trained, JobError> {
     let directory = tempfile::tempdir().unwrap();
     let executor = executor(coordinator, directory.path(), Queue::default(), AtEnd::Withdraw);
@@ -138,7 +140,8 @@ fn trained_on(coordinator: Arc<Hiccups>, worker: Arc<Hiccups>) -> Result<Trained
     std::thread::scope(|scope| {
         scope.spawn(|| {
             let report = worker.run(&is_over, &mut |_| ());
-            // Without a worker nobody would train.
+            // If the worker has ended too early, nobody trains, and the coordinator would wait
+            // without end.
             is_late.store(true, Ordering::Relaxed);
             assert_eq!(report.unwrap().trained, 1);
         });

@@ -165,7 +165,8 @@ impl<'a> PolicyImprovement<'a> {
         }
     }
 
-    /// Takes one gradient step.
+    /// Takes one gradient step, then keeps the log standard deviation at or above its smallest
+    /// value.
     pub fn step(&mut self, minibatch: &Minibatch) {
         let statistics = self.policy.step(minibatch, &self.head, &self.settings);
         let log_std = &mut self.policy.network.tail[LOG_STD];
@@ -218,7 +219,8 @@ pub(super) struct Learner {
 }
 
 impl Learner {
-    /// A learner before its first step.
+    /// A learner before its first step, in a box because its working memory alone takes more than
+    /// 64 kB.
     pub fn new(network: Network) -> Box<Self> {
         Box::new(Self {
             moments: Moments::zero(network.observation_size),
@@ -272,7 +274,7 @@ pub(super) struct StepSettings {
 }
 
 impl StepSettings {
-    /// The settings that all gradient steps of an update share.
+    /// The settings for this update; only the learning rate depends on its number.
     fn new(settings: &TrainSettings, update: u32) -> Self {
         Self {
             learning_rate: settings.learning_rate_at(update),

@@ -16,7 +16,8 @@ pub struct TrainedBytesError(String);
 
 impl Trained {
     /// The result as safetensors, without the distribution, the seed and the settings, which the
-    /// reader knows.
+    /// reader knows. If the library cannot write them there are no bytes, which
+    /// [`Self::from_bytes`] refuses.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let returns = [self.best_return, self.final_return].into_iter();
@@ -36,11 +37,12 @@ impl Trained {
         safetensors::serialize(views, None).unwrap_or_default()
     }
 
-    /// Restores the result from [`Self::to_bytes`] of a training in this distribution with these
-    /// settings and this seed.
+    /// Restores a result from the bytes that [`Self::to_bytes`] made. The caller passes the
+    /// distribution, the settings and the seed of the training, which the bytes do not contain.
     ///
     /// # Errors
-    /// The bytes are not the result of a training.
+    /// The bytes are not safetensors, a tensor is missing or of another type, or the numbers form
+    /// no network.
     pub fn from_bytes(
         bytes: &[u8],
         distribution: &DomainDistribution,
@@ -72,7 +74,8 @@ impl Trained {
     }
 }
 
-/// The action scale, then each layer's weights and biases, as little-endian `f32`.
+/// The numbers of a network as little-endian `f32`: the action scale, V, then each layer's weights
+/// and biases.
 fn weights(network: &Network) -> Vec<u8> {
     let layers = network.layers();
     let values = layers.iter().flat_map(|layer| layer.weight.iter().chain(&layer.bias));

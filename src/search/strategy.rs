@@ -40,7 +40,7 @@ pub struct Best {
     pub expected_return: f64,
     /// Standard deviation of the expected return; `None` if it is unknown.
     pub standard_deviation: Option<f64>,
-    /// Index of the evaluated candidate with the highest expected return, from 0.
+    /// Index in the data of the evaluated candidate with the highest expected return.
     pub best_evaluated: usize,
     /// Return expected at the point of this candidate.
     pub best_evaluated_return: f64,

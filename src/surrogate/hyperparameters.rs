@@ -20,7 +20,7 @@ impl Hyperparameters {
     /// Checks that there are `dimensions` positive lengthscales and that the variances are valid.
     ///
     /// # Errors
-    /// Names the first invalid value.
+    /// A value is invalid; the error names the first one.
     pub fn check(&self, dimensions: usize) -> Result<(), SurrogateError> {
         let bad = |reason: String| Err(SurrogateError::BadHyperparameters { reason });
         if self.lengthscales.len() != dimensions {

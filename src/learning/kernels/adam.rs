@@ -23,8 +23,8 @@ impl Moments {
     }
 }
 
-/// Takes one step of Adam down a gradient, which is first scaled down to a largest norm. Returns
-/// the norm before scaling.
+/// A kernel that takes one step of Adam down a gradient, which is first scaled down to a largest
+/// norm. It returns the norm before scaling.
 ///
 /// Unless `epsilon_beside_root` is set, epsilon is under the square root, m / sqrt(v + epsilon^2),
 /// whereas the paper adds it to the root, m / (sqrt(v) + epsilon). The two forms agree where one of
@@ -44,6 +44,7 @@ pub(in crate::learning) struct AdamStep<'a> {
     pub epsilon: f32,
     /// Whether epsilon is added to the root instead, as in the paper.
     pub epsilon_beside_root: bool,
+    /// Norm to which a longer gradient is scaled down.
     pub largest_norm: f32,
 }
 

@@ -25,7 +25,8 @@ pub(in crate::learning) trait Head {
     /// Statistics of a minibatch.
     type Statistics;
 
-    /// Writes the derivative of the mean loss by each output and by the policy's log std.
+    /// Writes the derivatives of the mean loss with respect to each output (`by_output`) and, for a
+    /// policy, with respect to its log standard deviation (`by_log_std`); returns statistics.
     fn differentiate<I: InstructionSet>(
         &self,
         network: &Network,
@@ -49,7 +50,7 @@ pub(in crate::learning) struct PolicyHead {
     pub kl_weight: f32,
 }
 
-/// How far the policy is from the policy that collected the batch, over one minibatch.
+/// The distance of the policy from the policy that collected the batch, over one minibatch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::learning) struct PolicyStatistics {
     /// Mean of (r - 1) - ln r, where r is the ratio of new to old probability: an unbiased,
@@ -95,6 +96,7 @@ impl Head for PolicyHead {
             divergences[i] = (ratio - 1.0) - log_ratio;
             clipped[i] = if bounded == ratio { 0.0 } else { 1.0 };
         }
+        // The entropy of a Gaussian is its log std plus a constant.
         *by_log_std = sum(&by_log_stds) - self.entropy_weight;
         PolicyStatistics {
             approximate_kl: sum(&divergences) * MEAN,
@@ -122,7 +124,8 @@ pub(in crate::learning) fn gaussian_log_probability(z: f32, log_std: f32) -> f32
     -0.5 * z * z - log_std - NORMALISATION
 }
 
-/// Half the mean squared error of the value network.
+/// Half the mean squared error of the value network, which has no log standard deviation: the
+/// derivative with respect to it is left as it is.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::learning) struct ValueHead;
 

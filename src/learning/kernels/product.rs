@@ -25,8 +25,8 @@ pub(super) fn product<I: InstructionSet, const COLUMNS: usize>(
     result: &mut [[f32; COLUMNS]],
 ) {
     // The sums of a tile fill half of the registers, which hides the multiply-add's latency of four
-    // cycles; on AVX-512, those of a narrow block fill an eighth. The compiler unrolls these shapes
-    // into registers, but not 8 x 32 and 8 x 16.
+    // cycles; on AVX-512 they fill an eighth if there are fewer columns than `WIDTH`. The compiler
+    // unrolls these shapes (rows x columns) into registers, but not 8 x 32 and 8 x 16.
     match (I::LEVEL, COLUMNS) {
         (Level::Avx512, WIDTH) => tiled::<I, 64, COLUMNS>(left, right, result),
         (Level::Avx512 | Level::Avx2, _) => tiled::<I, 16, COLUMNS>(left, right, result),
@@ -37,6 +37,7 @@ pub(super) fn product<I: InstructionSet, const COLUMNS: usize>(
 /// Number of rows in a tile.
 const TALL: usize = 4;
 
+/// Computes the product in tiles of `TALL` rows and `WIDE` columns.
 #[inline(always)]
 fn tiled<I: InstructionSet, const WIDE: usize, const COLUMNS: usize>(
     left: Left<'_>,
