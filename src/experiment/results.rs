@@ -24,9 +24,9 @@ const FRESH_SEED: u64 = 1_000_003;
 /// The results of an experiment so far, computed from its policies and recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Results {
-    /// Results of each recipe on each plant, in the order of the settings. At fixed budgets: the
-    /// results of each method at each budget on each plant, as far as there are any, and with
-    /// several plants those on [all of them](super::ALL_PLANTS).
+    /// Results of each recipe on each plant, in the order of the settings. An experiment with fixed
+    /// budgets has the results of each method at each budget on each plant instead, as far as there
+    /// are any, and with several plants also those on [all of them](super::ALL_PLANTS).
     pub recipes: Vec<RecipeResult>,
 }
 
@@ -42,8 +42,8 @@ pub struct RecipeResult {
     /// Psi of the recipe, by the names of its values; empty where the recipe has none or its search
     /// is unfinished, and for a method.
     pub psi: BTreeMap<String, f64>,
-    /// Policies that have completed all their rollouts on the plant, in order; of a method, one for
-    /// each repetition.
+    /// Policies that have completed all their rollouts on the plant, in order; for a method, one
+    /// policy for each repetition.
     pub policies: Vec<PolicyResult>,
 }
 
@@ -83,8 +83,8 @@ impl PolicyResult {
         all
     }
 
-    /// Whether the mean return is at least [`SUCCESS_RETURN`](criterion::SUCCESS_RETURN) and the share
-    /// of rollouts that succeed at least [`POLICY_SHARE`](criterion::POLICY_SHARE).
+    /// Whether the mean return is at least [`SUCCESS_RETURN`](criterion::SUCCESS_RETURN) and the
+    /// share of rollouts that succeed is at least [`POLICY_SHARE`](criterion::POLICY_SHARE).
     #[must_use]
     pub fn succeeds(&self) -> bool {
         self.mean_return().is_some_and(|it| it >= criterion::SUCCESS_RETURN)
@@ -106,14 +106,16 @@ impl RecipeResult {
         self.policies.iter().filter_map(PolicyResult::mean_return).collect()
     }
 
-    /// Mean and standard deviation of the policies' returns in simulation.
+    /// Mean and standard deviation of the policies' returns in simulation; NaN where there are too
+    /// few policies.
     #[must_use]
     pub fn simulated(&self) -> (f64, f64) {
         let returns = self.simulated_returns();
         (mean(&returns), standard_deviation(&returns))
     }
 
-    /// Mean and standard deviation of the policies' mean returns on the plant.
+    /// Mean and standard deviation of the policies' mean returns on the plant; NaN where there are
+    /// too few policies.
     #[must_use]
     pub fn real(&self) -> (f64, f64) {
         let returns = self.returns();
@@ -138,7 +140,7 @@ impl RecipeResult {
         self.successes() as f64 / self.policies.len() as f64
     }
 
-    /// The 95 % interval of the share of successful policies, by Wilson.
+    /// The 95 % interval of the share of successful policies: Wilson's score interval.
     #[must_use]
     pub fn success_interval(&self) -> Interval {
         wilson_interval(self.successes(), self.policies.len())
@@ -231,8 +233,8 @@ impl Results {
 }
 
 impl Experiment {
-    /// The results of a policy's rollouts on each plant; `None` for a plant on which some are
-    /// missing.
+    /// The results of a policy's rollouts on each plant, in the order of the settings; `None` for a
+    /// plant on which some are missing.
     fn ran(
         &self,
         recipe: &Recipe,

@@ -6,20 +6,21 @@ use super::residuals::{Noise, noise_of};
 use super::stretch::Stretch;
 use crate::qube::{DomainParameters, Nonidealities, Nonideality};
 
-/// Difference between the dead zones of the two signs from which [`Fit::finish`] begins again, V, of
-/// a Qube; other plants have it in proportion. The only real Qube that was identified has this
-/// difference.
+/// Difference between the dead zones of the two signs with which [`Fit::finish`] begins further
+/// fits, V of a Qube; for other plants it is scaled. The only real Qube that was identified has
+/// this difference.
 const DIFFERENCE_V: f64 = 0.3;
 
 impl Fit<'_> {
-    /// Fits again from the result of a fit and from models beside it, with the encoders' rounding as
-    /// the residuals' scale, and keeps the most likely result.
+    /// Fits again from the result of a fit and from two models near it, with the encoders' rounding
+    /// as the residuals' scale, and keeps the most likely result.
     ///
-    /// A fit may end beside the best model for two reasons. Its residuals persist in time there,
-    /// count as few independent ones, and hardly pull any more. And the rest angle of the cable can
-    /// stand in for unequal dead zones ([`Self::with_difference_of_dead_zones`]). Three recordings
-    /// or more are not fitted from models beside the result: such fits would double the time, and
-    /// the confusion was only seen with one recording.
+    /// A fit may end away from the best model for two reasons. Its residuals there may be
+    /// correlated in time: they then count as few independent ones and hardly move the model. And
+    /// the rest angle of the cable can replace unequal dead zones
+    /// ([`Self::with_difference_of_dead_zones`], which makes the two models). Three recordings or
+    /// more are fitted from the result alone: further fits would double the time, and such a
+    /// replacement was seen with one recording only.
     pub fn finish(&mut self) {
         let noise = [Noise::of_resolution(self.plant.encoders); 3];
         let begin = Self { noise, ..self.clone() };
@@ -40,10 +41,10 @@ impl Fit<'_> {
         }
     }
 
-    /// The fit with a negative dead zone that is wider than the positive one by this voltage, V of a
-    /// Qube. The sum of the two stays the same, or grows to this voltage if it is smaller; the rest
-    /// angle of the cable moves so that the mean torque stays the same. `None` if these quantities
-    /// are not all unknowns, or without a cable.
+    /// A copy of the fit in which the negative dead zone is wider than the positive one by this
+    /// voltage, V of a Qube. The sum of the two stays the same, or grows to this voltage if it is
+    /// smaller; the rest angle of the cable moves so that the mean torque stays the same. `None` if
+    /// these quantities are not all unknowns, or without a cable.
     fn with_difference_of_dead_zones(&self, difference_v: f64) -> Option<Self> {
         let difference_v = difference_v * self.plant.volts_per_qube_volt();
         let terms =
@@ -71,8 +72,9 @@ impl Fit<'_> {
         Some(other)
     }
 
-    /// Logarithms of the estimated scales of the residuals, summed over all residuals: the smaller
-    /// the sum, the more likely are the recordings.
+    /// The logarithms of the estimated scales of the residuals, summed over all residuals. The
+    /// smaller the sum, the more likely are the recordings: up to a constant it approximates the
+    /// negative log likelihood of normal residuals with the estimated scales.
     fn log_scales(&self) -> f64 {
         let of = |stretch: &Stretch<'_>| {
             let scale = &self.noise(stretch.regime).scale;

@@ -19,8 +19,8 @@ pub enum Verdict {
         /// Outcome with its latencies.
         outcome: RolloutOutcome,
     },
-    /// A fault ended the rollout, or the recording lacks ticks. The recording is kept but not given to
-    /// the surrogate, and the rollout is repeated a limited number of times.
+    /// A fault ended the rollout, or the recording lacks ticks. The recording is kept but not given
+    /// to the surrogate, and the rollout is repeated a limited number of times.
     Void {
         /// Reason.
         reason: VoidReason,

@@ -5,7 +5,7 @@ use super::LatencySummary;
 /// The result of one check of a device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CheckResult {
-    /// Permanent name of the check.
+    /// Name of the check, the same in every version of the program.
     pub name: String,
     /// Verdict: passed, failed, or skipped.
     pub verdict: CheckVerdict,

@@ -14,9 +14,10 @@ const FILTER_STEPS: f64 = 5.0;
 /// Bound on a weighted difference: larger ones count as this much.
 const LARGEST: f64 = 10.0;
 
-/// The discrepancy of two motions (SimOpt, equation 4), without unit: absolute and squared
-/// differences of the weighted observations, as a mean over the steps that both motions have. A
-/// Gaussian filter over time smooths the differences, so that a small shift in time costs little.
+/// The discrepancy of two motions (SimOpt, Chebotar et al. 2019, equation 4), without unit: the
+/// absolute and squared differences of the weighted observations, as a mean over the steps that
+/// both motions have. A Gaussian filter over time smooths the differences, so that a small shift in
+/// time costs little. A difference that is not a finite number counts as [`LARGEST`].
 pub fn discrepancy(real: &SampledMotion, simulated: &SampledMotion) -> f64 {
     let steps = real.states.len().min(simulated.states.len());
     let mut total = 0.0;
@@ -37,11 +38,13 @@ pub fn discrepancy(real: &SampledMotion, simulated: &SampledMotion) -> f64 {
     total / steps.max(1) as f64
 }
 
+/// The observations of a state, in the order of [`WEIGHTS`].
 fn observed(state: &State) -> [f64; 5] {
     [state.theta, state.alpha.cos(), state.alpha.sin(), state.theta_dot, state.alpha_dot]
 }
 
-/// The values after a Gaussian filter; near the ends the filter averages over fewer values.
+/// The values after a Gaussian filter, which ends at three standard deviations; near the ends of
+/// the values it averages over fewer of them.
 fn filtered(values: &[f64]) -> Vec<f64> {
     let reach = (3.0 * FILTER_STEPS) as usize;
     let kernel: Vec<f64> =

@@ -11,8 +11,8 @@ const STEPS: usize = 10;
 /// angles.
 const SLOPE_SAMPLES: usize = 1;
 
-/// Standard deviations of the error of a transition's end: theta and alpha, rad, by the encoders
-/// and the velocities at the start; theta_dot and alpha_dot, rad/s, by the differences of angles.
+/// Standard deviations of the error of a predicted end: theta and alpha, rad, from the encoders and
+/// the velocities at the start; theta_dot and alpha_dot, rad/s, from the differences of angles.
 pub const NOISE: [f64; 4] = [0.007, 0.007, 0.12, 0.12];
 
 /// A short stretch of a recording under the recorded voltages. The states at both ends are computed
@@ -26,8 +26,8 @@ pub struct Transition<'a> {
 }
 
 impl<'a> Transition<'a> {
-    /// At most `most` transitions of some recordings, evenly spread over them; neighbours may
-    /// overlap by half.
+    /// The transitions of some recordings, at most `most` and evenly spread over the recordings.
+    /// Neighbours may overlap by half.
     pub fn of_logs(logs: &[&'a MotionLog], most: usize) -> Vec<Self> {
         let starts: Vec<(usize, usize)> = logs
             .iter()
@@ -56,8 +56,8 @@ impl<'a> Transition<'a> {
         }
     }
 
-    /// The state at the end that a Qube would have, in the form of `end`; not finite where the
-    /// motion diverges.
+    /// The state at the end of the transition if a Qube of this model had made it, in the order and
+    /// units of `end`; not finite if the motion diverges.
     pub fn predicted(&self, model: &QubeModel) -> [f64; 4] {
         let mut last = self.start;
         simulate_stretch(&self.log.samples, self.range.clone(), model, self.start, |state| {
