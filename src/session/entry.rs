@@ -47,7 +47,7 @@ pub enum Entry {
         rollout: u32,
         /// Number of the attempt, from 0.
         attempt: u32,
-        /// Number of the rig that made it, from 1, where several rigs share the session.
+        /// Number of the rig that made the rollout, from 1, where several rigs share the session.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         rig: Option<u32>,
     },
@@ -60,8 +60,8 @@ pub enum Entry {
         verdict: String,
         /// Names of the effects that the verdict says are missing.
         doubts: Vec<String>,
-        /// The checksum of the profile, as [`super::file_checksum`] computes it. It protects the file,
-        /// which determines the guard.
+        /// The checksum of the profile, as [`super::file_checksum`] computes it. The checksum
+        /// protects the file, which determines the guard.
         checksum: String,
     },
     /// The Qube could not be identified from its recordings; the search continues as for an unknown
@@ -92,11 +92,11 @@ pub enum Entry {
     RolloutVoid {
         /// Number of the candidate.
         candidate: u32,
-        /// Number of the rollout for this candidate.
+        /// Number of the rollout for this candidate, from 0.
         rollout: u32,
-        /// Number of the attempt.
+        /// Number of the attempt, from 0.
         attempt: u32,
-        /// Number of the rig that made it, from 1, where several rigs share the session.
+        /// Number of the rig that made the rollout, from 1, where several rigs share the session.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         rig: Option<u32>,
     },

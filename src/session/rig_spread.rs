@@ -4,8 +4,11 @@
 /// 0; `None` if every rig was taken out.
 ///
 /// The rigs take the rollouts in turn, so that each rig evaluates every candidate alike. If the rig
-/// whose turn it is was taken out, the rig with the fewest rollouts so far makes the rollout. The
-/// other rigs keep their own rollouts.
+/// whose turn it is was taken out, the rig with the fewest rollouts so far makes the rollout, of
+/// several the one with the lowest number. The other rigs keep their own rollouts.
+///
+/// The rigs in `taken_out` count as taken out from the first rollout on, so that the result depends
+/// on the arguments alone.
 #[must_use]
 pub fn rig_of_rollout(rollout: u32, rigs: u32, taken_out: &[u32]) -> Option<u32> {
     // The rigs that were not taken out, each with its number of rollouts so far.

@@ -53,9 +53,9 @@ pub struct SessionSettings {
     pub family: Family,
     /// Numbers of candidates, rollouts and steps.
     pub extent: Extent,
-    /// Settings of the identification that comes before the search; the search is then around the
-    /// identified Qube. `model` and `psi` are used only if the identification fails or this table
-    /// is missing; without the table the Qube is not identified.
+    /// Settings of the identification that comes before the search, which is then around the
+    /// identified Qube; `None` if the Qube is not identified. `model` and `psi` are used only in
+    /// that case, or if the identification fails.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub identification: Option<IdentificationSettings>,
     /// Estimator of the state on the Qube.
@@ -84,7 +84,7 @@ pub struct SessionSettings {
 }
 
 impl SessionSettings {
-    /// The settings of a session of some minutes: few points, two rollouts for each candidate, and
+    /// The settings of a session of some minutes: few candidates with two rollouts each, and
     /// the training of the preset `robust`. The base distribution covers the Qubes that an
     /// unidentified Qube may be, with friction, cable and delay, and policies observe their last
     /// two commands, because policies trained in this way transfer best to a real Qube
@@ -153,8 +153,8 @@ impl SessionSettings {
         self
     }
 
-    /// Selects the estimator of the rollouts and of the simulations. Simulations that show true
-    /// states continue to do so.
+    /// Selects the estimator of the rollouts and of the simulations. Simulations that show policies
+    /// the true state continue to do so.
     #[must_use]
     pub fn seen_through(mut self, estimator: EstimatorSettings) -> Self {
         self.estimator = estimator;
@@ -296,8 +296,8 @@ mod tests {
         assert_ne!(next(&settings, &data), next(&random, &data));
     }
 
-    /// The checksums are those of the settings' text, and of the policy and the curve of their first
-    /// two updates. A change of them changes the reproduction of the thesis.
+    /// The checksums are those of the settings' text, and of the policy and the curve of their
+    /// first two updates. A change of them changes the reproduction of the thesis.
     #[test]
     fn the_reproduction_of_the_thesis_stays_byte_for_byte_what_it_is() {
         let settings = SessionSettings::thesis();

@@ -13,14 +13,16 @@ const NAME: &str = "rest";
 /// pendulum (0.59 s on an arm at rest).
 const WINDOW_SAMPLES: u32 = 60;
 
-/// Largest motion of the arm, and of the pendulum, in a window at rest, counts of a Qube: small
-/// compared with the effect of a push.
+/// Largest motion of the arm in a window at rest, counts of a Qube: small compared with the effect
+/// of a push.
 const ARM_COUNTS: u32 = 8;
+/// Largest motion of the pendulum in a window at rest, counts of a Qube: small compared with the
+/// effect of a push.
 const PENDULUM_COUNTS: u32 = 6;
 
 /// Largest swing of a pendulum that is accepted after [`PATIENCE_NS`] although it does not come to
-/// rest, counts of a Qube. On an arm that friction holds, a pendulum with hardly any friction swings
-/// for very long; the effect of a push can still be told from so small a swing.
+/// rest, counts of a Qube. On an arm that friction holds, a pendulum with hardly any friction
+/// swings for very long; the effect of a push can still be told from so small a swing.
 const SWINGING_COUNTS: u32 = 30;
 /// Time after which a small swing of the pendulum is accepted, ns: 5 s.
 const PATIENCE_NS: Nanoseconds = 5_000_000_000;
@@ -64,8 +66,8 @@ impl Span {
 /// The shift of an encoder's angle between two windows.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shift {
-    /// Difference of the middles of the two ranges without whole turns, rad: a pendulum swings
-    /// around the middle.
+    /// Difference between the middles of the two ranges without whole turns, rad. A swing of the
+    /// pendulum does not shift the middle.
     pub(super) by_rad: f64,
     /// Width of the later range, rad.
     pub(super) width_rad: f64,
@@ -163,7 +165,8 @@ pub(super) fn wait_for_the_arm(
 }
 
 /// Waits, with the motor off, until arm and pendulum are at rest, so that the effect of a push
-/// shows. The check fails after [`LONGEST_NS`].
+/// shows. After [`PATIENCE_NS`] a small swing of the pendulum passes too; after [`LONGEST_NS`] the
+/// check fails.
 pub(super) fn wait(
     device: &mut dyn Device,
     clock: &dyn Clock,

@@ -15,7 +15,7 @@ use crate::session::{
 use crate::storage::write_whole;
 
 impl Session {
-    /// Makes the policies of these candidates, or waits for them if they train ahead, and enters
+    /// Makes the policies of these candidates, or waits for those that train ahead, and enters
     /// them into the ledger.
     pub(super) fn train(
         &mut self,
@@ -40,8 +40,8 @@ impl Session {
         Ok(())
     }
 
-    /// If the search proposes while returns are pending: begins the trainings of the proposed
-    /// candidates that have not begun, and reports the progress of the others.
+    /// Begins the trainings of the proposed candidates that have not begun, and reports the
+    /// progress of the others. Does nothing unless the search proposes while returns are pending.
     pub(super) fn train_ahead(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -66,8 +66,9 @@ impl Session {
         Ok(())
     }
 
-    /// While the Qube is homed and moves: begins the training that depends on no recording and may
-    /// be needed later, and stops an earlier one that is not needed any more.
+    /// Begins the training that depends on no recording and may be needed later, so that it runs
+    /// while the Qube is homed and moves. Stops an earlier one that is not needed any more. Does
+    /// nothing if the session does not identify its Qube, prepares no trainings, or is done.
     pub(super) fn prepare_trainings(&mut self) -> Result<(), SessionError> {
         let prepares = self.prepares && self.next_step() != Step::Done;
         let Some(plan) = self.settings.identification.filter(|_| prepares) else { return Ok(()) };
@@ -113,6 +114,7 @@ impl Session {
         Ok(None)
     }
 
+    /// The trainer of the session's candidates, with its own copy of settings and identification.
     pub(super) fn trainer(&self) -> Trainer {
         Trainer {
             disk: self.folder.shared_disk(),

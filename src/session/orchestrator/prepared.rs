@@ -18,9 +18,10 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The trainings that have begun before the session asked for them.
 ///
-/// They leave a core to the control thread and have the lowest priority. A training that the
-/// session never asks for changes nothing, and one that it asks for has the bytes that it would
-/// have had later. Dropping this value stops the trainings and waits for their threads.
+/// The trainings leave a core to the control thread and have the lowest priority. They do not
+/// change the session's results: a policy has the same bytes whenever it is trained, and the result
+/// of a training that the session never asks for is dropped. Dropping this value stops the
+/// trainings and waits for their threads.
 #[derive(Default)]
 pub(super) struct PreparedTrainings {
     begun: Vec<Prepared>,
@@ -28,6 +29,7 @@ pub(super) struct PreparedTrainings {
     stopped: Vec<JoinHandle<()>>,
 }
 
+/// A training in a thread of its own.
 struct Prepared {
     job: TrainingJob,
     result: Receiver<PreparedTraining>,
@@ -39,7 +41,8 @@ struct Prepared {
 pub(super) struct PreparedTraining {
     /// Policy and learning curve, or the reason of the failure.
     pub(super) result: Result<Trained, JobError>,
-    /// Start and end; the number of the training is that with which the result was asked for.
+    /// Start and end of the training, with its number, which the caller of
+    /// [`PreparedTrainings::take`] gave.
     pub(super) time: TrainingTime,
 }
 
@@ -56,7 +59,7 @@ impl PreparedTrainings {
             let began_unix_ns = unix_ns();
             let executor = LocalExecutor::beside_control_thread();
             let result = executor.train_one(&job_of_thread, &stop_of_thread, &mut |_| ());
-            // A clock may be set back.
+            // The wall clock may have been set back meanwhile.
             let ended_unix_ns = unix_ns().max(began_unix_ns);
             let time = TrainingTime { training: 0, began_unix_ns, ended_unix_ns };
             // If the receiver is gone, nobody needs the result.
@@ -78,8 +81,8 @@ impl PreparedTrainings {
         self.begun.iter().any(|prepared| prepared.job == *job)
     }
 
-    /// Waits for the result of a training that has begun, the `training`-th of its candidate. The
-    /// result is that of a stopped training if `stop` is set first.
+    /// Waits for the result of a training that has begun. `training` is its number among those of
+    /// its candidate. If `stop` is set first, the result is [`TrainError::Stopped`].
     ///
     /// # Panics
     /// Panics if the training panicked, or if it has not begun.
