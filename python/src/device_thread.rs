@@ -51,6 +51,7 @@ pub struct Order {
 /// The thread's reply to the opening of the Qube, or to an order.
 pub enum Reply {
     Opened {
+        /// Deadline for an answer of the caller, us; `None` under a virtual clock.
         deadline_us: Option<f64>,
     },
     Episode(Box<Episode>),
@@ -62,7 +63,7 @@ pub enum Reply {
 pub struct Episode {
     pub ending: Ending,
     pub return_: f64,
-    /// State after the last voltage.
+    /// State after the last voltage of the episode; zero if the episode has no running tick.
     pub last_state: QubeState,
 }
 
@@ -100,7 +101,8 @@ struct Server {
     exchange: Arc<Exchange>,
     stop: Arc<AtomicBool>,
     deadline: Option<Duration>,
-    /// Whether the zeros of the encoders hold and no fault is latched, so that an episode can begin.
+    /// Whether the zeros of the encoders hold and no fault is latched, so that an episode can
+    /// begin.
     is_homed: bool,
 }
 
@@ -142,7 +144,7 @@ impl Server {
         let mut tries = 0;
         let Recorded { path, outcome } = loop {
             if !self.is_homed {
-                // A stop or an error in the middle leaves the Qube as it is: to be homed.
+                // If this stops or fails, `is_homed` stays false, and the next episode tries again.
                 rig.start_again()?;
                 self.is_homed = true;
             }
@@ -158,8 +160,8 @@ impl Server {
                 Ok(recorded) => break recorded,
             }
         };
-        // The rig knows more than the recording: whether the device has confirmed that the motor is
-        // off.
+        // The rig knows whether the device has confirmed that the motor is off; the recording does
+        // not show it.
         let unconfirmed = rig.check_off().err().and_then(|error| error.fault());
         let fault = unconfirmed.or(rig.last_fault());
         let ending = fault.map_or(outcome.ending, Ending::Fault);
@@ -194,9 +196,10 @@ impl Server {
     }
 }
 
-/// The deadline for an answer where the caller names none, us: the tick of 10 ms less `RESERVED_US`
-/// and the 99th percentile of the link's round trip, but at least `SHORTEST_DEADLINE_US` and at most
-/// `LONGEST_OWN_DEADLINE_US`. Without a measured link it is `LONGEST_OWN_DEADLINE_US`.
+/// The deadline for an answer where the caller names none, us: the tick of 10 ms less
+/// `RESERVED_US` and the 99th percentile of the link's round trip, but at least
+/// `SHORTEST_DEADLINE_US` and at most `LONGEST_OWN_DEADLINE_US`. Without a measured link it is
+/// `LONGEST_OWN_DEADLINE_US`.
 fn own_deadline_us(rig: &Rig) -> f64 {
     let left = rig
         .link()

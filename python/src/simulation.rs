@@ -67,10 +67,10 @@ type Stepped<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, bool, bool);
 
 #[pymethods]
 impl Simulation {
-    /// Makes a simulation of `num_envs` Qubes. `model` is the name of a distribution of Qubes, or
-    /// `profile` an identified Qube around which they are drawn, and `distributions`, JSON, replaces
-    /// those of single quantities. `settings`, JSON too, are those of the simulation. `guard` is
-    /// `box` or `foresight`.
+    /// Makes a simulation of `num_envs` Qubes. They are drawn from the distribution with the name
+    /// `model`, or around the identified Qube of `profile`; `distributions` (JSON) replaces the
+    /// distributions of single quantities. `settings` (JSON) are the settings of the simulation.
+    /// `guard` is `box` or `foresight`.
     #[new]
     fn new(
         num_envs: usize,
@@ -281,7 +281,7 @@ impl Simulation {
 }
 
 impl Simulation {
-    /// Begins a call; an error while another one is under way.
+    /// Locks the episodes for one call; an error while another call is under way.
     fn turn(&self) -> PyResult<MutexGuard<'_, Episodes>> {
         match self.episodes.try_lock() {
             Ok(episodes) => Ok(episodes),
@@ -328,7 +328,8 @@ impl Episodes {
         }
     }
 
-    /// Checks that the state of every Qube is a number.
+    /// Checks that the observation of every Qube is finite; it is not where the motion of a Qube
+    /// diverges.
     fn check_simulated(&self) -> PyResult<()> {
         match self.lanes.first_not_finite(self.numbers.len()) {
             None => Ok(()),
@@ -389,6 +390,7 @@ impl Lanes {
         ActionError::new_err(format!("the action{place} is not a finite number: give -1 to 1"))
     }
 
+    /// Advances the pendulums by one control period under `voltages_v`.
     pub fn step(&mut self) {
         let Self { pendulums, voltages_v, rewards, statuses, observations } = self;
         pendulums.step(voltages_v, rewards, statuses, observations);
@@ -397,7 +399,8 @@ impl Lanes {
     /// The first of the first `count` lanes with an observation that is not a finite number.
     pub fn first_not_finite(&self, count: usize) -> Option<usize> {
         let lanes = self.pendulums.lanes();
-        // Zero times a finite number is zero. Sums side by side are faster than tests of each number.
+        // Zero times a finite number is zero, zero times any other is NaN. Sums in lanes are faster
+        // than a test of each number.
         let (blocks, _) = self.observations.as_chunks::<LANES_MULTIPLE>();
         let mut sums = [0.0; LANES_MULTIPLE];
         for block in blocks {

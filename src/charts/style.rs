@@ -71,9 +71,9 @@ pub fn colour(index: usize) -> RGBColor {
     PALETTE[index % PALETTE.len()]
 }
 
-/// The style sheet of a picture in a page, light or dark like the reader's: `p` is the ground, `g` a
-/// grid, `a` a grey line, `b` and `t` are blue and vermilion lines, `d` and `dt` areas and texts of
-/// these colours.
+/// The style sheet of a picture in a page, light or dark as the reader's system is. Its classes
+/// are: `p` the ground, `g` a grid, `a` a grey line, `b` a blue and `t` a vermilion line, `d` and
+/// `dt` areas and texts in blue and in vermilion.
 pub fn page_style() -> String {
     let PageColours { text, grid, ground, blue, vermilion } = LIGHT_PAGE;
     let [text, grid, ground, blue, vermilion] = [text, grid, ground, blue, vermilion].map(css);
@@ -110,8 +110,11 @@ pub enum Key {
     Dot(RGBColor),
 }
 
-/// Draws a key, which is names with their marks, in rows at the top of a panel, and returns the
-/// part of the panel below.
+/// Draws a key (the names with their marks) in rows at the top of a panel, and returns the part of
+/// the panel below.
+///
+/// # Errors
+/// The drawing library failed.
 pub fn with_key<'a>(panel: &Panel<'a>, entries: &[(String, Key)]) -> Result<Panel<'a>, PlotError> {
     let width = panel.dim_in_pixel().0 as i32;
     let room = |name: &str| 48 + 8 * name.chars().count() as i32;

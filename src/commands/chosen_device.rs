@@ -24,7 +24,7 @@ pub const EMULATED: &str = "emulated";
 pub struct ChosenDevice {
     /// Connection to the Qube.
     pub choice: DeviceChoice,
-    /// Clock of the Qube.
+    /// Clock by which the Qube is driven: the wall clock, or virtual time.
     pub clock: ClockChoice,
     /// Plant that is driven.
     pub plant: PlantModel,
@@ -40,13 +40,13 @@ pub struct ChosenDevice {
     pub home: Option<HomingMethod>,
     /// Profile that the file with the Qube's properties names, if any.
     pub profile: Option<Profile>,
-    /// Whether the embedded emulated Qube counts as not identified.
+    /// Whether the guard treats the embedded emulated Qube like one that is not identified.
     pub unidentified: bool,
 }
 
 impl ChosenDevice {
-    /// The notice that a real Qube does not look for its stops, because its file says so; `None` for
-    /// every other Qube, and where the arguments name the method.
+    /// The notice that a real Qube does not look for its stops, because its file says so; `None`
+    /// for every other Qube, and where the arguments name the method.
     pub fn homing_notice(&self) -> Option<String> {
         let method = self.file.as_ref().map(|file| file.homing.method)?;
         let is_silent = self.home.is_none() && self.choice.is_hardware();
@@ -58,8 +58,9 @@ impl ChosenDevice {
         )
     }
 
-    /// The warning that the profile of a real Qube names no board, so that it cannot be compared with the
-    /// board in the Qube's file; `None` for every other Qube, and where one of the files names no board.
+    /// The warning that the profile of a real Qube names no board, so that it cannot be compared
+    /// with the board in the Qube's file; `None` for every other Qube, where the Qube's file names
+    /// no board, and without a profile.
     pub fn profile_warning(&self) -> Option<String> {
         let file = self.file.as_ref()?;
         let (named, board, profile) =
@@ -81,15 +82,15 @@ impl ChosenDevice {
         }
     }
 
-    /// Homing settings: those of the Qube's file with the estimator of `default`, or else `default`;
-    /// a method that the arguments name replaces theirs.
+    /// Homing settings: those of the Qube's file with the estimator of `default`, or else
+    /// `default`. A method that the arguments name replaces the method of these settings.
     pub fn homing(&self, default: HomingSettings) -> HomingSettings {
         let homing = self.file.as_ref().map_or(default, |file| file.homing(default.estimator));
         HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
     }
 
-    /// The options that select this device again, each with a space before it; empty for an emulated
-    /// Qube without a file.
+    /// The options that select this device again, each with a space before it; empty for an
+    /// emulated Qube without a file.
     pub fn options(&self) -> String {
         let mut options = match (self.choice.name(), &self.path) {
             (Some(name), _) => format!(" --device {}", quoted(&name)),
@@ -117,8 +118,8 @@ impl ChosenDevice {
         }
     }
 
-    /// Checksum of the profile in the Qube's file, by which the guard knows the Qube; `none` without
-    /// one.
+    /// Checksum of the profile that the Qube's file names and by which the guard knows the Qube;
+    /// `none` without a profile.
     pub fn guard_profile(&self) -> String {
         let text = self.profile.as_ref().and_then(|profile| serde_json::to_vec(profile).ok());
         text.map_or_else(|| "none".to_owned(), |text| file_checksum(&text))
@@ -176,8 +177,8 @@ impl ChosenDevice {
         }
     }
 
-    /// Checks that a port can be opened, or that a card answers, before a command trains. Nothing moves. Any other
-    /// device passes.
+    /// Checks that a port can be opened, or that a card answers, before a command trains. Nothing
+    /// moves. Any other device passes.
     pub fn check_port(&self) -> Result<(), Failure> {
         let clock: Arc<dyn Clock> = Arc::new(MonotonicClock);
         let opened = match &self.choice {
@@ -195,9 +196,9 @@ impl ChosenDevice {
         self.file.as_ref().map_or(of_the_task, |file| file.within_limits(&of_the_task))
     }
 
-    /// The limits of a rig with this device: for hardware no box may be wider than `safety_box`, which
-    /// must itself be allowed; for an emulated Qube, which has no stop that could break, the limits
-    /// are the default ones. `origin` names the source of the box in the error.
+    /// The limits of a rig with this device: for hardware no box may be wider than `safety_box`,
+    /// which must itself be allowed; for an emulated Qube, which has no stop that could break, the
+    /// limits are the default ones. `origin` names the source of the box in the error.
     pub fn limits(
         &self,
         origin: &str,

@@ -13,8 +13,8 @@ use super::exit::Failure;
 use super::output::Output;
 use super::printable::print_message;
 
-/// Parses these arguments, of which the first is the program's name. An error, the help or the version
-/// is printed, and the exit code is returned as `Err`.
+/// Parses these arguments, of which the first is the program's name. If the result is an error, the
+/// help or the version, it is printed, and the exit code is returned as `Err`.
 pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     let mut command = command();
     let matches = command.try_get_matches_from_mut(&arguments);
@@ -104,7 +104,8 @@ fn not_a_whole_number(error: &clap::Error, arguments: &[OsString]) -> Option<Str
     if *cause.kind() != IntErrorKind::InvalidDigit {
         return None;
     }
-    // A parser does not tell its range, so the command line is tried with 0 in place of the value.
+    // The range of clap's parser is not known here, so the command line is tried with 0 in place of
+    // the value.
     let with_0 = arguments.iter().map(|argument| {
         let text = argument.to_string_lossy();
         match text.strip_suffix(value.as_str()) {

@@ -52,8 +52,8 @@ enum EstimatorArgument {
 }
 
 impl EstimatorArguments {
-    /// The settings of the estimator for this plant; `None` without any argument. The arguments of an
-    /// estimator that is not selected are refused.
+    /// The settings of the estimator for this plant; `None` without any argument. The arguments of
+    /// an estimator that is not selected are refused.
     pub fn settings(&self, plant: &PlantModel) -> Result<Option<EstimatorSettings>, Failure> {
         let observes = self.estimator == Some(EstimatorArgument::Observer);
         if observes && self.filter.is_some() {
@@ -84,6 +84,7 @@ pub fn corner(text: &str) -> Result<f64, String> {
     positive(text, LARGEST_CORNER_RAD_S)
 }
 
+/// Parses a delay from 0 to 100 ms.
 fn milliseconds(text: &str) -> Result<f64, String> {
     between(text, 0.0, 100.0)
 }

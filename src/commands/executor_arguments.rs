@@ -69,8 +69,8 @@ fn stale_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl ExecutorArguments {
-    /// The executor of the trainings, or `None` for this computer's cores. It becomes the coordinator
-    /// of the folder of jobs. `results` is the folder of the session or experiment.
+    /// The executor of the trainings, or `None` for this computer's cores. The executor becomes the
+    /// coordinator of the folder of jobs. `results` is the folder of the session or experiment.
     pub fn executor(
         &self,
         results: &Path,

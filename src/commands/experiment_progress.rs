@@ -24,11 +24,11 @@ pub struct ExperimentProgress {
     began: Instant,
     count: u64,
     done: AtomicU64,
-    /// Number of the finished pieces of work that were on disk before this process began; the time
-    /// that they took says nothing.
+    /// Number of the finished pieces of work that were on disk before this process began. The time
+    /// left is estimated without them, because their time is not known.
     found: AtomicU64,
-    /// Number of updates of a training: by the name of its recipe, and for any other name those of
-    /// the first recipe.
+    /// Number of updates of a training by the name of its recipe; then the number for any other
+    /// name, which is that of the first recipe.
     updates: (BTreeMap<String, u32>, u32),
     /// The best mean return of a policy on a plant so far.
     best: Mutex<Option<f64>>,
@@ -125,7 +125,8 @@ impl ExperimentProgress {
         self.progress.update(|state| self.expect_end(state));
     }
 
-    /// The pieces of work that are done, of all, and the time left, if it can be estimated.
+    /// The number of pieces of work that are done, the number of all, and the time left, if it can
+    /// be estimated, such as `3 of 20; about 2 min left`.
     fn done_in_words(&self) -> String {
         let [done, found] = [&self.done, &self.found].map(|count| count.load(Ordering::Relaxed));
         let (made, to_do) = (done.saturating_sub(found), self.count.saturating_sub(done));
@@ -135,9 +136,9 @@ impl ExperimentProgress {
         format!("{done} of {}{left}", self.count)
     }
 
-    /// Shows when the experiment will probably end, by the time that the work of this process took.
-    /// A training in progress counts by its share of updates, but not within a search, which has
-    /// many trainings.
+    /// Shows when the experiment will probably end, judged by the time that the work of this
+    /// process took. A training in progress counts by its share of updates, but not within a
+    /// search, which has many trainings.
     fn expect_end(&self, state: &mut ScreenState) {
         let done = self.done.load(Ordering::Relaxed);
         state.done = Some((done, self.count));

@@ -23,9 +23,9 @@ use crate::replay::{MotionLog, simulate_from};
 use crate::session::IdentificationSettings;
 use crate::storage::{MachineDisk, write_whole};
 
-/// Horizons at which the table shows the predictions of recordings whose pendulum stays down, such as
-/// chirps and steps, s. The longest is the rest of an excitation of 10 s after the 0.2 s from which the
-/// start state is estimated.
+/// Horizons at which the table shows the predictions of recordings whose pendulum stays down, such
+/// as chirps and steps, s. The longest is the rest of an excitation of 10 s after the 0.2 s from
+/// which the start state is estimated.
 const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 
 /// Identify the Qube, or another plant, that made recordings: parameters, friction, dead zone, cable and delay
@@ -350,8 +350,8 @@ fn band_json(band: Option<PredictionBand>, within: Option<Within>) -> Value {
     json!({ "theta_rad": theta, "alpha_rad": alpha, "predictions": predictions, "held_out": shares })
 }
 
-/// The excitation that is expected to tell most next, as a line for people, with the one that is
-/// expected to tell least; empty without any.
+/// The excitations with the most and with the least expected information, as a line for people;
+/// empty without any.
 fn next_line(next: &[ExpectedExcitation]) -> String {
     let (Some(most), Some(least)) = (next.first(), next.last()) else { return String::new() };
     format!(
@@ -379,9 +379,10 @@ fn combination(direction: &Blind) -> String {
 /// The errors of the predictions of a group of recordings.
 struct Errors {
     name: &'static str,
-    /// Errors for the recordings whose pendulum never comes upright, by horizon.
+    /// Errors of the recordings whose pendulum never comes upright, in the order of
+    /// [`HORIZONS_S`].
     horizons: [HorizonError; 3],
-    /// Errors for the other recordings, by regime.
+    /// Errors of the other recordings, in the order of [`Regime::ALL`].
     regimes: [(Regime, HorizonError); 2],
 }
 

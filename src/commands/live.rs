@@ -64,8 +64,8 @@ impl LiveArguments {
         self.live.is_some()
     }
 
-    /// The arguments for the live view of rig number `rig`, from 1, of several. Each rig has its own
-    /// port, counted up from the given one; with port 0 the system chooses each.
+    /// The arguments for the live view of rig number `rig`, from 1, of several. Each rig has its
+    /// own port, counted up from the given one; with port 0 the system chooses each.
     ///
     /// # Errors
     /// The port would be larger than 65 535.
@@ -144,8 +144,8 @@ impl Live {
         self.change(|status| better(status, return_));
     }
 
-    /// Shows one event of a session. `left` is the time until the session's last candidate is done, if
-    /// it is known.
+    /// Shows one event of a session. `left` is the time until the session's last candidate is done,
+    /// if it is known.
     pub fn update(&mut self, event: &SessionEvent, left: Option<Duration>) {
         let Some(view) = &self.view else { return };
         match event {

@@ -1,5 +1,6 @@
 //! A replacement of the live view in a program that is built without it: the option `--live` is
-//! refused, and the error says how to build the program with it.
+//! refused, and the error says how to build the program with it. The types have the names of those
+//! in `live.rs` and the functions that other commands call.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::feed::{Changes, Feed};
 
-/// Interval at which the page is sent the feed's changes.
+/// Interval at which the page receives the feed's changes.
 const INTERVAL: Duration = Duration::from_millis(40);
 
 /// Time without events after which a comment shows the client that the stream is alive.
@@ -119,7 +119,8 @@ pub(super) fn events(feed: &Feed, mut stream: TcpStream) {
     }
 }
 
-/// Whether the client has closed the connection.
+/// Whether the client has closed the connection, or the stream does not work. Leaves the stream
+/// blocking.
 fn is_gone(stream: &TcpStream) -> bool {
     let looked = stream.set_nonblocking(true).and_then(|()| stream.peek(&mut [0]));
     let is_gone = match looked {

@@ -16,13 +16,14 @@ use crate::scoring::Behaviour;
 use crate::scoring::criterion::{POLICY_SHARE, SUCCESS_RETURN};
 use crate::simulation::DomainDistribution;
 
-/// Rollouts of an experiment that a page shows, each under the name of its group.
+/// Rollouts of an experiment that a page shows, each with its name, such as
+/// `nominal on lab, policy 3`.
 pub type NamedRollouts = Vec<(String, RolloutView)>;
 
-/// The HTML page of an experiment that compares recipes, or methods at fixed budgets. `distributions`
-/// are the recipes' distributions of simulations, each with its recipe's name, and `plant` is the plant
-/// that they describe; `rollouts` are examples; `commands` are pairs of a purpose and a command that
-/// repeats a part of the experiment.
+/// The HTML page of an experiment that compares recipes, or methods at fixed budgets.
+/// `distributions` are the recipes' distributions of simulations, each with its recipe's name, and
+/// `plant` is the plant that they describe; `rollouts` are examples; `commands` are pairs of a
+/// purpose and a command that repeats a part of the experiment.
 ///
 /// # Errors
 /// The data of the figures cannot be written.
@@ -78,8 +79,8 @@ pub fn recipes_page(
     Ok(page.finish()?)
 }
 
-/// The HTML page of an experiment that compares methods up to their first success. `commands` are pairs
-/// of a purpose and a command that repeats a part of the experiment.
+/// The HTML page of an experiment that compares methods up to their first success. `commands` are
+/// pairs of a purpose and a command that repeats a part of the experiment.
 ///
 /// # Errors
 /// The data of the figures cannot be written.
@@ -149,7 +150,8 @@ fn add_methods(page: &mut Page, results: &MethodResults) {
     page.table(&heads, &rows, None);
 }
 
-/// The share of repetitions that have succeeded, over real rollouts, as a step line for each method.
+/// The share of repetitions that have succeeded over the number of real rollouts, as a step line
+/// for each method.
 fn success_chart(results: &MethodResults) -> Chart {
     let last = results.methods.iter().filter_map(MethodResult::budget).max().unwrap_or(1);
     let mut xs: Vec<f64> = results
@@ -350,8 +352,7 @@ fn add_distributions(
     });
 }
 
-/// The densities of the masses and lengths in which a recipe has spread, whatever the other
-/// quantities are.
+/// The marginal densities of the masses and lengths in which at least one recipe has spread.
 fn distribution_charts(
     distributions: &[(String, DomainDistribution)],
     plant: &PlantModel,

@@ -13,10 +13,14 @@ const ROWS: usize = 4;
 /// Number of random samples before the first iteration.
 const FIRST: usize = 4;
 
-/// Draws four iterations of the search with each of three acquisition functions, from the same
-/// first samples: probability of improvement (PI), expected improvement (EI) and upper confidence
-/// bound (UCB). Each iteration shows the posterior with the samples, and below them the acquisition
-/// function with its maximum, which is the next sample.
+/// Draws the thesis's figure 3.2: four iterations of the search with each of three acquisition
+/// functions, from the same first samples. The functions are probability of improvement (PI),
+/// expected improvement (EI) and upper confidence bound (UCB). Each iteration shows the posterior
+/// with the samples, and below them the acquisition function with its maximum, which is the next
+/// sample.
+///
+/// # Errors
+/// The surrogate cannot be fitted, or the drawing library failed.
 pub fn draw(seed: u64) -> anyhow::Result<String> {
     let mut svg = String::new();
     {
@@ -36,6 +40,8 @@ pub fn draw(seed: u64) -> anyhow::Result<String> {
     Ok(svg)
 }
 
+/// Draws the iterations with one acquisition function, whose `criterion` is made from the largest
+/// value so far.
 fn column<C: Criterion>(
     cells: &[Area],
     column: usize,

@@ -28,8 +28,8 @@ pub struct RolloutSeries<'a> {
 }
 
 impl RolloutSeries<'_> {
-    /// Runs the rollouts and adds their results to `results`, also those before a failure or a
-    /// stop. Fails if the last rollout is void.
+    /// Runs the rollouts and adds their results to `results`, also the results from before a
+    /// failure or a stop. It is a failure if the last rollout is void.
     pub fn run(&mut self, rollouts: u32, results: &mut RunResults) -> Result<(), Failure> {
         self.progress.update(|state| {
             state.phase = "opening the Qube, checking and homing it".into();
@@ -80,7 +80,8 @@ impl RolloutSeries<'_> {
                 rig = self.after_fault(rig, fault)?;
             }
         }
-        // Of a motor that nobody has confirmed to be off, the last rollout's recording knows nothing.
+        // The device may not have confirmed that the motor is off; the recording of the last
+        // rollout does not show this.
         let unconfirmed = rig.check_off().err();
         if self.stop.requested() {
             let told = "stopped; the recordings are complete up to here";
@@ -104,8 +105,8 @@ impl RolloutSeries<'_> {
         }
     }
 
-    /// Opens the rig. The operator may acknowledge a remembered doubt, and one that homing leaves,
-    /// at a terminal.
+    /// Opens the rig. If a remembered doubt, or a doubt that homing leaves, prevents this, the
+    /// operator may acknowledge it at a terminal, and the rig is opened again.
     fn open(&mut self) -> Result<Rig, Failure> {
         let opened = match Rig::open(&self.settings, &self.stop.flag) {
             Err(error) if self.acknowledges(&error) => {
@@ -126,8 +127,8 @@ impl RolloutSeries<'_> {
         error.doubt().is_some_and(|doubt| self.keyboard.acknowledges(doubt, method, self.stop))
     }
 
-    /// Runs a rollout, and homes again before it where the counts have moved. Returns the rig too,
-    /// which is another one after an acknowledged doubt.
+    /// Runs a rollout; if it does not begin, starts the rig again and repeats it. Returns the rig
+    /// too, which is a newly opened one after an acknowledged doubt.
     fn rollout(&mut self, mut rig: Rig, rollout: u32) -> Result<(Rig, Recorded), Failure> {
         let plan = RolloutPlan { rollout, ..self.plan.clone() };
         let path = self.directory.join(format!("rollout-{rollout}.mcap"));
@@ -163,8 +164,8 @@ impl RolloutSeries<'_> {
         }
     }
 
-    /// Opens the rig anew if the error is a doubt that the operator acknowledges; any other error is
-    /// the failure of the run.
+    /// Opens the rig anew if the error is a doubt that the operator acknowledges; any other error
+    /// is the failure of the run.
     fn reopened(&mut self, rig: Rig, error: RigError) -> Result<Rig, Failure> {
         if !self.acknowledges(&error) {
             return Err(failures::rig(error, self.stop));
