@@ -25,18 +25,43 @@ pub fn table(comparisons: &[Comparison], plant: &str) -> String {
         let names = format!("{} - {}", it.second, it.first);
         let _ = writeln!(
             text,
-            "{names:NAMES$.NAMES$} {:>+6.0} % {:>7} {:>+8.1} {:>7} {:>7.0} %",
+            "{names:NAMES$.NAMES$} {:>+6.0} % {:>7} {:>8} {:>7} {:>9}",
             100.0 * it.success_difference,
             p_value(it.success_p),
-            it.return_difference,
+            if it.return_difference.is_nan() {
+                "-".into()
+            } else {
+                format!("{:+.1}", it.return_difference)
+            },
             p_value(it.return_p),
-            100.0 * it.superiority,
+            if it.superiority.is_nan() {
+                "-".into()
+            } else {
+                format!("{:.0} %", 100.0 * it.superiority)
+            },
         );
     }
     if comparisons.len() > SHOWN {
         let _ = writeln!(text, "and {} more: --json has all", comparisons.len() - SHOWN);
     }
+    text.push_str(&too_few_pairs(&comparisons));
     text
+}
+
+/// A line that says that no difference in success can be significant at 5 % with so few pairs; empty
+/// if one can.
+fn too_few_pairs(comparisons: &[&Comparison]) -> String {
+    let smallest = |it: &&Comparison| it.smallest_success_p();
+    let Some(best) = comparisons.iter().min_by(|a, b| smallest(a).total_cmp(&smallest(b))) else {
+        return String::new();
+    };
+    if best.smallest_success_p() <= 0.05 {
+        return String::new();
+    }
+    let Comparison { pairs, corrected_for, .. } = best;
+    format!(
+        "{pairs} pairs cannot show a difference in success at 5 % in {corrected_for} comparisons\n"
+    )
 }
 
 fn p_value(p: f64) -> String {

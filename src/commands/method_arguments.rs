@@ -1,6 +1,6 @@
 use super::chosen_device::ChosenDevice;
 use super::exit::Failure;
-use crate::experiment::{Method, MethodSettings};
+use crate::experiment::{Method, MethodSettings, RepetitionSeeds};
 
 /// Spread of the simulations around an identified Qube, as a fraction of each value: the default of
 /// `train --profile`.
@@ -60,6 +60,7 @@ impl MethodArguments {
             spread: SPREAD,
             budgets: self.budgets.clone(),
             trainings: self.trainings,
+            seeds: RepetitionSeeds::OfEachPlant,
         })
     }
 }

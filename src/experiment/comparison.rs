@@ -28,8 +28,11 @@ pub struct Comparison {
     pub pairs: usize,
     /// Success rate of the second recipe less the first's, over the pairs.
     pub success_difference: f64,
+    /// Number of comparisons on the same plant at the same budget, for which both p-values are
+    /// corrected.
+    pub corrected_for: usize,
     /// p-value of `success_difference`: McNemar's exact test (1947), two-sided, corrected by Holm
-    /// (1979) for the number of comparisons in the experiment.
+    /// (1979).
     pub success_p: f64,
     /// Mean of the second recipe's return less the first's, over the pairs in which both policies
     /// have a return; NaN without such a pair.
@@ -48,20 +51,44 @@ impl Results {
     /// policies with the same number.
     #[must_use]
     pub fn comparisons(&self) -> Vec<Comparison> {
-        let mut comparisons = Vec::new();
-        for (index, first) in self.recipes.iter().enumerate() {
-            let others = self.recipes[index + 1..]
-                .iter()
-                .filter(|it| it.plant == first.plant && it.budget == first.budget);
-            comparisons.extend(others.filter_map(|second| compare(first, second)));
+        let mut families: Vec<Vec<&RecipeResult>> = Vec::new();
+        for recipe in &self.recipes {
+            let belongs = |family: &&mut Vec<&RecipeResult>| {
+                family[0].plant == recipe.plant && family[0].budget == recipe.budget
+            };
+            match families.iter_mut().find(belongs) {
+                Some(family) => family.push(recipe),
+                None => families.push(vec![recipe]),
+            }
         }
-        let by_success = holm(&comparisons.iter().map(|it| it.success_p).collect::<Vec<_>>());
-        let by_return = holm(&comparisons.iter().map(|it| it.return_p).collect::<Vec<_>>());
-        for (index, comparison) in comparisons.iter_mut().enumerate() {
-            (comparison.success_p, comparison.return_p) = (by_success[index], by_return[index]);
-        }
-        comparisons
+        families.iter().flat_map(|family| compare_all(family)).collect()
     }
+}
+
+impl Comparison {
+    /// The smallest value that `success_p` can have with so many pairs and comparisons: that of
+    /// policies of which one recipe's all succeed and the other's all fail.
+    #[must_use]
+    pub fn smallest_success_p(&self) -> f64 {
+        (self.corrected_for as f64 * mcnemar(self.pairs, 0)).min(1.0)
+    }
+}
+
+/// Comparisons of every two of these recipes, corrected for their number.
+fn compare_all(recipes: &[&RecipeResult]) -> Vec<Comparison> {
+    let mut comparisons: Vec<Comparison> = Vec::new();
+    for (index, first) in recipes.iter().enumerate() {
+        let others = &recipes[index + 1..];
+        comparisons.extend(others.iter().filter_map(|second| compare(first, second)));
+    }
+    let by_success = holm(&comparisons.iter().map(|it| it.success_p).collect::<Vec<_>>());
+    let by_return = holm(&comparisons.iter().map(|it| it.return_p).collect::<Vec<_>>());
+    let corrected_for = comparisons.len();
+    for (index, comparison) in comparisons.iter_mut().enumerate() {
+        (comparison.success_p, comparison.return_p) = (by_success[index], by_return[index]);
+        comparison.corrected_for = corrected_for;
+    }
+    comparisons
 }
 
 /// Compares two recipes, without Holm's correction; `None` if no number has a policy of both.
@@ -88,6 +115,7 @@ fn compare(first: &RecipeResult, second: &RecipeResult) -> Option<Comparison> {
         first: first.recipe.clone(),
         second: second.recipe.clone(),
         pairs: pairs.len(),
+        corrected_for: 1,
         success_difference: (gained as f64 - lost as f64) / pairs.len() as f64,
         success_p: mcnemar(gained, lost),
         return_difference: mean(&differences),

@@ -43,7 +43,7 @@ pub use folder::{ExperimentFolder, PolicyFolders};
 pub use made::Made;
 pub use methods::{
     ALL_PLANTS, Method, MethodResult, MethodResults, MethodSettings, RecommendationOutcome,
-    RecommendationResult, RecommendationScore, Repetition,
+    RecommendationResult, RecommendationScore, Repetition, RepetitionSeeds,
 };
 pub use plant::Plant;
 pub use recipe::Recipe;

@@ -246,7 +246,7 @@ fn text_of(path: &Path) -> Result<String, ExperimentError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::Method;
+    use crate::experiment::{Method, RepetitionSeeds};
     use crate::session::{EmulatedQubeSettings, SessionSettings};
     use crate::simulation::Model;
 
@@ -278,6 +278,7 @@ mod tests {
             spread: 0.1,
             budgets: vec![0, 2, 5],
             trainings: 2,
+            seeds: RepetitionSeeds::OfEachPlant,
         };
         ExperimentSettings { recipes: vec![recipe], methods: Some(methods), ..settings() }
     }

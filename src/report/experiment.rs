@@ -301,10 +301,14 @@ fn add_comparisons(page: &mut Page, comparisons: &[&Comparison]) {
     page.heading("Recipes in pairs");
     page.paragraph(
         "The differences are over pairs of policies of equal number, which have equal seeds. Their p-values are \
-         McNemar's exact test and a permutation test, corrected by Holm. The last column compares each policy of \
+         McNemar's exact test and a permutation test, corrected by Holm for the number of comparisons on the plant \
+         at the same number of real rollouts. The last column compares each policy of \
          the first recipe with each of the second: the share of these pairs in which the second's return is \
          higher; ties count half.",
     );
+    let finite = |value: f64, text: String| {
+        Cell::Number(if value.is_finite() { text } else { "–".into() })
+    };
     let p = |value: f64| {
         Cell::Number(if value < 0.001 { "< 0.001".into() } else { format!("{value:.3}") })
     };
@@ -316,9 +320,9 @@ fn add_comparisons(page: &mut Page, comparisons: &[&Comparison]) {
                 it.second.as_str().into(),
                 Cell::Number(format!("{:+.0} %", 100.0 * it.success_difference)),
                 p(it.success_p),
-                Cell::Number(format!("{:+.1}", it.return_difference)),
+                finite(it.return_difference, format!("{:+.1}", it.return_difference)),
                 p(it.return_p),
-                Cell::Number(format!("{:.0} %", 100.0 * it.superiority)),
+                finite(it.superiority, format!("{:.0} %", 100.0 * it.superiority)),
             ]
         })
         .collect();

@@ -45,8 +45,10 @@ pub enum SeedFor {
         /// Number of the policy.
         policy: u32,
     },
-    /// One of several repetitions.
+    /// One of several repetitions on one of several plants.
     Repetition {
+        /// Number of the plant.
+        plant: u32,
         /// Number of the repetition.
         repetition: u32,
     },
@@ -64,7 +66,7 @@ pub enum SeedFor {
 
 /// The number of the random stream of a purpose: its kind in the highest 8 bits, then the candidate
 /// (24 bits) and the rollout or training and the attempt (the lowest 16 bits of each). A policy, a
-/// repetition or a rig takes the candidate's place.
+/// repetition or a rig takes the candidate's place, and a plant that of the rollout.
 fn stream(purpose: SeedFor) -> u64 {
     let number = |kind: u64, candidate: u32, rollout: u32, attempt: u32| {
         kind << 56
@@ -79,7 +81,7 @@ fn stream(purpose: SeedFor) -> u64 {
         SeedFor::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
         SeedFor::Search => number(4, 0, 0, 0),
         SeedFor::Qube { policy } => number(5, policy, 0, 0),
-        SeedFor::Repetition { repetition } => number(6, repetition, 0, 0),
+        SeedFor::Repetition { plant, repetition } => number(6, repetition, plant, 0),
         SeedFor::RigSession { rig } => number(8, rig, 0, 0),
         SeedFor::RigQube { rig } => number(9, rig, 0, 0),
     }
@@ -117,7 +119,9 @@ mod tests {
                 purposes.push(SeedFor::Training { candidate, training });
             }
             purposes.push(SeedFor::Qube { policy: candidate });
-            purposes.push(SeedFor::Repetition { repetition: candidate });
+            for plant in 0..4 {
+                purposes.push(SeedFor::Repetition { plant, repetition: candidate });
+            }
             purposes.push(SeedFor::RigSession { rig: candidate });
             purposes.push(SeedFor::RigQube { rig: candidate });
             for rollout in 0..4 {

@@ -8,7 +8,7 @@ use super::run::{
 };
 use super::score::{ScoredDecision, score};
 use super::search::FromSearch;
-use super::{Method, MethodSettings};
+use super::{Method, MethodSettings, RepetitionSeeds};
 use crate::experiment::{Experiment, ExperimentError, ExperimentEvent, Made, Plant};
 use crate::session::{SeedFor, derived_seed};
 
@@ -54,12 +54,20 @@ impl Experiment {
         folder: PathBuf,
         access: Access<'a>,
     ) -> MethodRun<'a> {
-        let emulated = plant.for_policy(self.settings().seed, number);
+        let settings = self.settings();
+        let emulated = plant.for_policy(settings.seed, number);
+        let of_each_plant = settings
+            .methods
+            .as_ref()
+            .is_some_and(|methods| methods.seeds == RepetitionSeeds::OfEachPlant);
+        let place = settings.plants.iter().position(|it| it.name == plant.name);
+        let place = place.filter(|_| of_each_plant).unwrap_or_default() as u32;
+        let purpose = SeedFor::Repetition { plant: place, repetition: number };
         MethodRun {
             experiment: self,
             name: name(method, number),
-            recipe: &self.settings().recipes[0],
-            seed: derived_seed(self.settings().seed, SeedFor::Repetition { repetition: number }),
+            recipe: &settings.recipes[0],
+            seed: derived_seed(settings.seed, purpose),
             plant: Plant { emulated, vary: 0.0, ..plant.clone() },
             folder,
             access,

@@ -37,4 +37,4 @@ pub use repetition::{RecommendationOutcome, RecommendationResult, Repetition};
 pub use results::{MethodResult, MethodResults};
 pub(super) use run::Access;
 pub use score::RecommendationScore;
-pub use settings::MethodSettings;
+pub use settings::{MethodSettings, RepetitionSeeds};

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::run::{Access, MethodRun};
-use super::{Method, MethodSettings};
+use super::{Method, MethodSettings, RepetitionSeeds};
 use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings, Plant, Recipe};
 use crate::qube::{Measurement, PlantModel, State};
 use crate::recording::{RolloutWriter, samples};
@@ -23,6 +23,7 @@ pub fn experiment(root: &Path, methods: Vec<Method>) -> Experiment {
         spread: 0.1,
         budgets: vec![0, 2, 5],
         trainings: 1,
+        seeds: RepetitionSeeds::OfEachPlant,
     };
     let settings = ExperimentSettings {
         name: "table".into(),
