@@ -1,9 +1,6 @@
-use rand::SeedableRng as _;
-use rand_chacha::ChaCha8Rng;
-
 use super::belief::RivalBelief;
 use super::kind::RivalKind;
-use super::rival::{Data, POINTS, Rival, RivalInput};
+use super::rival::{Data, Draws, POINTS, Rival, RivalInput, random};
 use super::simulator::Demonstration;
 use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
@@ -65,7 +62,7 @@ impl<'a> FromRival<'a> {
 
     /// The recommendation of a belief after `recordings` recordings.
     fn recommendation(&self, belief: &RivalBelief, recordings: u32) -> Recommendation {
-        let mut random = ChaCha8Rng::seed_from_u64(self.seed(recordings));
+        let mut random = random(self.seed(recordings), Draws::Points);
         let distribution = match belief {
             RivalBelief::Unknown => None,
             known => distribution_of(&self.space, &known.draws(&self.space, POINTS, &mut random)),
@@ -159,7 +156,17 @@ impl<'a> FromRival<'a> {
             stop: self.run.experiment.stop(),
             seed: self.seed(recordings),
         };
-        Ok(self.rival.update(&given).map_err(JobError::from)?)
+        let belief = self.rival.update(&given).map_err(JobError::from)?;
+        if recordings > 0 && belief == before {
+            tracing::warn!(
+                "{}: {} learns nothing from the recordings 0 to {}: they are void or too short, and its distribution \
+                 stays as it was",
+                self.run.name,
+                self.kind.name(),
+                recordings - 1
+            );
+        }
+        Ok(belief)
     }
 }
 

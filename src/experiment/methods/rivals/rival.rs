@@ -12,6 +12,23 @@ use crate::simulation::SimulationSettings;
 /// Number of Qubes, drawn from a belief, that stand for it in training.
 pub const POINTS: usize = 256;
 
+/// The purpose of random numbers that follow from a rival's seed.
+#[derive(Clone, Copy, Debug)]
+pub enum Draws {
+    /// Draws of the method itself.
+    Method = 1,
+    /// Qubes that stand for a belief in training.
+    Points = 2,
+}
+
+/// A generator of random numbers for a purpose. Their stream is far from those that a training or
+/// an optimiser takes by the same seed.
+pub fn random(seed: u64, purpose: Draws) -> ChaCha8Rng {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(u64::MAX - purpose as u64);
+    random
+}
+
 /// The real rollouts that a rival learns from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Data {
@@ -49,9 +66,10 @@ impl<'a> RivalInput<'a> {
         self.recorded.get(self.first_latest..).unwrap_or_default()
     }
 
-    /// A generator of random numbers.
+    /// A generator of the random numbers of the method itself. Networks, optimisers and trainings
+    /// that the method begins with `seed` draw others.
     pub fn random(&self) -> ChaCha8Rng {
-        ChaCha8Rng::seed_from_u64(self.seed)
+        random(self.seed, Draws::Method)
     }
 }
 

@@ -1,9 +1,6 @@
 use std::cell::OnceCell;
 
-use rand::SeedableRng as _;
-use rand_chacha::ChaCha8Rng;
-
-use super::rival::POINTS;
+use super::rival::{Draws, POINTS, random};
 use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
 use crate::experiment::methods::MethodSettings;
@@ -52,7 +49,7 @@ impl<'a> FromUniversalPolicy<'a> {
         "so-cma".clone_into(&mut recipe.name);
         // A separate seed, because scoring uses the run's own.
         let seed = derived_seed(self.run.seed, SeedFor::Search);
-        let points = self.space.draws(POINTS, &mut ChaCha8Rng::seed_from_u64(seed));
+        let points = self.space.draws(POINTS, &mut random(seed, Draws::Points));
         let distribution = distribution_of(&self.space, &points);
         Recommendation { distribution, ..Recommendation::of(recipe, None) }
     }
