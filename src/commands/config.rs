@@ -7,6 +7,7 @@ use toml::Value;
 use super::exit::Failure;
 use super::output::Output;
 use super::session::SessionPreset;
+use crate::qube::PlantModel;
 use crate::session::{IdentificationSettings, SessionSettings};
 
 /// Explain the settings of a session, or check a file of them
@@ -66,7 +67,7 @@ fn printed(preset: SessionPreset) -> SessionSettings {
         SessionPreset::Quick => Some(IdentificationSettings::DEFAULT),
         SessionPreset::Thesis => None,
     };
-    SessionSettings { identification, ..preset.settings() }
+    SessionSettings { identification, ..preset.settings(&PlantModel::QUBE, None) }
 }
 
 fn print(preset: SessionPreset, output: &Output) -> Result<(), Failure> {
@@ -92,7 +93,8 @@ fn print(preset: SessionPreset, output: &Output) -> Result<(), Failure> {
 fn check(files: &[PathBuf], preset: SessionPreset, output: &Output) -> Result<(), Failure> {
     let (mut texts, mut rows) = (Vec::new(), Vec::new());
     for file in files {
-        let settings = preset.settings().configured_by(file).map_err(Failure::usage)?;
+        let settings =
+            preset.settings(&PlantModel::QUBE, None).configured_by(file).map_err(Failure::usage)?;
         let mut defaults = printed(preset);
         // A file without the table [identification] selects another method. That is one change, so
         // the settings in the table do not count as changed.

@@ -29,9 +29,9 @@ pub struct DeviceArguments {
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Qube")]
 pub struct TimedPlantArguments {
-    /// Clock: `virtual` runs the emulated Qube as fast as the processor can
-    #[arg(long, value_enum, default_value_t = ClockArgument::Wall)]
-    clock: ClockArgument,
+    /// Clock: `virtual` runs the emulated Qube as fast as the processor can [default: wall]
+    #[arg(long, value_enum)]
+    clock: Option<ClockArgument>,
 
     #[command(flatten)]
     plant: DrivenPlantArguments,
@@ -110,6 +110,16 @@ impl HomeArgument {
     }
 }
 
+impl TimedPlantArguments {
+    /// The clock that `--clock` names, if any.
+    pub fn clock(&self) -> Option<ClockChoice> {
+        Some(match self.clock? {
+            ClockArgument::Wall => ClockChoice::Wall,
+            ClockArgument::Virtual => ClockChoice::Virtual,
+        })
+    }
+}
+
 impl DeviceArguments {
     /// Selects the Qube like [`QubeArguments::choose`], with the requested clock.
     pub fn choose(&self) -> Result<ChosenDevice, Failure> {
@@ -129,10 +139,7 @@ impl QubeArguments {
 
     /// Selects the Qube like [`choose`](Self::choose), with the requested clock.
     pub fn choose_timed(&self, timed: &TimedPlantArguments) -> Result<ChosenDevice, Failure> {
-        let clock = match timed.clock {
-            ClockArgument::Wall => ClockChoice::Wall,
-            ClockArgument::Virtual => ClockChoice::Virtual,
-        };
+        let clock = timed.clock().unwrap_or(ClockChoice::Wall);
         let chosen = ChosenDevice { clock, ..self.selected(&timed.plant)? };
         // The rig refuses this too, but only after a command has said what it is going to do.
         if let (ClockChoice::Virtual, Some(port)) = (clock, chosen.choice.name()) {

@@ -3,19 +3,21 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::chosen_device::ChosenDevice;
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::profile;
 use crate::device::emulator::Effects;
 use crate::qube::{DomainParameter, MAX_CABLE_DRIFT_RAD_PER_MIN, PlantModel, QubeModel};
-use crate::session::EmulatedQubeSettings;
+use crate::session::{EmulatedQubeSettings, QUBE_FILE};
 
 /// The arguments of the emulated Qube.
 #[derive(Clone, Debug, Default, clap::Args)]
 #[command(next_help_heading = "The emulated Qube")]
 pub struct EmulatedArguments {
     /// `ideal` (the thesis's equations), `lab` (a real Qube, from published recordings), or a file
-    /// that `identify` wrote [default: ideal; lab for a `session` that identifies it]
+    /// that `identify` wrote [default: ideal; lab for a `session`, unless it has --preset thesis or --config names
+    /// another]
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<PathBuf>,
 
@@ -148,14 +150,32 @@ impl EmulatedArguments {
 
     /// Whether any argument is given.
     pub fn are_given(&self) -> bool {
-        self.profile.is_some()
-            || self.gap.is_some()
-            || self.delay_ms.is_some()
-            || self.jitter_ms.is_some()
-            || self.cable_drift.is_some()
-            || self.play_deg.is_some()
-            || !self.effect.is_empty()
-            || !self.scale.is_empty()
+        self.first_given().is_some()
+    }
+
+    fn first_given(&self) -> Option<&'static str> {
+        let given = [
+            ("--profile", self.profile.is_some()),
+            ("--gap", self.gap.is_some()),
+            ("--delay-ms", self.delay_ms.is_some()),
+            ("--jitter-ms", self.jitter_ms.is_some()),
+            ("--cable-drift", self.cable_drift.is_some()),
+            ("--play-deg", self.play_deg.is_some()),
+            ("--effect", !self.effect.is_empty()),
+            ("--scale", !self.scale.is_empty()),
+        ];
+        given.into_iter().find(|(_, is_given)| *is_given).map(|(option, _)| option)
+    }
+
+    /// Refuses arguments of the emulated Qube for a real one, which would not follow them.
+    pub fn check_device(&self, device: &ChosenDevice) -> Result<(), Failure> {
+        match (self.first_given(), device.choice.name()) {
+            (Some(option), Some(port)) => Err(Failure::usage(format!(
+                "{option} describes the emulated Qube, and {port} is a real one: leave {option} out. Name the profile \
+                 of a real Qube in its file: profile = \"FILE\" at the top of {QUBE_FILE}"
+            ))),
+            _ => Ok(()),
+        }
     }
 
     /// The settings of an emulated Qube of this plant with the changes that the arguments ask for.

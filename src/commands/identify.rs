@@ -32,8 +32,9 @@ const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 ///
 /// `run --excite chirp` and `--excite steps` make such recordings; swing-ups, balancing and rollouts of policies
 /// can be used as well, in any mixture. All must be of the same plant: a .mcap names its plant; a .csv is taken to
-/// be of --plant, else of the plant of the recordings before it, else of the Qube. The result is a profile: `train`,
-/// `run`, `session`, `experiment`, `emulate`, `replay` and `report` read it with --profile. Verify it with recordings
+/// be of --plant, else of the plant of the recordings before it, else of the Qube. The result is a profile, which
+/// --profile reads: `train`, `replay` and `report` simulate that Qube, and `run`, `session`, `experiment` and `emulate`
+/// emulate it. A real Qube is known by it if qube.toml names it. Verify it with recordings
 /// that it was not fitted to (--holdout): every 0.1 s a start state is estimated from 0.2 s of the recording, and the
 /// model then receives only the voltages. The cable rests as in the fitted recordings of the same series; the names
 /// of a series differ in the last number only. A recording whose pendulum comes upright is predicted piece by piece:

@@ -77,6 +77,11 @@ impl RigArguments {
         self.rig_policy
     }
 
+    /// The clock that `--clock` names, if any.
+    pub fn clock(&self) -> Option<ClockChoice> {
+        self.timed_plant.clock()
+    }
+
     /// Largest deviation of an emulated Qube's values among several Qubes, as a fraction of each
     /// value.
     pub fn vary(&self) -> f64 {

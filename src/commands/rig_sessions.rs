@@ -21,7 +21,7 @@ use super::screen::Screen;
 use super::service_manager;
 use super::session::{self, Arguments};
 use super::session_progress::SessionProgress;
-use super::session_settings::{begun, configured, name_in, resumed};
+use super::session_settings::{begun, configured, name_in, resumed, resumed_clock};
 use super::several_rigs::{emulated_of, resume_command};
 use super::stop::Stop;
 use crate::jobs::{Executor, LocalExecutor};
@@ -60,7 +60,7 @@ type Begun = (SessionFolder, SessionSettings);
 /// Runs or resumes the sessions and prints their tables.
 pub fn run(
     arguments: &Arguments,
-    devices: Vec<ChosenDevice>,
+    mut devices: Vec<ChosenDevice>,
     output: &Output,
 ) -> Result<(), Failure> {
     let started = Instant::now();
@@ -85,6 +85,11 @@ pub fn run(
         print_message(&difference);
     }
     let resume = resume_command(&root, &devices);
+    if !begins {
+        for (device, (folder, _)) in devices.iter_mut().zip(&sessions) {
+            device.clock = resumed_clock(folder.paths(), &arguments.rigs, device);
+        }
+    }
     let opened = open(arguments, &root, devices, sessions, consent, &resume);
     let (stop, mut rigs) = match opened {
         Ok(opened) => opened,

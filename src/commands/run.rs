@@ -209,6 +209,7 @@ fn asked(
 ) -> Result<(RigSettings, RolloutPlan), Failure> {
     let plant = device.plant;
     let estimator = arguments.estimator.settings(&plant)?.unwrap_or_default();
+    arguments.emulated.check_device(device)?;
     let emulator = arguments.emulated.of_plant(&plant)?.emulator(arguments.seed);
     let guard = arguments.guard.into();
     let safety_box = SafetyBox { guard, ..SafetyBox::default() }.within_travel(&plant);

@@ -24,12 +24,12 @@ use super::rig_arguments::RigArguments;
 use super::screen::ScreenArgument;
 use super::service_manager;
 use super::session_progress::SessionProgress;
-use super::session_settings::{begun, configured, name_in, resumed};
+use super::session_settings::{begun, configured, name_in, resumed, resumed_clock};
 use super::session_table::SessionTable;
 use super::several_rigs;
 use super::stop::Stop;
 use crate::estimation::EstimatorSettings;
-use crate::qube::Profile;
+use crate::qube::{PlantModel, Profile};
 use crate::rig::RigSettings;
 use crate::safety::GuardConsent;
 use crate::session::{Session, SessionError, SessionFolder, SessionReport, SessionSettings};
@@ -111,7 +111,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     pub(super) out: Option<PathBuf>,
 
-    /// Resume the session in this folder, with its settings
+    /// Resume the session in this folder, with its settings; on the emulated Qube also with its clock
     #[arg(long, value_name = "DIR")]
     pub(super) resume: Option<PathBuf>,
 
@@ -155,12 +155,21 @@ pub enum SessionPreset {
 }
 
 impl SessionPreset {
-    /// The settings of a session of this extent.
-    pub fn settings(self) -> SessionSettings {
-        match self {
+    /// The settings of a session of this extent on a plant. The emulated Qube of the thesis's session
+    /// is the nominal one. That of every other session, whatever its method, differs from it as a
+    /// real Qube does: it is `lab`, or another plant that differs in the same proportions.
+    pub fn settings(self, plant: &PlantModel, method: Option<SessionMethod>) -> SessionSettings {
+        let is_published =
+            self == Self::Thesis && method.is_none_or(|it| it == SessionMethod::Bayrn);
+        let mut settings = match self {
             Self::Quick => SessionSettings::quick(),
             Self::Thesis => SessionSettings::thesis(),
         }
+        .of_plant(plant);
+        if !is_published {
+            settings.emulated.model = plant.in_proportion(&Profile::lab().model());
+        }
+        settings
     }
 }
 
@@ -193,6 +202,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
             begun(place.path(), name_in(place.path()), settings)?
         }
     };
+    if !begins {
+        device.clock = resumed_clock(folder.paths(), &arguments.rigs, &device);
+    }
     let rig_settings = rig_settings(&mut device, &folder, &settings, consent, arguments.check)?;
     if let Some(difference) = estimators_differ(&settings) {
         print_message(&difference);
@@ -223,7 +235,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     if !screen.progress().has_screen() {
         print_message(keyboard.hint());
     }
-    print_message(&format!("session with {} in {root}", device.described()));
+    let emulated_qube =
+        (!device.choice.is_hardware()).then(|| settings.emulated.name(settings.plant()));
+    let which = emulated_qube.map_or_else(String::new, |name| format!(" ({name})"));
+    print_message(&format!("session with {}{which} in {root}", device.described()));
     for warning in warnings(&device, &rig_settings, &settings) {
         print_message(&format!("warning: {warning}"));
     }
@@ -269,6 +284,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         return ended;
     }
     let (text, mut result, ended) = results(&mut session, ended, failed)?;
+    result["emulated_qube"] = json!(emulated_qube);
     result["wall_s"] = json!(started.elapsed().as_secs_f64());
     result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
     output.print(&text, &result);

@@ -6,11 +6,14 @@ use std::path::Path;
 use super::chosen_device::ChosenDevice;
 use super::exit::Failure;
 use super::failures;
+use super::printable::print_message;
+use super::rig_arguments::RigArguments;
 use super::session::{Arguments, SessionMethod, SessionPreset};
-use crate::qube::Profile;
+use crate::rig::ClockChoice;
 use crate::safety::{Guard, GuardConsent};
 use crate::session::{
-    EmulatedQubeSettings, IdentificationSettings, SessionFolder, SessionSettings,
+    EmulatedQubeSettings, IdentificationSettings, SessionFolder, SessionPaths, SessionSettings,
+    recorded_clock,
 };
 
 /// The settings of a new session on this Qube.
@@ -34,7 +37,7 @@ pub fn origin_of_guard(arguments: &Arguments) -> String {
 
 /// The settings of a new session, without the homing and limits of the Qube's own file.
 pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
-    let preset = arguments.preset.settings().of_plant(&device.plant);
+    let preset = arguments.preset.settings(&device.plant, arguments.method);
     let mut settings = match &arguments.config {
         Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
         None => preset,
@@ -55,14 +58,6 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
     } else if arguments.config.is_none() {
         settings.extent.baseline = emulated && settings.identification.is_some();
     }
-    if arguments.config.is_none() && settings.identification.is_some() {
-        // Where a session identifies its Qube, the emulated Qube differs from the nominal one, as a
-        // real Qube does: it has the model `lab`. Another plant differs from its nominal model in
-        // the same proportions.
-        let lab = Profile::lab().model();
-        settings.emulated =
-            EmulatedQubeSettings { model: device.plant.in_proportion(&lab), ..settings.emulated };
-    }
     if let Some(guard) = arguments.guard {
         settings = settings.with_guard(guard.into());
     }
@@ -71,6 +66,7 @@ pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSett
         settings = settings.seen_through(estimator);
     }
     let unidentified = settings.emulated.unidentified || device.unidentified;
+    arguments.emulated.check_device(device)?;
     let emulated = arguments.emulated.applied_to(settings.emulated, &device.plant)?;
     settings.emulated = EmulatedQubeSettings { unidentified, ..emulated };
     Ok(settings)
@@ -178,6 +174,27 @@ pub fn reopened(
         )));
     }
     Ok((folder, settings))
+}
+
+/// The clock of a session that is resumed: that of its recordings, so that an emulated Qube goes on
+/// as it began, unless the command line names another.
+pub fn resumed_clock(
+    paths: &SessionPaths,
+    rigs: &RigArguments,
+    device: &ChosenDevice,
+) -> ClockChoice {
+    let before = recorded_clock(paths);
+    match (rigs.clock(), before) {
+        (None, Some(before)) if !device.choice.is_hardware() => before,
+        (Some(asked), Some(before)) if asked != before => {
+            print_message(
+                "note: the recordings of this session so far were made under the other clock, and timing differs \
+                 between the two",
+            );
+            asked
+        }
+        _ => device.clock,
+    }
 }
 
 /// The settings with the homing and signs of the Qube's own file and the method of `--home` in

@@ -18,7 +18,7 @@ use super::screen::Screen;
 use super::service_manager;
 use super::session::{self, Arguments};
 use super::session_progress::SessionProgress;
-use super::session_settings::{asked, begun, name_in, origin_of_guard, reopened};
+use super::session_settings::{asked, begun, name_in, origin_of_guard, reopened, resumed_clock};
 use super::several_rigs::{emulated_of, resume_command};
 use super::stop::Stop;
 use crate::control::{HomingMethod, HomingSettings};
@@ -36,7 +36,7 @@ type RigWithProfile = (RigSettings, Option<QubeModel>);
 /// Runs or resumes the session and prints its table.
 pub fn run(
     arguments: &Arguments,
-    devices: Vec<ChosenDevice>,
+    mut devices: Vec<ChosenDevice>,
     output: &Output,
 ) -> Result<(), Failure> {
     let started = Instant::now();
@@ -49,6 +49,9 @@ pub fn run(
             for (device, rig) in devices.iter().zip(&settings.rigs) {
                 let homing = homing_of(rig, &settings);
                 device.check_resumed("a session", rig.emulated.unidentified, homing)?;
+            }
+            for device in &mut devices {
+                device.clock = resumed_clock(folder.paths(), &arguments.rigs, device);
             }
             (folder, inside_all(settings, &devices))
         }

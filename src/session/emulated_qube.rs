@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::device::emulator::{EffectError, Effects, EmulatorSettings};
-use crate::qube::{DomainParameter, ModelError, QubeModel};
+use crate::qube::{DomainParameter, ModelError, PlantModel, Profile, QubeModel};
 
 /// The settings of the emulated Qube of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -90,6 +90,20 @@ impl EmulatedQubeSettings {
             effects: self.effects,
             seed,
             ..EmulatorSettings::default()
+        }
+    }
+
+    /// The name of this specimen of a plant: `ideal` if it is nominal, `lab` if it differs from the
+    /// nominal one as the Qube in the profile `lab` does, otherwise `other`. Jitter, backlash and
+    /// effects make it another.
+    #[must_use]
+    pub fn name(&self, plant: &PlantModel) -> &'static str {
+        let is_plain =
+            self.command_jitter_s == 0.0 && self.play_rad == 0.0 && self.effects == Effects::NONE;
+        match self.model {
+            model if is_plain && model == plant.nominal() => "ideal",
+            model if is_plain && model == plant.in_proportion(&Profile::lab().model()) => "lab",
+            _ => "other",
         }
     }
 

@@ -208,13 +208,15 @@ fn values_with_a_dash_are_told_by_their_option() {
 fn scripts_are_told_too() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::write(directory.path().join("no.policy"), "nonsense").unwrap();
-    let cases: [(&[&str], &str); 8] = [
+    let cases: [(&[&str], &str); 10] = [
         (&["run"], "--policy"),
         (&["run", "--nonsense"], "--nonsense"),
         (&["run", "--policy", "classical", "--seed", "-1"], "--seed"),
         (&["run", "--policy", "no.policy", "--clock", "virtual"], "no.policy"),
         (&["train", "--out", "missing/p"], "missing"),
         (&["session", "--device", "/dev/ttyNOWHERE"], "no such port"),
+        (&["session", "--device", "/dev/ttyNOWHERE", "--profile", "lab"], "leave --profile out"),
+        (&["run", "--policy", "classical", "--device", "/dev/null", "--gap", "2"], "--gap"),
         (&["replay", "missing.mcap"], "missing.mcap"),
         (&["check", "--device", "/dev/null", "--write", "missing/qube.toml"], "missing"),
     ];

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::recording::{Recording, RolloutWriter, read};
-use qube_hil::session::{Entry, parse_ledger};
+use qube_hil::rig::ClockChoice;
+use qube_hil::session::{Entry, SessionPaths, parse_ledger, recorded_clock};
 use qube_hil::storage::MachineDisk;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -25,9 +26,23 @@ fn small(updates: u32) -> String {
 }
 
 fn session(directory: &Path, arguments: &[&str]) -> Child {
+    started(directory, &[&["session", "--clock", "virtual"], arguments].concat())
+}
+
+/// Resumes a session. Once it has a recording, it keeps that recording's clock by itself.
+fn resume_by_its_clock(directory: &Path, name: &str) -> Child {
+    match recorded_clock(&SessionPaths::new(&directory.join(name))) {
+        Some(clock) => {
+            assert_eq!(clock, ClockChoice::Virtual);
+            started(directory, &["session", "--resume", name])
+        }
+        None => session(directory, &["--resume", name]),
+    }
+}
+
+fn started(directory: &Path, arguments: &[&str]) -> Child {
     Command::new(env!("CARGO_BIN_EXE_qube-hil"))
         .current_dir(directory)
-        .args(["session", "--clock", "virtual"])
         .args(arguments)
         .stdin(Stdio::null())
         .stdout(Stdio::null())
@@ -115,7 +130,7 @@ fn is_killed_and_resumed(settings: &str) -> bool {
             child.wait().unwrap();
             let begun = directory.path().join("killed/session.toml").exists();
             child = if begun {
-                session(directory.path(), &["--resume", "killed"])
+                resume_by_its_clock(directory.path(), "killed")
             } else {
                 begin("killed")
             };
