@@ -66,11 +66,16 @@ pub fn enter_realtime() -> RealtimeRefusals {
              priority it does not"
         )
     });
-    RealtimeRefusals { scheduling, memory, awake: sleepy(Path::new(CPU_DMA_LATENCY)), timer_slack }
+    RealtimeRefusals {
+        scheduling,
+        memory,
+        awake: awake_refusal(Path::new(CPU_DMA_LATENCY)),
+        timer_slack,
+    }
 }
 
 /// The reason why the processors cannot be kept awake through this file; `None` if they can.
-fn sleepy(file: &Path) -> Option<String> {
+fn awake_refusal(file: &Path) -> Option<String> {
     let error = AwakeProcessors::hold(file).err()?;
     Some(format!(
         "the processors may sleep between two ticks ({}: {error}): ticks may be 0.1 ms late. Allow \
@@ -122,13 +127,13 @@ mod tests {
     fn a_processor_that_may_sleep_is_named_with_its_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("cpu_dma_latency");
-        let message = sleepy(&file).unwrap();
+        let message = awake_refusal(&file).unwrap();
         assert!(
             message.contains("cpu_dma_latency") && message.contains("sudo scripts/install"),
             "{message}"
         );
         std::fs::write(&file, "").unwrap();
-        assert_eq!(sleepy(&file), None);
+        assert_eq!(awake_refusal(&file), None);
     }
 
     #[test]

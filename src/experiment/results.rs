@@ -10,7 +10,10 @@ use super::search::RecipePsi;
 use super::statistics::{
     Interval, bounded_mean_interval, mean, standard_deviation, wilson_interval,
 };
-use super::{Experiment, ExperimentError, ExperimentFolder, Plant, Recipe, RolloutResult};
+use super::{
+    Experiment, ExperimentError, ExperimentFolder, ExperimentSettings, Plant, PolicyFolders,
+    Recipe, RolloutResult,
+};
 use crate::learning::evaluate_on_new_starts;
 use crate::policy::Policy;
 use crate::qube::MAX_STEPS;
@@ -174,61 +177,96 @@ impl Results {
         if let Some(methods) = settings.methods.as_ref().filter(|it| it.has_budgets()) {
             return Ok(Self { recipes: experiment.budget_results(methods)? });
         }
-        let mut recipes = Vec::new();
-        let mut trained = Vec::new();
-        let mut all_simulations = Vec::new();
-        for (index, recipe) in settings.recipes.iter().enumerate() {
-            let psi = experiment.psi(recipe)?;
-            let simulations = match psi {
-                RecipePsi::NotFound => None,
-                _ => Some((recipe.distribution(psi.value())?, recipe.simulation(psi.value()))),
-            };
-            let is_trained = |policy: &u32| {
-                MachineDisk
-                    .exists(&experiment.folder().policies(&recipe.name).policy(*policy).policy())
-            };
-            if simulations.is_some() {
-                trained.extend((0..settings.policies).filter(is_trained).map(|it| (index, it)));
-            }
-            all_simulations.push(simulations);
-            recipes.extend(settings.plants.iter().map(|plant| RecipeResult {
-                recipe: recipe.name.clone(),
-                budget: None,
-                plant: plant.name.clone(),
-                psi: psi.value().map(Psi::named_values).unwrap_or_default(),
-                policies: Vec::new(),
-            }));
-        }
-        let plants = settings.plants.len();
-        let recipes = Mutex::new(recipes);
+        let planned = settings
+            .recipes
+            .iter()
+            .map(|recipe| PlannedRecipe::of(experiment, recipe))
+            .collect::<Result<Vec<_>, _>>()?;
+        let trained: Vec<(usize, u32)> = (0..)
+            .zip(&planned)
+            .flat_map(|(index, recipe)| recipe.trained(settings).map(move |it| (index, it)))
+            .collect();
+        let on_plants: Vec<Mutex<Vec<RecipeResult>>> =
+            planned.iter().map(|recipe| Mutex::new(recipe.without_policies(settings))).collect();
         // Results are needed after a stop request too.
         let never = AtomicBool::new(false);
         Queue::new(trained, &never).run(experiment.threads(), |(index, number)| {
-            let Some((distribution, simulation)) = &all_simulations[index] else {
-                return Ok(Vec::new());
-            };
-            let recipe = &settings.recipes[index];
-            let ran = experiment.ran(recipe, number)?;
-            let folders = experiment.folder().policies(&recipe.name);
-            if ran.iter().any(Option::is_some) {
-                let path = folders.policy(number).policy();
-                let starts = settings.simulated_starts as usize;
-                let simulated_return = simulated_return(&path, distribution, simulation, starts)?;
-                let mut recipes = recipes.lock().unwrap_or_else(PoisonError::into_inner);
-                for (plant, rollouts) in ran.into_iter().enumerate() {
-                    let Some(rollouts) = rollouts else { continue };
-                    let recordings = folders.rollouts(number, &settings.plants[plant].name);
-                    let policy = PolicyResult { number, simulated_return, rollouts, recordings };
-                    recipes[index * plants + plant].policies.push(policy);
-                }
+            let results = planned[index].evaluated(experiment, number)?;
+            let mut on_plants = on_plants[index].lock().unwrap_or_else(PoisonError::into_inner);
+            for (result, policy) in on_plants.iter_mut().zip(results) {
+                result.policies.extend(policy);
             }
             Ok(Vec::new())
         })?;
-        let mut recipes = recipes.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let recipes = on_plants
+            .into_iter()
+            .flat_map(|results| results.into_inner().unwrap_or_else(PoisonError::into_inner));
+        let mut recipes: Vec<RecipeResult> = recipes.collect();
         for recipe in &mut recipes {
             recipe.policies.sort_by_key(|policy| policy.number);
         }
         Ok(Self { recipes })
+    }
+}
+
+/// A recipe as it is known before its policies are read.
+struct PlannedRecipe<'a> {
+    recipe: &'a Recipe,
+    psi: RecipePsi,
+    /// Simulations of its trainings; `None` while its psi is not found.
+    simulations: Option<(DomainDistribution, SimulationSettings)>,
+    folders: PolicyFolders,
+}
+
+impl<'a> PlannedRecipe<'a> {
+    fn of(experiment: &Experiment, recipe: &'a Recipe) -> Result<Self, ExperimentError> {
+        let psi = experiment.psi(recipe)?;
+        let simulations = match psi {
+            RecipePsi::NotFound => None,
+            _ => Some((recipe.distribution(psi.value())?, recipe.simulation(psi.value()))),
+        };
+        let folders = experiment.folder().policies(&recipe.name);
+        Ok(Self { recipe, psi, simulations, folders })
+    }
+
+    /// Numbers of the policies that are trained.
+    fn trained(&self, settings: &ExperimentSettings) -> impl Iterator<Item = u32> {
+        let policies = if self.simulations.is_some() { settings.policies } else { 0 };
+        (0..policies).filter(|&it| MachineDisk.exists(&self.folders.policy(it).policy()))
+    }
+
+    /// The rows of the recipe, one for each plant, without policies.
+    fn without_policies(&self, settings: &ExperimentSettings) -> Vec<RecipeResult> {
+        let row = |plant: &Plant| RecipeResult {
+            recipe: self.recipe.name.clone(),
+            budget: None,
+            plant: plant.name.clone(),
+            psi: self.psi.value().map(Psi::named_values).unwrap_or_default(),
+            policies: Vec::new(),
+        };
+        settings.plants.iter().map(row).collect()
+    }
+
+    /// The results of a trained policy on each plant; `None` on a plant on which it has not run.
+    fn evaluated(
+        &self,
+        experiment: &Experiment,
+        number: u32,
+    ) -> Result<Vec<Option<PolicyResult>>, ExperimentError> {
+        let Some((distribution, simulation)) = &self.simulations else { return Ok(Vec::new()) };
+        let ran = experiment.ran(self.recipe, number)?;
+        if ran.iter().all(Option::is_none) {
+            return Ok(Vec::new());
+        }
+        let settings = experiment.settings();
+        let path = self.folders.policy(number).policy();
+        let starts = settings.simulated_starts as usize;
+        let simulated_return = simulated_return(&path, distribution, simulation, starts)?;
+        let on_plant = |(plant, rollouts): (&Plant, Option<Vec<RolloutResult>>)| {
+            let recordings = self.folders.rollouts(number, &plant.name);
+            Some(PolicyResult { number, simulated_return, rollouts: rollouts?, recordings })
+        };
+        Ok(settings.plants.iter().zip(ran).map(on_plant).collect())
     }
 }
 

@@ -16,7 +16,7 @@ const WATCHDOG_S: f64 = WATCHDOG_MS as f64 * 1e-3;
 /// Time since the amplifier was armed or the last act succeeded, after which a sample first asks
 /// whether the watchdog has expired, ns. Acts come every 10 ms, so a running tick does not spend
 /// time on this call.
-const DOUBTED_NS: Nanoseconds = 30_000_000;
+const WATCHDOG_ASKED_AFTER_NS: Nanoseconds = 30_000_000;
 
 /// Number of consecutive failed acts after which the amplifier is switched off: a voltage whose act
 /// failed may not have reached the motor, which then keeps an older one.
@@ -183,14 +183,14 @@ impl Panel {
         let Some(card) = &self.card else { return Err(NoSample::Gone) };
         let asked_ns = self.clock.now_ns();
         if self.amplifier == AmplifierState::Armed
-            && asked_ns.saturating_sub(self.fed_ns) > DOUBTED_NS
+            && asked_ns.saturating_sub(self.fed_ns) > WATCHDOG_ASKED_AFTER_NS
             && card.watchdog_is_expired()
         {
             self.amplifier = AmplifierState::Tripped;
         }
         let asked_ns = self.clock.now_ns();
         match card.read() {
-            Ok(channels) => self.take(&channels),
+            Ok(channels) => self.store(&channels),
             Err(_) if self.amplifier == AmplifierState::Armed && card.watchdog_is_expired() => {
                 self.amplifier = AmplifierState::Tripped;
             }
@@ -210,7 +210,7 @@ impl Panel {
     }
 
     /// Stores what the card's channels show, with the counts relative to [`Self::base_counts`].
-    fn take(&mut self, channels: &Channels) {
+    fn store(&mut self, channels: &Channels) {
         let [theta_base, alpha_base] = *self.base_counts.get_or_insert(channels.counts);
         let [theta, alpha] = channels.counts;
         let [amplifier_fault, stall_detected, stall_error] = channels.flags;

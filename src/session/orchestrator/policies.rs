@@ -29,7 +29,7 @@ impl Session {
         } else {
             let mut due = Vec::new();
             for &number in numbers {
-                due.extend(self.prepare(number)?);
+                due.extend(self.write_unless_trained(number)?);
             }
             self.trainer().train(due, &mut self.prepared, &self.stop, on_event)?;
         }
@@ -58,7 +58,7 @@ impl Session {
             .map(|it| it.number)
             .collect();
         for number in untrained {
-            if let Some(candidate) = self.prepare(number)? {
+            if let Some(candidate) = self.write_unless_trained(number)? {
                 ahead.train(candidate);
             }
         }
@@ -90,7 +90,10 @@ impl Session {
 
     /// Makes the folder of a candidate, and its policy if it need not be trained. Returns the
     /// candidate if its policy must be trained.
-    pub(super) fn prepare(&mut self, number: u32) -> Result<Option<Candidate>, SessionError> {
+    pub(super) fn write_unless_trained(
+        &mut self,
+        number: u32,
+    ) -> Result<Option<Candidate>, SessionError> {
         self.folder.make_candidate(number)?;
         // Policy files appear atomically: an existing file is whole, from before a crash or a stop.
         if self.folder.disk().exists(&self.policy_path(number)) {

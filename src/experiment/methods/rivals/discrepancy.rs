@@ -5,8 +5,11 @@ use crate::qube::State;
 /// (s/rad). The velocities are about 10 and 20 times as large as the angles.
 const WEIGHTS: [f64; 5] = [1.0, 1.0, 1.0, 0.1, 0.05];
 
-/// Weights of the absolute and of the squared differences.
-const NORMS: [f64; 2] = [0.5, 1.0];
+/// Weight of the absolute differences.
+const ABSOLUTE_WEIGHT: f64 = 0.5;
+
+/// Weight of the squared differences.
+const SQUARED_WEIGHT: f64 = 1.0;
 
 /// Standard deviation of the Gaussian filter over time, steps.
 const FILTER_STEPS: f64 = 5.0;
@@ -32,7 +35,7 @@ pub fn discrepancy(real: &SampledMotion, simulated: &SampledMotion) -> f64 {
             })
             .collect();
         for smoothed in filtered(&difference) {
-            total += NORMS[0] * smoothed.abs() + NORMS[1] * smoothed * smoothed;
+            total += ABSOLUTE_WEIGHT * smoothed.abs() + SQUARED_WEIGHT * smoothed * smoothed;
         }
     }
     total / steps.max(1) as f64

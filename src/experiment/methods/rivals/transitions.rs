@@ -41,12 +41,12 @@ impl<'a> Transition<'a> {
         (0..count)
             .map(|index| {
                 let (number, first) = starts[index * starts.len() / count];
-                Self::from(logs[number], first)
+                Self::at(logs[number], first)
             })
             .collect()
     }
 
-    fn from(log: &'a MotionLog, first: usize) -> Self {
+    fn at(log: &'a MotionLog, first: usize) -> Self {
         let end = measured(log, first + STEPS);
         Self {
             log,
