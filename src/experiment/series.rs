@@ -201,12 +201,13 @@ impl PolicySeries<'_> {
                     not_begun += 1;
                     opened.start_again()?;
                 }
-                Ok(ending) => {
+                Ok(Ending::Fault(_)) => {
+                    not_begun = 0;
+                    opened.start_again()?;
+                }
+                Ok(_) => {
                     not_begun = 0;
                     opened.check_off()?;
-                    if matches!(ending, Ending::Fault(_)) {
-                        opened.start_again()?;
-                    }
                 }
                 Err(error) => {
                     // A stop must not hide a motor that nobody has confirmed to be off.
