@@ -20,6 +20,7 @@ mod control_motor_heat;
 mod control_stale_samples;
 mod control_virtual_time;
 mod control_wrong_counts;
+mod experiment_on_one_qube;
 mod experiment_rivals;
 mod folders;
 mod fuzz_corpus;
@@ -58,3 +59,4 @@ mod session_service;
 #[path = "../stranger/mod.rs"]
 mod stranger;
 mod surrogate_botorch;
+mod watched_disarm;
