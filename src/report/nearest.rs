@@ -3,15 +3,15 @@ use crate::recording::Recording;
 use crate::replay::{GuardApproach, controller_of, rerun};
 use crate::telemetry::Phase;
 
-/// The nearest approach of a rollout to one limit of its safety box, while the policy had the
-/// motor.
+/// The nearest approach of a rollout to one limit of its safety box under the voltages of its
+/// policy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Nearest {
     /// Quantity in words.
     pub quantity: &'static str,
     /// Name of the angle in the player's figures; `None` for a velocity.
     pub angle: Option<&'static str>,
-    /// Value with the largest magnitude under the policy, rad or rad/s.
+    /// Value with the largest magnitude that the policy's voltages led to, rad or rad/s.
     pub value: f64,
     /// Limit of the quantity's magnitude, rad or rad/s.
     pub limit: f64,
@@ -25,11 +25,18 @@ pub struct Nearest {
 
 /// The nearest approaches of a recording to the four limits of its box, in the order arm's and
 /// pendulum's angle, arm's and pendulum's velocity; empty if the policy never had the motor.
+///
+/// The first tick after the policy's last one counts, too: its state follows from the policy's last
+/// voltage, and the brake has the motor in it if this state is beyond a limit.
 #[must_use]
 pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
     let limits = recording.header.settings.safety_box;
-    let running = || recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);
+    let ticks = &recording.ticks;
+    let running = || ticks.iter().filter(|tick| tick.phase == Phase::Running);
     let Some(first) = running().next() else { return Vec::new() };
+    let last = ticks.iter().rposition(|tick| tick.phase == Phase::Running).unwrap_or(0);
+    let after = ticks.get(last + 1).filter(|it| it.tick == ticks[last].tick.wrapping_add(1));
+    let reached = || running().chain(after);
     type Of = fn(&crate::qube::State) -> f64;
     let quantities: [(&'static str, Option<&'static str>, Of, f64, &'static str); 4] = [
         ("arm's angle θ", Some("theta"), |state| state.theta, limits.theta, "rad"),
@@ -40,7 +47,7 @@ pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
     let mut found = Vec::new();
     for (quantity, angle, of, limit, unit) in quantities {
         let largest =
-            running().max_by(|one, other| of(&one.state).abs().total_cmp(&of(&other.state).abs()));
+            reached().max_by(|one, other| of(&one.state).abs().total_cmp(&of(&other.state).abs()));
         let Some(tick) = largest else { continue };
         let value = of(&tick.state);
         let time_s = f64::from(tick.tick.wrapping_sub(first.tick)) * CONTROL_PERIOD_S;
@@ -82,7 +89,7 @@ mod tests {
     use crate::telemetry::TickRecord;
 
     #[test]
-    fn the_largest_values_under_the_policy_count_and_no_others() {
+    fn the_largest_values_that_the_policy_led_to_count_and_no_others() {
         let tick = |tick, phase, theta, alpha_dot| TickRecord {
             tick,
             phase,
@@ -93,9 +100,10 @@ mod tests {
             tick(0, Phase::Settling, 2.2, 0.0),
             tick(5, Phase::Running, 0.1, -20.0),
             tick(6, Phase::Running, -1.15, 3.0),
-            tick(7, Phase::Braking, 2.2, 50.0),
+            tick(7, Phase::Braking, -2.3, 5.0),
+            tick(8, Phase::Braking, -2.4, 50.0),
         ];
-        let recording = Recording {
+        let mut recording = Recording {
             header: samples::header(),
             policy: Vec::new(),
             ticks,
@@ -104,8 +112,14 @@ mod tests {
         };
         let found = nearest_approaches(&recording);
         let theta = &found[0];
-        assert_eq!((theta.value, theta.limit, theta.time_s), (-1.15, 2.3, 0.01));
-        assert!((theta.share - 0.5).abs() < 1e-12);
+        assert_eq!((theta.value, theta.limit, theta.time_s), (-2.3, 2.3, 0.02));
+        assert!((theta.share - 1.0).abs() < 1e-12);
         assert_eq!((found[3].value, found[3].share, found[3].time_s), (-20.0, 0.5, 0.0));
+
+        // Ticks are missing after the policy's last one, so that the next one may be any later state.
+        recording.ticks.remove(3);
+        let theta = &nearest_approaches(&recording)[0];
+        assert_eq!((theta.value, theta.time_s), (-1.15, 0.01));
+        assert!((theta.share - 0.5).abs() < 1e-12);
     }
 }

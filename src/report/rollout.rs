@@ -67,11 +67,19 @@ impl RolloutView {
     pub fn result(&self) -> String {
         match (&self.verdict, self.behaviour) {
             (Verdict::Result { return_, .. }, Some(behaviour)) => {
-                format!("return {return_:.1}, {}", behaviour_words(behaviour))
+                format!("return {return_:.1}, {}", self.behaviour_words(behaviour))
             }
             (Verdict::Result { return_, .. }, None) => format!("return {return_:.1}"),
             (Verdict::Void { reason }, _) => format!("void: {reason}"),
             (Verdict::Unfinished, _) => "unfinished".into(),
+        }
+    }
+
+    /// The behaviour in words, with the limit's own words for a rollout that a limit ended.
+    fn behaviour_words(&self, behaviour: Behaviour) -> &'static str {
+        match self.outcome.as_ref().map(|outcome| outcome.ending) {
+            Some(Ending::LeftBox(limit)) => limit.in_brief(),
+            _ => behaviour_words(behaviour),
         }
     }
 
@@ -114,13 +122,13 @@ impl RolloutView {
     }
 }
 
-/// The behaviour in words.
+/// The behaviour in words, as a head over the share of all rollouts with this behaviour.
 #[must_use]
 pub fn behaviour_words(behaviour: Behaviour) -> &'static str {
     match behaviour {
         Behaviour::Balanced => "success",
         Behaviour::BalancedLate => "balanced too late",
-        Behaviour::LeftBox => "ended by the guard",
+        Behaviour::LeftBox => "left the box or ended by the guard",
         Behaviour::Chattered => "chattered",
         Behaviour::Fell => "fell or never got up",
         Behaviour::Fault => "fault",
@@ -248,7 +256,7 @@ pub const ROLLOUT_HEADS: [&str; 8] = [
 #[must_use]
 pub fn rollout_cells(view: &RolloutView) -> Vec<Cell> {
     let result = match (&view.verdict, view.behaviour) {
-        (Verdict::Result { .. }, Some(behaviour)) => behaviour_words(behaviour).to_owned(),
+        (Verdict::Result { .. }, Some(behaviour)) => view.behaviour_words(behaviour).to_owned(),
         _ => view.result(),
     };
     let nearest = view
@@ -273,6 +281,7 @@ pub fn rollout_cells(view: &RolloutView) -> Vec<Cell> {
 mod tests {
     use super::*;
     use crate::recording::samples;
+    use crate::safety::Limit;
     use crate::telemetry::{Phase, TickRecord};
 
     fn motion(ticks: u32) -> PackedMotion {
@@ -285,6 +294,34 @@ mod tests {
             completeness: Completeness::Whole,
         };
         PackedMotion::of(&recording, None, &[])
+    }
+
+    #[test]
+    fn a_rollout_that_left_the_box_is_not_called_ended_by_the_guard() {
+        let ended = |limit| {
+            let outcome = RolloutOutcome { ending: Ending::LeftBox(limit), ..samples::outcome() };
+            let mut recording = Recording {
+                header: samples::header(),
+                policy: Vec::new(),
+                ticks: (0..40).map(samples::tick).collect(),
+                outcome: Some(outcome),
+                completeness: Completeness::Whole,
+            };
+            recording.header.settings.safety_box.alpha = 1e3;
+            RolloutView::of(&recording, &QubeModel::NOMINAL)
+        };
+        for (limit, words) in [
+            (Limit::Alpha, "left the box"),
+            (Limit::Foresight, "ended by the guard"),
+            (Limit::Unpredicted, "ended by the guard"),
+            (Limit::MotorLoad, "ended by the motor's load"),
+        ] {
+            let view = ended(limit);
+            assert!(view.result().ends_with(&format!(", {words}")), "{}", view.result());
+            assert_eq!(rollout_cells(&view)[0], words.into());
+            assert!(view.sentence().contains(&format!(". It {limit}, after")));
+        }
+        assert_eq!(behaviour_words(Behaviour::LeftBox), "left the box or ended by the guard");
     }
 
     #[test]

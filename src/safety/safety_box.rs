@@ -52,6 +52,18 @@ pub enum Limit {
     MotorLoad,
 }
 
+impl Limit {
+    /// The end of a rollout at this limit in at most five words, for tables and lists.
+    #[must_use]
+    pub fn in_brief(self) -> &'static str {
+        match self {
+            Self::Theta | Self::Alpha | Self::ThetaDot | Self::AlphaDot => "left the box",
+            Self::Envelope | Self::Foresight | Self::Unpredicted => "ended by the guard",
+            Self::MotorLoad => "ended by the motor's load",
+        }
+    }
+}
+
 /// The end of a rollout at this limit, as a phrase whose subject is the rollout.
 impl std::fmt::Display for Limit {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

@@ -91,8 +91,12 @@ const ROOMS: &[Room] = &[
     // It shows ticks while they are recorded.
     room("live", &["recording", "telemetry"]),
     // It writes a page from the results of other rooms.
-    room("report", &["experiment", "session", "scoring", "replay", "identification", "recording", "search", "surrogate",
-                     "learning", "simulation", "telemetry", "storage", "qube"]),
+    Room {
+        name: "report",
+        may_import: &["experiment", "session", "scoring", "replay", "identification", "recording", "search",
+                      "surrogate", "learning", "simulation", "telemetry", "storage", "qube"],
+        tests_may_import: &["safety"],
+    },
     room("commands", EVERY_ROOM),
 ];
 
