@@ -16,6 +16,7 @@ use crate::experiment::{
 };
 use crate::qube::PlantModel;
 use crate::recording::read;
+use crate::replay::SimulatedSpecimen;
 use crate::report::{NamedRollouts, RolloutView, methods_page, recipes_page};
 use crate::scoring::criterion::SUCCESS_RETURN;
 use crate::session::{FolderError, recording_in};
@@ -140,7 +141,7 @@ fn examples(results: &Results) -> NamedRollouts {
             let Some(path) = attempts.take_while(|path| path.exists()).last() else { continue };
             let Ok(recording) = read(&path) else { continue };
             let name = format!("{} on {}, policy {}", result.recipe, result.plant, policy.number);
-            let nominal = recording.header.settings.plant.nominal();
+            let nominal = SimulatedSpecimen::nominal(&recording.header.settings.plant);
             rollouts.push((name, RolloutView::of(&recording, &nominal)));
         }
     }

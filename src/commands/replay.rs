@@ -12,10 +12,11 @@ use super::picture_names::picture_names;
 use super::printable::one_line;
 use super::profile;
 use crate::charts::{animation_svg, motion_svg};
-use crate::qube::{Profile, QubeModel};
+use crate::qube::Profile;
 use crate::recording::{Completeness, Recording, RecordingError, read};
 use crate::replay::{
-    AngleError, MotionLog, Rerun, controller_of, rerun, simulate_from_first_state,
+    AngleError, MotionLog, Rerun, SimulatedSpecimen, SimulationError, controller_of, rerun,
+    simulate_from_first_state,
 };
 use crate::safety::{Contradiction, Foreseen};
 use crate::storage::{MachineDisk, write_whole};
@@ -94,6 +95,9 @@ struct Report {
     problem: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rmse: Option<Rmse>,
+    /// What the simulation shows, for people.
+    #[serde(skip)]
+    simulation: Option<String>,
     /// File of the moving picture, once it is written.
     #[serde(skip)]
     picture: Option<PathBuf>,
@@ -114,7 +118,7 @@ impl Report {
         let against = |it: Contradiction| format!("the guard ended the policy: {it}");
         lines.extend(self.contradiction.map(against));
         lines.extend(self.note.map(str::to_owned));
-        lines.extend(self.rmse.map(rmse_text));
+        lines.extend(self.simulation.clone());
         let picture = self.picture.as_ref().map(|picture| picture.display());
         lines.extend(picture.map(|picture| format!("its motion is drawn in {picture}")));
         let path = self.path.display().to_string();
@@ -198,7 +202,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         text.push_str("nothing was replayed");
     }
     if let Some(rmse) = rmse.filter(|_| errors.len() > 1) {
-        let _ = writeln!(text, "all: {}", rmse_text(rmse));
+        let Rmse { theta_rad, alpha_rad } = rmse;
+        let _ = writeln!(
+            text,
+            "all: the simulations are off by {}",
+            angles_text(AngleError { theta_rad, alpha_rad })
+        );
     }
     output.print(&text, &result);
     let all: Vec<&str> = problems.iter().map(|problem| problem.message.as_str()).collect();
@@ -269,7 +278,7 @@ fn draw_and_simulate(
     if !arguments.simulates() {
         return Ok(());
     }
-    let model = match profile {
+    let specimen = match profile {
         Some(profile) => {
             // A CSV file does not name its plant.
             if let (Some(name), false) = (&arguments.profile, is_csv(&report.path)) {
@@ -277,11 +286,12 @@ fn draw_and_simulate(
                 profile::check_plant(name, profile, &log.plant)
                     .map_err(|why| Problem::usage(format!("{path}: --profile {why}")))?;
             }
-            profile.model()
+            let name = arguments.profile.as_deref().unwrap_or(Path::new("")).display();
+            SimulatedSpecimen::of_profile(profile, &one_line(&name.to_string()))
         }
-        None => log.plant.nominal(),
+        None => SimulatedSpecimen::nominal(&log.plant),
     };
-    simulate(arguments, &model, name, log, report)
+    simulate(arguments, &specimen, name, log, report)
 }
 
 fn is_csv(path: &Path) -> bool {
@@ -384,16 +394,18 @@ fn foreseen_text(foreseen: &Foreseen) -> String {
 
 fn simulate(
     arguments: &Arguments,
-    model: &QubeModel,
+    specimen: &SimulatedSpecimen,
     name: &str,
     log: &MotionLog,
     report: &mut Report,
 ) -> Result<(), Problem> {
     let path = report.path.display().to_string();
-    let open_loop = simulate_from_first_state(log, model)
+    let open_loop = simulate_from_first_state(log, &specimen.model)
         .map_err(|error| Problem::usage(format!("{path}: {error}")))?;
     let AngleError { theta_rad, alpha_rad } = open_loop.rmse;
     report.rmse = Some(Rmse { theta_rad, alpha_rad });
+    let error = SimulationError::of(log, &open_loop);
+    report.simulation = Some(simulation_text(&specimen.name, error, arguments.profile.is_some()));
     if let Some(folder) = &arguments.plot {
         let picture = folder.join(format!("{name}.svg"));
         let svg = motion_svg(name, log, &open_loop).map_err(Problem::failed)?;
@@ -402,11 +414,26 @@ fn simulate(
     Ok(())
 }
 
-fn rmse_text(rmse: Rmse) -> String {
-    format!(
-        "the simulator in open loop is off by {:.3} rad in theta and {:.3} rad in alpha (RMS)",
-        rmse.theta_rad, rmse.alpha_rad
-    )
+/// The error of a simulation in open loop, with the name of the simulated specimen; `is_chosen` is
+/// whether the user has named the specimen.
+fn simulation_text(name: &str, error: SimulationError, is_chosen: bool) -> String {
+    let whole = angles_text(error.whole);
+    let mut text = format!("the simulation of {name} in open loop is off by {whole}");
+    if let Some(before) = error.until_upright {
+        let before = angles_text(before);
+        text.push_str(&format!("; until the pendulum is first upright, by {before}"));
+    }
+    if error.falls {
+        text.push_str(". Near upright a small error grows, so that the simulated pendulum falls");
+    }
+    if !is_chosen {
+        text.push_str(". --profile simulates another specimen");
+    }
+    text
+}
+
+fn angles_text(AngleError { theta_rad, alpha_rad }: AngleError) -> String {
+    format!("{theta_rad:.3} rad in theta and {alpha_rad:.3} rad in alpha (RMS)")
 }
 
 /// The RMS error over several recordings, all with the same weight; `None` without a recording.
@@ -446,5 +473,31 @@ fn is_bad_input(error: &RecordingError) -> bool {
         | RecordingError::Write { .. }
         | RecordingError::NotFinite { .. }
         | RecordingError::Stopped { .. } => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_error_of_a_simulation_comes_with_the_name_of_its_specimen() {
+        let angles = |theta_rad, alpha_rad| AngleError { theta_rad, alpha_rad };
+        let error = SimulationError {
+            whole: angles(8.475, 3.1),
+            until_upright: Some(angles(0.02, 0.1)),
+            falls: true,
+        };
+        let text = simulation_text("the nominal Qube", error, false);
+        for words in [
+            "the simulation of the nominal Qube in open loop is off by 8.475 rad in theta",
+            "until the pendulum is first upright, by 0.020 rad in theta",
+            "the simulated pendulum falls. --profile simulates",
+        ] {
+            assert!(text.contains(words), "{text}");
+        }
+        let hanging = SimulationError { until_upright: None, falls: false, ..error };
+        let text = simulation_text("the Qube of the profile lab", hanging, true);
+        assert!(text.ends_with("3.100 rad in alpha (RMS)"), "{text}");
     }
 }

@@ -15,6 +15,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings};
 use crate::jobs::starter::quoted;
 use crate::recording::{Recording, read};
+use crate::replay::SimulatedSpecimen;
 use crate::report::{ReportError, SessionSource, is_report, recordings_page, session_page};
 use crate::rig::RigSettings;
 use crate::session::{RigSessions, ScoredCandidate, SessionPaths};
@@ -228,8 +229,9 @@ fn of_recordings(
         "Check that the replay reproduces every recorded voltage:".to_owned(),
         format!("qube-hil replay {}", shown.join(" ")),
     )];
-    let model = known.map(|(_, known)| known.model());
-    let page = recordings_page(&recordings, model.as_ref(), &commands).map_err(failure)?;
+    let specimen =
+        known.map(|(name, known)| SimulatedSpecimen::of_profile(&known, &name.to_string_lossy()));
+    let page = recordings_page(&recordings, specimen.as_ref(), &commands).map_err(failure)?;
     let mut read = files.iter().zip(&recordings);
     let lost = read.find_map(|(file, (_, it))| Some(failures::incomplete(file, &it.loss()?)));
     Ok((page, lost))

@@ -16,6 +16,7 @@ mod open_loop;
 mod rerun;
 #[cfg(test)]
 mod rerun_tests;
+mod simulated;
 
 pub use csv::CsvError;
 pub use motion_log::{Incomplete, MotionLog, MotionLogError, RecordedMotion};
@@ -25,3 +26,4 @@ pub use open_loop::{
     simulate_stretch, simulate_stretch_in,
 };
 pub use rerun::{GuardApproach, Rerun, TickDifference, controller_of, rerun};
+pub use simulated::{SimulatedSpecimen, SimulationError};

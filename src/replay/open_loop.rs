@@ -108,14 +108,27 @@ pub fn simulate_from(
     if let Some((sample, _)) = pairs().find(|(_, state)| !state.is_finite()) {
         return Err(OpenLoopError::Diverged { time_s: sample.time_s - start_s });
     }
-    let error = |angle: fn(&State) -> f64| {
-        let squares: f64 =
-            pairs().map(|(sample, state)| (angle(state) - angle(&sample.state)).powi(2)).sum();
-        (squares / simulated.len() as f64).sqrt()
-    };
-    let rmse =
-        AngleError { theta_rad: error(|state| state.theta), alpha_rad: error(|state| state.alpha) };
+    let rmse = error_between(&log.samples, &simulated);
     Ok(OpenLoop { simulated, rmse })
+}
+
+impl OpenLoop {
+    /// Root mean square distance of the simulation from the first samples of the log.
+    #[must_use]
+    pub fn error_of(&self, first_samples: &[MotionSample]) -> AngleError {
+        error_between(first_samples, &self.simulated)
+    }
+}
+
+/// Root mean square distance of states from the samples of equal index.
+fn error_between(samples: &[MotionSample], states: &[State]) -> AngleError {
+    let error = |angle: fn(&State) -> f64| {
+        let pairs = samples.iter().zip(states);
+        let squares: f64 =
+            pairs.map(|(sample, state)| (angle(state) - angle(&sample.state)).powi(2)).sum();
+        (squares / samples.len() as f64).sqrt()
+    };
+    AngleError { theta_rad: error(|state| state.theta), alpha_rad: error(|state| state.alpha) }
 }
 
 /// Simulates a stretch of a recording in open loop and passes the state at each sample of the

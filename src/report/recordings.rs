@@ -5,19 +5,20 @@ use super::page::{Cell, Page};
 use super::provenance::add_provenance;
 use super::rollout::{ROLLOUT_HEADS, RolloutView, add_player, first_upper, rollout_cells};
 use super::timing::add_timing;
-use crate::qube::QubeModel;
 use crate::recording::Recording;
+use crate::replay::SimulatedSpecimen;
 use crate::scoring::Latencies;
 
 /// The HTML page of recordings, each with its name. Beside each motion it shows a simulation of the
-/// same voltages, by `model` or, if that is `None`, by the nominal model of the recording's plant.
+/// same voltages: of `specimen` or, if that is `None`, of the nominal specimen of the recording's
+/// plant.
 /// `commands` are pairs of a purpose and a command that repeats a part of the page.
 ///
 /// # Errors
 /// The data of the figures cannot be written.
 pub fn recordings_page(
     recordings: &[(String, Recording)],
-    model: Option<&QubeModel>,
+    specimen: Option<&SimulatedSpecimen>,
     commands: &[(String, String)],
 ) -> Result<String, ReportError> {
     let title = match recordings {
@@ -30,8 +31,8 @@ pub fn recordings_page(
         .iter()
         .map(|(name, recording)| {
             latencies.add(&recording.ticks);
-            let nominal = recording.header.settings.plant.nominal();
-            (name.as_str(), RolloutView::of(recording, model.unwrap_or(&nominal)))
+            let nominal = SimulatedSpecimen::nominal(&recording.header.settings.plant);
+            (name.as_str(), RolloutView::of(recording, specimen.unwrap_or(&nominal)))
         })
         .collect();
     match &views[..] {

@@ -1,9 +1,8 @@
 use super::motion::{PackedMotion, simulated};
 use super::nearest::{Nearest, guard_approach, nearest_approaches};
 use super::page::{Cell, Page};
-use crate::qube::QubeModel;
 use crate::recording::{Completeness, Recording};
-use crate::replay::{AngleError, GuardApproach};
+use crate::replay::{AngleError, GuardApproach, SimulatedSpecimen, SimulationError};
 use crate::scoring::{Behaviour, Quietness, QuietnessFigures, Verdict, score_recording};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome};
 
@@ -25,9 +24,10 @@ pub struct RolloutView {
     /// The tick at which the guard was nearest to ending the policy, and its time from the policy's
     /// first tick, s; `None` where that is not known.
     pub guard: Option<(GuardApproach, f64)>,
-    /// Root mean square error of the simulation of the rollout's voltages, rad; `None` if the
-    /// simulation diverged or there was no motion.
-    pub simulation_error: Option<AngleError>,
+    /// Name of the specimen that is simulated with the rollout's voltages.
+    pub simulated: String,
+    /// Error of this simulation; `None` if the simulation diverged or there was no motion.
+    pub simulation_error: Option<SimulationError>,
     /// Motion for the player, not yet named.
     pub motion: PackedMotion,
     /// Defect of the file, if any.
@@ -35,12 +35,12 @@ pub struct RolloutView {
 }
 
 impl RolloutView {
-    /// The view of a recording, with the simulation of its voltages by a model.
+    /// The view of a recording, with the simulation of this specimen under its voltages.
     #[must_use]
-    pub fn of(recording: &Recording, model: &QubeModel) -> Self {
+    pub fn of(recording: &Recording, specimen: &SimulatedSpecimen) -> Self {
         let nearest = nearest_approaches(recording);
         let guard = guard_approach(recording);
-        let simulated = simulated(recording, model);
+        let simulated = simulated(recording, &specimen.model);
         let beside = simulated.as_ref().map(|(log, open_loop)| (log, open_loop));
         Self {
             header: recording.header.clone(),
@@ -49,7 +49,8 @@ impl RolloutView {
             behaviour: Behaviour::of(recording),
             quietness: Quietness::of(&recording.ticks, &recording.header.settings.plant).figures(),
             motion: PackedMotion::of(recording, beside, &nearest).with_guard(guard),
-            simulation_error: simulated.as_ref().map(|(_, open_loop)| open_loop.rmse),
+            simulated: specimen.name.clone(),
+            simulation_error: beside.map(|(log, open_loop)| SimulationError::of(log, open_loop)),
             nearest,
             guard,
             defect: match (recording.loss(), &recording.completeness) {
@@ -112,10 +113,7 @@ impl RolloutView {
         }
         parts.extend(self.guard.map(guard_words));
         if let Some(error) = self.simulation_error {
-            parts.push(format!(
-                "The simulator got the same voltages from the same start and nothing else; its root mean square error is {:.2} rad in θ and {:.2} rad in α",
-                error.theta_rad, error.alpha_rad
-            ));
+            parts.extend(simulation_sentences(&self.simulated, error));
         }
         parts.extend(self.defect.as_deref().map(first_upper));
         parts.join(". ") + "."
@@ -133,6 +131,28 @@ pub fn behaviour_words(behaviour: Behaviour) -> &'static str {
         Behaviour::Fell => "fell or never got up",
         Behaviour::Fault => "fault",
     }
+}
+
+/// Says which specimen was simulated and how far its motion is from the recorded one; sentences
+/// without their full stops.
+fn simulation_sentences(simulated: &str, error: SimulationError) -> Vec<String> {
+    let rad = |AngleError { theta_rad, alpha_rad }: AngleError| {
+        format!("{theta_rad:.2} rad in θ and {alpha_rad:.2} rad in α")
+    };
+    let before = error.until_upright.map_or_else(String::new, |before| {
+        format!("{} until the pendulum is first upright, and ", rad(before))
+    });
+    let mut sentences = vec![format!(
+        "The simulation is of {simulated}: it got the same voltages from the same start and nothing else, and its \
+         root mean square error is {before}{} over the whole motion",
+        rad(error.whole)
+    )];
+    if error.falls {
+        sentences.push(
+            "Near upright a small error grows, so that the simulated pendulum falls".into(),
+        );
+    }
+    sentences
 }
 
 /// Says how a rollout ended; a sentence without its full stop.
@@ -308,7 +328,8 @@ mod tests {
                 completeness: Completeness::Whole,
             };
             recording.header.settings.safety_box.alpha = 1e3;
-            RolloutView::of(&recording, &QubeModel::NOMINAL)
+            let plant = recording.header.settings.plant;
+            RolloutView::of(&recording, &SimulatedSpecimen::nominal(&plant))
         };
         for (limit, words) in [
             (Limit::Alpha, "left the box"),
@@ -320,6 +341,7 @@ mod tests {
             assert!(view.result().ends_with(&format!(", {words}")), "{}", view.result());
             assert_eq!(rollout_cells(&view)[0], words.into());
             assert!(view.sentence().contains(&format!(". It {limit}, after")));
+            assert!(view.sentence().contains("The simulation is of the nominal Qube: it got"));
         }
         assert_eq!(behaviour_words(Behaviour::LeftBox), "left the box or ended by the guard");
     }

@@ -27,12 +27,12 @@ const ABOUT_UPRIGHT_RAD: f64 = 0.5;
 pub(super) const UPRIGHT_STEPS: usize = 100;
 
 /// Whether the pendulum of this state balances.
-pub(super) fn is_upright(state: &State) -> bool {
+pub(crate) fn is_upright(state: &State) -> bool {
     from_upright_rad(state) < UPRIGHT_RAD
 }
 
 /// Whether the pendulum of this state is nearly upright.
-pub(super) fn is_about_upright(state: &State) -> bool {
+pub(crate) fn is_about_upright(state: &State) -> bool {
     from_upright_rad(state) < ABOUT_UPRIGHT_RAD
 }
 

@@ -5,7 +5,7 @@ use crate::identification::check_recording;
 use crate::learning::{CURVE_BYTES, CurvePoint, parse_curve_csv};
 use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
-use crate::replay::MotionLog;
+use crate::replay::{MotionLog, SimulatedSpecimen};
 use crate::report::ReportError;
 use crate::report::rollout::RolloutView;
 use crate::scoring::{Latencies, Verdict, score_recording};
@@ -173,12 +173,14 @@ impl SessionSource {
         self.time_line.add_rollout(recording);
         self.observer_resets +=
             recording.outcome.as_ref().map_or(0, |outcome| u64::from(outcome.observer_resets));
-        let model = match self.profiles.last() {
-            Some((_, profile)) => profile.model(),
-            None => recording.header.settings.plant.nominal(),
+        let specimen = match self.profiles.last() {
+            Some((recordings, profile)) => {
+                SimulatedSpecimen::of_profile(profile, &format!("profile-{recordings}.toml"))
+            }
+            None => SimulatedSpecimen::nominal(&recording.header.settings.plant),
         };
         let number = candidate.number;
-        self.rollouts.push((number, RolloutView::of(recording, &model)));
+        self.rollouts.push((number, RolloutView::of(recording, &specimen)));
         let Some(&(fitted_to, _)) = self.profile_before_end() else { return };
         let Some(log) = MotionLog::of_recording(recording) else { return };
         let informs = candidate.purpose.informs() && check_recording(&log).is_ok();
