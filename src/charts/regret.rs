@@ -22,7 +22,8 @@ fn colour(strategy: StrategyKind) -> RGBColor {
 /// Draws one panel for each objective: for each strategy the median of the simple regret after each
 /// evaluation, with a band from the lower to the upper quartile, on a logarithmic axis. The curves
 /// of one objective follow one another in `curves`, and all curves have the same number of
-/// repetitions.
+/// repetitions. BayRn's curve lies on top, because its initial points are those of the random
+/// search.
 ///
 /// # Errors
 /// The drawing library failed.
@@ -96,7 +97,9 @@ fn draw_panel(curves: &[RegretCurve], area: &Panel<'_>) -> Result<(), PlotError>
         .label_style((FONT, TEXT - 2))
         .axis_desc_style((FONT, TEXT))
         .draw()?;
-    for curve in curves {
+    let is_below = |curve: &&RegretCurve| curve.strategy != StrategyKind::BayRn;
+    let (below, above): (Vec<&RegretCurve>, Vec<_>) = curves.iter().partition(is_below);
+    for curve in below.into_iter().chain(above) {
         let line = |pick: fn(&Quartiles) -> f64| {
             curve
                 .regret
@@ -117,6 +120,21 @@ fn draw_panel(curves: &[RegretCurve], area: &Panel<'_>) -> Result<(), PlotError>
 mod tests {
     use super::*;
     use crate::search::benchmark::Objective;
+
+    #[test]
+    fn the_curve_of_bayrn_lies_on_top() {
+        let curves = StrategyKind::ALL
+            .map(|it| RegretCurve::new(Objective::Branin, it, &[vec![9.0, 3.0, 1.0]]));
+        let svg = regret_svg(&curves).unwrap();
+        let last = |strategy| {
+            let RGBColor(red, green, blue) = colour(strategy);
+            svg.rfind(&format!("stroke=\"#{red:02X}{green:02X}{blue:02X}\""))
+        };
+        let others = StrategyKind::ALL.into_iter().filter(|it| *it != StrategyKind::BayRn);
+        let top = last(StrategyKind::BayRn);
+        assert!(top.is_some());
+        assert!(others.map(last).all(|other| other < top), "{svg}");
+    }
 
     #[test]
     fn every_panel_has_its_name_and_ticks_that_can_be_read() {
