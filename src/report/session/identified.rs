@@ -1,8 +1,10 @@
 //! The section about the identified Qube: parameters, verdict, and its simulation beside
 //! recordings.
 
+use std::collections::BTreeMap;
+
 use super::SessionSource;
-use super::source::ComparedMotion;
+use super::source::{COMPARED, ComparedMotion};
 use crate::identification::{Regime, regime_error, start_state};
 use crate::qube::{Profile, Quantity, QubeModel};
 use crate::replay::simulate_from;
@@ -50,7 +52,7 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
                          so that the verification tests it."
                     ));
                 }
-                add_predictions(page, &source.motions, &profile.model());
+                add_predictions(page, source, &profile.model());
             }
         }
     }
@@ -89,7 +91,8 @@ fn add_correlations(page: &mut Page, profile: &Profile) {
     );
 }
 
-fn add_predictions(page: &mut Page, motions: &[ComparedMotion], model: &QubeModel) {
+fn add_predictions(page: &mut Page, source: &SessionSource, model: &QubeModel) {
+    let motions = &source.motions;
     if let Some(excitation) = motions.iter().find(|it| it.excitation) {
         let words = if excitation.fitted { "fitted to it" } else { "not fitted to it" };
         page.heading(&format!("{}, an excitation: the model was {words}", excitation.name));
@@ -135,9 +138,24 @@ fn add_predictions(page: &mut Page, motions: &[ComparedMotion], model: &QubeMode
              of a second while it balances. The table shows the error at the end of a piece, root mean square over all \
              pieces, rad; a dash where no piece is long enough. A rollout that is held out was not used for the fit.",
         );
+        if let Some(sentence) = left_out(&source.comparable) {
+            page.paragraph(&sentence);
+        }
         let heads = ["rollout", "used", "swing, θ", "swing, α", "balance, θ", "balance, α"];
         page.table(&heads, &rows, None);
     }
+}
+
+/// Says how many rollouts the table of predictions leaves out, by whether the model was fitted to
+/// them; `None` if it has all of them.
+fn left_out(comparable: &BTreeMap<bool, usize>) -> Option<String> {
+    let shown = |fitted: bool, words: &str| {
+        let count = comparable.get(&fitted).copied().unwrap_or(0);
+        (count > COMPARED).then(|| format!("the first {COMPARED} of {count} {words}"))
+    };
+    let parts = [shown(true, "fitted rollouts"), shown(false, "rollouts that are held out")];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    (!parts.is_empty()).then(|| format!("The table shows {}.", parts.join(" and ")))
 }
 
 fn prediction(
@@ -175,4 +193,24 @@ fn prediction(
         ..both.clone()
     };
     [both, residual]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rollouts_that_the_table_leaves_out_are_counted() {
+        assert_eq!(left_out(&BTreeMap::from([(true, 3), (false, 1)])), None);
+        assert_eq!(
+            left_out(&BTreeMap::from([(true, 12), (false, 3)])).as_deref(),
+            Some("The table shows the first 3 of 12 fitted rollouts.")
+        );
+        assert_eq!(
+            left_out(&BTreeMap::from([(true, 12), (false, 8)])).as_deref(),
+            Some(
+                "The table shows the first 3 of 12 fitted rollouts and the first 3 of 8 rollouts that are held out."
+            )
+        );
+    }
 }

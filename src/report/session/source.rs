@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::time_line::TimeLine;
@@ -17,7 +18,7 @@ use crate::session::{
 use crate::storage::Disk;
 
 /// Largest number of recordings of each kind beside which the identified Qube is simulated.
-const COMPARED: usize = 3;
+pub(super) const COMPARED: usize = 3;
 
 /// The content of a session's folder; reading writes nothing there.
 #[derive(Debug)]
@@ -46,6 +47,9 @@ pub struct SessionSource {
     pub(super) observer_resets: u64,
     /// Motions beside which the identified Qube is simulated.
     pub(super) motions: Vec<ComparedMotion>,
+    /// Number of rollouts of each kind that have a motion: by whether the last profile before the
+    /// end of the search was fitted to it, for rollouts that are no excitations.
+    pub(super) comparable: BTreeMap<bool, usize>,
     /// Number of motions added so far that inform the method and can be fitted.
     fittable: usize,
     /// Sentences about files that could not be read.
@@ -91,6 +95,7 @@ impl SessionSource {
             latencies: Latencies::default(),
             observer_resets: 0,
             motions: Vec::new(),
+            comparable: BTreeMap::new(),
             fittable: 0,
             problems: Vec::new(),
         };
@@ -187,6 +192,9 @@ impl SessionSource {
         let fitted = informs && self.fittable < fitted_to as usize;
         self.fittable += usize::from(informs);
         let excitation = candidate.purpose == Purpose::Excitation;
+        if !excitation {
+            *self.comparable.entry(fitted).or_default() += 1;
+        }
         let of_kind = |it: &&ComparedMotion| (it.fitted, it.excitation) == (fitted, excitation);
         if self.motions.iter().filter(of_kind).count() < COMPARED {
             let name = format!("candidate {number}, rollout {}", recording.header.rollout);
