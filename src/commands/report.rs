@@ -12,7 +12,7 @@ use super::printable::one_line;
 use super::profile;
 use super::replay::recording_failure;
 use crate::device::emulator::EmulatorSettings;
-use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings};
+use crate::experiment::{Experiment, ExperimentError, ExperimentFolder, ExperimentSettings};
 use crate::jobs::starter::quoted;
 use crate::recording::{Recording, read};
 use crate::replay::SimulatedSpecimen;
@@ -162,11 +162,19 @@ fn page_of_experiment(
     experiment: &Experiment,
 ) -> Result<String, String> {
     let root = path_word(experiment.folder().root());
-    let commands = [
-        (
+    let resumed = ExperimentSettings::load_to_resume(&experiment.folder().settings_path());
+    let first = match resumed.err() {
+        Some(error @ ExperimentError::NotResumable { .. }) => (
+            format!("{}. Print the table of the finished work:", one_line(&error.to_string())),
+            format!("qube-hil experiment --resume {root} --table"),
+        ),
+        _ => (
             "Continue; for a real Qube add the --device and --qube of its beginning:".to_owned(),
             format!("qube-hil experiment --resume {root}"),
         ),
+    };
+    let commands = [
+        first,
         (
             "Draw the figures as files, and write the table for a spreadsheet:".to_owned(),
             format!(
@@ -196,6 +204,11 @@ fn of_session(folder: &Path) -> Result<(String, Option<Failure>), Failure> {
     let name = name.as_deref().unwrap_or(folder).file_name().unwrap_or(folder.as_os_str());
     let commands = session_commands(&source, folder);
     let page = session_page(&source, &name.to_string_lossy(), &commands).map_err(failure)?;
+    let lost_policy = source.policy_lost().map(|reason| {
+        Failure::data_lost(one_line(&format!(
+            "the best policy is lost: {reason}. Each recording of its rollouts has it attached, as policy.safetensors"
+        )))
+    });
     let lost = source.problems().first().map(|problem| {
         let more = match source.problems().len() - 1 {
             0 => String::new(),
@@ -203,7 +216,7 @@ fn of_session(folder: &Path) -> Result<(String, Option<Failure>), Failure> {
         };
         Failure::data_lost(one_line(&format!("{problem}{more}")))
     });
-    Ok((page, lost))
+    Ok((page, lost.or(lost_policy)))
 }
 
 /// The page of some recordings, and the failure to report if one of them lacks a part.
@@ -237,19 +250,22 @@ fn of_recordings(
     Ok((page, lost))
 }
 
-/// The commands that use and repeat a session, each with its purpose.
+/// The commands that use and repeat a session, each with its purpose. Those are left out that need a
+/// lost policy, or settings that were changed.
 fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, String)> {
     let paths = SessionPaths::new(folder);
     let root = path_word(folder);
     let mut commands = Vec::new();
-    if !source.is_finished() {
+    if !source.is_finished() && !source.settings_changed() {
         commands.push((
             "Continue this session; for a real Qube add the --device and --qube of its beginning:"
                 .into(),
             format!("qube-hil session --resume {root}"),
         ));
     }
-    if let Some(best) = ScoredCandidate::best_verified(source.candidates()) {
+    if let Some(best) = ScoredCandidate::best_verified(source.candidates())
+        && source.policy_lost().is_none()
+    {
         let number = source.candidates()[best].candidate.number;
         let policy = path_word(&paths.candidate(number).policy());
         let run = format!("qube-hil run --policy {policy}");
@@ -261,6 +277,9 @@ fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, Strin
     }
     let recordings = format!("qube-hil replay {root}/candidates/*/*.mcap");
     commands.push(("Check that the replay reproduces every recorded voltage:".into(), recordings));
+    if source.settings_changed() {
+        return commands;
+    }
     let settings = path_word(&paths.configuration());
     let (clock, same) = if source.is_of_computed_time() {
         (" --clock virtual", "Repeat this session; the same program gives the same results:")

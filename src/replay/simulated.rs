@@ -53,9 +53,10 @@ impl SimulationError {
         let first = samples.iter().position(|sample| is_upright(&sample.state));
         let until_upright =
             first.filter(|first| *first > 0).map(|first| open_loop.error_of(&samples[..first]));
-        let falls = samples.iter().zip(&open_loop.simulated).any(|(sample, simulated)| {
-            is_upright(&sample.state) && !is_about_upright(simulated)
-        });
+        let falls = samples
+            .iter()
+            .zip(&open_loop.simulated)
+            .any(|(sample, simulated)| is_upright(&sample.state) && !is_about_upright(simulated));
         Self { whole: open_loop.rmse, until_upright, falls }
     }
 }

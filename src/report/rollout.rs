@@ -148,9 +148,8 @@ fn simulation_sentences(simulated: &str, error: SimulationError) -> Vec<String> 
         rad(error.whole)
     )];
     if error.falls {
-        sentences.push(
-            "Near upright a small error grows, so that the simulated pendulum falls".into(),
-        );
+        sentences
+            .push("Near upright a small error grows, so that the simulated pendulum falls".into());
     }
     sentences
 }

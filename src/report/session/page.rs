@@ -73,6 +73,19 @@ fn outcome(source: &SessionSource) -> Vec<String> {
             });
         }
     }
+    if let Some(reason) = &source.policy_lost {
+        sentences.push(format!(
+            "The file of this policy is lost: {reason}. Each recording of its rollouts has the policy attached, as \
+             policy.safetensors."
+        ));
+    }
+    if source.settings_changed {
+        sentences.push(
+            "session.toml was changed after the session began, so that no command can repeat the session, and where this \
+             page draws on the settings, it may not describe the session: restore the file."
+                .into(),
+        );
+    }
     if !finished {
         sentences.push("The session is not finished: this page shows the results so far.".into());
     }

@@ -11,11 +11,11 @@ use crate::report::ReportError;
 use crate::report::rollout::RolloutView;
 use crate::scoring::{Latencies, Verdict, score_recording};
 use crate::session::{
-    Candidate, Entry, FolderError, Identification, Purpose, ScoredCandidate, ScoredRollout,
-    SessionPaths, SessionSettings, SessionState, SessionView, Step, TrainingTime, finished_rollout,
-    identified_profile, next_step,
+    BestPolicy, Candidate, Entry, FolderError, Identification, Purpose, ScoredCandidate,
+    ScoredRollout, SessionPaths, SessionSettings, SessionState, SessionView, Step, TrainingTime,
+    file_checksum, finished_rollout, identified_profile, next_step,
 };
-use crate::storage::Disk;
+use crate::storage::{Disk, SETTINGS_BYTES};
 
 /// Largest number of recordings of each kind beside which the identified Qube is simulated.
 pub(super) const COMPARED: usize = 3;
@@ -23,8 +23,13 @@ pub(super) const COMPARED: usize = 3;
 /// The content of a session's folder; reading writes nothing there.
 #[derive(Debug)]
 pub struct SessionSource {
-    /// Settings with which the session began.
+    /// Settings in the folder: those with which the session began, unless they were changed.
     pub(super) settings: SessionSettings,
+    /// Whether the settings in the folder are not those with which the session began.
+    pub(super) settings_changed: bool,
+    /// Reason why the file of the best verified policy cannot be run; `None` without a policy and
+    /// where it can.
+    pub(super) policy_lost: Option<String>,
     /// Entries of the ledger.
     pub(super) entries: Vec<Entry>,
     /// State that follows from the ledger's entries.
@@ -82,8 +87,12 @@ impl SessionSource {
         }
         let settings = SessionSettings::load(&paths.configuration())?;
         let view = SessionView::read(disk, paths.clone())?;
+        let bytes = disk.read(&paths.configuration(), SETTINGS_BYTES);
+        let settings_changed = bytes.is_ok_and(|bytes| changed(&bytes, view.entries()));
         let mut source = Self {
             settings,
+            settings_changed,
+            policy_lost: None,
             entries: view.entries().to_vec(),
             state: view.state().clone(),
             profiles: Vec::new(),
@@ -110,7 +119,30 @@ impl SessionSource {
         for candidate in source.state.candidates().to_vec() {
             source.read_candidate(disk, &paths, candidate);
         }
+        source.policy_lost =
+            source.best_policy(&paths).and_then(|best| Some(best.check().err()?.to_string()));
         Ok(source)
+    }
+
+    /// The best verified policy; `paths` are those of the session.
+    fn best_policy(&self, paths: &SessionPaths) -> Option<BestPolicy> {
+        let candidate = ScoredCandidate::best_verified(&self.candidates)?;
+        let number = self.candidates[candidate].candidate.number;
+        Some(BestPolicy { candidate, policy: paths.candidate(number).policy() })
+    }
+
+    /// Whether the settings in the folder are not those with which the session began. Such a
+    /// session can be neither continued nor repeated.
+    #[must_use]
+    pub fn settings_changed(&self) -> bool {
+        self.settings_changed
+    }
+
+    /// The reason why the file of the best verified policy cannot be run; `None` without a verified
+    /// policy and where it can.
+    #[must_use]
+    pub fn policy_lost(&self) -> Option<&str> {
+        self.policy_lost.as_deref()
     }
 
     /// What could not be read, each in a sentence that names the file; the page names them, too.
@@ -278,6 +310,14 @@ impl SessionSource {
     }
 }
 
+/// Whether these are not the settings that the first entry of the ledger names.
+fn changed(settings: &[u8], entries: &[Entry]) -> bool {
+    match entries.first() {
+        Some(Entry::Begun { settings: began, .. }) => *began != file_checksum(settings),
+        _ => false,
+    }
+}
+
 /// Reads the learning curve of a training.
 ///
 /// # Errors
@@ -293,6 +333,14 @@ mod tests {
     use super::*;
     use crate::session::IdentificationSettings;
     use crate::storage::MachineDisk;
+
+    #[test]
+    fn settings_that_the_session_did_not_begin_with_are_noticed() {
+        let begun = [Entry::Begun { settings: file_checksum(b"seed = 1"), chained: true }];
+        assert!(!changed(b"seed = 1", &begun));
+        assert!(changed(b"seed = 2", &begun));
+        assert!(!changed(b"seed = 2", &[]));
+    }
 
     #[test]
     fn without_its_first_profile_the_coordinates_of_a_search_are_unknown() {
