@@ -158,9 +158,10 @@ impl SessionProgress {
             SessionEvent::NotUpdated(reason) => {
                 self.line(format!("the verification leaves the profile as it is: {reason}"));
             }
-            SessionEvent::SearchContinues { expected_gain, smallest_gain } => self.line(format!(
-                "one more candidate is expected to gain a return of {expected_gain:.1}; the search ends below {smallest_gain:.1}"
-            )),
+            SessionEvent::SearchContinues { expected_gain, source, smallest_gain } => {
+                let gain = source.words(*expected_gain);
+                self.line(format!("{gain}; the search ends below {smallest_gain:.1}"));
+            }
             SessionEvent::TooLoud(QuietnessFigures { change_v, sign_changes_per_s, .. }) => {
                 self.line(format!(
                     "the verified policy buzzes ({change_v:.2} V a tick, {sign_changes_per_s:.0} sign \
@@ -170,9 +171,9 @@ impl SessionProgress {
             SessionEvent::SearchEnded { .. } if self.around == Some(1) => {
                 self.line("the only candidate has run".into());
             }
-            SessionEvent::SearchEnded { expected_gain } => self.line(format!(
-                "the search ends; one more candidate is expected to gain a return of {expected_gain:.1}"
-            )),
+            SessionEvent::SearchEnded { expected_gain, source } => {
+                self.line(format!("the search ends; {}", source.words(*expected_gain)));
+            }
             SessionEvent::EndedEarly(SessionError::Stopped) => {}
             SessionEvent::EndedEarly(error) => {
                 self.line(format!("its session ends, and the others continue: {error}"));

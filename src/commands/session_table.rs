@@ -11,8 +11,8 @@ use crate::experiment::statistics::{Interval, wilson_interval};
 use crate::qube::{DomainParameter, Profile, Quantity};
 use crate::scoring::Verdict;
 use crate::session::{
-    BestPolicy, EndedSearch, Identification, Purpose, RigResults, ScoredCandidate, SearchEnd,
-    SessionReport, TakenOutRig,
+    BestPolicy, EndedSearch, GainSource, Identification, Purpose, RigResults, ScoredCandidate,
+    SearchEnd, SessionReport, TakenOutRig,
 };
 use crate::simulation::PsiSpace;
 use crate::telemetry::Ending;
@@ -175,10 +175,8 @@ impl SessionTable {
         if let Some(EndedSearch { end, expected_gain }) = report.ended {
             let _ = writeln!(text, "the search ended: {end}");
             if end != SearchEnd::Candidates(1) {
-                let _ = writeln!(
-                    text,
-                    "one more candidate was expected to raise the return by {expected_gain:.1}"
-                );
+                let source = GainSource::of(&report.candidates);
+                let _ = writeln!(text, "{}", source.words(expected_gain));
             }
         }
         let _ = writeln!(

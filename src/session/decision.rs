@@ -1,6 +1,7 @@
 //! Decides how the search around an identified Qube continues.
 
 use super::ScoredCandidate;
+use super::settings::INITIAL_AROUND;
 
 /// Smallest gain that is worth one more candidate, as a fraction of the verified return.
 pub const WORTHWHILE_GAIN: f64 = 0.01;
@@ -61,6 +62,60 @@ impl std::fmt::Display for SearchEnd {
             Self::Candidates(largest) => {
                 write!(formatter, "the largest number of candidates, {largest}, is reached")
             }
+        }
+    }
+}
+
+/// The source of the return that one more candidate of a search around an identified Qube is
+/// expected to gain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GainSource {
+    /// The surrogate of the return over psi: its largest mean minus its mean at the best evaluated
+    /// psi.
+    Surrogate {
+        /// Number of candidates to whose returns the surrogate is fitted.
+        candidates: usize,
+    },
+    /// Simulations of the identified Qube, before there are enough candidates for a surrogate: the
+    /// largest simulated return of a policy minus the verified return.
+    Simulations,
+}
+
+impl GainSource {
+    /// The source of the expected gain after these candidates.
+    #[must_use]
+    pub fn of(candidates: &[ScoredCandidate]) -> Self {
+        let searched = candidates.iter().filter(|it| it.candidate.purpose.is_searched());
+        match searched.filter(|it| it.informs_search()).count() {
+            candidates if candidates >= INITIAL_AROUND as usize => Self::Surrogate { candidates },
+            _ => Self::Simulations,
+        }
+    }
+
+    /// Says what a gain in return from this source means; a sentence without capital letter and full
+    /// stop.
+    #[must_use]
+    pub fn words(self, gain: f64) -> String {
+        // Smaller gains would read as 0.0.
+        let is_none = gain < 0.05;
+        match self {
+            Self::Surrogate { candidates } if is_none => format!(
+                "by the surrogate, which rests on {candidates} candidates, no other psi promises a higher return than \
+                 the best so far"
+            ),
+            Self::Surrogate { candidates } => format!(
+                "by the surrogate, which rests on {candidates} candidates, the best psi not yet tried promises a \
+                 return {gain:.1} higher than the best so far"
+            ),
+            Self::Simulations if is_none => {
+                "in simulations of the identified Qube, no policy earns more than the \
+                 verified one on the Qube"
+                    .into()
+            }
+            Self::Simulations => format!(
+                "in simulations of the identified Qube, the best policy earns {gain:.1} more than the verified one on \
+                 the Qube"
+            ),
         }
     }
 }
@@ -158,6 +213,22 @@ mod tests {
 
     const GOOD: (f64, bool) = (540.0, true);
     const BAD: (f64, bool) = (120.0, false);
+
+    #[test]
+    fn a_gain_of_a_failed_session_does_not_read_as_nothing_to_gain() {
+        let mut candidates: Vec<ScoredCandidate> =
+            (0..2).map(|number| scored(number, Purpose::Initial, 0.1, &[BAD])).collect();
+        candidates.push(scored(2, Purpose::Incumbent, 0.1, &[BAD]));
+        let source = GainSource::of(&candidates);
+        assert_eq!(source, GainSource::Simulations);
+        assert!(source.words(31.26).contains("the best policy earns 31.3 more than the verified"));
+        assert!(source.words(0.0).contains("no policy earns more"), "{}", source.words(0.0));
+        candidates.push(scored(3, Purpose::Search, 0.2, &[BAD]));
+        let source = GainSource::of(&candidates);
+        assert_eq!(source, GainSource::Surrogate { candidates: 3 });
+        assert!(source.words(3.0).contains("rests on 3 candidates"), "{}", source.words(3.0));
+        assert!(source.words(0.01).contains("no other psi promises"), "{}", source.words(0.01));
+    }
 
     #[test]
     fn the_best_candidate_is_verified_and_a_verified_one_ends_the_search() {

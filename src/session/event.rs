@@ -1,4 +1,4 @@
-use super::{CandidateCounts, Purpose, SessionError};
+use super::{CandidateCounts, GainSource, Purpose, SessionError};
 use crate::identification::{Drift, Unfit};
 use crate::learning::TrainUpdate;
 use crate::rig::Rig;
@@ -45,12 +45,16 @@ pub enum SessionEvent<'a> {
     SearchEnded {
         /// Return that one more candidate was expected to gain.
         expected_gain: f64,
+        /// Source of this expectation.
+        source: GainSource,
     },
     /// The search continues after a verified policy, because one more candidate is expected to gain
     /// this return.
     SearchContinues {
         /// Return that one more candidate is expected to gain.
         expected_gain: f64,
+        /// Source of this expectation.
+        source: GainSource,
         /// Gain in return below which the search ends.
         smallest_gain: f64,
     },

@@ -47,7 +47,7 @@ mod training_time;
 mod view;
 
 pub use configuration_error::ConfigurationError;
-pub use decision::{SearchEnd, WORTHWHILE_GAIN};
+pub use decision::{GainSource, SearchEnd, WORTHWHILE_GAIN};
 pub use emulated_qube::{EmulatedQubeError, EmulatedQubeSettings};
 pub use entry::{Entry, Purpose};
 pub use error::SessionError;

@@ -4,10 +4,10 @@ use crate::report::chart::{Axis, Chart, Mark, Series, Style};
 use crate::report::motion::PackedMotion;
 use crate::report::page::{Cell, Page};
 use crate::report::provenance::add_provenance;
-use crate::report::rollout::{ROLLOUT_HEADS, RolloutView, add_player, rollout_cells};
+use crate::report::rollout::{ROLLOUT_HEADS, RolloutView, add_player, first_upper, rollout_cells};
 use crate::report::timing::add_timing;
 use crate::scoring::criterion::SUCCESS_RETURN;
-use crate::session::{Identification, Purpose, ScoredCandidate, SearchEnd};
+use crate::session::{GainSource, Identification, Purpose, ScoredCandidate, SearchEnd};
 
 /// The report on a session as one HTML page. `name` is the session's folder. `commands` are the
 /// commands that repeat the session and use its result, each with its purpose.
@@ -103,8 +103,8 @@ fn outcome(source: &SessionSource) -> Vec<String> {
         let reason = SearchEnd::of(&source.candidates, plan.candidates);
         sentences.push(format!("The search ended: {reason}."));
         if reason != SearchEnd::Candidates(1) {
-            sentences
-                .push(format!("One more candidate was expected to gain a return of {gain:.1}."));
+            let words = GainSource::of(&source.candidates).words(gain);
+            sentences.push(first_upper(&words) + ".");
         }
     }
     let baseline = source.candidates.iter().find(|it| it.candidate.purpose == Purpose::Baseline);
@@ -230,5 +230,27 @@ fn add_faults(page: &mut Page, source: &SessionSource) {
     }
     for problem in &source.problems {
         page.paragraph(&format!("Left out of this page: {problem}"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::{SessionPaths, SessionSettings};
+    use crate::storage::MachineDisk;
+
+    #[test]
+    fn a_lost_policy_and_changed_settings_are_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = SessionPaths::new(folder.path()).configuration();
+        std::fs::write(path, SessionSettings::quick().to_toml().unwrap()).unwrap();
+        let mut source = SessionSource::read(&MachineDisk, folder.path()).unwrap();
+        let told = outcome(&source).join(" ");
+        assert!(!told.contains("lost") && !told.contains("was changed"), "{told}");
+        source.policy_lost = Some("policy.safetensors: No such file".into());
+        source.settings_changed = true;
+        let told = outcome(&source).join(" ");
+        assert!(told.contains("is lost: policy.safetensors: No such file. Each recording"));
+        assert!(told.contains("session.toml was changed after the session began"), "{told}");
     }
 }

@@ -17,8 +17,8 @@ use crate::replay::MotionLog;
 use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
-    Entry, Finished, FolderError, Identification, Purpose, ScoredCandidate, SessionError,
-    SessionEvent, StoredProfile, file_checksum, identified_profile,
+    Entry, Finished, FolderError, GainSource, Identification, Purpose, ScoredCandidate,
+    SessionError, SessionEvent, StoredProfile, file_checksum, identified_profile,
 };
 use crate::storage::write_whole;
 
@@ -139,6 +139,7 @@ impl Session {
         let plan = self.settings.identification.unwrap_or_default();
         let scored = self.scored_candidates()?;
         let decision = decide(&scored, plan.candidates);
+        let source = GainSource::of(&scored);
         let drives = matches!(decision, Decision::Propose | Decision::Verify { .. });
         let is_contradicted = drives && self.has_contradicted_profile();
         if is_contradicted && self.fits_or_excites_again(on_event)? {
@@ -161,16 +162,18 @@ impl Session {
                 }
                 let expected_gain = self.expected_gain(&scored, Some(verification))?;
                 if expected_gain < smallest_gain {
-                    return self.end_search(expected_gain, on_event);
+                    return self.end_search(expected_gain, source, on_event);
                 }
-                on_event(SessionEvent::SearchContinues { expected_gain, smallest_gain });
+                let continues =
+                    SessionEvent::SearchContinues { expected_gain, source, smallest_gain };
+                on_event(continues);
                 self.propose_around(on_event)
             }
             Decision::End => {
                 let verification =
                     ScoredCandidate::best_verified(&scored).map(|index| &scored[index]);
                 let expected_gain = self.expected_gain(&scored, verification)?;
-                self.end_search(expected_gain, on_event)
+                self.end_search(expected_gain, source, on_event)
             }
         }
     }
@@ -207,10 +210,11 @@ impl Session {
     fn end_search(
         &mut self,
         expected_gain: f64,
+        source: GainSource,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         self.ledger.append(Entry::SearchEnded { expected_gain })?;
-        on_event(SessionEvent::SearchEnded { expected_gain });
+        on_event(SessionEvent::SearchEnded { expected_gain, source });
         Ok(())
     }
 
