@@ -1,7 +1,9 @@
 //! Figures of the densities of simulated quantities, and the names of the quantities in words.
 
 use super::chart::{Axis, Chart, Mark, Series, Style};
-use crate::qube::{Distribution, DomainParameter, Quantity};
+use super::draws::QuantityDraws;
+use super::page::significant;
+use crate::qube::{DomainParameter, Quantity};
 
 /// The masses and lengths of the thesis's figure 5.2; reports draw them before the others.
 pub const FIRST: [DomainParameter; 4] = [
@@ -18,45 +20,47 @@ pub const NEGLIGIBLE: f64 = 1e-12;
 /// Number of points over the range of the figure, and again over the range of each density.
 const PLACES: usize = 121;
 
-/// Whether a distribution has a density to draw. The limit is above 0 because of fits: for a
-/// quantity that no recording shows, such as the rest angle of a cable without stiffness, rounding
-/// alone may leave a deviation.
-pub fn has_spread(distribution: &Distribution) -> bool {
-    distribution.standard_deviation() > NEGLIGIBLE && distribution.mean().is_finite()
-}
-
-/// A figure of named densities of a quantity, without those that have no spread. It reaches at least
-/// 3.5 standard deviations to both sides of each mean. A line marks the nominal value.
-pub fn density_chart(quantity: Quantity, curves: &[(&str, Distribution)], nominal: f64) -> Chart {
+/// The figure of the named draws of a quantity, without those that have no spread, and a sentence
+/// about draws at the ends of the range, which have no density; the sentence is empty if there are
+/// none. No axis reaches a value that no draw can have, except the nominal value, which a line
+/// marks.
+pub fn density_chart(
+    quantity: Quantity,
+    curves: &[(&str, &QuantityDraws)],
+    nominal: f64,
+) -> (Chart, String) {
     let spread = || {
         let named = curves.iter().enumerate();
-        named.filter(|(_, (_, it))| has_spread(it))
+        named.filter(|(_, (_, it))| it.has_spread())
     };
-    let ends = |it: &Distribution| {
-        let reach = 3.5 * it.standard_deviation();
-        [it.mean() - reach, it.mean() + reach]
+    let smallest = |of: fn(&QuantityDraws) -> f64| {
+        spread().map(|(_, (_, it))| of(it)).chain([nominal]).fold(f64::INFINITY, f64::min)
     };
-    let all = || spread().flat_map(|(_, (_, it))| ends(it)).chain([nominal]);
-    let (low, high) =
-        (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
+    let largest = |of: fn(&QuantityDraws) -> f64| {
+        spread().map(|(_, (_, it))| of(it)).chain([nominal]).fold(f64::NEG_INFINITY, f64::max)
+    };
+    let (low, high) = (smallest(|it| it.inner.0), largest(|it| it.inner.1));
     let margin = 0.03 * (high - low);
-    let (low, high) = (low - margin, high + margin);
+    let low = (low - margin).max(smallest(|it| it.range.0));
+    let high = (high + margin).min(largest(|it| it.range.1));
     let between = |from: f64, to: f64| {
         (0..PLACES).map(move |index| from + (to - from) * index as f64 / (PLACES - 1) as f64)
     };
-    // A narrow density needs points of its own, because those of the whole range may miss it.
+    // A narrow density needs points of its own, because those of the whole range may miss it; the
+    // points just outside it let the curve fall to 0 at its ends.
     let own = spread().flat_map(|(_, (_, it))| {
-        let [from, to] = ends(it);
-        between(from, to)
+        let (from, to) = it.inner;
+        between(from, to).chain([from.next_down(), to.next_up()])
     });
     let mut xs: Vec<f64> = between(low, high).chain(own).collect();
+    xs.retain(|x| (low..=high).contains(x));
     xs.sort_by(f64::total_cmp);
     let series = spread().map(|(index, (name, it))| {
         let style = if index == 0 { Style::Line } else { Style::Dashed };
         Series::new(*name, style, index, xs.iter().map(|&x| Some(it.density(x))))
     });
     let unit = quantity.unit();
-    Chart {
+    let chart = Chart {
         x: Axis::new(words(quantity), unit),
         y: Axis::new("density", &per(unit)),
         series: series.collect(),
@@ -65,7 +69,33 @@ pub fn density_chart(quantity: Quantity, curves: &[(&str, Distribution)], nomina
         height: Some(210),
         xs,
         ..Chart::default()
+    };
+    (chart, at_ends(quantity, curves))
+}
+
+/// Smallest share of draws at an end of their range that a figure's sentence tells.
+const TOLD_SHARE: f64 = 0.005;
+
+/// Says which shares of the draws lie at the ends of their ranges; empty if none do.
+fn at_ends(quantity: Quantity, curves: &[(&str, &QuantityDraws)]) -> String {
+    let unit = if quantity.unit() == "1" { "" } else { quantity.unit() };
+    let told = curves.iter().filter_map(|(name, it)| {
+        let ends = [(it.at_ends[0], it.range.0), (it.at_ends[1], it.range.1)];
+        let parts: Vec<String> = ends
+            .into_iter()
+            .filter(|(share, _)| *share >= TOLD_SHARE)
+            .map(|(share, end)| {
+                let value = format!("{} {unit}", significant(end));
+                format!("{:.0} % at {}", 100.0 * share, value.trim_end())
+            })
+            .collect();
+        (!parts.is_empty()).then(|| format!("{name}, {}", parts.join(" and ")))
+    });
+    let told: Vec<String> = told.collect();
+    if told.is_empty() {
+        return String::new();
     }
+    format!("Draws at an end of the range, which the curve leaves out: {}.", told.join("; "))
 }
 
 /// The unit of the density of a quantity with this unit.
@@ -97,5 +127,26 @@ pub fn words(quantity: Quantity) -> String {
     match quantity {
         Quantity::Parameter(_) => format!("{name}, {}", quantity.symbol()),
         Quantity::Nonideality(_) => name.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::{Nonideality, PlantModel};
+    use crate::simulation::{Direction, DomainDistribution};
+
+    #[test]
+    fn a_figure_reaches_no_impossible_value_and_tells_the_draws_at_an_end() {
+        let friction = Quantity::Nonideality(Nonideality::CoulombTorque);
+        let error = Direction::new(&[(friction, 1e-4)]);
+        let draws = QuantityDraws::of(&DomainDistribution::nominal().along(&[error]));
+        let nominal = PlantModel::QUBE.nominal().get(friction);
+        let curves = [("in its training", &draws[friction.index()])];
+        let (chart, sentence) = density_chart(friction, &curves, nominal);
+        let [low, high] = chart.x_range.unwrap();
+        assert!(low == 0.0 && high > 3e-4, "{low} to {high}");
+        assert!(chart.xs.iter().all(|x| *x >= 0.0));
+        assert!(sentence.ends_with("in its training, 50 % at 0 N m."), "{sentence}");
     }
 }

@@ -2,7 +2,8 @@
 
 use super::ReportError;
 use super::chart::{Axis, Chart, Mark, Series, Style};
-use super::densities::{FIRST, density_chart, has_spread, words};
+use super::densities::{FIRST, density_chart, words};
+use super::draws::{DRAWS, QuantityDraws};
 use super::page::{Cell, Page};
 use super::provenance::add_provenance;
 use super::returns::{CandidateReturns, returns_chart};
@@ -348,24 +349,30 @@ fn add_distributions(
         return;
     }
     page.section("Distributions of simulations");
-    page.paragraph("Like the thesis's figure 5.2. A recipe without spread has no curve.");
+    page.paragraph(&format!(
+        "Like the thesis's figure 5.2; the curves are smoothed from {DRAWS} draws of each distribution. A recipe without \
+         spread has no curve."
+    ));
     page.grid(|page| {
-        for (quantity, chart) in charts {
-            page.chart(&first_upper(&words(quantity)), "", chart);
+        for (quantity, (chart, at_ends)) in charts {
+            page.chart(&first_upper(&words(quantity)), &at_ends, chart);
         }
     });
 }
 
-/// The marginal densities of the masses and lengths in which at least one recipe has spread.
+/// The densities of the masses and lengths in which at least one recipe has spread, each with a
+/// sentence about draws at the ends of the range.
 fn distribution_charts(
     distributions: &[(String, DomainDistribution)],
     plant: &PlantModel,
-) -> Vec<(Quantity, Chart)> {
+) -> Vec<(Quantity, (Chart, String))> {
+    let named = distributions.iter();
+    let draws: Vec<_> = named.map(|(name, it)| (name.as_str(), QuantityDraws::of(it))).collect();
     let mut charts = Vec::new();
     for quantity in FIRST.map(Quantity::Parameter) {
         let curves: Vec<_> =
-            distributions.iter().map(|(name, it)| (name.as_str(), it.marginal(quantity))).collect();
-        if curves.iter().any(|(_, it)| has_spread(it)) {
+            draws.iter().map(|(name, it)| (*name, &it[quantity.index()])).collect();
+        if curves.iter().any(|(_, it)| it.has_spread()) {
             let nominal = plant.nominal().get(quantity);
             charts.push((quantity, density_chart(quantity, &curves, nominal)));
         }
@@ -433,7 +440,7 @@ mod tests {
         assert!(charts(DomainDistribution::nominal()).is_empty());
         let moved = charts(DomainDistribution::nominal().along(&directions));
         assert_eq!(moved.iter().map(|(quantity, _)| *quantity).collect::<Vec<_>>(), [mass]);
-        let [low, high] = moved[0].1.x_range.unwrap();
+        let [low, high] = moved[0].1.0.x_range.unwrap();
         assert!((high - low) / (2.0 * 3.5 * deviation) > 1.0, "{low} to {high}");
     }
 }

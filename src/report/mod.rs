@@ -13,6 +13,7 @@
 
 mod chart;
 mod densities;
+mod draws;
 mod error;
 mod escape;
 mod experiment;

@@ -3,7 +3,8 @@
 
 use super::SessionSource;
 use crate::qube::Quantity;
-use crate::report::densities::{FIRST, density_chart, has_spread, words};
+use crate::report::densities::{FIRST, density_chart, words};
+use crate::report::draws::{DRAWS, QuantityDraws};
 use crate::report::page::{Cell, Page};
 use crate::session::{ScoredCandidate, SessionSettings};
 use crate::simulation::{DomainDistribution, Model};
@@ -30,7 +31,8 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         if verified.is_some() { "the best verified policy" } else { "the best policy so far" };
     page.paragraph(&format!(
         "{whose} is from candidate {trained_as}. In its training, each simulated Qube draws its properties from \
-         these distributions; the dashed vertical line marks the nominal Qube, as its maker describes it.",
+         these distributions. The curves are smoothed from {DRAWS} such draws; the dashed vertical line marks the \
+         nominal Qube, as its maker describes it.",
         whose = crate::report::rollout::first_upper(whose)
     ));
     if search.is_none() {
@@ -44,23 +46,30 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     if directions > 0 {
         page.paragraph(&format!(
             "The draws are correlated: {directions} joint deviations, the errors of the fit, move several properties at \
-             once. Each curve shows one property whatever the others are."
+             once. A value that they would move out of its range is put at the end of the range. Each curve shows one \
+             property whatever the others are."
         ));
     }
     let nominal = source.settings.plant().nominal();
     let base = search.as_ref().and_then(|settings| settings.base_distribution().ok());
+    let drawn = QuantityDraws::of(&distribution);
+    let before = base.as_ref().map(QuantityDraws::of);
     let order = FIRST.into_iter().map(Quantity::Parameter);
     let others = Quantity::all().filter(|quantity| !order.clone().any(|it| it == *quantity));
     let all: Vec<Quantity> = order.clone().chain(others).collect();
     page.grid(|page| {
         for quantity in all.iter().copied() {
-            let drawn = distribution.marginal(quantity);
-            let before = base.as_ref().map(|base| base.marginal(quantity));
-            if has_spread(&drawn) {
+            let drawn = &drawn[quantity.index()];
+            if drawn.has_spread() {
+                let differs = base
+                    .as_ref()
+                    .is_some_and(|base| base.marginal(quantity) != distribution.marginal(quantity));
+                let before = before.as_ref().filter(|_| differs);
                 let mut curves = vec![("in its training", drawn)];
-                curves.extend(before.filter(|it| *it != drawn).map(|it| ("before the search", it)));
+                curves.extend(before.map(|it| ("before the search", &it[quantity.index()])));
                 let caption = crate::report::rollout::first_upper(&words(quantity));
-                page.chart(&caption, "", density_chart(quantity, &curves, nominal.get(quantity)));
+                let (chart, at_ends) = density_chart(quantity, &curves, nominal.get(quantity));
+                page.chart(&caption, &at_ends, chart);
             }
         }
     });
@@ -68,20 +77,27 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         let rows: Vec<Vec<Cell>> = all
             .iter()
             .map(|&quantity| {
-                let drawn = distribution.marginal(quantity);
+                let drawn = &drawn[quantity.index()];
                 let value = nominal.get(quantity);
-                let ratio = (value != 0.0).then(|| drawn.mean() / value);
+                let ratio = (value != 0.0).then(|| drawn.mean / value);
                 vec![
                     words(quantity).into(),
                     Cell::significant(value),
-                    Cell::significant(drawn.mean()),
-                    Cell::significant(drawn.standard_deviation()),
+                    Cell::significant(drawn.mean),
+                    Cell::significant(drawn.standard_deviation),
                     Cell::number(ratio, 3),
                     quantity.unit().into(),
                 ]
             })
             .collect();
-        let heads = ["quantity", "nominal", "mean", "standard deviation", "mean / nominal", "unit"];
+        let heads = [
+            "quantity",
+            "nominal",
+            "mean of the draws",
+            "standard deviation of the draws",
+            "mean / nominal",
+            "unit",
+        ];
         page.table(&heads, &rows, None);
     });
     if let Some(settings) = search {
