@@ -84,16 +84,15 @@ impl ExperimentReport {
         experiment: &Experiment,
         commands: &[(String, String)],
     ) -> Result<String, String> {
-        let name = &experiment.settings().name;
+        let settings = experiment.settings();
         match self {
-            Self::Methods(results) => methods_page(name, results, commands),
+            Self::Methods(results) => methods_page(&settings.name, results, commands),
             Self::Recipes(results) => {
                 let distributions =
                     experiment.distributions().map_err(|error| error.to_string())?;
                 let searches = experiment.searches().map_err(|error| error.to_string())?;
                 let rollouts = examples(results);
-                let distributions = (experiment.settings().plant(), &distributions[..]);
-                recipes_page(name, results, distributions, &searches, rollouts, commands)
+                recipes_page(settings, results, &distributions, &searches, rollouts, commands)
             }
         }
         .map_err(|error| error.to_string())

@@ -10,7 +10,8 @@ use super::returns::{CandidateReturns, returns_chart};
 use super::rollout::{RolloutView, add_player, behaviour_words, first_upper};
 use crate::experiment::statistics::mean_and_deviation;
 use crate::experiment::{
-    Comparison, MethodResult, MethodResults, RecipeResult, Results, SearchReturns,
+    ALL_PLANTS, Comparison, ExperimentSettings, MethodResult, MethodResults, MethodSettings,
+    RecipeResult, RepetitionSeeds, Results, SearchReturns,
 };
 use crate::qube::{MAX_STEPS, PlantModel, Quantity};
 use crate::scoring::Behaviour;
@@ -22,35 +23,24 @@ use crate::simulation::DomainDistribution;
 pub type NamedRollouts = Vec<(String, RolloutView)>;
 
 /// The HTML page of an experiment that compares recipes, or methods at fixed budgets.
-/// `distributions` are the recipes' distributions of simulations, each with its recipe's name, and
-/// `plant` is the plant that they describe; `rollouts` are examples; `commands` are pairs of a
-/// purpose and a command that repeats a part of the experiment.
+/// `distributions` are the recipes' distributions of simulations, each with its recipe's name;
+/// `rollouts` are examples; `commands` are pairs of a purpose and a command that repeats a part of
+/// the experiment.
 ///
 /// # Errors
 /// The data of the figures cannot be written.
 pub fn recipes_page(
-    name: &str,
+    settings: &ExperimentSettings,
     results: &Results,
-    (plant, distributions): (&PlantModel, &[(String, DomainDistribution)]),
+    distributions: &[(String, DomainDistribution)],
     searches: &SearchReturns,
     rollouts: NamedRollouts,
     commands: &[(String, String)],
 ) -> Result<String, ReportError> {
-    let mut page = Page::new(format!("Experiment {name}"));
-    // A recipe whose rollouts are all void has no mean return.
-    let scored = results.recipes.iter().filter(|it| it.real().0.is_finite());
-    let best = scored.max_by(|one, other| one.real().0.total_cmp(&other.real().0));
-    page.outcome(&match best {
-        None => "No policy has completed its rollouts yet.".into(),
-        Some(best) => format!(
-            "The recipe {} has the largest mean return on {}, {:.1} of at most {MAX_STEPS}; {} of its {} policies succeed.",
-            best.recipe,
-            best.plant,
-            best.real().0,
-            best.successes(),
-            best.policies.len()
-        ),
-    });
+    let mut page = Page::new(format!("Experiment {}", settings.name));
+    for headline in headlines(settings, results) {
+        page.outcome(&headline);
+    }
     page.paragraph(&format!(
         "A policy succeeds when its mean return is at least {SUCCESS_RETURN:.0} and at least {:.0} % of its rollouts balance to the end.",
         100.0 * POLICY_SHARE
@@ -62,22 +52,102 @@ pub fn recipes_page(
         }
     }
     let comparisons = results.comparisons();
+    let what = compared(settings);
     for plant in plants {
         let recipes: Vec<&RecipeResult> =
             results.recipes.iter().filter(|it| it.plant == plant).collect();
         page.section(&format!("On {plant}"));
-        add_returns(&mut page, &recipes);
-        add_behaviours(&mut page, &recipes);
+        add_returns(&mut page, what, &recipes);
+        add_behaviours(&mut page, what, &recipes);
         let of_plant: Vec<&Comparison> =
             comparisons.iter().filter(|it| it.plant == plant).collect();
-        add_comparisons(&mut page, &of_plant);
+        add_comparisons(&mut page, what, &of_plant);
     }
-    add_distributions(&mut page, distributions, plant);
+    add_distributions(&mut page, distributions, settings.plant());
     add_searches(&mut page, searches);
     let header = rollouts.first().map(|(_, view)| view.header.clone());
-    add_examples(&mut page, rollouts);
+    add_examples(&mut page, what, rollouts);
     add_provenance(&mut page, header.as_ref(), commands);
     Ok(page.finish()?)
+}
+
+/// The methods that are compared at fixed budgets; `None` if recipes are compared.
+fn methods_at_budgets(settings: &ExperimentSettings) -> Option<&MethodSettings> {
+    settings.methods.as_ref().filter(|it| it.has_budgets())
+}
+
+/// The word for what the experiment compares.
+fn compared(settings: &ExperimentSettings) -> &'static str {
+    if methods_at_budgets(settings).is_some() { "method" } else { "recipe" }
+}
+
+/// The sentences about the largest mean return: one for each plant, or one for all plants together
+/// where their results are independent.
+fn headlines(settings: &ExperimentSettings, results: &Results) -> Vec<String> {
+    let pools = methods_at_budgets(settings).is_some_and(|methods| {
+        settings.plants.len() > 1 && methods.seeds == RepetitionSeeds::OfEachPlant
+    });
+    let plants: Vec<&str> = if pools {
+        vec![ALL_PLANTS]
+    } else {
+        settings.plants.iter().map(|plant| plant.name.as_str()).collect()
+    };
+    plants.into_iter().map(|plant| headline(settings, results, plant)).collect()
+}
+
+/// The sentence about the largest mean return on a plant, or on [`ALL_PLANTS`], among the recipes or
+/// methods that have all their policies; methods at the largest budget that one of them has
+/// completed.
+fn headline(settings: &ExperimentSettings, results: &Results, plant: &str) -> String {
+    let what = compared(settings);
+    let (needed, all) = match methods_at_budgets(settings) {
+        Some(methods) => {
+            let plants = if plant == ALL_PLANTS { settings.plants.len() } else { 1 };
+            (plants * methods.repetitions as usize, methods.methods.len())
+        }
+        None => (settings.policies as usize, settings.recipes.len()),
+    };
+    // A recipe whose rollouts are all void has no mean return.
+    let is_complete = |it: &&RecipeResult| it.policies.len() >= needed && it.real().0.is_finite();
+    let complete = || results.recipes.iter().filter(|it| it.plant == plant).filter(is_complete);
+    let budget = complete().filter_map(|it| it.budget).max();
+    let rows: Vec<&RecipeResult> = complete().filter(|it| it.budget == budget).collect();
+    let best = rows.iter().max_by(|one, other| one.real().0.total_cmp(&other.real().0));
+    let Some(best) = best else {
+        return format!("On {plant}, no {what} has completed all its policies yet.");
+    };
+    let after = match budget {
+        None => String::new(),
+        Some(0) => ", without a real rollout".into(),
+        Some(1) => ", after 1 real rollout".into(),
+        Some(budget) => format!(", after {budget} real rollouts"),
+    };
+    let name = budget.and_then(|budget| best.recipe.strip_suffix(&format!(" {budget}")));
+    let name = name.unwrap_or(&best.recipe);
+    let (article, among) = match rows.len() {
+        1 => ("a", String::new()),
+        count => ("the largest", format!(" of {count} {what}s")),
+    };
+    let interval = best.return_interval();
+    let (successes, policies) = (best.successes(), best.policies.len());
+    let of_policies = match policies {
+        1 if successes == 1 => "its only policy succeeds".into(),
+        1 => "its only policy does not succeed".into(),
+        _ => format!("{successes} of its {policies} policies succeed"),
+    };
+    let mut sentence = format!(
+        "On {plant}{after}, the {what} {name} has {article} mean return{among}: {:.1} of at most {MAX_STEPS} (95 % \
+         interval {:.0} to {:.0}); {of_policies}.",
+        best.real().0,
+        interval.lower,
+        interval.upper
+    );
+    if rows.len() < all {
+        let have = if rows.len() == 1 { "has" } else { "have" };
+        sentence
+            .push_str(&format!(" Only {} of {all} {what}s {have} all policies there.", rows.len()));
+    }
+    sentence
 }
 
 /// The HTML page of an experiment that compares methods up to their first success. `commands` are
@@ -185,8 +255,9 @@ fn success_chart(results: &MethodResults) -> Chart {
     }
 }
 
-/// Adds the table of returns and successes of each recipe, and the figure of its policies' returns.
-fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
+/// Adds the table of returns and successes of each recipe or method, and the figure of its policies'
+/// returns; `what` is `recipe` or `method`.
+fn add_returns(page: &mut Page, what: &str, recipes: &[&RecipeResult]) {
     let rows: Vec<Vec<Cell>> = recipes
         .iter()
         .map(|recipe| {
@@ -213,7 +284,7 @@ fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
         })
         .collect();
     let heads = [
-        "recipe",
+        what,
         "policies",
         "return in simulation",
         "return on the plant",
@@ -227,13 +298,13 @@ fn add_returns(page: &mut Page, recipes: &[&RecipeResult]) {
     page.paragraph("Means ± standard deviations over policies.");
     if recipes.iter().any(|recipe| !recipe.policies.is_empty()) {
         let note = "A dot is the mean of a policy's rollouts.";
-        page.chart("Return of each policy", note, policies_chart(recipes));
+        page.chart("Return of each policy", note, policies_chart(what, recipes));
     }
 }
 
-/// The mean return of each policy as a dot, the policies of a recipe side by side, with the mean of
-/// the recipe.
-fn policies_chart(recipes: &[&RecipeResult]) -> Chart {
+/// The mean return of each policy as a dot, the policies of a recipe or method side by side, with
+/// their mean.
+fn policies_chart(what: &str, recipes: &[&RecipeResult]) -> Chart {
     let mut places: Vec<(f64, [Option<f64>; 2])> = Vec::new();
     for (index, recipe) in recipes.iter().enumerate() {
         let returns = recipe.returns();
@@ -256,13 +327,13 @@ fn policies_chart(recipes: &[&RecipeResult]) -> Chart {
             .map(|(index, recipe)| Mark::vertical(index as f64 - 0.45, recipe.recipe.as_str())),
     );
     Chart {
-        x: Axis::new("recipe, in the order of the table", ""),
+        x: Axis::new(format!("{what}, in the order of the table"), ""),
         y: Axis::new("mean return of a policy", ""),
         xs: places.iter().map(|place| place.0).collect(),
         series: vec![
             Series::new("policy", Style::Dots, 0, places.iter().map(|place| place.1[0])),
             Series::new(
-                "mean of the recipe",
+                format!("mean of the {what}"),
                 Style::Dots,
                 1,
                 places.iter().map(|place| place.1[1]),
@@ -276,7 +347,7 @@ fn policies_chart(recipes: &[&RecipeResult]) -> Chart {
     }
 }
 
-fn add_behaviours(page: &mut Page, recipes: &[&RecipeResult]) {
+fn add_behaviours(page: &mut Page, what: &str, recipes: &[&RecipeResult]) {
     let rows: Vec<Vec<Cell>> = recipes
         .iter()
         .filter(|recipe| !recipe.policies.is_empty())
@@ -290,23 +361,22 @@ fn add_behaviours(page: &mut Page, recipes: &[&RecipeResult]) {
         return;
     }
     page.heading("How the rollouts ended");
-    let heads: Vec<&str> =
-        ["recipe"].into_iter().chain(Behaviour::ALL.map(behaviour_words)).collect();
+    let heads: Vec<&str> = [what].into_iter().chain(Behaviour::ALL.map(behaviour_words)).collect();
     page.table(&heads, &rows, None);
 }
 
-fn add_comparisons(page: &mut Page, comparisons: &[&Comparison]) {
+fn add_comparisons(page: &mut Page, what: &str, comparisons: &[&Comparison]) {
     if comparisons.is_empty() {
         return;
     }
-    page.heading("Recipes in pairs");
-    page.paragraph(
+    page.heading(&format!("{}s in pairs", first_upper(what)));
+    page.paragraph(&format!(
         "The differences are over pairs of policies of equal number, which have equal seeds. Their p-values are \
          McNemar's exact test and a permutation test, corrected by Holm for the number of comparisons on the plant \
          at the same number of real rollouts. The last column compares each policy of \
-         the first recipe with each of the second: the share of these pairs in which the second's return is \
+         the first {what} with each of the second: the share of these pairs in which the second's return is \
          higher; ties count half.",
-    );
+    ));
     let finite = |value: f64, text: String| {
         Cell::Number(if value.is_finite() { text } else { "–".into() })
     };
@@ -407,14 +477,14 @@ fn search_chart(candidates: &[Vec<f64>]) -> Chart {
     returns_chart(&candidates, MAX_STEPS as f64, Vec::new())
 }
 
-fn add_examples(page: &mut Page, rollouts: NamedRollouts) {
+fn add_examples(page: &mut Page, what: &str, rollouts: NamedRollouts) {
     if rollouts.is_empty() {
         return;
     }
     page.section("Rollouts");
-    page.paragraph(
-        "The first rollout of the best and of the worst policy of each recipe on each plant, for up to 20 of these pairs.",
-    );
+    page.paragraph(&format!(
+        "The first rollout of the best and of the worst policy of each {what} on each plant, for up to 20 of these pairs."
+    ));
     let motions = rollouts.into_iter().map(|(name, view)| {
         let outcome = format!("{name}: {}", view.result());
         let sentence = view.sentence();
@@ -426,8 +496,113 @@ fn add_examples(page: &mut Page, rollouts: NamedRollouts) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::experiment::{Method, Plant, PolicyResult, Recipe, RolloutResult};
     use crate::qube::DomainParameter;
-    use crate::simulation::Direction;
+    use crate::scoring::Quietness;
+    use crate::session::SessionSettings;
+    use crate::simulation::{Direction, Model};
+
+    /// The settings of two recipes with two policies each, on these plants.
+    fn settings(plants: &[&str]) -> ExperimentSettings {
+        let plant =
+            |name: &&str| Plant { name: (*name).into(), emulated: Default::default(), vary: 0.0 };
+        let recipe = |model| Recipe::of(model, &SessionSettings::quick());
+        ExperimentSettings {
+            name: "table".into(),
+            seed: 7,
+            policies: 2,
+            rollouts: 1,
+            simulated_starts: 1,
+            guard_profile: None,
+            plants: plants.iter().map(plant).collect(),
+            recipes: vec![recipe(Model::Nominal), recipe(Model::Robust)],
+            methods: None,
+        }
+    }
+
+    /// A row with one policy for each of these returns.
+    fn row(name: &str, plant: &str, budget: Option<u32>, returns: &[f64]) -> RecipeResult {
+        let policy = |(number, return_): (u32, &f64)| PolicyResult {
+            number,
+            simulated_return: 500.0,
+            rollouts: vec![RolloutResult {
+                return_: Some(*return_),
+                behaviour: Behaviour::Balanced,
+                quietness: Quietness::NONE,
+            }],
+            recordings: Default::default(),
+        };
+        RecipeResult {
+            recipe: name.into(),
+            budget,
+            plant: plant.into(),
+            psi: Default::default(),
+            policies: (0..).zip(returns).map(policy).collect(),
+        }
+    }
+
+    #[test]
+    fn the_headline_of_each_plant_is_about_complete_recipes_and_has_the_interval() {
+        let settings = settings(&["lab", "furuta"]);
+        let recipes = vec![
+            row("nominal", "lab", None, &[100.0, 300.0]),
+            row("robust", "lab", None, &[590.0]),
+            row("nominal", "furuta", None, &[500.0, 100.0]),
+            row("robust", "furuta", None, &[500.0, 520.0]),
+        ];
+        let told = headlines(&settings, &Results { recipes });
+        assert_eq!(told.len(), 2, "{told:?}");
+        assert!(told[0].starts_with("On lab, the recipe nominal has a mean return: 200.0 of"));
+        assert!(
+            told[0].ends_with(
+                "0 of its 2 policies succeed. Only 1 of 2 recipes has all policies there."
+            )
+        );
+        assert!(told[1].starts_with(
+            "On furuta, the recipe robust has the largest mean return of 2 recipes: 510.0"
+        ));
+        assert!(
+            told[1].contains("(95 % interval ")
+                && told[1].ends_with("2 of its 2 policies succeed.")
+        );
+        let none = headlines(&settings, &Results { recipes: Vec::new() });
+        assert_eq!(none[0], "On lab, no recipe has completed all its policies yet.");
+    }
+
+    #[test]
+    fn the_headline_of_methods_is_about_all_plants_at_the_largest_complete_budget() {
+        let methods = MethodSettings {
+            methods: vec![Method::Posterior, Method::Robust],
+            repetitions: 1,
+            recordings: 6,
+            spread: 0.1,
+            budgets: vec![2, 5],
+            trainings: 1,
+            seeds: RepetitionSeeds::OfEachPlant,
+        };
+        let mut settings =
+            ExperimentSettings { methods: Some(methods), ..settings(&["lab", "furuta"]) };
+        let recipes = vec![
+            row("posterior 2", "lab", Some(2), &[590.0]),
+            row("posterior 5", "lab", Some(5), &[500.0]),
+            row("posterior 2", ALL_PLANTS, Some(2), &[590.0, 580.0]),
+            row("robust 2", ALL_PLANTS, Some(2), &[400.0, 300.0]),
+            row("posterior 5", ALL_PLANTS, Some(5), &[500.0, 540.0]),
+            row("robust 5", ALL_PLANTS, Some(5), &[600.0]),
+        ];
+        let results = Results { recipes };
+        let told = headlines(&settings, &results);
+        assert_eq!(told.len(), 1, "{told:?}");
+        let words =
+            "On all plants, after 5 real rollouts, the method posterior has a mean return: 520.0";
+        assert!(told[0].starts_with(words), "{told:?}");
+        if let Some(methods) = &mut settings.methods {
+            methods.seeds = RepetitionSeeds::SameOnAllPlants;
+        }
+        let told = headlines(&settings, &results);
+        assert_eq!(told.len(), 2, "{told:?}");
+        assert!(told[0].contains("its only policy succeeds. Only 1 of 2 methods has"), "{told:?}");
+    }
 
     #[test]
     fn the_density_of_a_quantity_includes_what_joint_deviations_add() {
