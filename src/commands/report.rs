@@ -250,8 +250,8 @@ fn of_recordings(
     Ok((page, lost))
 }
 
-/// The commands that use and repeat a session, each with its purpose. Those are left out that need a
-/// lost policy, or settings that were changed.
+/// The commands that use and repeat a session, each with its purpose. Those that need a lost policy
+/// or changed settings are left out.
 fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, String)> {
     let paths = SessionPaths::new(folder);
     let root = path_word(folder);

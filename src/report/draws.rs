@@ -1,4 +1,4 @@
-//! The quantities of the Qubes that a distribution of simulations draws, from a sample of its draws.
+//! Draws of a distribution of simulations, summed up for each quantity.
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
@@ -79,9 +79,9 @@ impl QuantityDraws {
         Self { mean, standard_deviation, range, at_ends, inner: ends, cells }
     }
 
-    /// Whether there is a density to draw. The limit is above 0 because of fits: for a quantity that
-    /// no recording shows, such as the rest angle of a cable without stiffness, rounding alone may
-    /// leave a deviation.
+    /// Whether there is a density to draw. The limit is above 0 because of fits: for a quantity
+    /// that no recording shows, such as the rest angle of a cable without stiffness, rounding
+    /// alone may leave a deviation.
     pub fn has_spread(&self) -> bool {
         !self.cells.is_empty()
     }

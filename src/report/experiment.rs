@@ -95,8 +95,8 @@ fn headlines(settings: &ExperimentSettings, results: &Results) -> Vec<String> {
     plants.into_iter().map(|plant| headline(settings, results, plant)).collect()
 }
 
-/// The sentence about the largest mean return on a plant, or on [`ALL_PLANTS`], among the recipes or
-/// methods that have all their policies; methods at the largest budget that one of them has
+/// The sentence about the largest mean return on a plant, or on [`ALL_PLANTS`], among the recipes
+/// or methods that have all their policies; methods at the largest budget that one of them has
 /// completed.
 fn headline(settings: &ExperimentSettings, results: &Results, plant: &str) -> String {
     let what = compared(settings);
@@ -255,8 +255,8 @@ fn success_chart(results: &MethodResults) -> Chart {
     }
 }
 
-/// Adds the table of returns and successes of each recipe or method, and the figure of its policies'
-/// returns; `what` is `recipe` or `method`.
+/// Adds the table of returns and successes of each recipe or method, and the figure of its
+/// policies' returns; `what` is `recipe` or `method`.
 fn add_returns(page: &mut Page, what: &str, recipes: &[&RecipeResult]) {
     let rows: Vec<Vec<Cell>> = recipes
         .iter()

@@ -116,7 +116,7 @@ mod tests {
         assert!((theta.share - 1.0).abs() < 1e-12);
         assert_eq!((found[3].value, found[3].share, found[3].time_s), (-20.0, 0.5, 0.0));
 
-        // Ticks are missing after the policy's last one, so that the next one may be any later state.
+        // A tick is missing after the policy's last one, so that the next one may be any later one.
         recording.ticks.remove(3);
         let theta = &nearest_approaches(&recording)[0];
         assert_eq!((theta.value, theta.time_s), (-1.15, 0.01));

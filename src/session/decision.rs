@@ -92,8 +92,8 @@ impl GainSource {
         }
     }
 
-    /// Says what a gain in return from this source means; a sentence without capital letter and full
-    /// stop.
+    /// Says what a gain in return from this source means; a sentence without capital letter and
+    /// full stop.
     #[must_use]
     pub fn words(self, gain: f64) -> String {
         // Smaller gains would read as 0.0.
