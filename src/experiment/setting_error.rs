@@ -132,6 +132,19 @@ pub enum ExperimentSettingError {
     /// The budgets do not rise, or are too large.
     #[error("budgets: give numbers of real rollouts up to 1000, each larger than the one before")]
     Budgets,
+    /// No budget is large enough for a method's first recommendation.
+    #[error(
+        "budgets: {method} needs at least {least} real rollout{} for its first recommendation, and the largest budget is \
+         {largest}: give a budget of {least} or more too, or leave {method} out", if *least == 1 { "" } else { "s" }
+    )]
+    NoRecommendation {
+        /// The method.
+        method: Method,
+        /// Number of real rollouts before its first recommendation.
+        least: u32,
+        /// Largest budget.
+        largest: u32,
+    },
     /// A method can be compared only at fixed budgets, and there are none.
     #[error("{method} {}: give budgets to compare it", why_budgets(*method))]
     NeedsBudgets {

@@ -5,7 +5,7 @@ use toml::{Table, Value};
 
 use super::folder::check_name;
 use super::seal::is_unchanged;
-use super::{ExperimentError, ExperimentSettingError, MethodSettings, Plant, Recipe};
+use super::{ExperimentError, ExperimentSettingError, Method, MethodSettings, Plant, Recipe};
 use crate::qube::PlantModel;
 use crate::session::{Retired, take_retired, toml_message};
 use crate::storage::{SETTINGS_BYTES, read_text};
@@ -164,14 +164,31 @@ impl ExperimentSettings {
 
     /// Checks the settings of an experiment that begins. Its folder may be copied to a file system
     /// that takes `Lab` and `lab` for the same name, so names that differ in case only are refused;
-    /// experiments that have such names can be resumed and shown.
+    /// experiments that have such names can be resumed and shown. So can those with a method that
+    /// no budget allows a recommendation.
     ///
     /// # Errors
     /// The first invalid setting.
     pub fn check_new(&self) -> Result<(), ExperimentSettingError> {
         self.check()?;
         check_folders("recipes", &self.recipe_names())?;
-        check_folders("plants", &self.plant_names())
+        check_folders("plants", &self.plant_names())?;
+        self.check_largest_budget()
+    }
+
+    /// Checks that each method has a recommendation at the largest budget at least.
+    fn check_largest_budget(&self) -> Result<(), ExperimentSettingError> {
+        let (Some(methods), Some(recipe)) = (&self.methods, self.recipes.first()) else {
+            return Ok(());
+        };
+        let Some(&largest) = methods.budgets.last() else { return Ok(()) };
+        for &method in &methods.methods {
+            let least = first_budget(method, recipe);
+            if least > largest {
+                return Err(ExperimentSettingError::NoRecommendation { method, least, largest });
+            }
+        }
+        Ok(())
     }
 
     /// Checks that one real Qube can run the policies of all recipes: it is homed once for all.
@@ -214,6 +231,20 @@ impl ExperimentSettings {
     }
 }
 
+/// Number of real rollouts that a method takes before its first recommendation at a budget. A search
+/// takes all rollouts of its first candidate, and a method that identifies the Qube one recording;
+/// every other method trains a policy without any.
+fn first_budget(method: Method, recipe: &Recipe) -> u32 {
+    match method {
+        Method::Search(_) => recipe.settings.extent.rollouts,
+        Method::IdentifyMean
+        | Method::Identify
+        | Method::Posterior
+        | Method::SequentialPosterior => 1,
+        Method::Robust | Method::StrategyOptimisation | Method::Rival(_) => 0,
+    }
+}
+
 /// Checks that the names are valid and that no two are equal; `kind` names them in the error.
 fn check_names(kind: &'static str, names: &[&str]) -> Result<(), ExperimentSettingError> {
     for (index, name) in names.iter().enumerate() {
@@ -246,7 +277,7 @@ fn text_of(path: &Path) -> Result<String, ExperimentError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::{Method, RepetitionSeeds};
+    use crate::experiment::RepetitionSeeds;
     use crate::session::{EmulatedQubeSettings, SessionSettings};
     use crate::simulation::Model;
 
@@ -313,6 +344,30 @@ mod tests {
             it.recipes[1].settings = it.recipes[1].settings.clone().of_plant(&larger);
         });
         assert!(mixed.contains("furuta-130") && mixed.contains("one plant"), "{mixed}");
+    }
+
+    #[test]
+    fn a_method_that_no_budget_allows_a_recommendation_is_refused_in_a_new_experiment() {
+        let with = |name: &str, budgets: &[u32]| {
+            let mut settings = of_methods();
+            let methods = settings.methods.as_mut().unwrap();
+            methods.methods = vec![name.parse().unwrap()];
+            methods.budgets = budgets.into();
+            assert!(settings.check().is_ok(), "an older experiment is readable");
+            settings.check_new()
+        };
+        let each = SessionSettings::thesis().extent.rollouts;
+        for (name, budgets, least) in
+            [("posterior", &[0][..], 1), ("sequential", &[0], 1), ("cem", &[0, each - 1], each)]
+        {
+            let message = with(name, budgets).unwrap_err().to_string();
+            assert!(message.contains(&format!("{name} needs at least {least} ")), "{message}");
+        }
+        for (name, budgets) in
+            [("posterior", &[0, 1][..]), ("cem", &[1, each]), ("robust", &[0]), ("so-cma", &[0])]
+        {
+            assert!(with(name, budgets).is_ok(), "{name} at {budgets:?}");
+        }
     }
 
     #[test]

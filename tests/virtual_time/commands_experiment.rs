@@ -414,6 +414,8 @@ fn impossible_settings_are_refused_before_anything_is_made() {
         ),
         (vec!["--strategies", "robust"], "give budgets"),
         (vec!["--strategies", "cem", "--budgets", "5,2"], "larger than the one before"),
+        (vec!["--strategies", "posterior", "--budgets", "0"], "at least 1 real rollout for"),
+        (vec!["--strategies", "robust,cem", "--budgets", "0,1"], "cem needs at least 5 real"),
         (vec!["--recipe", "nominal.toml", "--effect", "slack=2"], "from 0 to 1"),
         (vec!["--recipe", "nominal.toml", "--effect", "hunger=2"], "no effect hunger"),
         (vec!["--strategies", "cem,cem"], "cem is there twice"),
