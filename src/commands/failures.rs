@@ -19,6 +19,10 @@ use crate::recording::RecordingError;
 use crate::rig::RigError;
 use crate::session::{FolderError, LedgerError, RigSessions, SessionError, SessionPaths};
 
+/// What an operator does after a check of a Qube in doubt, and what the program then does.
+pub const THEN_ACKNOWLEDGE: &str =
+    "Then start again with --acknowledge: the Qube is examined before it is driven";
+
 /// The failure for an error of a rig.
 pub fn rig(error: RigError, stop: &Stop) -> Failure {
     let fault = error.fault();
@@ -26,8 +30,8 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::Stopped { .. } => stop.failure(error),
         RigError::Homing { .. } | RigError::LinkLost { .. } => {
             let then = match error.doubt() {
-                Some(_) => " Then start again with --acknowledge.",
-                None => "",
+                Some(_) => format!(" {THEN_ACKNOWLEDGE}."),
+                None => String::new(),
             };
             Failure::fault(format!("{error}{then}{}", with_last_ticks(&error)))
         }
@@ -38,9 +42,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         | RigError::BoardChanged { .. }
         | RigError::MiddleLost { .. }
         | RigError::Ended { .. } => Failure::fault(error),
-        RigError::InDoubt(_) => {
-            Failure::fault(format!("{error}. Then start again with --acknowledge"))
-        }
+        RigError::InDoubt(_) => Failure::fault(format!("{error}. {THEN_ACKNOWLEDGE}")),
         // A failing link is a fault, not bad usage, and so is a board that refuses.
         RigError::Device(DeviceError::Refused { .. }) => Failure::fault(error),
         RigError::Device(_) if fault.is_some() => Failure::fault(error),
@@ -216,7 +218,9 @@ fn ended_session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         SessionError::GivenUp { .. } => {
             Failure::fault(format!("{error}, then continue with {resume}"))
         }
-        SessionError::InDoubt { .. } => Failure::fault(format!("{error}: {resume} --acknowledge")),
+        SessionError::InDoubt { .. } => Failure::fault(format!(
+            "{error}. Then continue with {resume} --acknowledge: the Qube is examined before it is driven"
+        )),
         SessionError::NotStartedAgain { ref source, .. } => {
             let (message, last_ticks) = (error.to_string(), with_last_ticks(source));
             let message = message.trim_end_matches('.');

@@ -84,7 +84,7 @@ impl Keyboard {
             HomingMethod::Hand => " Put the arm into its middle: its place then counts as that.",
         };
         let question = format!(
-            "{doubt}\nLook at the Qube.{middle} Then press a: it is examined, and driven again. \
+            "{doubt}.\nLook at the Qube.{middle} Then press a: it is examined, and driven again. \
              Any other key ends the command."
         );
         print_message(&question);

@@ -29,13 +29,10 @@ impl fmt::Display for Doubt {
             }
             None => write!(
                 formatter,
-                "board {board} is in doubt, and the record of the reason cannot be read. Look at the Qube."
+                "board {board} is in doubt, and the record of the reason cannot be read."
             )?,
         }
-        write!(
-            formatter,
-            " Nothing moves until somebody has checked it; then the Qube is examined first"
-        )
+        write!(formatter, " Nothing moves until somebody has checked the Qube")
     }
 }
 
