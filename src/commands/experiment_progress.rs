@@ -213,7 +213,8 @@ impl ExperimentProgress {
                 self.line(format!("{name}: candidate {candidate}, rollout {rollout}: {return_}"));
                 self.progress.wait_while_paused(&self.stop);
             }
-            SessionEvent::Connected { .. }
+            SessionEvent::FirstMotion { .. }
+            | SessionEvent::Connected { .. }
             | SessionEvent::RolloutBegins { .. }
             | SessionEvent::Drift { .. }
             | SessionEvent::RigTakenOut { .. }

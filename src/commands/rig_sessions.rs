@@ -291,11 +291,6 @@ fn open(
         for warning in session::warnings(&device, &rig_settings, &settings) {
             print_message(&format!("{name}: warning: {warning}"));
         }
-        if rig_settings.checks() {
-            print_message(&format!(
-                "{name}: first the Qube is checked and homed (--skip-check leaves the check out)"
-            ));
-        }
         let progress = SessionProgress::new(&settings, &Screen::none().progress(), &stop);
         let is_hardware = rig_settings.is_hardware();
         let failed =

@@ -29,7 +29,6 @@ use super::output::Output;
 use super::printable::print_message;
 use super::screen::ScreenArgument;
 use super::stop::Stop;
-use crate::control::HomingMethod;
 use crate::policy::ExcitationShape;
 use crate::qube::Profile;
 use crate::rig::RigSettings;
@@ -159,22 +158,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     for warning in before_motion(device.power_warning(), &settings, plan.safety_box.guard) {
         print_message(&format!("warning: {warning}"));
     }
-    if settings.checks() {
-        print_message(&format!(
-            "checking {}: before all else the arm is pushed a little (--skip-check leaves the check out)",
-            device.described()
-        ));
-    }
-    if settings.homing.method == HomingMethod::Stops {
-        print_message(&format!(
-            "homing: before the first rollout the arm of {} looks for its stops",
-            device.described()
-        ));
-    }
     let plan = RolloutPlan { steps: controller.steps, policy: controller.name.clone(), ..plan };
     let mut results = RunResults::new(arguments.excite.map(|_| device.described()));
     let mut series = RolloutSeries {
         settings,
+        described: device.described(),
         plan,
         controller,
         directory,

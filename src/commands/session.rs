@@ -242,9 +242,6 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     for warning in warnings(&device, &rig_settings, &settings) {
         print_message(&format!("warning: {warning}"));
     }
-    if rig_settings.checks() {
-        print_message("first the Qube is checked and homed (--skip-check leaves the check out)");
-    }
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);

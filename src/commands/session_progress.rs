@@ -127,6 +127,12 @@ impl SessionProgress {
                     ));
                 }
             }
+            SessionEvent::FirstMotion { is_examined: false, .. } => {}
+            SessionEvent::FirstMotion { rig, is_acknowledged, .. } => {
+                let how = if *is_acknowledged { "" } else { " (--skip-check leaves the check out)" };
+                let on = of_rig(*rig);
+                self.line(format!("{on}first the Qube is checked and homed{how}"));
+            }
             SessionEvent::Connected { rig, opened } => {
                 if !self.connected.contains(rig) {
                     let identity = opened.identity();

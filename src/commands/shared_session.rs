@@ -146,7 +146,8 @@ pub fn run(
 /// rigs show it.
 fn rig_of(event: &SessionEvent) -> Option<u32> {
     match event {
-        SessionEvent::Connected { rig, .. }
+        SessionEvent::FirstMotion { rig, .. }
+        | SessionEvent::Connected { rig, .. }
         | SessionEvent::RolloutBegins { rig, .. }
         | SessionEvent::Rollout { rig, .. } => *rig,
         _ => None,
@@ -234,11 +235,6 @@ fn opened(
         rig_settings.viewers = live.viewer().into_iter().collect();
         for warning in session::warnings(&device, &rig_settings, &of_rig) {
             print_message(&format!("rig {number}: warning: {warning}"));
-        }
-        if rig_settings.checks() {
-            print_message(&format!(
-                "rig {number} is checked and homed first (--skip-check leaves the check out)"
-            ));
         }
         rigs.push((rig_settings, device.profile.as_ref().map(Profile::model)));
         lives.push(live);

@@ -90,10 +90,25 @@ impl Rig {
     /// A doubt is not acknowledged, the processor is too slow for foresight, or a step fails; the
     /// motor is off after any error.
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
+        Self::open_announced(settings, stop, |_| {})
+    }
+
+    /// Opens a rig like [`open`](Self::open). Calls `before_motion` once port, board and doubt are
+    /// accepted, right before the arm moves; its argument is whether the Qube is examined first.
+    ///
+    /// # Errors
+    /// The errors of [`open`](Self::open).
+    pub fn open_announced(
+        settings: &RigSettings,
+        stop: &Arc<AtomicBool>,
+        before_motion: impl FnOnce(bool),
+    ) -> Result<Self, RigError> {
         let (mut rig, doubt) = Self::reach(settings, stop)?;
         let is_hardware = settings.is_hardware() || rig.is_hardware();
         // After a doubt no flag skips the examination.
-        if doubt.is_some() || (is_hardware && !settings.skip_check) {
+        let is_examined = doubt.is_some() || (is_hardware && !settings.skip_check);
+        before_motion(is_examined);
+        if is_examined {
             let mut results = rig.examine(OtherSigns::Fail)?.results;
             if results.iter().any(CheckResult::failed) {
                 return Err(RigError::CheckFailed { results });

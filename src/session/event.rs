@@ -76,6 +76,16 @@ pub enum SessionEvent<'a> {
         /// Mean return of the policy in the simulations of its training; `None` if it is unknown.
         best_return: Option<f64>,
     },
+    /// The device is open, its board and doubt are accepted, and the arm is about to move for the
+    /// first time.
+    FirstMotion {
+        /// Number of the rig, from 1, where several rigs share the session.
+        rig: Option<u32>,
+        /// Whether the Qube is examined before it is homed.
+        is_examined: bool,
+        /// Whether the operator has acknowledged a doubt, so that no setting skips the examination.
+        is_acknowledged: bool,
+    },
     /// The device is open and homed.
     Connected {
         /// Number of the rig, from 1, where several rigs share the session.

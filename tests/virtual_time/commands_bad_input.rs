@@ -22,6 +22,11 @@ fn ports_that_are_none() {
             let told = String::from_utf8(output.stderr).unwrap();
             assert!(told.contains(words) && told.lines().count() == 1, "{command:?}: {told}");
         }
+        let output = qube_hil(directory.path(), &[command, &["--device", "hil:none@7"]].concat());
+        let told = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{command:?}: {told}");
+        assert!(!told.contains("pushed") && !told.contains("homed"), "{command:?}: {told}");
+        assert!(!told.contains("looks for its stops"), "{command:?}: {told}");
     }
     assert!(!directory.path().join("logs/session").exists());
 }

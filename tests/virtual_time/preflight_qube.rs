@@ -13,7 +13,7 @@ use qube_hil::estimation::{Calibration, EstimatorSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::preflight::{Examination, ExaminationSettings, OtherSigns, examine};
 use qube_hil::recording::read;
-use qube_hil::rig::{Rig, RigError, RigSettings};
+use qube_hil::rig::{Doubt, DoubtStore, Recovery, Rig, RigError, RigSettings};
 use qube_hil::safety::{MotorHeat, SafetyBox};
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::session::{QubeFile, RolloutPlan};
@@ -159,6 +159,32 @@ fn signs_of_another_board_are_refused() {
     assert!(matches!(error, RigError::WrongBoard { .. }), "{error}");
     let same = RigSettings { board: Some(format!("{:016x}", 11)), ..settings(None) };
     assert!(Rig::connect(&same, &stop()).is_ok());
+}
+
+#[test]
+fn a_motion_is_announced_only_where_the_qube_is_accepted() {
+    let directory = tempfile::tempdir().unwrap();
+    let board = format!("{:016x}", 11);
+    let memory = DoubtStore::new(directory.path().to_owned());
+    let told = |settings: RigSettings| {
+        let mut told = None;
+        let opened = Rig::open_announced(&settings, &stop(), |examines| told = Some(examines));
+        (told, opened.err())
+    };
+    let remembering = |acknowledged| {
+        let memory = Some(memory.clone());
+        let recovery = Recovery { memory, acknowledged, ..Recovery::default() };
+        RigSettings { recovery, ..settings(None) }
+    };
+    let other = RigSettings { board: Some("00000000000000ff".into()), ..settings(None) };
+    assert!(matches!(told(other), (None, Some(RigError::WrongBoard { .. }))));
+    assert!(matches!(told(remembering(false)), (Some(false), None)));
+    memory.store(&Doubt { fault: Some(Fault::Stall), board, unix_s: None });
+    assert!(matches!(told(remembering(false)), (None, Some(RigError::InDoubt(_)))));
+    // After a doubt the Qube is examined, also an emulated one.
+    assert!(matches!(told(remembering(true)), (Some(true), None)));
+    // A Qube that is lost after the announcement has been announced.
+    assert!(matches!(told(settings(Some("unplug@2"))), (Some(false), Some(_))));
 }
 
 #[test]

@@ -100,12 +100,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let board = settings.board.clone().filter(|_| file.is_none());
     let settings = RigSettings { board, ..settings };
     device.check_port_exists()?;
+    let failed = |error| failures::rig(error, &stop);
+    let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
     print_message(&format!(
         "checking {}: the arm is pushed a little, then homed",
         device.described()
     ));
-    let failed = |error| failures::rig(error, &stop);
-    let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
     warn_without_realtime(rig.realtime());
     // Signs that are found have a use only if they can be stored.
     let other_signs = if file.is_some() { OtherSigns::Adopt } else { OtherSigns::Fail };

@@ -10,6 +10,7 @@ use crate::commands::printable::print_message;
 use crate::commands::screen::{Progress, time_left};
 use crate::commands::stop::Stop;
 use crate::commands::{command_hints, failures, warn_without_realtime};
+use crate::control::HomingMethod;
 use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
 use crate::session::RolloutPlan;
 use crate::storage::MachineDisk;
@@ -18,6 +19,8 @@ use crate::telemetry::{Ending, Fault};
 /// Several rollouts of one policy or excitation on one rig.
 pub struct RolloutSeries<'a> {
     pub settings: RigSettings,
+    /// The driven Qube in words.
+    pub described: String,
     pub plan: RolloutPlan,
     pub controller: RunController,
     pub directory: PathBuf,
@@ -108,17 +111,40 @@ impl RolloutSeries<'_> {
     /// Opens the rig. If a remembered doubt, or a doubt that homing leaves, prevents this, the
     /// operator may acknowledge it at a terminal, and the rig is opened again.
     fn open(&mut self) -> Result<Rig, Failure> {
-        let opened = match Rig::open(&self.settings, &self.stop.flag) {
+        let opened = match self.open_once() {
             Err(error) if self.acknowledges(&error) => {
                 self.settings.recovery.acknowledged = true;
                 self.settings.recovery.doubt = error.doubt().cloned();
-                Rig::open(&self.settings, &self.stop.flag)
+                self.open_once()
             }
             opened => opened,
         };
         self.settings.recovery.acknowledged = false;
         self.settings.recovery.doubt = None;
         opened.map_err(|error| failures::rig(error, self.stop))
+    }
+
+    /// Opens the rig. Once its port, board and doubt are accepted, says how the arm is going to move
+    /// first.
+    fn open_once(&self) -> Result<Rig, RigError> {
+        Rig::open_announced(&self.settings, &self.stop.flag, |is_examined| {
+            let described = &self.described;
+            if is_examined {
+                // After a doubt the check cannot be left out.
+                let how = match self.settings.recovery.acknowledged {
+                    true => "",
+                    false => " (--skip-check leaves the check out)",
+                };
+                print_message(&format!(
+                    "checking {described}: before all else the arm is pushed a little{how}"
+                ));
+            }
+            if self.settings.homing.method == HomingMethod::Stops {
+                print_message(&format!(
+                    "homing: before the first rollout the arm of {described} looks for its stops"
+                ));
+            }
+        })
     }
 
     /// Whether the error leaves a doubt, and the operator acknowledges it.
@@ -179,10 +205,9 @@ impl RolloutSeries<'_> {
 
 /// The message for a fault that ended the last rollout, with the operator's next step.
 fn fault_message(fault: Fault) -> String {
-    let then = if fault.leaves_doubt() {
-        ". Then start again with --acknowledge: the Qube is examined first"
-    } else {
-        ""
+    let then = match fault.leaves_doubt() {
+        true => format!(". {}", failures::THEN_ACKNOWLEDGE),
+        false => String::new(),
     };
     let step = fault.operator_step().trim_end_matches('.');
     format!("the last rollout was ended by a fault: {fault}. {step}{then}")

@@ -6,7 +6,7 @@ use super::controller::{policy, trained_on_true_states};
 use super::*;
 use crate::commands::live::Live;
 use crate::commands::screen::Progress;
-use crate::control::HomingSettings;
+use crate::control::{HomingMethod, HomingSettings};
 use crate::device::emulator::{EmulatorFault, EmulatorSettings};
 use crate::estimation::{EstimatorSettings, ObserverSettings};
 use crate::policy::{Policy, SimulatedObserver, SimulatedSensors};
@@ -55,6 +55,7 @@ fn run_within(
     let progress = Progress::lines();
     let mut series = RolloutSeries {
         settings,
+        described: "the emulated Qube".into(),
         plan,
         controller,
         directory,
@@ -102,6 +103,9 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     let ended_by = ended.unwrap_err().ended_by();
     let cause = ended_by["cause"].as_str().unwrap();
     assert!(cause.contains("doubt") && cause.contains("reports a stall"), "{cause}");
+    let order = ["somebody has checked the Qube", "start again with", "is examined before"];
+    let places = order.map(|words| cause.find(words));
+    assert!(places.is_sorted() && places[0].is_some(), "{cause}");
     assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!("stall_error"), &json!(4)));
     assert_eq!(recordings(&directory.join("two")), 0);
 

@@ -227,7 +227,12 @@ impl Session {
             *opened = None;
         }
         if opened.is_none() {
-            let rig = span_of(number).in_scope(|| Rig::open(settings, &self.stop));
+            let is_acknowledged = settings.recovery.acknowledged;
+            let announce = |is_examined| {
+                on_event(SessionEvent::FirstMotion { rig: number, is_examined, is_acknowledged });
+            };
+            let rig =
+                span_of(number).in_scope(|| Rig::open_announced(settings, &self.stop, announce));
             let rig = rig.map_err(|error| match (number, error) {
                 (Some(rig), error @ RigError::Homing { .. }) => {
                     SessionError::NotHomed { rig, source: Box::new(error) }
