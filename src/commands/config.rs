@@ -45,6 +45,10 @@ enum Action {
     },
 }
 
+/// The effect of a file of settings without the table `[identification]`, where the preset has one.
+pub const WITHOUT_IDENTIFICATION: &str =
+    "without the table [identification] the method is bayrn, a search for an unknown Qube";
+
 const HEAD: &str = "\
 # The settings of a session, each with its meaning, unit and accepted values. Keep only the lines that you change:
 # what a file does not name comes from the preset. But a list such as [[psi]] replaces the preset's list, [profile] has
@@ -114,7 +118,7 @@ fn check(files: &[PathBuf], preset: SessionPreset, output: &Output) -> Result<()
             text += &format!("\n  {} = {value} (default {default})", change.key);
         }
         if leaves_out {
-            text += "\n  without the table [identification] the method is bayrn, a search for an unknown Qube";
+            text += &format!("\n  {WITHOUT_IDENTIFICATION}");
         }
         texts.push(text);
         let method = if settings.identification.is_some() { "identified" } else { "bayrn" };

@@ -80,9 +80,11 @@ pub fn run(
             (root, sessions)
         }
     };
-    // The estimators are the same in all sessions, so the first session speaks for all.
-    if let Some(difference) = sessions.first().and_then(|(_, it)| session::estimators_differ(it)) {
-        print_message(&difference);
+    // Method and estimators are the same in all sessions, so the first session speaks for all.
+    if let Some((_, settings)) = sessions.first() {
+        let notes =
+            [session::method_note(arguments, settings), session::estimators_differ(settings)];
+        notes.iter().flatten().for_each(|note| print_message(note));
     }
     let resume = resume_command(&root, &devices);
     if !begins {

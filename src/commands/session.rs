@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use super::check_arguments::CheckArguments;
 use super::chosen_device::ChosenDevice;
 use super::command_hints::before_motion;
+use super::config::WITHOUT_IDENTIFICATION;
 use super::destination::OutputFolder;
 use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
@@ -206,9 +207,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         device.clock = resumed_clock(folder.paths(), &arguments.rigs, &device);
     }
     let rig_settings = rig_settings(&mut device, &folder, &settings, consent, arguments.check)?;
-    if let Some(difference) = estimators_differ(&settings) {
-        print_message(&difference);
-    }
+    let notes = [method_note(&arguments, &settings), estimators_differ(&settings)];
+    notes.iter().flatten().for_each(|note| print_message(note));
     let profile = device.profile.as_ref().map(Profile::model);
     let stop = Stop::on_signals()?;
     let root = folder.paths().root().display().to_string();
@@ -346,6 +346,16 @@ pub fn results(
     Ok((text, result, ended))
 }
 
+/// A note for the operator if a new session searches psi because the file of `--config` has no table
+/// `[identification]`, and no option chooses a method.
+pub fn method_note(arguments: &Arguments, settings: &SessionSettings) -> Option<String> {
+    let path = arguments.config.as_ref()?;
+    let by_rule = arguments.method.is_none() && arguments.preset == SessionPreset::Quick;
+    (by_rule && settings.identification.is_none()).then(|| {
+        format!("note: {}: {WITHOUT_IDENTIFICATION} (--method chooses one)", path.display())
+    })
+}
+
 /// A note for the operator if the policies are trained on other states than they will see on the
 /// Qube: true states, or those of another estimator.
 pub fn estimators_differ(settings: &SessionSettings) -> Option<String> {
@@ -373,9 +383,31 @@ fn described(estimator: &EstimatorSettings) -> String {
 
 #[cfg(test)]
 mod tests {
+    use clap::{Args as _, FromArgMatches as _};
+
     use super::*;
     use crate::estimation::ObserverSettings;
     use crate::qube::QubeModel;
+
+    #[test]
+    fn a_file_that_changes_the_method_by_what_it_leaves_out_is_told_of() {
+        let told = |options: &str, settings: SessionSettings| {
+            let words = ["session"].into_iter().chain(options.split_whitespace());
+            let command = Arguments::augment_args(clap::Command::new("session"));
+            let matches = command.try_get_matches_from(words).unwrap();
+            method_note(&Arguments::from_arg_matches(&matches).unwrap(), &settings)
+        };
+        let quick = SessionSettings::quick();
+        let message = told("--config mine.toml", quick.clone()).unwrap();
+        assert!(message.contains("mine.toml") && message.contains("is bayrn"), "{message}");
+        let identification = Some(crate::session::IdentificationSettings::DEFAULT);
+        let identified = SessionSettings { identification, ..quick.clone() };
+        assert_eq!(told("--config mine.toml", identified), None);
+        for options in ["--method bayrn --config mine.toml", "--preset thesis --config mine.toml"] {
+            assert_eq!(told(options, quick.clone()), None, "{options}");
+        }
+        assert_eq!(told("--method bayrn", quick), None);
+    }
 
     #[test]
     fn a_policy_that_will_see_something_else_than_in_training_is_told_of() {

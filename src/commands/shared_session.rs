@@ -64,9 +64,8 @@ pub fn run(
             begun(place.path(), name_in(place.path()), settings)?
         }
     };
-    if let Some(difference) = session::estimators_differ(&settings) {
-        print_message(&difference);
-    }
+    let notes = [session::method_note(arguments, &settings), session::estimators_differ(&settings)];
+    notes.iter().flatten().for_each(|note| print_message(note));
     let root = folder.paths().root().to_owned();
     let resume = resume_command(&root, &devices);
     let withdrawn = |folder: SessionFolder| {
