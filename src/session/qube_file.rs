@@ -18,6 +18,9 @@ use crate::storage::{MachineDisk, write_whole};
 /// Name of the file in the working directory.
 pub const QUBE_FILE: &str = "qube.toml";
 
+/// The entries of the file that are in no table.
+const TOP_KEYS: [&str; 3] = ["port", "board", "profile"];
+
 /// The contents of `qube.toml`: the properties that differ from rig to rig.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -140,9 +143,11 @@ impl QubeFile {
     /// line.
     pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
-        toml::from_str(&text).map_err(|source| ConfigurationError::Invalid {
-            path: path.to_owned(),
-            source: Box::new(source),
+        toml::from_str(&text).map_err(|source| match misplaced(&text, &source) {
+            Some((line, reason)) => {
+                ConfigurationError::OutOfRange { path: path.to_owned(), line: Some(line), reason }
+            }
+            None => ConfigurationError::Invalid { path: path.to_owned(), source: Box::new(source) },
         })
     }
 
@@ -205,6 +210,22 @@ impl QubeFile {
             guard: of_the_task.guard,
         }
     }
+}
+
+/// The line of an entry that belongs at the top of the file and is in a table, and the reason why it
+/// is refused; `None` for another error.
+fn misplaced(text: &str, error: &toml::de::Error) -> Option<(usize, String)> {
+    let key = error.message().strip_prefix("unknown field `")?.split('`').next()?;
+    if !TOP_KEYS.contains(&key) {
+        return None;
+    }
+    let before = text.get(..error.span()?.start)?;
+    let table = before.lines().rev().find(|line| line.trim_start().starts_with('['))?.trim();
+    let line = 1 + before.matches('\n').count();
+    Some((
+        line,
+        format!("{key} is in the table {table}: it belongs at the top, before the first table"),
+    ))
 }
 
 // Values are checked while they are parsed, so that an error names its line.
@@ -377,6 +398,18 @@ mod tests {
         let narrow = SafetyBox { theta: 1.0, ..SafetyBox::THESIS };
         assert_eq!(file.within_limits(&narrow), narrow);
         assert_eq!(file.within_limits(&SafetyBox::THESIS).theta, 1.5);
+    }
+
+    #[test]
+    fn an_entry_of_no_table_that_is_in_one_is_sent_to_the_top() {
+        for (key, table) in [("profile", "[limits]"), ("port", "[motor]"), ("board", "[signs]")] {
+            let text = format!("\n{table}\n{key} = \"mine.toml\"\n");
+            let message = read_back(&text).unwrap_err().to_string();
+            let told = format!("line 3: {key} is in the table {table}: it belongs at the top");
+            assert!(message.contains(&told), "{message}");
+        }
+        let message = read_back("prot = \"/dev/qube\"\n").unwrap_err().to_string();
+        assert!(message.contains("unknown field"), "{message}");
     }
 
     #[test]
