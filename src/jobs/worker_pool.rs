@@ -115,7 +115,13 @@ impl WorkerPool {
         let alive = self.count_alive(folder)?;
         let workers = self.starter.count_workers(self.appeared, alive)?;
         if let Some(note) = &workers.note {
-            self.warn_once(note.clone());
+            self.warn_once(match workers.expected {
+                Some(_) => note.clone(),
+                None => format!(
+                    "{note}. It is asked again, for up to {} minutes",
+                    PATIENCE.as_secs() / 60
+                ),
+            });
         }
         let Some(expected) = workers.expected else {
             if self.silent_since.get_or_insert_with(Instant::now).elapsed() >= PATIENCE {
@@ -308,7 +314,8 @@ mod tests {
         }
 
         fn count_workers(&mut self, _: u32, _: u32) -> Result<WorkerCount, StartError> {
-            Ok(WorkerCount { expected: self.0, ..WorkerCount::default() })
+            let note = self.0.is_none().then(|| "squeue fails: no host".to_owned());
+            Ok(WorkerCount { expected: self.0, note, ..WorkerCount::default() })
         }
 
         fn cancel(&mut self) {}
@@ -324,6 +331,8 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let (mut pool, folder) = pool(directory.path(), None);
         assert!(pool.start_missing(&folder, 1, 0).is_ok());
+        let warned = "squeue fails: no host. It is asked again, for up to 10 minutes";
+        assert_eq!(pool.warned, [warned]);
         pool.silent_since = pool.silent_since.map(|since| since - PATIENCE);
         // Rollouts without a training take ten minutes and more.
         assert!(pool.start_missing(&folder, 0, 0).is_ok());
