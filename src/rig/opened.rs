@@ -5,7 +5,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::connection::connect;
 use super::error::link_fault;
-use super::{ClockChoice, Doubt, DoubtStore, RigError, RigSettings};
+use super::{ClockChoice, DeviceChoice, Doubt, DoubtStore, RigError, RigSettings};
 use crate::clock::RealtimeRefusals;
 use crate::control::{
     ControlError, ControlThread, DriveReport, HelloRetries, HomingMethod, HomingSettings,
@@ -174,8 +174,13 @@ impl Rig {
         control.set_motor(MotorHeat::cold(&settings.plant, settings.limits.motor()))?;
         let identity = control.hello()?;
         if let Some(expected) = settings.board.as_ref().filter(|board| **board != identity.serial) {
+            // The port of the emulated Qube is made by this program, so its name says nothing.
+            let port = match settings.device {
+                DeviceChoice::Emulated => "the emulated Qube".to_owned(),
+                _ => identity.port,
+            };
             return Err(RigError::WrongBoard {
-                port: identity.port,
+                port,
                 expected: expected.clone(),
                 found: identity.serial,
             });
