@@ -88,11 +88,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
-    let plots = arguments
-        .plot
-        .as_deref()
-        .map(|folder| OutputFolder::of_option("--plot", folder))
-        .transpose()?;
+    let plots = arguments.plot.as_deref().map(plot_folder).transpose()?;
     let groups = [&arguments.files[..], &arguments.holdout[..]];
     let recordings = read_recordings(groups, arguments.plant.given()?).map_err(Failure::usage)?;
     let Recordings { groups: [fitted, held_out], files, left_out, plant, boards, incomplete } =
@@ -140,6 +136,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     let toml = toml::to_string_pretty(&profile).map_err(Failure::failed)?;
     out.write(toml.as_bytes())?;
+    let mut drawn = String::new();
     if let Some(folder) = &plots {
         let files: Vec<&Path> =
             fitted_files.iter().chain(held_out_files).map(PathBuf::as_path).collect();
@@ -154,6 +151,12 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             let picture = folder.path().join("profile-correlations.svg");
             write_whole(&MachineDisk, &picture, svg.as_bytes()).map_err(Failure::failed)?;
         }
+        let and = profile.correlations.as_ref().map_or("", |_| " and profile-correlations.svg");
+        let count = match files.len() {
+            1 => "one recording".to_owned(),
+            count => format!("{count} recordings"),
+        };
+        drawn = format!("\ndrew {count}{and} into {}", folder.path().display());
     }
 
     let mut text = table(&identified);
@@ -177,6 +180,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let next = next_excitations(&profile, &plant, largest_v);
     text += &next_line(&next);
     let _ = write!(text, "\nwrote {} after a fit of {seconds:.1} s", arguments.out.display());
+    text += &drawn;
     let mut result = result(&identified, &errors, fitted_files, seconds, arguments);
     result["prediction_band"] = band_json(band, within);
     result["held_out_noise_ratio"] = json!(held_out_noise_ratio);
@@ -185,6 +189,21 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     result["incomplete"] = incomplete.iter().map(incomplete_json).collect();
     output.print(&text, &result);
     Ok(())
+}
+
+/// Endings of file names that a folder of pictures does not have.
+const FILE_ENDINGS: [&str; 4] = ["svg", "png", "pdf", "html"];
+
+/// The folder of `--plot`, which is made. Refuses the name of a file.
+fn plot_folder(folder: &Path) -> Result<OutputFolder, Failure> {
+    let ending = folder.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+    if ending.is_some_and(|ending| FILE_ENDINGS.contains(&ending.as_str())) && !folder.is_dir() {
+        return Err(Failure::usage(format!(
+            "--plot {}: --plot takes a folder, in which each recording gets a picture: give a name without an ending",
+            folder.display()
+        )));
+    }
+    OutputFolder::of_option("--plot", folder)
 }
 
 fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
