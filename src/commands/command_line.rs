@@ -28,9 +28,10 @@ pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
     }
     let better =
         value_with_a_dash(&error, &arguments).or_else(|| not_a_whole_number(&error, &arguments));
-    let error = match better {
-        Some(message) => command.error(ErrorKind::InvalidValue, message),
-        None => error,
+    let error = match (better, kept_when_resumed(&error, &arguments)) {
+        (Some(message), _) => command.error(ErrorKind::InvalidValue, message),
+        (None, Some(message)) => command.error(ErrorKind::ArgumentConflict, message),
+        (None, None) => error,
     };
     // If stderr is closed, the error cannot be shown.
     let _ = error.print();
@@ -93,6 +94,27 @@ fn value_with_a_dash(error: &clap::Error, arguments: &[OsString]) -> Option<Stri
             "{option}: a value that begins with '-' is taken for an option: write {option}={value}"
         )
     })
+}
+
+/// The explanation for an option beside `--resume` that resumed work does not take; `None` for other
+/// errors.
+fn kept_when_resumed(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
+    let names_resume = |kind| match error.get(kind) {
+        Some(ContextValue::String(name)) => name.starts_with("--resume"),
+        Some(ContextValue::Strings(names)) => names.iter().any(|it| it.starts_with("--resume")),
+        _ => false,
+    };
+    let is_conflict = error.kind() == ErrorKind::ArgumentConflict
+        && (names_resume(ContextKind::InvalidArg) || names_resume(ContextKind::PriorArg));
+    if !is_conflict {
+        return None;
+    }
+    let advice = match arguments.get(1)?.to_str()? {
+        "session" => "a session keeps its settings; begin a new one with --config",
+        "experiment" => "an experiment keeps its settings; begin a new one with --out",
+        _ => return None,
+    };
+    Some(format!("{}: {advice}", cause_of(error)))
 }
 
 /// The explanation for a value that is not digits where a whole number is expected; `None` for
