@@ -69,6 +69,24 @@ fn stale_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl ExecutorArguments {
+    /// Checks that the text of `--executor` names an executor or a command that can start workers,
+    /// before a folder is made.
+    pub fn check(&self) -> Result<(), Failure> {
+        self.command(String::new()).map(drop)
+    }
+
+    /// The starter of the command in `--executor`; `None` if it names an executor.
+    fn command(&self, work: String) -> Result<Option<CommandStarter>, Failure> {
+        match self.executor.as_str() {
+            "local" | "slurm" | "folder" => Ok(None),
+            template => CommandStarter::new(template, work).map(Some).map_err(|error| {
+                Failure::usage(format!(
+                    "--executor {template}: {error}; or give local, slurm or folder"
+                ))
+            }),
+        }
+    }
+
     /// The executor of the trainings, or `None` for this computer's cores. The executor becomes the
     /// coordinator of the folder of jobs. `results` is the folder of the session or experiment.
     pub fn executor(
@@ -89,18 +107,8 @@ impl ExecutorArguments {
         let work = format!("{} work {}", word(&program), word(&root));
         // The command is checked before the folder is made, so that a bad command leaves no folder
         // behind.
-        let command = match self.executor.as_str() {
-            "slurm" | "folder" => None,
-            template => {
-                let starter = CommandStarter::new(template, work.clone());
-                let starter = starter.map_err(|error| {
-                    Failure::usage(format!(
-                        "--executor {template}: {error}; or give local, slurm or folder"
-                    ))
-                })?;
-                Some(Box::new(starter) as Box<dyn Starter>)
-            }
-        };
+        let command = self.command(work.clone())?;
+        let command = command.map(|command| Box::new(command) as Box<dyn Starter>);
         let stale_ms = (1e3 * self.stale) as u64;
         let terms =
             Terms { stale_ms, beat_ms: stale_ms / 12, tries: self.tries, ..Terms::default() };

@@ -207,6 +207,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let Opened { folder, mut settings, csv } = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => begun(&arguments, consent, &device)?,
+    arguments.executor.check()?;
     };
     device.plant = *settings.plant();
     device.check_plant(&device.plant)?;

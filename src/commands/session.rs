@@ -199,6 +199,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => {
             let settings = configured(&arguments, consent, &device)?;
+    arguments.executor.check()?;
             let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
             begun(place.path(), name_in(place.path()), settings)?
         }

@@ -400,6 +400,8 @@ fn impossible_settings_are_refused_before_anything_is_made() {
     prepare(directory.path());
     std::fs::write(directory.path().join("bad.toml"), "name = \"x\"\nmodel = \"nominl\"\n")
         .unwrap();
+    std::fs::write(directory.path().join("around.toml"), "name = \"x\"\nmodel = \"profile\"\n")
+        .unwrap();
     std::fs::write(directory.path().join("far.toml"), "[[plants]]\nname = \"x\"\ngap = 9.0\n")
         .unwrap();
     for (arguments, words) in [
@@ -407,6 +409,8 @@ fn impossible_settings_are_refused_before_anything_is_made() {
         (vec!["--recipe", "nominal.toml", "--recipe", "nominal.toml"], "two are called"),
         (vec!["--recipe", "nominal.toml", "--policies", "0"], "policies"),
         (vec!["--recipe", "nominal.toml", "--plants", "far.toml"], "gap"),
+        (vec!["--recipe", "around.toml"], "give this Qube in [profile]"),
+        (vec!["--recipe", "nominal.toml", "--executor", "slurmm"], "give local, slurm or folder"),
         (vec!["--resume", "nowhere"], "no experiment"),
         (
             vec!["--strategies", "baysian"],
@@ -432,6 +436,7 @@ fn impossible_settings_are_refused_before_anything_is_made() {
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(2), "{message}");
         assert!(message.contains(words), "{message}");
+        assert!(!message.contains("experiment in"), "{message}");
     }
     assert!(!directory.path().join("logs").exists());
 }

@@ -111,7 +111,11 @@ pub fn begun(
     };
     recipes.extend(models.into_iter().map(|model| Recipe::of(model, &base)));
     for path in &arguments.recipe {
-        recipes.push(Recipe::load(path, &base).map_err(Failure::usage)?);
+        let recipe = Recipe::load(path, &base).map_err(Failure::usage)?;
+        recipe.settings.base_distribution().map_err(|error| {
+            Failure::usage(format!("{}: {error} (in a recipe [settings.profile])", path.display()))
+        })?;
+        recipes.push(recipe);
     }
     let mut plants = match is_emulated {
         true => arguments.plants.plants(&device.plant)?,
