@@ -22,12 +22,11 @@ pub enum Sensors {
 #[command(next_help_heading = "What the policy sees")]
 pub struct EstimatorArguments {
     /// Estimator: `filter` for the velocities, or `observer` for the whole state from a model, the voltages
-    /// sent and the delay [default: filter, or as --config says]
+    /// sent and the delay [default: filter]
     #[arg(long, value_enum)]
     estimator: Option<EstimatorArgument>,
 
-    /// Corner of the velocity filter, rad/s (the thesis uses 50) [default: 200, or as --config says;
-    /// `experiment` without --preset robust: 50]
+    /// Corner of the velocity filter, rad/s (the thesis uses 50) [default: 200]
     #[arg(long, value_name = "CORNER", value_parser = corner)]
     filter: Option<f64>,
 

@@ -53,6 +53,9 @@ use crate::simulation::Model;
 /// budget, too. --preset robust trains with the Qube's sensors, guards by foresight, and uses a filter of
 /// 200 rad/s.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("filter", |it| {
+    it.help("Corner of the velocity filter, rad/s [default: 50 as published; with --preset robust 200]")
+}))]
 #[command(after_help = "Examples:\n  \
     qube-hil experiment --profile lab              # the thesis's table, on a Qube with friction, cable and delay\n  \
     qube-hil experiment --profile lab --models nominal --preset thesis --out logs/t\n  \
@@ -204,10 +207,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ));
     }
     let consent = arguments.consent.beside(arguments.guard)?;
+    arguments.executor.check()?;
     let Opened { folder, mut settings, csv } = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => begun(&arguments, consent, &device)?,
-    arguments.executor.check()?;
     };
     device.plant = *settings.plant();
     device.check_plant(&device.plant)?;

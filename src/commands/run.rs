@@ -43,15 +43,15 @@ use crate::session::RolloutPlan;
 #[derive(Debug, clap::Args)]
 #[command(group = ArgGroup::new("controller").args(["policy", "excite"]).required(true))]
 #[command(after_help = "Examples:\n  \
-    qube-hil run --policy classical              # a swing-up without any training\n  \
+    qube-hil run --policy classical              # a swing-up without training, for the ideal Qube\n  \
     qube-hil run --policy policies/robust.safetensors --rollouts 5\n  \
     qube-hil run --policy best.safetensors --device /dev/ttyACM0 --out logs/monday\n  \
     qube-hil run --policy best.safetensors --profile lab --clock virtual\n  \
     qube-hil run --excite chirp --rollouts 4 --out logs/chirps      # for identify\n  \
     qube-hil run --policy classical --qube qube.toml     # from check --write")]
 pub struct Arguments {
-    /// Policy file, or `classical` for the built-in energy swing-up with balance; this or --excite is
-    /// required
+    /// Policy file, or `classical` for the built-in energy swing-up with balance, which is tuned for the ideal
+    /// Qube: with friction, cable and delay (--profile lab, a real Qube) it may fail; this or --excite is required
     #[arg(long, value_name = "FILE|classical")]
     policy: Option<PathBuf>,
 

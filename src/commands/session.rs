@@ -50,6 +50,10 @@ use crate::simulation::SensorModel;
 /// runs on an emulated Qube that differs from the nominal one as a real Qube does, and takes some minutes. --resume
 /// continues an interrupted session without losing or repeating a finished rollout.
 #[derive(Debug, clap::Args)]
+#[command(
+    mut_arg("estimator", |it| also_by_config(it, "filter")),
+    mut_arg("filter", |it| also_by_config(it, "200"))
+)]
 #[command(after_help = "Examples:\n  \
     qube-hil session                               # on the emulated Qube\n  \
     qube-hil session --device /dev/ttyACM0 --out logs/monday\n  \
@@ -74,7 +78,8 @@ use crate::simulation::SensorModel;
     deviations; mean_lag and std_lag, mean and spread of a lag\n               \
     in addition to the delay")]
 pub struct Arguments {
-    /// Extent: `quick` takes minutes, `thesis` is the published extent and budget
+    /// Extent of the session: `quick` takes minutes, `thesis` is the published extent and budget. The entry
+    /// `preset` of --config is that of a training: a `quick` session trains with `robust`
     #[arg(long, value_enum, default_value_t = SessionPreset::Quick, conflicts_with = "resume")]
     pub(super) preset: SessionPreset,
 
@@ -146,6 +151,13 @@ pub struct Arguments {
     pub(super) screen: ScreenArgument,
 }
 
+/// The help of an option with this default that the file of `--config` may replace, too.
+fn also_by_config(argument: clap::Arg, default: &str) -> clap::Arg {
+    let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
+    let told = format!("[default: {default}]");
+    argument.help(help.replace(&told, &format!("[default: {default}, or as --config says]")))
+}
+
 /// The extent of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum SessionPreset {
@@ -187,6 +199,7 @@ pub enum SessionMethod {
 
 /// Runs or resumes a session and prints its table.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
+    arguments.executor.check()?;
     if let Some(several) = several_rigs::asked(&arguments)? {
         return several.run(&arguments, output);
     }
@@ -199,7 +212,6 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => {
             let settings = configured(&arguments, consent, &device)?;
-    arguments.executor.check()?;
             let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
             begun(place.path(), name_in(place.path()), settings)?
         }

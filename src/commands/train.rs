@@ -48,8 +48,9 @@ pub struct Arguments {
     #[arg(long, default_value = "nominal", value_parser = models())]
     model: Model,
 
-    /// Train around an identified Qube instead of a model: `lab`, or a file that `identify` wrote
-    #[arg(long, value_name = "lab|FILE", conflicts_with_all = ["model", "psi"])]
+    /// Train around an identified Qube instead of a model: `lab`, a file that `identify` wrote, or `ideal` (the
+    /// thesis's equations without friction, cable and delay)
+    #[arg(long, value_name = "lab|ideal|FILE", conflicts_with_all = ["model", "psi"])]
     profile: Option<PathBuf>,
 
     /// Standard deviation of each quantity around the profile, as a part of its value (0.1 is 10 %), in
