@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use super::screen::{Progress, ScreenState, in_words, time_left};
 use super::stop::Stop;
+use super::training_progress::name_of_training;
 use crate::experiment::{
     ExperimentEvent, ExperimentSettings, Made, Recipe, RecommendationOutcome, RecommendationResult,
     RecommendationScore, Repetition,
@@ -30,6 +31,8 @@ pub struct ExperimentProgress {
     /// Number of updates of a training by the name of its recipe; then the number for any other
     /// name, which is that of the first recipe.
     updates: (BTreeMap<String, u32>, u32),
+    /// Number of competing trainings of each policy.
+    trainings: u32,
     /// The best mean return of a policy on a plant so far.
     best: Mutex<Option<f64>>,
 }
@@ -63,6 +66,7 @@ impl ExperimentProgress {
             done: AtomicU64::new(0),
             found: AtomicU64::new(0),
             updates: (by_name, settings.recipes.first().map_or(0, updates)),
+            trainings: settings.methods.as_ref().map_or(1, |methods| methods.trainings),
             best: Mutex::new(None),
         }
     }
@@ -78,7 +82,7 @@ impl ExperimentProgress {
                 self.trained(recipe, *policy);
                 if let Some(best_return) = best_return {
                     self.line(format!(
-                        "{recipe} {policy}: trained, {best_return:.0} in simulation"
+                        "{recipe} {policy}: trained, best evaluation {best_return:.0}"
                     ));
                 }
             }
@@ -158,8 +162,8 @@ impl ExperimentProgress {
         let (group, item, number, training) = of;
         let recipe = group.strip_suffix(SEARCH).unwrap_or(group);
         let updates = *self.updates.0.get(recipe).unwrap_or(&self.updates.1);
-        let again = if training > 0 { format!(", training {training}") } else { String::new() };
-        let name = format!("{recipe}: {item} {number}{again}");
+        let name =
+            name_of_training(&format!("{recipe}: {item} {number}"), training, self.trainings);
         self.progress.update(|state| {
             let key = (group.to_owned(), number, training);
             state.add_update(key, &name, updates, update.mean_return);

@@ -7,6 +7,7 @@ use super::command_hints;
 use super::screen::{Progress, in_words};
 use super::stop::Stop;
 use super::training_pace::TrainingPace;
+use super::training_progress::name_of_training;
 use super::warn_without_realtime;
 use crate::scoring::{QuietnessFigures, Verdict};
 use crate::session::{CandidateCounts, Purpose, SessionError, SessionEvent, SessionSettings};
@@ -33,6 +34,8 @@ pub struct SessionProgress {
     around: Option<u32>,
     /// Number of updates of one training.
     updates: u32,
+    /// Number of trainings of each candidate around the identified Qube.
+    trainings: u32,
     pace: TrainingPace,
     /// Returns of each candidate's rollouts, and how many of them balanced.
     returns: BTreeMap<u32, (Vec<f64>, u32)>,
@@ -62,6 +65,7 @@ impl SessionProgress {
             has_baseline: extent.baseline,
             around: settings.identification.map(|plan| plan.candidates),
             updates,
+            trainings,
             pace: TrainingPace::new(updates.saturating_mul(trainings)),
             returns: BTreeMap::new(),
             connected: BTreeSet::new(),
@@ -104,10 +108,8 @@ impl SessionProgress {
             SessionEvent::Training { candidate, training, update } => {
                 self.pace.update(*candidate, Instant::now());
                 let left = self.time_left();
-                let name = match training {
-                    0 => format!("candidate {candidate}"),
-                    again => format!("candidate {candidate}, training {again}"),
-                };
+                let name =
+                    name_of_training(&format!("candidate {candidate}"), *training, self.trainings);
                 self.progress.update(|state| {
                     state.phase = "training in simulation".into();
                     let key = (String::new(), *candidate, *training);

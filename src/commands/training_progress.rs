@@ -6,6 +6,16 @@ use crate::learning::TrainUpdate;
 /// Largest number of lines that a training without a screen writes.
 const LINES: u32 = 10;
 
+/// The name of one of the competing trainings of a policy or a candidate, which count from 0 here. A
+/// training beyond the expected number has no total.
+pub fn name_of_training(trained: &str, training: u32, expected: u32) -> String {
+    match training + 1 {
+        1 if expected <= 1 => trained.to_owned(),
+        number if number > expected => format!("{trained}, training {number}"),
+        number => format!("{trained}, training {number} of {expected}"),
+    }
+}
+
 /// The display of a single training: a curve on the screen, or at most ten lines.
 pub struct TrainingDisplay {
     progress: Progress,
@@ -54,5 +64,18 @@ impl TrainingDisplay {
             state.expect_end(left);
             state.best = format!("best return so far: {best_return:.0}");
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn competing_trainings_are_numbered_alike() {
+        assert_eq!(name_of_training("candidate 1", 0, 1), "candidate 1");
+        let names = [0, 1, 2].map(|training| name_of_training("candidate 1", training, 2));
+        let expected = ["training 1 of 2", "training 2 of 2", "training 3"];
+        assert_eq!(names, expected.map(|it| format!("candidate 1, {it}")));
     }
 }

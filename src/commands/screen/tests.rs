@@ -55,7 +55,7 @@ fn in_training() -> ScreenState {
     state.best = "best so far: candidate 1 with a return of 512; 2 of 2 rollouts balance".into();
     for (number, grown) in [(0, 4.0), (1, 6.0)] {
         let returns = (0..70).map(|update| 20.0 + grown * f64::from(update)).collect();
-        let name = format!("candidate 3{}", if number == 0 { "" } else { ", training 1" });
+        let name = format!("candidate 3, training {} of 2", number + 1);
         let began = began + Duration::from_secs(733);
         state
             .trainings
