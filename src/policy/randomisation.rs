@@ -27,6 +27,44 @@ pub struct Randomisation {
     pub specimens: Vec<QubeModel>,
 }
 
+/// Number of quantities that a summary names.
+const SUMMARISED: usize = 3;
+
+impl Randomisation {
+    /// The number of random quantities, and those that vary most beside their mean, in one line. A
+    /// deviation includes the joint deviations.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        let mut random: Vec<(Quantity, f64, f64)> = Vec::new();
+        for (&quantity, drawn) in &self.distributions {
+            let joint = self.directions.iter().filter_map(|direction| direction.get(&quantity));
+            let variance = joint.fold(drawn.standard_deviation().powi(2), |sum, it| sum + it * it);
+            if variance > 0.0 {
+                random.push((quantity, drawn.mean(), variance.sqrt()));
+            }
+        }
+        // A quantity whose mean is 0 has no share of it.
+        let share =
+            |mean: f64, deviation: f64| if mean == 0.0 { 0.0 } else { deviation / mean.abs() };
+        random.sort_by(|a, b| share(b.1, b.2).total_cmp(&share(a.1, a.2)));
+        let most: Vec<String> = random
+            .iter()
+            .take(SUMMARISED)
+            .map(|&(quantity, mean, deviation)| {
+                let [mean, deviation] = [mean, deviation].map(three_digits);
+                format!("{} {mean} ± {deviation} {}", quantity.symbol(), quantity.unit())
+            })
+            .collect();
+        let most = most.join(", ");
+        match random.len() {
+            0 => "always the same pendulum".to_owned(),
+            1 => format!("one random quantity, {most}"),
+            count if count <= SUMMARISED => format!("{count} random quantities, {most}"),
+            count => format!("{count} random quantities, those that vary most {most}"),
+        }
+    }
+}
+
 /// Writes the random quantities with means, standard deviations and units, and the numbers of
 /// directions and specimens, in one line.
 impl fmt::Display for Randomisation {
@@ -114,6 +152,30 @@ mod tests {
         assert_eq!(randomisation.to_string(), more.strip_prefix("; ").unwrap());
         (randomisation.directions, randomisation.specimens) = Default::default();
         assert_eq!(randomisation.to_string(), "always the same pendulum");
+    }
+
+    #[test]
+    fn a_summary_names_the_quantities_that_vary_most_with_their_joint_deviations() {
+        let of = |standard_deviation| Distribution::Normal { mean: 10.0, standard_deviation };
+        let mut randomisation = Randomisation {
+            distributions: BTreeMap::from([
+                (DomainParameter::Gravity.into(), of(0.0)),
+                (DomainParameter::MotorResistance.into(), of(3.0)),
+                (DomainParameter::RotaryMass.into(), of(1.0)),
+                (DomainParameter::PendulumMass.into(), of(2.0)),
+                (DomainParameter::PendulumLength.into(), of(0.5)),
+            ]),
+            directions: vec![BTreeMap::from([(DomainParameter::MotorResistance.into(), 4.0)])],
+            specimens: Vec::new(),
+        };
+        assert_eq!(
+            randomisation.summary(),
+            "4 random quantities, those that vary most R_m 10 ± 5 ohm, M_p 10 ± 2 kg, M_r 10 ± 1 kg"
+        );
+        randomisation.distributions.retain(|quantity, _| quantity.symbol() == "R_m");
+        assert_eq!(randomisation.summary(), "one random quantity, R_m 10 ± 5 ohm");
+        randomisation.distributions.clear();
+        assert_eq!(randomisation.summary(), "always the same pendulum");
     }
 
     #[test]

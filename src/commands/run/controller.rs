@@ -51,7 +51,7 @@ impl RunController {
             )
         });
         let known = randomisation(&policy)
-            .map(|drawn| format!("{name} was trained in simulations of {drawn}"));
+            .map(|drawn| format!("{name} was trained in simulations of {}", drawn.summary()));
         let notes = known.into_iter().chain(truth).collect();
         let files = vec![policy.to_bytes()];
         Ok(Self { files, name, steps: MAX_STEPS as u32, notes, policy: Some(policy) })
@@ -93,13 +93,21 @@ impl RunController {
     }
 }
 
-/// Loads the policy of this name: a file, or `classical`. Refuses a file that only names the
-/// controller of another program.
+/// Loads the policy of this name: a file, or `classical`. Refuses an excitation, which balances
+/// nothing, and a file that only names the controller of another program.
 pub fn policy(name: &Path) -> Result<Policy, Failure> {
     if name.as_os_str() == "classical" {
         return Ok(Policy::Classical(ClassicalController::new(ClassicalGains::default())));
     }
     let policy = Policy::load(name).map_err(|error| failures::policy(&error))?;
+    if let Policy::Excitation(excitation) = &policy {
+        let (shape, volts) = (excitation.shape().name(), excitation.limit_v());
+        return Err(Failure::usage(format!(
+            "{}: it is an excitation for `identify` and no policy: to record it again, give run --excite {shape} \
+             --volts {volts} instead of --policy",
+            name.display()
+        )));
+    }
     if let Policy::External(external) = &policy {
         let controller = external.name().to_owned();
         let name = name.display();
