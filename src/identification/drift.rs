@@ -131,7 +131,8 @@ impl fmt::Display for Drift {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let moved = |compared: &Compared| if compared.moved { "  MOVED" } else { "" };
         let (delay, rest) = (&self.command_delay_s, &self.cable_rest_rad);
-        writeln!(f, "today beside the profile, from {} rollouts:", self.rollouts)?;
+        let rollouts = if self.rollouts == 1 { "rollout" } else { "rollouts" };
+        writeln!(f, "today beside the profile, from {} {rollouts}:", self.rollouts)?;
         writeln!(
             f,
             "  command delay {:6.1} ± {:.1} ms, profile {:6.1} ms{}",
