@@ -4,7 +4,9 @@
 use std::io::Write;
 use std::path::Path;
 
-use crate::program::{has_refused, qube_hil, refused};
+use qube_hil::recording::read;
+
+use crate::program::{has_refused, qube_hil, refused, succeeds};
 
 #[test]
 fn ports_that_are_none() {
@@ -57,6 +59,82 @@ fn policies_that_are_none() {
     other_shape.extend_from_slice(&whole[header..]);
     std::fs::write(&path, &other_shape).unwrap();
     run(&["bad.safetensors"]);
+}
+
+#[test]
+fn an_excitation_is_no_policy() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let excite = ["run", "--excite", "steps", "--volts", "0.5", "--clock", "virtual"];
+    succeeds(directory, &[&excite[..], &["--out", "r"]].concat());
+    let recording = read(&directory.join("r/rollout-0.mcap")).unwrap();
+    std::fs::write(directory.join("e.safetensors"), &recording.policy).unwrap();
+    for command in ["run", "soak"] {
+        let arguments = [command, "--policy", "e.safetensors", "--clock", "virtual"];
+        refused(directory, &arguments, 2, &["e.safetensors", "--excite steps --volts 0.5"]);
+    }
+}
+
+#[test]
+fn a_board_of_another_qube_is_not_that_of_the_emulated_one() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("qube.toml"), "board = \"B2\"\n").unwrap();
+    let run = ["run", "--policy", "classical", "--qube", "qube.toml", "--device", "emulated"];
+    let words = ["the emulated Qube is board", "B2"];
+    refused(directory.path(), &[&run[..], &["--clock", "virtual"]].concat(), 2, &words);
+}
+
+#[test]
+fn a_resumed_work_says_that_it_keeps_its_settings() {
+    let directory = tempfile::tempdir().unwrap();
+    for (arguments, advice) in [
+        (["session", "--resume", "s", "--candidates", "2"], "begin a new one with --config"),
+        (["session", "--seed", "2", "--resume", "s"], "begin a new one with --config"),
+        (["experiment", "--resume", "s", "--policies", "2"], "an experiment keeps its settings"),
+    ] {
+        refused(directory.path(), &arguments, 2, &["cannot be used with", "--resume", advice]);
+    }
+}
+
+#[test]
+fn the_name_of_a_picture_is_no_folder_of_plots() {
+    let directory = tempfile::tempdir().unwrap();
+    let excite =
+        ["run", "--excite", "chirp", "--profile", "lab", "--clock", "virtual", "--out", "r"];
+    succeeds(directory.path(), &excite);
+    let identify = ["identify", "r/rollout-0.mcap", "--plot", "plots"];
+    let told = succeeds(directory.path(), &identify);
+    assert!(told.contains("drew one recording and profile-correlations.svg into plots"), "{told}");
+    assert!(directory.path().join("plots/profile-correlations.svg").exists());
+    for name in ["mine.svg", "mine.PNG", "plots/mine.html"] {
+        let identify = ["identify", "none.mcap", "--out", "new.toml", "--plot", name];
+        refused(directory.path(), &identify, 2, &[name, "--plot takes a folder"]);
+        assert!(!directory.path().join(name).exists());
+    }
+}
+
+#[test]
+fn the_help_of_a_command_has_no_options_of_another() {
+    let directory = tempfile::tempdir().unwrap();
+    let help = |command: &str| {
+        let help = succeeds(directory.path(), &[command, "--help"]);
+        help.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    for command in ["run", "train", "experiment"] {
+        let help = help(command);
+        assert!(
+            !help.contains("--config says") && !help.contains("`experiment` without"),
+            "{help}"
+        );
+    }
+    let session = help("session");
+    for default in ["filter", "200"] {
+        assert!(
+            session.contains(&format!("[default: {default}, or as --config says]")),
+            "{session}"
+        );
+    }
+    assert!(help("experiment").contains("[default: 50 as published; with --preset robust 200]"));
 }
 
 #[test]
