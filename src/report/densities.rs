@@ -95,7 +95,10 @@ fn at_ends(quantity: Quantity, curves: &[(&str, &QuantityDraws)]) -> String {
     if told.is_empty() {
         return String::new();
     }
-    format!("Draws at an end of the range, which the curve leaves out: {}.", told.join("; "))
+    format!(
+        "Draws within a hundredth of the range from its end, which the curve leaves out: {}.",
+        told.join("; ")
+    )
 }
 
 /// The unit of the density of a quantity with this unit.

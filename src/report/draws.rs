@@ -9,7 +9,10 @@ use crate::simulation::{DomainDistribution, range_of_draws};
 
 /// Number of Qubes that are drawn. The mean of a quantity then errs by a three-hundredth of its
 /// standard deviation.
-pub const DRAWS: usize = 100_000;
+const DRAWS: usize = 100_000;
+
+/// [`DRAWS`] as pages write it.
+pub const DRAWS_IN_WORDS: &str = "100 000";
 
 /// Seed of the draws: the same distribution gives the same page.
 const SEED: u64 = 0x6472_6177;
@@ -17,8 +20,17 @@ const SEED: u64 = 0x6472_6177;
 /// Number of cells into which the draws of a quantity are counted.
 const CELLS: usize = 400;
 
-/// The smallest and the largest width of the smoothing kernel, in cells.
-const KERNEL_CELLS: [f64; 2] = [2.0, 40.0];
+/// Standard deviation of the smoothing kernel, in cells: narrow enough to move no draw visibly, and
+/// wide enough for the number of draws.
+const KERNEL_CELLS: f64 = 4.0;
+
+/// Distance from an end of the range at which a draw may count as at this end, as a fraction of the
+/// range.
+const NEAR_END: f64 = 0.01;
+
+/// Draws are piled up at an end if this many times as many lie within [`NEAR_END`] of the end as in
+/// the same distance beyond.
+const PILED_UP: usize = 3;
 
 /// The draws of one quantity, summed up.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,10 +41,11 @@ pub struct QuantityDraws {
     pub standard_deviation: f64,
     /// The smallest and the largest value that a draw can have.
     pub range: (f64, f64),
-    /// Shares of the draws that lie at the lower and at the upper end of the range. A joint
-    /// deviation that would move a value out of its range puts it there.
+    /// Shares of the draws that are piled up at the lower and at the upper end of the range, within
+    /// a hundredth of the range. A joint deviation that would move a value out of its range puts it
+    /// at the end, from where the other deviations may move it a little.
     pub at_ends: [f64; 2],
-    /// Smallest and largest of the draws that are at no end of the range; equal if there are none.
+    /// Smallest and largest of the draws that are piled up at no end; equal if there are none.
     pub inner: (f64, f64),
     /// Density of the draws in cells of equal width from the smallest to the largest inner draw,
     /// smoothed; together with the shares at the ends it adds up to 1. Empty without spread.
@@ -44,7 +57,7 @@ impl QuantityDraws {
     /// [`Quantity::all`].
     pub fn of(distribution: &DomainDistribution) -> Vec<Self> {
         let mut random = ChaCha8Rng::seed_from_u64(SEED);
-        let mut values = vec![Vec::with_capacity(DRAWS); Quantity::COUNT];
+        let mut values = vec![Vec::new(); Quantity::COUNT];
         for _ in 0..DRAWS {
             let model = distribution.sample(&mut random);
             for (quantity, values) in Quantity::all().zip(&mut values) {
@@ -67,10 +80,22 @@ impl QuantityDraws {
         let mean = first + values.iter().map(|value| value - first).sum::<f64>() / count;
         let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
         let standard_deviation = (squares / count).sqrt();
-        let share = |end: f64| values.iter().filter(|it| **it == end).count() as f64 / count;
         let has_spread = standard_deviation > NEGLIGIBLE;
-        let at_ends = if has_spread { [share(range.0), share(range.1)] } else { [0.0; 2] };
-        let inner = || values.iter().copied().filter(|it| *it != range.0 && *it != range.1);
+        let near = NEAR_END * (range.1 - range.0);
+        let piled_up = |is_within: &dyn Fn(f64, f64) -> bool| {
+            let count = |distance| values.iter().filter(|it| is_within(**it, distance)).count();
+            let (closest, close) = (count(near), count(2.0 * near));
+            if has_spread && closest > PILED_UP * (close - closest) { closest } else { 0 }
+        };
+        let counts = [
+            piled_up(&|value, distance| value <= range.0 + distance),
+            piled_up(&|value, distance| value >= range.1 - distance),
+        ];
+        let at_ends = counts.map(|it| it as f64 / count);
+        let [low, high] = [counts[0] > 0, counts[1] > 0];
+        let is_inner =
+            |value: f64| !(low && value <= range.0 + near || high && value >= range.1 - near);
+        let inner = || values.iter().copied().filter(|it| is_inner(*it));
         let ends =
             (inner().fold(f64::INFINITY, f64::min), inner().fold(f64::NEG_INFINITY, f64::max));
         let ends = if ends.0 <= ends.1 { ends } else { (mean, mean) };
@@ -102,27 +127,17 @@ impl QuantityDraws {
     }
 }
 
-/// The smoothed density in each cell between `low` and `high`: counts, spread by a normal kernel
-/// whose width is by Silverman's rule (1986), and reflected at both ends, so that no draw is moved
-/// out of them.
-fn density(
-    values: impl Iterator<Item = f64> + Clone,
-    (low, high): (f64, f64),
-    all: usize,
-) -> Vec<f64> {
+/// The smoothed density in each cell between `low` and `high`: counts, spread by a normal kernel and
+/// reflected at both ends, so that no draw is moved out of them.
+fn density(values: impl Iterator<Item = f64>, (low, high): (f64, f64), all: usize) -> Vec<f64> {
     let width = (high - low) / CELLS as f64;
-    let (mut counts, mut count, mut sum, mut squares) = ([0.0; CELLS], 0.0, 0.0, 0.0);
+    let mut counts = [0.0; CELLS];
     for value in values {
-        let place = (value - low) / width;
-        counts[(place as usize).min(CELLS - 1)] += 1.0;
-        (count, sum, squares) = (count + 1.0, sum + place, squares + place * place);
+        counts[(((value - low) / width) as usize).min(CELLS - 1)] += 1.0;
     }
-    let deviation = (squares / count - (sum / count).powi(2)).max(0.0).sqrt();
-    let kernel =
-        (1.06 * deviation * f64::powf(count, -0.2)).clamp(KERNEL_CELLS[0], KERNEL_CELLS[1]);
-    let reach = (4.0 * kernel) as isize;
+    let reach = (4.0 * KERNEL_CELLS) as isize;
     let weights: Vec<f64> = (-reach..=reach)
-        .map(|distance| (-0.5 * (distance as f64 / kernel).powi(2)).exp())
+        .map(|distance| (-0.5 * (distance as f64 / KERNEL_CELLS).powi(2)).exp())
         .collect();
     let total: f64 = weights.iter().sum();
     let mut smooth = vec![0.0; CELLS];
@@ -173,11 +188,22 @@ mod tests {
         assert!(draws.standard_deviation < 0.9 * nominal, "{}", draws.standard_deviation);
         for share in draws.at_ends {
             // 32.6 % of a normal distribution lie beyond 0.45 standard deviations.
-            assert!((share - 0.326).abs() < 0.01, "{share}");
+            assert!((share - 0.33).abs() < 0.015, "{share}");
         }
         let inner = integral(&draws);
         assert!((inner + draws.at_ends[0] + draws.at_ends[1] - 1.0).abs() < 0.01, "{inner}");
         assert_eq!((draws.density(0.0), draws.density(2.0 * nominal)), (0.0, 0.0));
+    }
+
+    #[test]
+    fn draws_that_further_deviations_move_a_little_from_an_end_count_as_at_it() {
+        let damping = Quantity::Parameter(DomainParameter::RotaryDamping);
+        let nominal = PlantModel::QUBE.nominal().get(damping);
+        let errors = [2.0, 0.002].map(|size| Direction::new(&[(damping, size * nominal)]));
+        let draws = draws_of(&DomainDistribution::nominal().along(&errors), damping);
+        assert!(draws.at_ends.iter().all(|share| (share - 0.33).abs() < 0.015), "{draws:?}");
+        let highest = draws.cells.iter().fold(0.0_f64, |one, other| one.max(*other));
+        assert!(highest < 1.3 * draws.density(nominal), "{highest}");
     }
 
     #[test]

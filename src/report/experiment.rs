@@ -3,7 +3,7 @@
 use super::ReportError;
 use super::chart::{Axis, Chart, Mark, Series, Style};
 use super::densities::{FIRST, density_chart, words};
-use super::draws::{DRAWS, QuantityDraws};
+use super::draws::{DRAWS_IN_WORDS, QuantityDraws};
 use super::page::{Cell, Page};
 use super::provenance::add_provenance;
 use super::returns::{CandidateReturns, returns_chart};
@@ -420,7 +420,7 @@ fn add_distributions(
     }
     page.section("Distributions of simulations");
     page.paragraph(&format!(
-        "Like the thesis's figure 5.2; the curves are smoothed from {DRAWS} draws of each distribution. A recipe without \
+        "Like the thesis's figure 5.2; the curves are smoothed from {DRAWS_IN_WORDS} draws of each distribution. A recipe without \
          spread has no curve."
     ));
     page.grid(|page| {

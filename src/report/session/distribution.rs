@@ -4,7 +4,7 @@
 use super::SessionSource;
 use crate::qube::Quantity;
 use crate::report::densities::{FIRST, density_chart, words};
-use crate::report::draws::{DRAWS, QuantityDraws};
+use crate::report::draws::{DRAWS_IN_WORDS, QuantityDraws};
 use crate::report::page::{Cell, Page};
 use crate::session::{ScoredCandidate, SessionSettings};
 use crate::simulation::{DomainDistribution, Model};
@@ -31,7 +31,7 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         if verified.is_some() { "the best verified policy" } else { "the best policy so far" };
     page.paragraph(&format!(
         "{whose} is from candidate {trained_as}. In its training, each simulated Qube draws its properties from \
-         these distributions. The curves are smoothed from {DRAWS} such draws; the dashed vertical line marks the \
+         these distributions. The curves are smoothed from {DRAWS_IN_WORDS} such draws; the dashed vertical line marks the \
          nominal Qube, as its maker describes it.",
         whose = crate::report::rollout::first_upper(whose)
     ));
