@@ -96,8 +96,8 @@ fn value_with_a_dash(error: &clap::Error, arguments: &[OsString]) -> Option<Stri
     })
 }
 
-/// The explanation for an option beside `--resume` that resumed work does not take; `None` for other
-/// errors.
+/// The explanation for an option beside `--resume` that resumed work does not take; `None` for
+/// other errors.
 fn kept_when_resumed(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
     let names_resume = |kind| match error.get(kind) {
         Some(ContextValue::String(name)) => name.starts_with("--resume"),

@@ -359,8 +359,8 @@ pub fn results(
     Ok((text, result, ended))
 }
 
-/// A note for the operator if a new session searches psi because the file of `--config` has no table
-/// `[identification]`, and no option chooses a method.
+/// A note for the operator if a new session searches psi because the file of `--config` has no
+/// table `[identification]`, and no option chooses a method.
 pub fn method_note(arguments: &Arguments, settings: &SessionSettings) -> Option<String> {
     let path = arguments.config.as_ref()?;
     let by_rule = arguments.method.is_none() && arguments.preset == SessionPreset::Quick;

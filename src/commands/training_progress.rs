@@ -6,8 +6,8 @@ use crate::learning::TrainUpdate;
 /// Largest number of lines that a training without a screen writes.
 const LINES: u32 = 10;
 
-/// The name of one of the competing trainings of a policy or a candidate, which count from 0 here. A
-/// training beyond the expected number has no total.
+/// The name of one of the competing trainings of a policy or a candidate; `training` counts from 0.
+/// A training beyond the expected number has no total.
 pub fn name_of_training(trained: &str, training: u32, expected: u32) -> String {
     match training + 1 {
         1 if expected <= 1 => trained.to_owned(),

@@ -231,9 +231,9 @@ impl ExperimentSettings {
     }
 }
 
-/// Number of real rollouts that a method takes before its first recommendation at a budget. A search
-/// takes all rollouts of its first candidate, and a method that identifies the Qube one recording;
-/// every other method trains a policy without any.
+/// Number of real rollouts that a method takes before its first recommendation at a budget. A
+/// search takes all rollouts of its first candidate, and a method that identifies the Qube one
+/// recording; every other method trains a policy without any.
 fn first_budget(method: Method, recipe: &Recipe) -> u32 {
     match method {
         Method::Search(_) => recipe.settings.extent.rollouts,

@@ -212,8 +212,8 @@ impl QubeFile {
     }
 }
 
-/// The line of an entry that belongs at the top of the file and is in a table, and the reason why it
-/// is refused; `None` for another error.
+/// The line of an entry that belongs at the top of the file and is in a table, and the reason why
+/// it is refused; `None` for another error.
 fn misplaced(text: &str, error: &toml::de::Error) -> Option<(usize, String)> {
     let key = error.message().strip_prefix("unknown field `")?.split('`').next()?;
     if !TOP_KEYS.contains(&key) {
