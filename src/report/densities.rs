@@ -150,6 +150,8 @@ mod tests {
         let [low, high] = chart.x_range.unwrap();
         assert!(low == 0.0 && high > 3e-4, "{low} to {high}");
         assert!(chart.xs.iter().all(|x| *x >= 0.0));
-        assert!(sentence.ends_with("in its training, 50 % at 0 N m."), "{sentence}");
+        // Half of the draws lie below 0, and some just above it.
+        assert!((0.49..0.54).contains(&draws[friction.index()].at_ends[0]));
+        assert!(sentence.ends_with(" % at 0 N m."), "{sentence}");
     }
 }
