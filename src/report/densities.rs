@@ -95,10 +95,8 @@ fn at_ends(quantity: Quantity, curves: &[(&str, &QuantityDraws)]) -> String {
     if told.is_empty() {
         return String::new();
     }
-    format!(
-        "Draws within a hundredth of the range from its end, which the curve leaves out: {}.",
-        told.join("; ")
-    )
+    let told = told.join("; ");
+    format!("Draws piled up at an end of the range, which the curve leaves out: {told}.")
 }
 
 /// The unit of the density of a quantity with this unit.
@@ -150,7 +148,7 @@ mod tests {
         let [low, high] = chart.x_range.unwrap();
         assert!(low == 0.0 && high > 3e-4, "{low} to {high}");
         assert!(chart.xs.iter().all(|x| *x >= 0.0));
-        // Half of the draws lie below 0, and some just above it.
+        // Half of the draws would be below 0; some more lie within a hundredth of the draws' width.
         assert!((0.49..0.54).contains(&draws[friction.index()].at_ends[0]));
         assert!(sentence.ends_with(" % at 0 N m."), "{sentence}");
     }

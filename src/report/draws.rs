@@ -25,7 +25,7 @@ const CELLS: usize = 400;
 const KERNEL_CELLS: f64 = 4.0;
 
 /// Distance from an end of the range at which a draw may count as at this end, as a fraction of the
-/// range.
+/// distance between the smallest and the largest draw.
 const NEAR_END: f64 = 0.01;
 
 /// Draws are piled up at an end if this many times as many lie within [`NEAR_END`] of the end as in
@@ -41,9 +41,9 @@ pub struct QuantityDraws {
     pub standard_deviation: f64,
     /// The smallest and the largest value that a draw can have.
     pub range: (f64, f64),
-    /// Shares of the draws that are piled up at the lower and at the upper end of the range, within
-    /// a hundredth of the range. A joint deviation that would move a value out of its range puts it
-    /// at the end, from where the other deviations may move it a little.
+    /// Shares of the draws that are piled up at the lower and at the upper end of the range. A joint
+    /// deviation that would move a value out of its range puts it at the end, from where the other
+    /// deviations may move it a little.
     pub at_ends: [f64; 2],
     /// Smallest and largest of the draws that are piled up at no end; equal if there are none.
     pub inner: (f64, f64),
@@ -81,7 +81,9 @@ impl QuantityDraws {
         let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
         let standard_deviation = (squares / count).sqrt();
         let has_spread = standard_deviation > NEGLIGIBLE;
-        let near = NEAR_END * (range.1 - range.0);
+        let smallest = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let largest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let near = NEAR_END * (largest - smallest);
         let piled_up = |is_within: &dyn Fn(f64, f64) -> bool| {
             let count = |distance| values.iter().filter(|it| is_within(**it, distance)).count();
             let (closest, close) = (count(near), count(2.0 * near));
