@@ -4,14 +4,15 @@ use super::ReportError;
 use super::chart::{Axis, Chart, Mark, Series, Style};
 use super::densities::{FIRST, density_chart, words};
 use super::draws::{DRAWS_IN_WORDS, QuantityDraws};
+use super::headline::{compared, headlines};
 use super::page::{Cell, Page};
 use super::provenance::add_provenance;
 use super::returns::{CandidateReturns, returns_chart};
 use super::rollout::{RolloutView, add_player, behaviour_words, first_upper};
 use crate::experiment::statistics::mean_and_deviation;
 use crate::experiment::{
-    ALL_PLANTS, Comparison, ExperimentSettings, MethodResult, MethodResults, MethodSettings,
-    RecipeResult, RepetitionSeeds, Results, SearchReturns,
+    Comparison, ExperimentSettings, MethodResult, MethodResults, RecipeResult, Results,
+    SearchReturns,
 };
 use crate::qube::{MAX_STEPS, PlantModel, Quantity};
 use crate::scoring::Behaviour;
@@ -69,85 +70,6 @@ pub fn recipes_page(
     add_examples(&mut page, what, rollouts);
     add_provenance(&mut page, header.as_ref(), commands);
     Ok(page.finish()?)
-}
-
-/// The methods that are compared at fixed budgets; `None` if recipes are compared.
-fn methods_at_budgets(settings: &ExperimentSettings) -> Option<&MethodSettings> {
-    settings.methods.as_ref().filter(|it| it.has_budgets())
-}
-
-/// The word for what the experiment compares.
-fn compared(settings: &ExperimentSettings) -> &'static str {
-    if methods_at_budgets(settings).is_some() { "method" } else { "recipe" }
-}
-
-/// The sentences about the largest mean return: one for each plant, or one for all plants together
-/// where their results are independent.
-fn headlines(settings: &ExperimentSettings, results: &Results) -> Vec<String> {
-    let pools = methods_at_budgets(settings).is_some_and(|methods| {
-        settings.plants.len() > 1 && methods.seeds == RepetitionSeeds::OfEachPlant
-    });
-    let plants: Vec<&str> = if pools {
-        vec![ALL_PLANTS]
-    } else {
-        settings.plants.iter().map(|plant| plant.name.as_str()).collect()
-    };
-    plants.into_iter().map(|plant| headline(settings, results, plant)).collect()
-}
-
-/// The sentence about the largest mean return on a plant, or on [`ALL_PLANTS`], among the recipes
-/// or methods that have all their policies; methods at the largest budget that one of them has
-/// completed.
-fn headline(settings: &ExperimentSettings, results: &Results, plant: &str) -> String {
-    let what = compared(settings);
-    let (needed, all) = match methods_at_budgets(settings) {
-        Some(methods) => {
-            let plants = if plant == ALL_PLANTS { settings.plants.len() } else { 1 };
-            (plants * methods.repetitions as usize, methods.methods.len())
-        }
-        None => (settings.policies as usize, settings.recipes.len()),
-    };
-    // A recipe whose rollouts are all void has no mean return.
-    let is_complete = |it: &&RecipeResult| it.policies.len() >= needed && it.real().0.is_finite();
-    let complete = || results.recipes.iter().filter(|it| it.plant == plant).filter(is_complete);
-    let budget = complete().filter_map(|it| it.budget).max();
-    let rows: Vec<&RecipeResult> = complete().filter(|it| it.budget == budget).collect();
-    let best = rows.iter().max_by(|one, other| one.real().0.total_cmp(&other.real().0));
-    let Some(best) = best else {
-        return format!("On {plant}, no {what} has completed all its policies yet.");
-    };
-    let after = match budget {
-        None => String::new(),
-        Some(0) => ", without a real rollout".into(),
-        Some(1) => ", after 1 real rollout".into(),
-        Some(budget) => format!(", after {budget} real rollouts"),
-    };
-    let name = budget.and_then(|budget| best.recipe.strip_suffix(&format!(" {budget}")));
-    let name = name.unwrap_or(&best.recipe);
-    let (article, among) = match rows.len() {
-        1 => ("a", String::new()),
-        count => ("the largest", format!(" of {count} {what}s")),
-    };
-    let interval = best.return_interval();
-    let (successes, policies) = (best.successes(), best.policies.len());
-    let of_policies = match policies {
-        1 if successes == 1 => "its only policy succeeds".into(),
-        1 => "its only policy does not succeed".into(),
-        _ => format!("{successes} of its {policies} policies succeed"),
-    };
-    let mut sentence = format!(
-        "On {plant}{after}, the {what} {name} has {article} mean return{among}: {:.1} of at most {MAX_STEPS} (95 % \
-         interval {:.0} to {:.0}); {of_policies}.",
-        best.real().0,
-        interval.lower,
-        interval.upper
-    );
-    if rows.len() < all {
-        let have = if rows.len() == 1 { "has" } else { "have" };
-        sentence
-            .push_str(&format!(" Only {} of {all} {what}s {have} all policies there.", rows.len()));
-    }
-    sentence
 }
 
 /// The HTML page of an experiment that compares methods up to their first success. `commands` are
@@ -496,113 +418,8 @@ fn add_examples(page: &mut Page, what: &str, rollouts: NamedRollouts) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::{Method, Plant, PolicyResult, Recipe, RolloutResult};
     use crate::qube::DomainParameter;
-    use crate::scoring::Quietness;
-    use crate::session::SessionSettings;
-    use crate::simulation::{Direction, Model};
-
-    /// The settings of two recipes with two policies each, on these plants.
-    fn settings(plants: &[&str]) -> ExperimentSettings {
-        let plant =
-            |name: &&str| Plant { name: (*name).into(), emulated: Default::default(), vary: 0.0 };
-        let recipe = |model| Recipe::of(model, &SessionSettings::quick());
-        ExperimentSettings {
-            name: "table".into(),
-            seed: 7,
-            policies: 2,
-            rollouts: 1,
-            simulated_starts: 1,
-            guard_profile: None,
-            plants: plants.iter().map(plant).collect(),
-            recipes: vec![recipe(Model::Nominal), recipe(Model::Robust)],
-            methods: None,
-        }
-    }
-
-    /// A row with one policy for each of these returns.
-    fn row(name: &str, plant: &str, budget: Option<u32>, returns: &[f64]) -> RecipeResult {
-        let policy = |(number, return_): (u32, &f64)| PolicyResult {
-            number,
-            simulated_return: 500.0,
-            rollouts: vec![RolloutResult {
-                return_: Some(*return_),
-                behaviour: Behaviour::Balanced,
-                quietness: Quietness::NONE,
-            }],
-            recordings: Default::default(),
-        };
-        RecipeResult {
-            recipe: name.into(),
-            budget,
-            plant: plant.into(),
-            psi: Default::default(),
-            policies: (0..).zip(returns).map(policy).collect(),
-        }
-    }
-
-    #[test]
-    fn the_headline_of_each_plant_is_about_complete_recipes_and_has_the_interval() {
-        let settings = settings(&["lab", "furuta"]);
-        let recipes = vec![
-            row("nominal", "lab", None, &[100.0, 300.0]),
-            row("robust", "lab", None, &[590.0]),
-            row("nominal", "furuta", None, &[500.0, 100.0]),
-            row("robust", "furuta", None, &[500.0, 520.0]),
-        ];
-        let told = headlines(&settings, &Results { recipes });
-        assert_eq!(told.len(), 2, "{told:?}");
-        assert!(told[0].starts_with("On lab, the recipe nominal has a mean return: 200.0 of"));
-        assert!(
-            told[0].ends_with(
-                "0 of its 2 policies succeed. Only 1 of 2 recipes has all policies there."
-            )
-        );
-        assert!(told[1].starts_with(
-            "On furuta, the recipe robust has the largest mean return of 2 recipes: 510.0"
-        ));
-        assert!(
-            told[1].contains("(95 % interval ")
-                && told[1].ends_with("2 of its 2 policies succeed.")
-        );
-        let none = headlines(&settings, &Results { recipes: Vec::new() });
-        assert_eq!(none[0], "On lab, no recipe has completed all its policies yet.");
-    }
-
-    #[test]
-    fn the_headline_of_methods_is_about_all_plants_at_the_largest_complete_budget() {
-        let methods = MethodSettings {
-            methods: vec![Method::Posterior, Method::Robust],
-            repetitions: 1,
-            recordings: 6,
-            spread: 0.1,
-            budgets: vec![2, 5],
-            trainings: 1,
-            seeds: RepetitionSeeds::OfEachPlant,
-        };
-        let mut settings =
-            ExperimentSettings { methods: Some(methods), ..settings(&["lab", "furuta"]) };
-        let recipes = vec![
-            row("posterior 2", "lab", Some(2), &[590.0]),
-            row("posterior 5", "lab", Some(5), &[500.0]),
-            row("posterior 2", ALL_PLANTS, Some(2), &[590.0, 580.0]),
-            row("robust 2", ALL_PLANTS, Some(2), &[400.0, 300.0]),
-            row("posterior 5", ALL_PLANTS, Some(5), &[500.0, 540.0]),
-            row("robust 5", ALL_PLANTS, Some(5), &[600.0]),
-        ];
-        let results = Results { recipes };
-        let told = headlines(&settings, &results);
-        assert_eq!(told.len(), 1, "{told:?}");
-        let words =
-            "On all plants, after 5 real rollouts, the method posterior has a mean return: 520.0";
-        assert!(told[0].starts_with(words), "{told:?}");
-        if let Some(methods) = &mut settings.methods {
-            methods.seeds = RepetitionSeeds::SameOnAllPlants;
-        }
-        let told = headlines(&settings, &results);
-        assert_eq!(told.len(), 2, "{told:?}");
-        assert!(told[0].contains("its only policy succeeds. Only 1 of 2 methods has"), "{told:?}");
-    }
+    use crate::simulation::Direction;
 
     #[test]
     fn the_density_of_a_quantity_includes_what_joint_deviations_add() {

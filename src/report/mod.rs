@@ -17,6 +17,7 @@ mod draws;
 mod error;
 mod escape;
 mod experiment;
+mod headline;
 mod motion;
 mod nearest;
 mod page;
