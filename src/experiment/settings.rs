@@ -5,7 +5,7 @@ use toml::{Table, Value};
 
 use super::folder::check_name;
 use super::seal::is_unchanged;
-use super::{ExperimentError, ExperimentSettingError, Method, MethodSettings, Plant, Recipe};
+use super::{ExperimentError, ExperimentSettingError, MethodSettings, Plant, Recipe};
 use crate::qube::PlantModel;
 use crate::session::{Retired, take_retired, toml_message};
 use crate::storage::{SETTINGS_BYTES, read_text};
@@ -183,7 +183,7 @@ impl ExperimentSettings {
         };
         let Some(&largest) = methods.budgets.last() else { return Ok(()) };
         for &method in &methods.methods {
-            let least = first_budget(method, recipe);
+            let least = method.first_budget(recipe);
             if least > largest {
                 return Err(ExperimentSettingError::NoRecommendation { method, least, largest });
             }
@@ -231,20 +231,6 @@ impl ExperimentSettings {
     }
 }
 
-/// Number of real rollouts that a method takes before its first recommendation at a budget. A
-/// search takes all rollouts of its first candidate, and a method that identifies the Qube one
-/// recording; every other method trains a policy without any.
-fn first_budget(method: Method, recipe: &Recipe) -> u32 {
-    match method {
-        Method::Search(_) => recipe.settings.extent.rollouts,
-        Method::IdentifyMean
-        | Method::Identify
-        | Method::Posterior
-        | Method::SequentialPosterior => 1,
-        Method::Robust | Method::StrategyOptimisation | Method::Rival(_) => 0,
-    }
-}
-
 /// Checks that the names are valid and that no two are equal; `kind` names them in the error.
 fn check_names(kind: &'static str, names: &[&str]) -> Result<(), ExperimentSettingError> {
     for (index, name) in names.iter().enumerate() {
@@ -277,7 +263,7 @@ fn text_of(path: &Path) -> Result<String, ExperimentError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::RepetitionSeeds;
+    use crate::experiment::{Method, RepetitionSeeds};
     use crate::session::{EmulatedQubeSettings, SessionSettings};
     use crate::simulation::Model;
 

@@ -242,6 +242,20 @@ fn row_name(method: Method, budget: u32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::experiment::methods::samples::{experiment, run};
+
+    #[test]
+    fn a_method_knows_the_first_budget_of_its_recommendations() {
+        let root = tempfile::tempdir().unwrap();
+        for method in Method::all() {
+            let experiment = experiment(&root.path().join(method.name()), vec![method]);
+            let run = run(&experiment, method, Access::ReadOnly);
+            let settings = experiment.settings().methods.as_ref().unwrap();
+            let recommendations = recommendations_of(&run, method, settings).unwrap();
+            let first = recommendations.first() * recommendations.rollouts_each();
+            assert_eq!(method.first_budget(run.recipe), first, "{}", method.name());
+        }
+    }
 
     struct Counted {
         each: u32,

@@ -4,6 +4,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use super::rivals::RivalKind;
+use crate::experiment::Recipe;
 use crate::search::StrategyKind;
 
 /// A way to a policy for one Qube, with or without real rollouts.
@@ -70,6 +71,17 @@ impl Method {
     #[must_use]
     pub fn needs_budgets(self) -> bool {
         self.needs_no_rollouts() || self == Self::StrategyOptimisation
+    }
+
+    /// Number of real rollouts that the method takes before its first recommendation. A search
+    /// takes all rollouts of its first candidate, and a method that identifies the Qube one
+    /// recording; every other method trains a policy without any.
+    pub(in crate::experiment) fn first_budget(self, recipe: &Recipe) -> u32 {
+        match self {
+            Self::Search(_) => recipe.settings.extent.rollouts,
+            Self::IdentifyMean | Self::Identify | Self::Posterior | Self::SequentialPosterior => 1,
+            Self::Robust | Self::StrategyOptimisation | Self::Rival(_) => 0,
+        }
     }
 
     /// The method's name in settings, folders and tables.
