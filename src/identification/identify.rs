@@ -9,7 +9,7 @@ use super::fitness::{Unfit, check_recording};
 use super::offsets::{Offset, Scatter};
 use super::residuals::{ResidualScale, scale_of};
 use super::stretch::{Regime, Stretch, is_upright};
-use super::uncertainty::{Blind, Estimate, Uncertainty, uncertainty};
+use super::uncertainty::{Estimate, Uncertainty, UndeterminedCombination, uncertainty};
 use crate::qube::{Nonideality, PlantModel, PlantName, QubeModel, State};
 use crate::replay::MotionLog;
 
@@ -60,7 +60,7 @@ pub struct Identified {
     /// Estimate of each unknown, in the order requested.
     pub estimates: Vec<Estimate>,
     /// Combinations of unknowns that the recordings do not determine, the least determined first.
-    pub blind: Vec<Blind>,
+    pub undetermined: Vec<UndeterminedCombination>,
     /// Correlations of the errors of the estimates, -1 to 1, in the order of `estimates`.
     pub correlations: Vec<Vec<f64>>,
     /// Offsets of each recording, in order. The rest angle of the cable in a recording is the
@@ -280,7 +280,7 @@ pub fn identify(
     if let Some(ResidualScale { theta_rad, alpha_rad }) = unexplained(logs, &fit) {
         return Err(IdentifyError::NothingExplained { theta_rad, alpha_rad, cause: cause() });
     }
-    let Uncertainty { estimates, blind, correlations, inflation } = uncertainty(&fit);
+    let Uncertainty { estimates, undetermined, correlations, inflation } = uncertainty(&fit);
     let scale = scale_of(&fit.residuals_rad());
     let assessment = assess(&fit, windows(logs, STAGES_S[0]));
     let Fit { model, .. } = fit;
@@ -290,7 +290,7 @@ pub fn identify(
         plant: plant.name,
         model,
         estimates,
-        blind,
+        undetermined,
         correlations,
         offsets,
         scatter,

@@ -87,5 +87,5 @@ pub use recordings::{
 };
 pub use residuals::ResidualScale;
 pub use stretch::{comes_upright, duration_of};
-pub use uncertainty::{Blind, Estimate};
+pub use uncertainty::{Estimate, UndeterminedCombination};
 pub use unknowns::{NormalPrior, Unknown};

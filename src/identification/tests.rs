@@ -90,8 +90,9 @@ fn a_qube_that_is_known_is_found_within_its_standard_errors() {
     };
     assert!(is_determined(Nonideality::CommandDelay) && is_determined(Nonideality::CableStiffness));
     // Scaling all forces and all inertias by the same factor leaves the motion unchanged.
-    let blind: Vec<Unknown> = found.blind.iter().flatten().map(|(unknown, _)| *unknown).collect();
-    assert!(blind.contains(&DomainParameter::PendulumMass.into()), "{blind:?}");
+    let undetermined: Vec<Unknown> =
+        found.undetermined.iter().flatten().map(|(unknown, _)| *unknown).collect();
+    assert!(undetermined.contains(&DomainParameter::PendulumMass.into()), "{undetermined:?}");
 
     let held_out = [chirp(&truth(), -1.0, 6.0)];
     let error = horizon_error(&held_out, &found.model, 5.8).rms;

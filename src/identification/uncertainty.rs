@@ -42,7 +42,7 @@ impl Estimate {
 /// A combination of unknowns that the recordings do not determine: moving each unknown by this many
 /// of its prior standard deviations at once hardly changes the simulated motion. Unknowns that move
 /// by less than 0.25 are left out.
-pub type Blind = Vec<(Unknown, f64)>;
+pub type UndeterminedCombination = Vec<(Unknown, f64)>;
 
 /// Information matrix and gradient of a window or a recording.
 type Reduced = (DMatrix<f64>, DVector<f64>);
@@ -52,7 +52,7 @@ pub(super) struct Uncertainty {
     /// Estimates with standard errors.
     pub estimates: Vec<Estimate>,
     /// Combinations of unknowns that the recordings do not determine, the least determined first.
-    pub blind: Vec<Blind>,
+    pub undetermined: Vec<UndeterminedCombination>,
     /// Correlations of the errors, -1 to 1.
     pub correlations: Vec<Vec<f64>>,
     /// Factor on the standard errors, at least 1, for the extent to which windows or recordings
@@ -110,18 +110,23 @@ pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
             variance_removed: 1.0 - left,
         }
     });
-    let blind = eigen.eigenvalues.iter().enumerate().filter(|(_, value)| **value < 1.0);
-    let mut blind: Vec<_> = blind
+    let undetermined = eigen.eigenvalues.iter().enumerate().filter(|(_, value)| **value < 1.0);
+    let mut undetermined: Vec<_> = undetermined
         .map(|(column, &value)| {
             let direction = eigen.eigenvectors.column(column);
             let entries = fit.unknowns.iter().copied().zip(direction.iter().copied());
-            (value, entries.filter(|(_, entry)| entry.abs() >= WORTH_NAMING).collect::<Blind>())
+            (
+                value,
+                entries
+                    .filter(|(_, entry)| entry.abs() >= WORTH_NAMING)
+                    .collect::<UndeterminedCombination>(),
+            )
         })
         .collect();
-    blind.sort_by(|a, b| a.0.total_cmp(&b.0));
+    undetermined.sort_by(|a, b| a.0.total_cmp(&b.0));
     Uncertainty {
         estimates: estimates.collect(),
-        blind: blind.into_iter().map(|(_, direction)| direction).collect(),
+        undetermined: undetermined.into_iter().map(|(_, direction)| direction).collect(),
         correlations,
         inflation,
     }

@@ -1,0 +1,74 @@
+use std::path::{Path, PathBuf};
+
+use super::predictions::Predictions;
+use crate::charts::{correlations_svg, motion_svg};
+use crate::commands::destination::OutputFolder;
+use crate::commands::exit::Failure;
+use crate::commands::picture_names::picture_names;
+use crate::identification::{Recordings, start_state};
+use crate::qube::{Correlations, QubeModel};
+use crate::replay::{MotionLog, simulate_from};
+use crate::storage::{MachineDisk, write_whole};
+
+/// Endings of file names that a folder of pictures does not have.
+const FILE_ENDINGS: [&str; 4] = ["svg", "png", "pdf", "html"];
+
+/// The folder of `--plot`, which is made. Refuses the name of a file.
+pub fn plot_folder(folder: &Path) -> Result<OutputFolder, Failure> {
+    let ending = folder.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+    if ending.is_some_and(|ending| FILE_ENDINGS.contains(&ending.as_str())) && !folder.is_dir() {
+        return Err(Failure::usage(format!(
+            "--plot {}: --plot takes a folder, in which each recording gets a picture: give a name without an ending",
+            folder.display()
+        )));
+    }
+    OutputFolder::of_option("--plot", folder)
+}
+
+/// Draws each recording with its simulation, and the correlations of the profile, into a folder.
+/// Returns a line that says what was drawn.
+pub fn draw(
+    folder: &Path,
+    recordings: &Recordings<2>,
+    predictions: &Predictions,
+    correlations: Option<&Correlations>,
+) -> Result<String, Failure> {
+    let files: Vec<&Path> = recordings.files.iter().flatten().map(PathBuf::as_path).collect();
+    let models = predictions.fitted_models.iter().chain(&predictions.held_out_models);
+    let pictures = files.iter().zip(picture_names(&files));
+    for (((path, name), log), model) in pictures.zip(recordings.groups.iter().flatten()).zip(models)
+    {
+        draw_motion(folder, path, &name, log, model)?;
+    }
+    if let Some(correlations) = correlations {
+        let svg = correlations_svg(correlations).map_err(Failure::failed)?;
+        write_picture(folder, CORRELATIONS, &svg)?;
+    }
+    let and = correlations.map_or(String::new(), |_| format!(" and {CORRELATIONS}"));
+    let count = match files.len() {
+        1 => "one recording".to_owned(),
+        count => format!("{count} recordings"),
+    };
+    Ok(format!("drew {count}{and} into {}", folder.display()))
+}
+
+/// File of the picture of the correlations.
+const CORRELATIONS: &str = "profile-correlations.svg";
+
+/// Draws one recording with its open-loop simulation.
+fn draw_motion(
+    folder: &Path,
+    path: &Path,
+    name: &str,
+    log: &MotionLog,
+    model: &QubeModel,
+) -> Result<(), Failure> {
+    let open_loop = simulate_from(log, model, start_state(log, model))
+        .map_err(|error| Failure::failed(format!("{}: {error}", path.display())))?;
+    let svg = motion_svg(name, log, &open_loop).map_err(Failure::failed)?;
+    write_picture(folder, &format!("{name}.svg"), &svg)
+}
+
+fn write_picture(folder: &Path, name: &str, svg: &str) -> Result<(), Failure> {
+    write_whole(&MachineDisk, &folder.join(name), svg.as_bytes()).map_err(Failure::failed)
+}

@@ -1,0 +1,172 @@
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use super::predictions::{PredictionErrors, Predictions};
+use crate::identification::{
+    Estimate, ExpectedExcitation, Identified, ModelVerdict, PredictionBand,
+    UndeterminedCombination, Unknown,
+};
+
+/// The whole result for people: estimates, what they hide, predictions, verdict, and the next
+/// excitation.
+pub fn text(
+    identified: &Identified,
+    fitted_files: &[PathBuf],
+    predictions: &Predictions,
+    next: &[ExpectedExcitation],
+) -> String {
+    let mut text = estimates(identified);
+    text += &strong_correlations(identified);
+    text += &cable_rests(identified, fitted_files);
+    for errors in &predictions.errors {
+        text += &rms_errors(errors);
+    }
+    text += &band_lines(predictions);
+    let _ = write!(text, "\n{}", assessment(identified));
+    text += &next_line(next);
+    text
+}
+
+fn estimates(identified: &Identified) -> String {
+    let mut text = format!(
+        "{:24} {:>11} {:>11} {:9} {:>13}\n",
+        "quantity", "value", "std. error", "unit", "from data"
+    );
+    for estimate in &identified.estimates {
+        let Estimate { unknown, value, standard_error, variance_removed } = *estimate;
+        let mark = if estimate.is_determined() { "" } else { "  from the prior" };
+        let percent = 100.0 * variance_removed;
+        let (name, unit) = (unknown.name(), unknown.0.unit());
+        let _ = writeln!(
+            text,
+            "{name:24} {value:11.4e} {standard_error:11.1e} {unit:9} {percent:11.0} %{mark}"
+        );
+    }
+    if !identified.undetermined.is_empty() {
+        text += "\nThe recordings do not determine these combinations (in units of the prior):\n";
+    }
+    for combination in &identified.undetermined {
+        let _ = writeln!(text, "  {}", combination_text(combination));
+    }
+    text
+}
+
+/// A combination such as `+0.71 R_m -0.70 k_m`.
+pub fn combination_text(combination: &UndeterminedCombination) -> String {
+    let term = |(unknown, weight): &(Unknown, f64)| format!("{weight:+.2} {}", unknown.name());
+    combination.iter().map(term).collect::<Vec<_>>().join(" ")
+}
+
+/// Absolute correlation from which two estimates are listed as hard to tell apart.
+const STRONG_CORRELATION: f64 = 0.8;
+
+/// The pairs of estimates that the recordings hardly tell apart; empty without any.
+fn strong_correlations(identified: &Identified) -> String {
+    let mut text = String::new();
+    let name = |index: usize| identified.estimates[index].unknown.name();
+    for (one, row) in identified.correlations.iter().enumerate() {
+        for (other, &correlation) in row[..one].iter().enumerate() {
+            if correlation.abs() >= STRONG_CORRELATION {
+                let also = if correlation > 0.0 { "more" } else { "less" };
+                let _ = writeln!(
+                    text,
+                    "  more {} looks like {also} {} ({correlation:+.2})",
+                    name(other),
+                    name(one)
+                );
+            }
+        }
+    }
+    if text.is_empty() { text } else { format!("\nStrongly correlated estimates:\n{text}") }
+}
+
+/// The cable's rest angle in each recording; empty if the angle does not scatter between
+/// recordings.
+fn cable_rests(identified: &Identified, files: &[PathBuf]) -> String {
+    let scatter_rad = identified.scatter.cable_rest_rad;
+    if scatter_rad == 0.0 {
+        return String::new();
+    }
+    let mut text = format!(
+        "\nThe cable's rest angle by recording (scatter {scatter_rad:.2} rad, part of its standard error):\n"
+    );
+    for (index, path) in files.iter().enumerate() {
+        let rest_rad = identified.model_of(&[index]).nonidealities.cable_rest_rad;
+        let _ = writeln!(text, "  {rest_rad:+.2} rad  {}", path.display());
+    }
+    text
+}
+
+fn rms_errors(errors: &PredictionErrors) -> String {
+    let horizons = errors.horizons.iter().map(|error| ("", error));
+    let regimes = errors.regimes.iter().map(|(regime, error)| (regime.name(), error));
+    let rows: Vec<_> = horizons.chain(regimes).filter(|(_, error)| error.predictions > 0).collect();
+    if rows.is_empty() {
+        return String::new();
+    }
+    let mut text = format!("\n{:9} RMS error of predictions, rad\n", errors.group);
+    for (phase, error) in rows {
+        let (theta, alpha) = (error.rms.theta_rad, error.rms.alpha_rad);
+        let _ = writeln!(
+            text,
+            "{phase:8}{:5} s  theta {theta:.4}  alpha {alpha:.4}  ({} predictions)",
+            error.horizon_s, error.predictions
+        );
+    }
+    text
+}
+
+/// The band of the predictions and the share of held-out errors within it.
+fn band_lines(predictions: &Predictions) -> String {
+    let Some(PredictionBand { half_widths_rad: [theta, alpha], .. }) = predictions.band else {
+        return String::new();
+    };
+    let mut text = format!(
+        "\nAfter 0.5 s, 90 % of the fitted recordings are within theta {theta:.4} and alpha {alpha:.4} rad of a prediction.\n"
+    );
+    if let Some(within) = predictions.within {
+        let [theta, alpha] = within.shares.map(|share| 100.0 * share);
+        let _ = writeln!(
+            text,
+            "Of the {} predictions of held-out recordings, {theta:.0} % (theta) and {alpha:.0} % (alpha) are.",
+            within.predictions
+        );
+    }
+    text
+}
+
+/// The verdict on the model, with a note if the standard errors are larger than noise alone
+/// explains.
+fn assessment(identified: &Identified) -> String {
+    let tests = &identified.assessment;
+    let doubts: Vec<String> = tests.doubts.iter().map(ToString::to_string).collect();
+    let doubts = doubts.join("; ");
+    let verdict = match tests.verdict {
+        ModelVerdict::Fits => "The model describes this Qube.".to_owned(),
+        ModelVerdict::FitsBut => format!("The model describes this Qube except for {doubts}."),
+        ModelVerdict::DoesNotFit => format!("The model does not describe this Qube: {doubts}."),
+    };
+    let widened = if identified.inflation > 1.05 {
+        let factor = identified.inflation;
+        format!(
+            " Standard errors are {factor:.1} times those of noise alone, because parts of the recordings disagree."
+        )
+    } else {
+        String::new()
+    };
+    format!("{verdict}{widened}\n")
+}
+
+/// The excitations with the most and with the least expected information; empty without any.
+fn next_line(next: &[ExpectedExcitation]) -> String {
+    let (Some(most), Some(least)) = (next.first(), next.last()) else { return String::new() };
+    format!(
+        "To learn more about it: run --excite {} --volts {:.2} (expected: {:.1} nats; from a {} of {:.2} V: {:.1}).\n",
+        most.shape.name(),
+        most.voltage_v,
+        most.information_nats,
+        least.shape.name(),
+        least.voltage_v,
+        least.information_nats
+    )
+}
