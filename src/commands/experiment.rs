@@ -1,4 +1,9 @@
+mod comparison_table;
+mod experiment_report;
+mod method_table;
 mod opening;
+mod progress;
+mod recipe_table;
 #[cfg(test)]
 mod tests;
 
@@ -10,15 +15,15 @@ use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use serde_json::{Value, json};
 
+pub use self::experiment_report::ExperimentReport;
 use self::opening::{Opened, begun, narrowed, resumed, withdraw};
+use self::progress::ExperimentProgress;
 use super::check_arguments::CheckArguments;
 use super::command_hints::before_motion;
 use super::device_arguments::{DrivenPlantArguments, QubeArguments};
 use super::estimator_arguments::{EstimatorArguments, Sensors};
 use super::executor_arguments::ExecutorArguments;
 use super::exit::Failure;
-use super::experiment_progress::ExperimentProgress;
-use super::experiment_report::ExperimentReport;
 use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::keyboard::Keyboard;

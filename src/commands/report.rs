@@ -5,7 +5,7 @@ use serde_json::json;
 
 use super::destination::OutputFile;
 use super::exit::Failure;
-use super::experiment_report::ExperimentReport;
+use super::experiment::ExperimentReport;
 use super::failures;
 use super::output::Output;
 use super::printable::one_line;

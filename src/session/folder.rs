@@ -174,7 +174,7 @@ impl SessionFolder {
 
     /// Removes the files of a session that has proposed nothing yet. If one cannot be removed, the
     /// rest stays.
-    pub fn withdraw(self) {
+    pub(super) fn withdraw(self) {
         // The configuration is last: without it, a ledger could neither be resumed nor begun anew.
         for file in [self.paths.ledger(), self.paths.configuration()] {
             match self.disk.remove(&file) {
@@ -187,7 +187,7 @@ impl SessionFolder {
 
     /// Removes the files of a session that could not be opened, if this value has created the
     /// session. The files of a session that is resumed stay.
-    pub(super) fn withdraw_if_new(self) {
+    pub fn withdraw_if_new(self) {
         if self.is_new {
             self.withdraw();
         }

@@ -1,10 +1,10 @@
 use std::path::{Path, PathBuf};
 
+use super::experiment_report::ExperimentReport;
 use super::{Arguments, FamilyArgument, Sensors};
 use crate::commands::chosen_device::ChosenDevice;
 use crate::commands::destination::{OutputFile, OutputFolder, check_folder};
 use crate::commands::exit::Failure;
-use crate::commands::experiment_report::ExperimentReport;
 use crate::commands::failures;
 use crate::commands::method_arguments::check_device;
 use crate::commands::plant_arguments::REAL_QUBE;

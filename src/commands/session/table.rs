@@ -3,10 +3,10 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
-use super::exit::Failure;
-use super::printable::one_line;
-use super::session_progress::identified;
-use super::{observer_resets_line, quietness_line, timing_lines};
+use super::progress::identified;
+use crate::commands::exit::Failure;
+use crate::commands::printable::one_line;
+use crate::commands::{observer_resets_line, quietness_line, timing_lines};
 use crate::experiment::statistics::{Interval, wilson_interval};
 use crate::qube::{DomainParameter, Profile, Quantity};
 use crate::scoring::Verdict;

@@ -3,12 +3,12 @@
 
 use std::path::Path;
 
-use super::chosen_device::ChosenDevice;
-use super::exit::Failure;
-use super::failures;
-use super::printable::print_message;
-use super::rig_arguments::RigArguments;
-use super::session::{Arguments, SessionMethod, SessionPreset};
+use super::{Arguments, SessionMethod, SessionPreset};
+use crate::commands::chosen_device::ChosenDevice;
+use crate::commands::exit::Failure;
+use crate::commands::failures;
+use crate::commands::printable::print_message;
+use crate::commands::rig_arguments::RigArguments;
 use crate::rig::ClockChoice;
 use crate::safety::{Guard, GuardConsent};
 use crate::session::{

@@ -3,9 +3,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use super::screen::{Progress, ScreenState, in_words, time_left};
-use super::stop::Stop;
-use super::training_progress::name_of_training;
+use crate::commands::screen::{Progress, ScreenState, in_words, time_left};
+use crate::commands::stop::Stop;
+use crate::commands::training_progress::name_of_training;
 use crate::experiment::{
     ExperimentEvent, ExperimentSettings, Made, Recipe, RecommendationOutcome, RecommendationResult,
     RecommendationScore, Repetition,

@@ -8,22 +8,24 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
-use super::chosen_device::ChosenDevice;
-use super::destination::OutputFolder;
-use super::exit::Failure;
-use super::failures;
-use super::keyboard::Keyboard;
-use super::live::Live;
-use super::output::Output;
-use super::printable::print_message;
-use super::rig_arguments::name_of;
-use super::screen::Screen;
-use super::service_manager;
-use super::session::{self, Arguments};
-use super::session_progress::SessionProgress;
-use super::session_settings::{begun, configured, name_in, resumed, resumed_clock};
+use super::Arguments;
+use super::attended::{SessionResults, is_refused, settings_of_rig};
+use super::notes::{print_notes, warnings};
+use super::progress::SessionProgress;
+use super::settings::{begun, configured, name_in, resumed, resumed_clock};
 use super::several_rigs::{emulated_of, resume_command};
-use super::stop::Stop;
+use crate::commands::chosen_device::ChosenDevice;
+use crate::commands::destination::OutputFolder;
+use crate::commands::exit::Failure;
+use crate::commands::failures;
+use crate::commands::keyboard::Keyboard;
+use crate::commands::live::Live;
+use crate::commands::output::Output;
+use crate::commands::printable::print_message;
+use crate::commands::rig_arguments::name_of;
+use crate::commands::screen::Screen;
+use crate::commands::service_manager;
+use crate::commands::stop::Stop;
 use crate::jobs::{Executor, LocalExecutor};
 use crate::qube::Profile;
 use crate::rig::ClockChoice;
@@ -82,9 +84,7 @@ pub fn run(
     };
     // Method and estimators are the same in all sessions, so the first session speaks for all.
     if let Some((_, settings)) = sessions.first() {
-        let notes =
-            [session::method_note(arguments, settings), session::estimators_differ(settings)];
-        notes.iter().flatten().for_each(|note| print_message(note));
+        print_notes(arguments, settings);
     }
     let resume = resume_command(&root, &devices);
     if !begins {
@@ -120,11 +120,7 @@ pub fn run(
 
     let failed = |error: SessionError| failures::session(error, &stop, &resume);
     let ended: Vec<_> = ended.into_iter().map(|ended| ended.map_err(failed)).collect();
-    let none_began = rigs.iter().all(|rig| !rig.session.has_decided());
-    let all_refused = |ended: &[Result<(), Failure>]| {
-        ended.iter().all(|ended| ended.as_ref().is_err_and(Failure::is_usage))
-    };
-    if none_began && all_refused(&ended) {
+    if rigs.iter().zip(&ended).all(|(rig, ended)| is_refused(&rig.session, ended)) {
         let failure = joined(rigs.into_iter().map(|rig| rig.name()).zip(ended));
         if begins {
             RigSessions::withdraw(&root);
@@ -146,10 +142,10 @@ fn print_results(
     let (mut text, mut results) = (String::new(), Vec::new());
     let mut outcomes = Vec::new();
     for (mut rig, ended) in rigs.into_iter().zip(ended) {
-        let (mut result, ended) = match session::results(&mut rig.session, ended, failed) {
-            Ok((table, result, ended)) => {
+        let (mut result, ended) = match SessionResults::read(&mut rig.session, ended, failed) {
+            Ok(SessionResults { text: table, json, ended }) => {
                 let _ = write!(text, "\n{} ({}):\n{table}", rig.name(), rig.device);
-                (result, ended)
+                (json, ended)
             }
             Err(failure) => (json!({ "best": null }), Err(failure)),
         };
@@ -164,16 +160,12 @@ fn print_results(
         outcomes.push((rig.name(), ended));
     }
     text.push_str(&summary(&results));
-    let ended = joined(outcomes);
-    let all = json!({
+    let json = json!({
         "rig_policy": "own",
         "rigs": results,
         "directory": root.to_string_lossy(),
-        "wall_s": started.elapsed().as_secs_f64(),
-        "ended_by": ended.as_ref().err().map(Failure::ended_by),
     });
-    output.print(&text, &all);
-    ended
+    SessionResults { text, json, ended: joined(outcomes) }.print(started, output)
 }
 
 /// A table with a line for each rig: its number and the best policy that its session has verified.
@@ -288,9 +280,9 @@ fn open(
         let name = rig_name(number);
         let live = arguments.live.of_rig(number)?.serve("session", &stop)?;
         let mut rig_settings =
-            session::rig_settings(&mut device, &folder, &settings, consent, arguments.check)?;
+            settings_of_rig(&mut device, &folder, &settings, consent, arguments.check)?;
         rig_settings.viewers = live.viewer().into_iter().collect();
-        for warning in session::warnings(&device, &rig_settings, &settings) {
+        for warning in warnings(&device, &rig_settings, &settings) {
             print_message(&format!("{name}: warning: {warning}"));
         }
         let progress = SessionProgress::new(&settings, &Screen::none().progress(), &stop);

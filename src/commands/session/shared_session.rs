@@ -3,31 +3,30 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use serde_json::json;
-
-use super::chosen_device::ChosenDevice;
-use super::destination::OutputFolder;
-use super::exit::Failure;
-use super::failures;
-use super::keyboard::Keyboard;
-use super::live::Live;
-use super::output::Output;
-use super::printable::print_message;
-use super::rig_arguments::name_of;
-use super::screen::Screen;
-use super::service_manager;
-use super::session::{self, Arguments};
-use super::session_progress::SessionProgress;
-use super::session_settings::{asked, begun, name_in, origin_of_guard, reopened, resumed_clock};
+use super::Arguments;
+use super::attended::{SessionResults, is_refused, run_attended, settings_of_rig};
+use super::notes::{print_notes, warnings};
+use super::progress::SessionProgress;
+use super::settings::{asked, begun, name_in, origin_of_guard, reopened, resumed_clock};
 use super::several_rigs::{emulated_of, resume_command};
-use super::stop::Stop;
+use crate::commands::chosen_device::ChosenDevice;
+use crate::commands::destination::OutputFolder;
+use crate::commands::exit::Failure;
+use crate::commands::failures;
+use crate::commands::keyboard::Keyboard;
+use crate::commands::live::Live;
+use crate::commands::output::Output;
+use crate::commands::printable::print_message;
+use crate::commands::rig_arguments::name_of;
+use crate::commands::screen::Screen;
+use crate::commands::service_manager;
+use crate::commands::stop::Stop;
 use crate::control::{HomingMethod, HomingSettings};
 use crate::qube::{Profile, QubeModel};
 use crate::rig::RigSettings;
 use crate::safety::GuardConsent;
 use crate::session::{
-    SeedFor, Session, SessionError, SessionEvent, SessionFolder, SessionSettings, SharedRig,
-    derived_seed,
+    SeedFor, Session, SessionEvent, SessionFolder, SessionSettings, SharedRig, derived_seed,
 };
 
 /// The settings of a rig, and the model in its profile, if it has one.
@@ -41,7 +40,6 @@ pub fn run(
 ) -> Result<(), Failure> {
     let started = Instant::now();
     let consent = arguments.consent.beside(arguments.guard)?;
-    let begins = arguments.resume.is_none();
     let mut place = None;
     let (folder, settings) = match &arguments.resume {
         Some(directory) => {
@@ -64,28 +62,16 @@ pub fn run(
             begun(place.path(), name_in(place.path()), settings)?
         }
     };
-    let notes = [session::method_note(arguments, &settings), session::estimators_differ(&settings)];
-    notes.iter().flatten().for_each(|note| print_message(note));
+    print_notes(arguments, &settings);
     let root = folder.paths().root().to_owned();
     let resume = resume_command(&root, &devices);
-    let withdrawn = |folder: SessionFolder| {
-        if begins {
-            folder.withdraw();
-        }
-    };
     let stop = Stop::on_signals()?;
-    let (mut rigs, mut lives) = match opened(arguments, devices, &folder, &settings, consent, &stop)
-    {
-        Ok(opened) => opened,
+    let attached = opened(arguments, devices, &folder, &settings, consent, &stop)
+        .and_then(|opened| Ok((opened, arguments.executor.executor(&root, &stop)?)));
+    let ((mut rigs, mut lives), executor) = match attached {
+        Ok(attached) => attached,
         Err(failure) => {
-            withdrawn(folder);
-            return Err(failure);
-        }
-    };
-    let executor = match arguments.executor.executor(&root, &stop) {
-        Ok(executor) => executor,
-        Err(failure) => {
-            withdrawn(folder);
+            folder.withdraw_if_new();
             return Err(failure);
         }
     };
@@ -110,35 +96,22 @@ pub fn run(
         session = session.trained_by(executor);
     }
     service_manager::ready();
-    let ended = loop {
-        let ended = session.run(&mut |event| {
-            service_manager::alive();
-            progress.update(&event);
-            for (number, live) in (1..).zip(&mut lives) {
-                if rig_of(&event).is_none_or(|rig| rig == number) {
-                    live.update(&event, progress.time_left());
-                }
+    let ended = run_attended(&mut session, &keyboard, homing, &stop, &mut |event| {
+        progress.update(&event);
+        for (number, live) in (1..).zip(&mut lives) {
+            if rig_of(&event).is_none_or(|rig| rig == number) {
+                live.update(&event, progress.time_left());
             }
-        });
-        match ended.as_ref().err().and_then(SessionError::doubt) {
-            Some(doubt) if keyboard.acknowledges(doubt, homing, &stop) => session.acknowledge(),
-            _ => break ended.map_err(failed),
         }
-    };
+    });
     service_manager::stopping();
     drop(keyboard);
-    if let Err(failure) = &ended
-        && failure.is_usage()
-        && !session.has_decided()
-    {
-        withdrawn(session.into_folder());
+    let ended = ended.map_err(failed);
+    if is_refused(&session, &ended) {
+        session.into_folder().withdraw_if_new();
         return ended;
     }
-    let (text, mut result, ended) = session::results(&mut session, ended, failed)?;
-    result["wall_s"] = json!(started.elapsed().as_secs_f64());
-    result["ended_by"] = json!(ended.as_ref().err().map(Failure::ended_by));
-    output.print(&text, &result);
-    ended
+    SessionResults::read(&mut session, ended, failed)?.print(started, output)
 }
 
 /// Number, from 1, of the rig whose live view alone shows an event; `None` if the live views of all
@@ -226,13 +199,13 @@ fn opened(
             ..settings.clone()
         };
         let mut rig_settings =
-            session::rig_settings(&mut device, folder, &of_rig, consent, arguments.check)?;
+            settings_of_rig(&mut device, folder, &of_rig, consent, arguments.check)?;
         // An emulated board takes its serial number from this seed, and two boards must differ.
         let board = SeedFor::RigQube { rig: number };
         rig_settings.emulator.seed = derived_seed(settings.seed, board);
         let live = arguments.live.of_rig(number)?.serve("session", stop)?;
         rig_settings.viewers = live.viewer().into_iter().collect();
-        for warning in session::warnings(&device, &rig_settings, &of_rig) {
+        for warning in warnings(&device, &rig_settings, &of_rig) {
             print_message(&format!("rig {number}: warning: {warning}"));
         }
         rigs.push((rig_settings, device.profile.as_ref().map(Profile::model)));

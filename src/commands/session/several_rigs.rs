@@ -3,14 +3,14 @@
 
 use std::path::Path;
 
-use super::chosen_device::{ChosenDevice, EMULATED};
-use super::exit::Failure;
-use super::failures;
-use super::output::Output;
-use super::rig_arguments::{RigPolicy, name_of};
-use super::session::Arguments;
-use super::session_settings::asked as asked_settings;
+use super::Arguments;
+use super::settings::asked as asked_settings;
 use super::{rig_sessions, shared_session};
+use crate::commands::chosen_device::{ChosenDevice, EMULATED};
+use crate::commands::exit::Failure;
+use crate::commands::failures;
+use crate::commands::output::Output;
+use crate::commands::rig_arguments::{RigPolicy, name_of};
 use crate::jobs::starter::quoted;
 use crate::rig::ClockChoice;
 use crate::session::{

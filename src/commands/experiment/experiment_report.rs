@@ -4,12 +4,13 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::exit::Failure;
-use super::{experiment_table, failures, method_table};
+use super::{method_table, recipe_table};
 use crate::charts::{
     DrawingError, ShareOfPlant, StepLine, budgets_svg, densities_svg, methods_svg, searches_svg,
     training_progress_svg,
 };
+use crate::commands::exit::Failure;
+use crate::commands::failures;
 use crate::experiment::{
     ALL_PLANTS, Experiment, ExperimentError, MethodResult, MethodResults, PolicyResult,
     RecipeResult, Results, SearchReturns, TrainingProgress,
@@ -46,7 +47,7 @@ impl ExperimentReport {
     /// The table for people.
     pub fn text(&self) -> String {
         match self {
-            Self::Recipes(results) => experiment_table::table(results),
+            Self::Recipes(results) => recipe_table::table(results),
             Self::Methods(results) => method_table::table(results),
         }
     }
@@ -54,7 +55,7 @@ impl ExperimentReport {
     /// The results for scripts.
     pub fn json(&self) -> Value {
         match self {
-            Self::Recipes(results) => experiment_table::value(results),
+            Self::Recipes(results) => recipe_table::value(results),
             Self::Methods(results) => method_table::value(results),
         }
     }
@@ -62,7 +63,7 @@ impl ExperimentReport {
     /// The results as CSV.
     pub fn csv(&self) -> String {
         match self {
-            Self::Recipes(results) => experiment_table::csv(results),
+            Self::Recipes(results) => recipe_table::csv(results),
             Self::Methods(results) => method_table::csv(results),
         }
     }
@@ -71,7 +72,7 @@ impl ExperimentReport {
     pub fn is_csv(path: &Path) -> bool {
         let mut begins = String::new();
         let read = File::open(path).and_then(|file| file.take(64).read_to_string(&mut begins));
-        let known = [experiment_table::CSV_BEGINS, method_table::CSV_BEGINS];
+        let known = [recipe_table::CSV_BEGINS, method_table::CSV_BEGINS];
         read.is_ok() && known.iter().any(|columns| begins.starts_with(columns))
     }
 

@@ -3,12 +3,12 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use super::command_hints;
-use super::screen::{Progress, in_words};
-use super::stop::Stop;
-use super::training_pace::TrainingPace;
-use super::training_progress::name_of_training;
-use super::warn_without_realtime;
+use crate::commands::command_hints;
+use crate::commands::screen::{Progress, in_words};
+use crate::commands::stop::Stop;
+use crate::commands::training_pace::TrainingPace;
+use crate::commands::training_progress::name_of_training;
+use crate::commands::warn_without_realtime;
 use crate::scoring::{QuietnessFigures, Verdict};
 use crate::session::{CandidateCounts, Purpose, SessionError, SessionEvent, SessionSettings};
 use crate::telemetry::Ending;

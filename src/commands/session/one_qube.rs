@@ -1,0 +1,102 @@
+//! A session with one Qube.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use serde_json::json;
+
+use super::Arguments;
+use super::attended::{SessionResults, is_refused, run_attended, settings_of_rig};
+use super::notes::{print_notes, warnings};
+use super::progress::SessionProgress;
+use super::settings::{begun, configured, name_in, resumed, resumed_clock};
+use super::several_rigs::resume_command;
+use crate::commands::destination::OutputFolder;
+use crate::commands::exit::Failure;
+use crate::commands::keyboard::Keyboard;
+use crate::commands::output::Output;
+use crate::commands::printable::print_message;
+use crate::commands::stop::Stop;
+use crate::commands::{failures, service_manager};
+use crate::qube::Profile;
+use crate::session::Session;
+
+/// Runs or resumes the session and prints its table.
+pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
+    let started = Instant::now();
+    let mut device = arguments.rigs.choose_one()?;
+    let consent = arguments.consent.beside(arguments.guard)?;
+    let mut place = None;
+    let (folder, settings) = match &arguments.resume {
+        Some(directory) => {
+            let (folder, settings) = resumed(directory, arguments, &device)?;
+            device.clock = resumed_clock(folder.paths(), &arguments.rigs, &device);
+            (folder, settings)
+        }
+        None => {
+            let settings = configured(arguments, consent, &device)?;
+            let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
+            begun(place.path(), name_in(place.path()), settings)?
+        }
+    };
+    let mut rig_settings =
+        settings_of_rig(&mut device, &folder, &settings, consent, arguments.check)?;
+    print_notes(arguments, &settings);
+    let stop = Stop::on_signals()?;
+    let root = folder.paths().root().to_owned();
+    let attached = device.check_port_exists().and_then(|()| {
+        let live = arguments.live.serve("session", &stop)?;
+        Ok((live, arguments.executor.executor(&root, &stop)?))
+    });
+    let (mut live, executor) = match attached {
+        Ok(attached) => attached,
+        Err(failure) => {
+            folder.withdraw_if_new();
+            return Err(failure);
+        }
+    };
+    let title = format!("qube-hil session in {}", root.display());
+    let screen = arguments.screen.open(&title, output, &stop);
+    screen.progress().update(|state| state.live = live.url());
+    rig_settings.viewers = screen.viewer().into_iter().chain(live.viewer()).collect();
+    let keyboard = Keyboard::watch(&stop, &screen.progress());
+    // The screen shows its own line of keys.
+    if !screen.progress().has_screen() {
+        print_message(keyboard.hint());
+    }
+    let emulated_qube =
+        (!device.choice.is_hardware()).then(|| settings.emulated.name(settings.plant()));
+    let which = emulated_qube.as_ref().map_or_else(String::new, |name| format!(" ({name})"));
+    print_message(&format!("session with {}{which} in {}", device.described(), root.display()));
+    for warning in warnings(&device, &rig_settings, &settings) {
+        print_message(&format!("warning: {warning}"));
+    }
+
+    let resume = resume_command(&root, std::slice::from_ref(&device));
+    let failed = |error| failures::session(error, &stop, &resume);
+    let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
+    let homing = settings.homing.method;
+    let mut session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
+        .and_then(Session::on_the_same_boards)
+        .map_err(failed)?
+        .with_profile(device.profile.as_ref().map(Profile::model));
+    if let Some(executor) = executor {
+        session = session.trained_by(executor);
+    }
+    service_manager::ready();
+    let ended = run_attended(&mut session, &keyboard, homing, &stop, &mut |event| {
+        progress.update(&event);
+        live.update(&event, progress.time_left());
+    });
+    service_manager::stopping();
+    drop(keyboard);
+    drop(screen);
+    let ended = ended.map_err(failed);
+    if is_refused(&session, &ended) {
+        session.into_folder().withdraw_if_new();
+        return ended;
+    }
+    let mut results = SessionResults::read(&mut session, ended, failed)?;
+    results.json["emulated_qube"] = json!(emulated_qube);
+    results.print(started, output)
+}
