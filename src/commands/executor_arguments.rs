@@ -1,5 +1,8 @@
+use std::convert::Infallible;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::exit::Failure;
 use super::failures;
@@ -20,7 +23,7 @@ pub struct ExecutorArguments {
     /// command, {workers} for their number and {folder} for the folder of jobs. The policies are the same
     /// wherever they are trained
     #[arg(long, value_name = "local|slurm|folder|COMMAND", default_value = "local")]
-    executor: String,
+    executor: ExecutorChoice,
 
     /// Number of workers, a core each
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=100_000))]
@@ -68,22 +71,48 @@ fn stale_seconds(text: &str) -> Result<f64, String> {
     super::number_arguments::between(text, 1.0, 86_400.0)
 }
 
-impl ExecutorArguments {
-    /// Checks that the text of `--executor` names an executor or a command that can start workers,
-    /// before a folder is made.
-    pub fn check(&self) -> Result<(), Failure> {
-        self.command(String::new()).map(drop)
-    }
+/// The choice of `--executor`.
+#[derive(Clone, Debug)]
+enum ExecutorChoice {
+    /// This computer's cores.
+    Local,
+    /// Workers in job arrays of Slurm.
+    Slurm,
+    /// Workers that the operator starts by hand.
+    Folder,
+    /// Workers that this command starts.
+    Command(String),
+}
 
-    /// The starter of the command in `--executor`; `None` if it names an executor.
-    fn command(&self, work: String) -> Result<Option<CommandStarter>, Failure> {
-        match self.executor.as_str() {
-            "local" | "slurm" | "folder" => Ok(None),
-            template => CommandStarter::new(template, work).map(Some).map_err(|error| {
-                Failure::usage(format!(
-                    "--executor {template}: {error}; or give local, slurm or folder"
-                ))
-            }),
+impl FromStr for ExecutorChoice {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        Ok(match text {
+            "local" => Self::Local,
+            "slurm" => Self::Slurm,
+            "folder" => Self::Folder,
+            template => Self::Command(template.to_owned()),
+        })
+    }
+}
+
+/// The starter of the workers' command `work` by a command of the operator.
+fn command_starter(template: &str, work: String) -> Result<CommandStarter, Failure> {
+    CommandStarter::new(template, work).map_err(|error| {
+        Failure::usage(format!("--executor {template}: {error}; or give local, slurm or folder"))
+    })
+}
+
+impl ExecutorArguments {
+    /// Checks, before a folder is made, that the executor can start workers: that the command is
+    /// one, or that Slurm is on this computer.
+    pub fn check(&self) -> Result<(), Failure> {
+        match &self.executor {
+            ExecutorChoice::Local | ExecutorChoice::Folder => Ok(()),
+            ExecutorChoice::Slurm => SlurmStarter::check_installed()
+                .map_err(|error| Failure::usage(format!("--executor slurm: {error}"))),
+            ExecutorChoice::Command(template) => command_starter(template, String::new()).map(drop),
         }
     }
 
@@ -94,44 +123,47 @@ impl ExecutorArguments {
         results: &Path,
         stop: &Stop,
     ) -> Result<Option<Arc<dyn Executor>>, Failure> {
-        if self.executor == "local" {
+        if let ExecutorChoice::Local = self.executor {
             return Ok(None);
         }
         let root = self.jobs.clone().unwrap_or_else(|| results.join("jobs"));
         let root = std::path::absolute(&root).map_err(Failure::usage)?;
+        let work = self.worker_command(&root)?;
+        let terms = Terms::new(Duration::from_secs_f64(self.stale), self.tries);
+        let failed = |error| failures::job_folder(&error, stop);
+        let folder = JobFolder::create(Arc::new(MachineDisk), &root, terms).map_err(failed)?;
+        let starter: Option<Box<dyn Starter>> = match &self.executor {
+            ExecutorChoice::Local | ExecutorChoice::Folder => {
+                print_message(&format!("start workers by hand: {work}"));
+                None
+            }
+            ExecutorChoice::Slurm => {
+                let work = format!("{work} --slot \"${}/{{workers}}\"", SlurmStarter::NUMBER);
+                Some(Box::new(SlurmStarter::new(self.slurm_options(), work, &folder)))
+            }
+            ExecutorChoice::Command(template) => Some(Box::new(command_starter(template, work)?)),
+        };
+        let at_end = if self.leave_workers { AtEnd::Leave } else { AtEnd::Withdraw };
+        let executor = FolderExecutor::new(folder, starter, self.workers, at_end, &stop.flag);
+        Ok(Some(Arc::new(executor.map_err(failed)?.while_waiting(service_manager::alive))))
+    }
+
+    /// The shell command of a worker of the folder `root`.
+    fn worker_command(&self, root: &Path) -> Result<String, Failure> {
         let program = match &self.worker_program {
             Some(program) => program.clone(),
             None => std::env::current_exe().map_err(Failure::failed)?,
         };
         let word = |path: &Path| quoted(&path.to_string_lossy());
-        let work = format!("{} work {}", word(&program), word(&root));
-        // The command is checked before the folder is made, so that a bad command leaves no folder
-        // behind.
-        let command = self.command(work.clone())?;
-        let command = command.map(|command| Box::new(command) as Box<dyn Starter>);
-        let stale_ms = (1e3 * self.stale) as u64;
-        let terms =
-            Terms { stale_ms, beat_ms: stale_ms / 12, tries: self.tries, ..Terms::default() };
-        let failed = |error| failures::job_folder(&error, stop);
-        let folder = JobFolder::create(Arc::new(MachineDisk), &root, terms).map_err(failed)?;
-        let starter = match self.executor.as_str() {
-            "slurm" => {
-                let options = SlurmOptions {
-                    partition: self.slurm_partition.clone(),
-                    account: self.slurm_account.clone(),
-                    time: self.slurm_time.clone(),
-                    memory: self.slurm_memory.clone(),
-                };
-                let work = format!("{work} --slot \"${}/{{workers}}\"", SlurmStarter::NUMBER);
-                Some(Box::new(SlurmStarter::new(options, work, &folder)) as Box<dyn Starter>)
-            }
-            _ => command,
-        };
-        if starter.is_none() {
-            print_message(&format!("start workers by hand: {work}"));
+        Ok(format!("{} work {}", word(&program), word(root)))
+    }
+
+    fn slurm_options(&self) -> SlurmOptions {
+        SlurmOptions {
+            partition: self.slurm_partition.clone(),
+            account: self.slurm_account.clone(),
+            time: self.slurm_time.clone(),
+            memory: self.slurm_memory.clone(),
         }
-        let at_end = if self.leave_workers { AtEnd::Leave } else { AtEnd::Withdraw };
-        let executor = FolderExecutor::new(folder, starter, self.workers, at_end, &stop.flag);
-        Ok(Some(Arc::new(executor.map_err(failed)?.while_waiting(service_manager::alive))))
     }
 }

@@ -103,7 +103,8 @@ fn a_command_that_cannot_start_workers_is_refused_in_a_sentence() {
         refused(&run("plain", "{work} --instruction-set plain"), &["refuse", "FMA"]);
     }
     if !Path::new("/usr/bin/sbatch").exists() {
-        refused(&run("no-slurm", "slurm"), &["there is no s"]);
+        refused(&run("no-slurm", "slurm"), &["--executor slurm", "there is no sbatch"]);
+        assert!(!directory.join("no-slurm").exists());
     }
 }
 

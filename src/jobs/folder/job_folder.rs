@@ -46,12 +46,26 @@ pub struct Terms {
 }
 
 impl Default for Terms {
+    /// A minute without a beat, and three tries.
     fn default() -> Self {
-        Self { format: FORMAT, program: program(), beat_ms: 5_000, stale_ms: 60_000, tries: 3 }
+        Self::new(Duration::from_secs(60), 3)
     }
 }
 
+/// Number of beats in the time after which a process counts as dead. A shared file system may show
+/// some of them late.
+const BEATS_BEFORE_STALE: u64 = 12;
+
 impl Terms {
+    /// The terms under which this program's processes count as dead after the time `stale`, and a
+    /// job is given up after `tries` failed tries.
+    #[must_use]
+    pub fn new(stale: Duration, tries: u32) -> Self {
+        let stale_ms = stale.as_millis() as u64;
+        let beat_ms = stale_ms / BEATS_BEFORE_STALE;
+        Self { format: FORMAT, program: program(), beat_ms, stale_ms, tries }
+    }
+
     /// Time between two beats of a process.
     #[must_use]
     pub fn beat(&self) -> Duration {

@@ -9,6 +9,9 @@ use super::{StartError, Starter, WorkerCount, log_folder};
 use crate::jobs::checksum::checksum;
 use crate::jobs::folder::JobFolder;
 
+/// Slurm's command for new jobs.
+const SUBMIT: &str = "sbatch";
+
 /// Longest time that a command of Slurm may take. The coordinator writes no heartbeat during two of
 /// them in a row, and by default its folder counts as abandoned after 60 s without one.
 const LONGEST_COMMAND: Duration = Duration::from_secs(15);
@@ -41,6 +44,18 @@ pub struct SlurmStarter {
 impl SlurmStarter {
     /// The environment variable in which Slurm gives a worker its number in the array.
     pub const NUMBER: &str = "SLURM_ARRAY_TASK_ID";
+
+    /// Checks that the search path of this computer has Slurm's command for new jobs.
+    ///
+    /// # Errors
+    /// [`StartError::NoProgram`] if it has none.
+    pub fn check_installed() -> Result<(), StartError> {
+        let path = std::env::var_os("PATH").unwrap_or_default();
+        match std::env::split_paths(&path).any(|folder| folder.join(SUBMIT).is_file()) {
+            true => Ok(()),
+            false => Err(StartError::NoProgram { program: SUBMIT.to_owned() }),
+        }
+    }
 
     /// A starter of workers for a folder. `work` is a worker's shell command, in which `{workers}`
     /// stands for the number of workers in the array and the variable [`Self::NUMBER`] for the
@@ -103,7 +118,7 @@ impl Starter for SlurmStarter {
         log_folder(folder)?;
         let options = self.array_options(folder, workers);
         let script = self.script(workers);
-        let output = run_command("sbatch", &options, &script, LONGEST_COMMAND)?;
+        let output = run_command(SUBMIT, &options, &script, LONGEST_COMMAND)?;
         if output.status.success() {
             return Ok(());
         }
