@@ -210,7 +210,7 @@ class Policy:
 
     def save(self, path: str | os.PathLike[str], force: bool = False) -> None:
         """Writes the policy file, which appears whole or not at all. An existing file is replaced only with
-        ``force``, and a folder, a pipe or a device never."""
+        ``force``; a folder, a pipe, a device, a recording, and the record of a session or an experiment never."""
         file = as_path("path", path, "the path of a policy file")
         if not isinstance(force, (bool, np.bool_)):
             raise SettingsError(f"force = {shown(force)}: give True or False")

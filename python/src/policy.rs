@@ -9,6 +9,7 @@ use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::PyBytes;
 use qube_hil::estimation::EstimatorSettings;
+use qube_hil::experiment::is_irreplaceable;
 use qube_hil::policy::onnx::{
     ForeignConventions, ImportError, Layers, MAX_FILE_BYTES, ObservationLayout, from_onnx, to_onnx,
 };
@@ -146,7 +147,8 @@ impl Policy {
     }
 
     /// Writes the policy file, which appears whole or not at all. Only `force` replaces an existing
-    /// file, and nothing replaces a folder, a pipe or a device.
+    /// file, and nothing replaces a folder, a pipe, a device, a recording, or the record of a session
+    /// or an experiment.
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<()> {
         let shown = path.display();
         match path.symlink_metadata() {
@@ -156,6 +158,12 @@ impl Policy {
             Ok(_) if !force => {
                 return Err(bad_policy(format!(
                     "{shown}: exists already: give another name, or force=True"
+                )));
+            }
+            Ok(_) if is_irreplaceable(&path) => {
+                return Err(bad_policy(format!(
+                    "{shown} is a recording, or the record of a session or an experiment, which nothing replaces: \
+                     give another name"
                 )));
             }
             _ => {}

@@ -341,6 +341,12 @@ def test_a_policy_replaces_files_alone(tmp_path):
     policy.save(link, force=True)
     assert pipe.is_fifo() and link.is_file() and not link.is_symlink()
     assert sorted(tmp_path.iterdir()) == [folder, link, pipe]
+    # Nothing can compute the ledger of a session again.
+    ledger = tmp_path / "ledger.jsonl"
+    ledger.write_text("{}\n")
+    with pytest.raises(qube_hil.PolicyError, match="which nothing replaces: give another name"):
+        policy.save(ledger, force=True)
+    assert ledger.read_text() == "{}\n"
 
 
 def test_paths_of_another_type_are_named(tmp_path):

@@ -10,9 +10,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::exit::Failure;
 use super::failures;
 use super::printable::print_message;
-use crate::experiment::ExperimentFolder;
-use crate::recording::is_recording;
-use crate::session::{FolderError, RigSessions, SessionPaths};
+use crate::experiment::{ExperimentFolder, is_irreplaceable};
+use crate::session::{FolderError, SessionPaths};
 use crate::storage::{Disk, Hold, MachineDisk, write_whole};
 
 /// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
@@ -47,7 +46,7 @@ impl OutputFile {
                     "{option} {shown} exists already: name another file, or replace it with --force"
                 )));
             }
-            Ok(_) if cannot_be_made_again(path) => {
+            Ok(_) if is_irreplaceable(path) => {
                 return Err(Failure::usage(format!(
                     "{option} {shown} is a recording, or the record of a session or an experiment, which no \
                      command replaces: name another file"
@@ -94,19 +93,6 @@ impl OutputFile {
             }
         })
     }
-}
-
-/// Whether an existing file is a recording, or a file from which a session or an experiment goes on.
-/// Nothing can compute them again, so that `--force` does not replace them.
-fn cannot_be_made_again(path: &Path) -> bool {
-    const NAMES: [&str; 4] = [
-        SessionPaths::LEDGER,
-        SessionPaths::CONFIGURATION,
-        ExperimentFolder::SETTINGS,
-        RigSessions::FILE,
-    ];
-    path.file_name().is_some_and(|name| NAMES.iter().any(|record| name == *record))
-        || is_recording(path).unwrap_or(false)
 }
 
 /// The folder that a command writes into during its work. Dropping it removes those of the folders

@@ -21,6 +21,7 @@ mod comparison;
 mod error;
 mod event;
 mod folder;
+mod irreplaceable;
 mod made;
 mod methods;
 mod plant;
@@ -40,6 +41,7 @@ pub use comparison::Comparison;
 pub use error::ExperimentError;
 pub use event::ExperimentEvent;
 pub use folder::{ExperimentFolder, PolicyFolders};
+pub use irreplaceable::is_irreplaceable;
 pub use made::Made;
 pub use methods::{
     ALL_PLANTS, Method, MethodResult, MethodResults, MethodSettings, RecommendationOutcome,
