@@ -12,7 +12,7 @@ use super::failures;
 use super::printable::print_message;
 use crate::experiment::{ExperimentFolder, is_irreplaceable};
 use crate::session::{FolderError, SessionPaths};
-use crate::storage::{Disk, Hold, MachineDisk, write_whole};
+use crate::storage::{Disk, FolderLock, MachineDisk, write_whole};
 
 /// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
 const ROOM_BYTES: usize = 1 << 18;
@@ -170,9 +170,9 @@ impl OutputFolder {
     }
 
     /// Locks the folder against other processes that would write into it.
-    pub fn hold(&self) -> Result<Hold, Failure> {
+    pub fn lock(&self) -> Result<FolderLock, Failure> {
         let path = self.path.clone();
-        MachineDisk.hold(&self.path).map_err(|error| {
+        MachineDisk.lock_folder(&self.path).map_err(|error| {
             failures::folder(&match error {
                 TryLockError::WouldBlock => FolderError::InUse { path },
                 TryLockError::Error(source) => FolderError::Io { path, source },

@@ -211,7 +211,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
              Name a Qube with --device",
         ));
     }
-    let consent = arguments.consent.beside(arguments.guard)?;
+    let consent = arguments.consent.with_guard(arguments.guard)?;
     arguments.executor.check()?;
     let Opened { folder, mut settings, csv } = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,

@@ -41,7 +41,7 @@ pub struct ConsentArgument {
 impl ConsentArgument {
     /// The operator's consent, if both arguments are on this command line. Consent without
     /// `--guard box` is refused.
-    pub fn beside(self, guard: Option<GuardArgument>) -> Result<Option<GuardConsent>, Failure> {
+    pub fn with_guard(self, guard: Option<GuardArgument>) -> Result<Option<GuardConsent>, Failure> {
         if self.accept_hard_stop && guard != Some(GuardArgument::Box) {
             return Err(Failure::usage(
                 "--accept-hard-stop accepts that the arm may reach its hard stop, which only --guard box \

@@ -137,7 +137,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let profile = device.profile.as_ref().map(Profile::model);
     let (settings, plan) = asked(&arguments, &device)?;
     let folder = OutputFolder::make(arguments.out.as_deref(), "run")?;
-    let _hold = folder.hold()?;
+    let _lock = folder.lock()?;
     folder.check_for_recordings(arguments.rollouts.into())?;
     device.check_port_exists()?;
     let directory = folder.path().to_owned();
@@ -202,7 +202,7 @@ fn asked(
     let guard = arguments.guard.into();
     let safety_box = SafetyBox { guard, ..SafetyBox::default() }.within_travel(&plant);
     let safety_box = device.safety_box(safety_box);
-    let consent = arguments.consent.beside(Some(arguments.guard))?;
+    let consent = arguments.consent.with_guard(Some(arguments.guard))?;
     let settings = RigSettings {
         limits: device.limits("--guard", &safety_box, consent)?,
         ..device.rig_settings(emulator, estimator, arguments.check)

@@ -5,7 +5,7 @@ use super::seal::sealed;
 use super::{ExperimentError, ExperimentSettingError};
 use crate::session::{FolderError, PolicyPaths};
 use crate::storage::{
-    Disk, Hold, MachineDisk, file_exists, is_unfinished_of, remove_unfinished, write_whole,
+    Disk, FolderLock, MachineDisk, file_exists, is_unfinished_of, remove_unfinished, write_whole,
 };
 
 /// The folder of an experiment; one process at a time holds it. The files in the folder are the
@@ -31,7 +31,7 @@ use crate::storage::{
 #[derive(Debug)]
 pub struct ExperimentFolder {
     root: PathBuf,
-    _hold: Hold,
+    _lock: FolderLock,
 }
 
 impl ExperimentFolder {
@@ -61,7 +61,7 @@ impl ExperimentFolder {
             return Err(exists().into());
         }
         make(root)?;
-        let folder = Self::hold(root)?;
+        let folder = Self::lock(root)?;
         // Another process may have begun an experiment there before this process held the folder.
         let io = |source| FolderError::Io { path: folder.settings_path(), source };
         if file_exists(&MachineDisk, &folder.settings_path()).map_err(io)? {
@@ -80,13 +80,13 @@ impl ExperimentFolder {
         if !Self::is_in(root) {
             return Err(ExperimentError::NotAnExperiment { path: root.to_owned() });
         }
-        Self::hold(root)
+        Self::lock(root)
     }
 
-    fn hold(root: &Path) -> Result<Self, ExperimentError> {
+    fn lock(root: &Path) -> Result<Self, ExperimentError> {
         let path = root.to_owned();
-        match MachineDisk.hold(root) {
-            Ok(hold) => Ok(Self { root: path, _hold: hold }),
+        match MachineDisk.lock_folder(root) {
+            Ok(lock) => Ok(Self { root: path, _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path }.into()),
             Err(TryLockError::Error(source)) => Err(FolderError::Io { path, source }.into()),
         }

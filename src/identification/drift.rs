@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::fit::Fit;
 use super::fitness::check_motion;
 use super::stretch::Stretch;
-use super::uncertainty::{Estimate, uncertainty};
+use super::uncertainty::{Estimate, Evidence};
 use super::{Unfit, Unknown};
 use crate::qube::{Nonideality, Quantity, QubeModel, wrap_angle};
 use crate::recording::Recording;
@@ -185,7 +185,7 @@ fn changing(motions: &[&MotionLog], reference: &QubeModel) -> [Estimate; 2] {
     let stretches = motions.iter().flat_map(|log| Stretch::windows(&log.samples, STRETCH_S));
     let mut fit = Fit::new(&CHANGING, &motions[0].plant, *reference, stretches.collect());
     fit.run();
-    let found = uncertainty(&fit).estimates;
+    let found = Evidence::of(&fit).uncertainty(&CHANGING, fit.plant, &fit.model).estimates;
     [found[0], found[1]]
 }
 

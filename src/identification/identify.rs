@@ -9,7 +9,7 @@ use super::fitness::{Unfit, check_recording};
 use super::offsets::{Offset, Scatter};
 use super::residuals::{ResidualScale, scale_of};
 use super::stretch::{Regime, Stretch, is_upright};
-use super::uncertainty::{Estimate, Uncertainty, UndeterminedCombination, uncertainty};
+use super::uncertainty::{Estimate, Evidence, Uncertainty, UndeterminedCombination};
 use crate::qube::{Nonideality, PlantModel, PlantName, QubeModel, State};
 use crate::replay::MotionLog;
 
@@ -70,11 +70,13 @@ pub struct Identified {
     pub scatter: Scatter,
     /// Root mean square residuals of the model over the fitted windows.
     pub scale: ResidualScale,
-    /// Factor, at least 1, that the standard errors include because windows and recordings
+    /// Factor, at least 1, that the standard errors include because recordings, or windows of them,
     /// contradict each other more than noise does.
     pub inflation: f64,
     /// Whether the model describes the Qube.
     pub assessment: Assessment,
+    /// Evidence from which the standard errors follow.
+    evidence: Evidence,
 }
 
 /// The reason why nothing was identified.
@@ -192,16 +194,35 @@ impl Identified {
 }
 
 impl Identified {
-    /// Compares the model with recordings of the same plant to which it was not fitted, and doubts
-    /// it if it explains them much worse ([`MissingEffect::HeldOut`](super::MissingEffect)).
-    /// Returns their [`Assessment::noise_ratio`]; `None` without such recordings.
+    /// Compares the model with recordings of the same plant to which it was not fitted. Doubts it
+    /// if it explains them much worse ([`MissingEffect::HeldOut`](super::MissingEffect)), and
+    /// widens the standard errors by the factor by which they contradict the fit more than noise
+    /// and standard errors predict. Returns their [`Assessment::noise_ratio`]; `None` without such
+    /// recordings.
     pub fn hold_out(&mut self, logs: &[MotionLog]) -> Option<f64> {
         let plant = &logs.first()?.plant;
+        let unknowns: Vec<Unknown> = self.estimates.iter().map(|it| it.unknown).collect();
         let rest = Unknown::from(Nonideality::CableRest);
         let homed: Vec<Unknown> =
-            self.estimates.iter().map(|it| it.unknown).filter(|&unknown| unknown == rest).collect();
-        let ratio = noise_ratio_of(self.model, &homed, plant, windows(logs, STAGES_S[0]));
+            unknowns.iter().copied().filter(|&unknown| unknown == rest).collect();
+        let stretches = || windows(logs, STAGES_S[0]);
+        let ratio = noise_ratio_of(self.model, &homed, plant, stretches());
         self.assessment.compare(ratio);
+
+        // Start states and the offsets of homing are estimated anew, the model is not.
+        let mut started = Fit::new(&[], plant, self.model, stretches()).with_offsets();
+        started.noise = self.evidence.noise;
+        started.minimise();
+        let mut held_out = started.with_unknowns(&unknowns, stretches());
+        (held_out.scatter, held_out.starts) = (started.scatter, started.starts.clone());
+        let factor = self.evidence.contradiction(&held_out);
+        self.evidence = self.evidence.clone().widened(factor);
+        let uncertainty = self.evidence.uncertainty(&unknowns, plant, &self.model);
+        let Uncertainty { estimates, undetermined, correlations, inflation } = uncertainty;
+        self.estimates = estimates;
+        self.undetermined = undetermined;
+        self.correlations = correlations;
+        self.inflation = inflation;
         Some(ratio)
     }
 }
@@ -280,7 +301,9 @@ pub fn identify(
     if let Some(ResidualScale { theta_rad, alpha_rad }) = unexplained(logs, &fit) {
         return Err(IdentifyError::NothingExplained { theta_rad, alpha_rad, cause: cause() });
     }
-    let Uncertainty { estimates, undetermined, correlations, inflation } = uncertainty(&fit);
+    let evidence = Evidence::of(&fit);
+    let Uncertainty { estimates, undetermined, correlations, inflation } =
+        evidence.uncertainty(unknowns, plant, &fit.model);
     let scale = scale_of(&fit.residuals_rad());
     let assessment = assess(&fit, windows(logs, STAGES_S[0]));
     let Fit { model, .. } = fit;
@@ -297,6 +320,7 @@ pub fn identify(
         scale,
         inflation,
         assessment,
+        evidence,
     })
 }
 

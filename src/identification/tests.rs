@@ -362,6 +362,14 @@ fn held_out_recordings_of_another_qube_are_doubted_and_those_of_the_same_are_not
         assert_eq!(doubts.contains(&MissingEffect::HeldOut), doubted, "{ratio}: {doubts:?}");
         let verdict = if doubted { ModelVerdict::FitsBut } else { ModelVerdict::Fits };
         assert_eq!(found.assessment.verdict, verdict);
+        // The errors of the estimates grow with what they did not predict.
+        let wider = found.inflation / identified.inflation;
+        assert!(if doubted { wider > 2.0 } else { wider < 1.5 }, "{wider}");
+        for (estimate, before) in found.estimates.iter().zip(&identified.estimates) {
+            let factor = estimate.standard_error / before.standard_error;
+            assert!(factor >= 1.0 - 1e-9 && factor <= wider + 1e-9, "{factor} of {estimate:?}");
+            assert_eq!(estimate.value, before.value);
+        }
     }
 }
 

@@ -3,7 +3,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use super::Unknown;
 use super::fit::Fit;
 use super::offsets::Offset;
-use crate::qube::{Nonideality, PlantModel};
+use super::residuals::Noise;
+use crate::qube::{Nonideality, PlantModel, QubeModel};
 
 /// Share of its prior variance that the data must remove from an unknown before it counts as
 /// determined.
@@ -55,81 +56,157 @@ pub(super) struct Uncertainty {
     pub undetermined: Vec<UndeterminedCombination>,
     /// Correlations of the errors, -1 to 1.
     pub correlations: Vec<Vec<f64>>,
-    /// Factor on the standard errors, at least 1, for the extent to which windows or recordings
-    /// contradict each other.
+    /// Factor on the standard errors, at least 1, for the extent to which recordings, or windows of
+    /// them, contradict each other.
     pub inflation: f64,
 }
 
-/// Computes estimates, undetermined combinations, correlations and inflation of a fit.
-///
-/// Because a model's errors persist in time, the information matrix counts all samples within the
-/// integrated autocorrelation time of the residuals as one sample. [`inflation`] measures the error
-/// that a wrong model adds.
-pub(super) fn uncertainty(fit: &Fit<'_>) -> Uncertainty {
-    let reduced = fit.reduced();
-    let inflation = inflation(fit, &reduced);
-    let count = fit.unknowns.len();
-    let mut information = DMatrix::zeros(count, count);
-    for (own, _) in by_recording(fit, &reduced, inflation) {
-        information += own;
+/// What recordings say about the unknowns of a fit.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Evidence {
+    /// Information matrix of the unknowns, in units of prior standard deviations; the prior's own,
+    /// which in these units is the identity, is not part of it.
+    information: DMatrix<f64>,
+    /// Factor on the standard errors, at least 1, that the information includes.
+    inflation: f64,
+    /// Scale and correlation of the residuals of each regime.
+    pub noise: [Noise; 3],
+    /// Scatter of the cable's rest angle between recordings, in prior standard deviations.
+    rest_scatter: f64,
+}
+
+impl Evidence {
+    /// The evidence of the recordings of a fit.
+    ///
+    /// Because a model's errors persist in time, the information matrix counts all samples within
+    /// the integrated autocorrelation time of the residuals as one sample. [`inflation`] measures
+    /// the error that a wrong model adds.
+    pub fn of(fit: &Fit<'_>) -> Self {
+        let reduced = fit.reduced();
+        let inflation = inflation(fit, &reduced);
+        let (information, _) = total(fit, &by_recording(fit, &reduced, inflation));
+        let rest = Unknown::from(Nonideality::CableRest);
+        let rest_scatter = fit.own_scatter().cable_rest_rad / rest.prior(fit.plant).std;
+        Self { information, inflation, noise: fit.noise, rest_scatter }
     }
-    let stds = DVector::from_iterator(count, fit.unknowns.iter().map(|u| u.prior(fit.plant).std));
-    // In units of prior standard deviations the prior's information is the identity.
+
+    /// The evidence with standard errors that are larger by a factor, as far as the prior allows.
+    pub fn widened(self, factor: f64) -> Self {
+        let information = self.information / (factor * factor);
+        Self { information, inflation: self.inflation * factor, ..self }
+    }
+
+    /// Computes the factor, at least 1, by which recordings outside of the fit contradict it more
+    /// than the noise and the standard errors predict.
+    ///
+    /// `held_out` has the unknowns, the model and the noise of the fit. If all are right, its
+    /// gradient g has the covariance H + H C H, where H is the information of `held_out` and C the
+    /// covariance of the estimates. The factor is the root mean square of g in these units, over
+    /// the directions that `held_out` determines.
+    pub fn contradiction(&self, held_out: &Fit<'_>) -> f64 {
+        let groups = by_recording(held_out, &held_out.reduced(), self.inflation);
+        let (information, gradient) = total(held_out, &groups);
+        let eigen = SymmetricEigen::new(information);
+        let eigenvalues = eigen.eigenvalues.iter().enumerate();
+        let determined: Vec<usize> =
+            eigenvalues.filter(|(_, value)| **value > 1.0).map(|(column, _)| column).collect();
+        let directions = eigen.eigenvectors.select_columns(&determined);
+        let own = DMatrix::from_diagonal(&eigen.eigenvalues.select_rows(&determined));
+        let prior = DMatrix::identity(self.information.nrows(), self.information.ncols());
+        let Some(mut covariance) = (prior + &self.information).try_inverse() else { return 1.0 };
+        // The cable rests anew after each homing, so that its angle is as uncertain as at first.
+        let rest = Unknown::from(Nonideality::CableRest);
+        if let Some(place) = held_out.unknowns.iter().position(|unknown| *unknown == rest) {
+            covariance[(place, place)] += 1.0;
+        }
+        let predicted = &own + &own * directions.transpose() * covariance * &directions * &own;
+        let pull = directions.transpose() * gradient;
+        let Some(inverse) = predicted.try_inverse() else { return 1.0 };
+        let squares = (pull.transpose() * inverse * pull).sum();
+        if determined.is_empty() {
+            1.0
+        } else {
+            (squares / determined.len() as f64).sqrt().max(1.0)
+        }
+    }
+
+    /// Computes estimates, undetermined combinations and correlations of the unknowns at `model`.
+    pub fn uncertainty(
+        &self,
+        unknowns: &[Unknown],
+        plant: &PlantModel,
+        model: &QubeModel,
+    ) -> Uncertainty {
+        let count = unknowns.len();
+        let eigen = SymmetricEigen::new(self.information.clone());
+        let covariance = |one: usize, other: usize| -> f64 {
+            let parts = eigen.eigenvectors.row(one).component_mul(&eigen.eigenvectors.row(other));
+            let eigenvalues = eigen.eigenvalues.iter();
+            parts.iter().zip(eigenvalues).map(|(part, value)| part / (1.0 + value.max(0.0))).sum()
+        };
+        let variance = |index: usize| covariance(index, index);
+        // The rest angle of a next recording is the typical rest angle plus an offset.
+        let rest = Unknown::from(Nonideality::CableRest);
+        let scattered = self.rest_scatter;
+        let total = |index: usize| {
+            variance(index) + if unknowns[index] == rest { scattered * scattered } else { 0.0 }
+        };
+        let correlations = (0..count).map(|one| {
+            let of = |other| {
+                let own = if one == other { total(one) } else { covariance(one, other) };
+                own / (total(one) * total(other)).sqrt()
+            };
+            (0..count).map(of).collect()
+        });
+        let correlations = correlations.collect();
+        let estimates = unknowns.iter().enumerate().map(|(index, &unknown)| {
+            let (moved, left) = (unknown.of(model), variance(index));
+            Estimate {
+                unknown,
+                value: unknown.quantity(moved),
+                standard_error: unknown
+                    .deviation(moved, total(index).sqrt() * unknown.prior(plant).std),
+                variance_removed: 1.0 - left,
+            }
+        });
+        let undetermined = eigen.eigenvalues.iter().enumerate().filter(|(_, value)| **value < 1.0);
+        let mut undetermined: Vec<_> = undetermined
+            .map(|(column, &value)| {
+                let direction = eigen.eigenvectors.column(column);
+                let entries = unknowns.iter().copied().zip(direction.iter().copied());
+                let named: UndeterminedCombination =
+                    entries.filter(|(_, entry)| entry.abs() >= WORTH_NAMING).collect();
+                (value, named)
+            })
+            .collect();
+        undetermined.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Uncertainty {
+            estimates: estimates.collect(),
+            undetermined: undetermined.into_iter().map(|(_, direction)| direction).collect(),
+            correlations,
+            inflation: self.inflation,
+        }
+    }
+}
+
+/// The sum of information and gradient of several recordings, in units of prior standard
+/// deviations.
+fn total(fit: &Fit<'_>, groups: &[Reduced]) -> Reduced {
+    let stds = prior_stds(fit.unknowns, fit.plant);
+    let mut information = DMatrix::zeros(stds.len(), stds.len());
+    let mut gradient = DVector::zeros(stds.len());
+    for (own, pull) in groups {
+        information += own;
+        gradient += pull;
+    }
     let scaled = DMatrix::from_fn(stds.len(), stds.len(), |row, column| {
         information[(row, column)] * stds[row] * stds[column]
     });
-    let eigen = SymmetricEigen::new(scaled);
-    let covariance = |one: usize, other: usize| -> f64 {
-        let parts = eigen.eigenvectors.row(one).component_mul(&eigen.eigenvectors.row(other));
-        let eigenvalues = eigen.eigenvalues.iter();
-        parts.iter().zip(eigenvalues).map(|(part, value)| part / (1.0 + value.max(0.0))).sum()
-    };
-    let variance = |index: usize| covariance(index, index);
-    // The rest angle of a next recording is the typical rest angle plus an offset. This is the
-    // offset's scatter in prior standard deviations.
-    let rest = Unknown::from(Nonideality::CableRest);
-    let scattered = fit.own_scatter().cable_rest_rad / rest.prior(fit.plant).std;
-    let total = |index: usize| {
-        variance(index) + if fit.unknowns[index] == rest { scattered * scattered } else { 0.0 }
-    };
-    let correlations = (0..stds.len()).map(|one| {
-        let of = |other| {
-            let own = if one == other { total(one) } else { covariance(one, other) };
-            own / (total(one) * total(other)).sqrt()
-        };
-        (0..stds.len()).map(of).collect()
-    });
-    let correlations = correlations.collect();
-    let estimates = fit.unknowns.iter().enumerate().map(|(index, &unknown)| {
-        let (moved, left) = (unknown.of(&fit.model), variance(index));
-        Estimate {
-            unknown,
-            value: unknown.quantity(moved),
-            standard_error: unknown
-                .deviation(moved, total(index).sqrt() * unknown.prior(fit.plant).std),
-            variance_removed: 1.0 - left,
-        }
-    });
-    let undetermined = eigen.eigenvalues.iter().enumerate().filter(|(_, value)| **value < 1.0);
-    let mut undetermined: Vec<_> = undetermined
-        .map(|(column, &value)| {
-            let direction = eigen.eigenvectors.column(column);
-            let entries = fit.unknowns.iter().copied().zip(direction.iter().copied());
-            (
-                value,
-                entries
-                    .filter(|(_, entry)| entry.abs() >= WORTH_NAMING)
-                    .collect::<UndeterminedCombination>(),
-            )
-        })
-        .collect();
-    undetermined.sort_by(|a, b| a.0.total_cmp(&b.0));
-    Uncertainty {
-        estimates: estimates.collect(),
-        undetermined: undetermined.into_iter().map(|(_, direction)| direction).collect(),
-        correlations,
-        inflation,
-    }
+    (scaled, gradient.component_mul(&stds))
+}
+
+fn prior_stds(unknowns: &[Unknown], plant: &PlantModel) -> DVector<f64> {
+    DVector::from_iterator(unknowns.len(), unknowns.iter().map(|u| u.prior(plant).std))
 }
 
 /// Computes the factor by which the estimates of single windows, or of single recordings, scatter
@@ -191,7 +268,7 @@ fn scatter(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> f64 
     if groups.len() < FEWEST_GROUPS || unknowns.is_empty() {
         return 1.0;
     }
-    let stds = DVector::from_iterator(unknowns.len(), unknowns.iter().map(|u| u.prior(plant).std));
+    let stds = prior_stds(unknowns, plant);
     let mut information = DMatrix::zeros(stds.len(), stds.len());
     for (own, _) in groups {
         information += own;

@@ -11,7 +11,7 @@ use super::starter::{StartError, Starter, WorkerCount};
 use super::{AtEnd, Executor, FolderExecutor, JobError, TrainingJob};
 use crate::learning::{TrainSettings, Trained};
 use crate::simulation::DomainDistribution;
-use crate::storage::{Disk, DiskFile, Hold, MachineDisk};
+use crate::storage::{Disk, DiskFile, FolderLock, MachineDisk};
 
 fn job() -> TrainingJob {
     let settings =
@@ -90,8 +90,8 @@ impl Disk for Hiccups {
         MachineDisk.sync_folder(path)
     }
 
-    fn hold(&self, folder: &Path) -> Result<Hold, TryLockError> {
-        MachineDisk.hold(folder)
+    fn lock_folder(&self, folder: &Path) -> Result<FolderLock, TryLockError> {
+        MachineDisk.lock_folder(folder)
     }
 }
 

@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::SessionPaths;
 use crate::storage::{
-    Disk, Hold, MachineDisk, WriteError, file_exists, is_unfinished_of, remove_unfinished,
+    Disk, FolderLock, MachineDisk, WriteError, file_exists, is_unfinished_of, remove_unfinished,
     write_whole,
 };
 
@@ -55,7 +55,7 @@ pub struct SessionFolder {
     disk: Arc<dyn Disk>,
     /// Whether this value has created the session's configuration.
     is_new: bool,
-    _hold: Hold,
+    _lock: FolderLock,
 }
 
 impl SessionFolder {
@@ -89,7 +89,7 @@ impl SessionFolder {
         }
         let paths = SessionPaths::new(root);
         disk.create_folder(&paths.candidates()).map_err(io(root))?;
-        let folder = Self { is_new: true, ..Self::hold(disk, paths)? };
+        let folder = Self { is_new: true, ..Self::lock(disk, paths)? };
         let settings = folder.paths.configuration();
         // Another process may have begun a session in the folder before this one held it.
         if file_exists(folder.disk(), &settings).map_err(io(&settings))? {
@@ -122,13 +122,13 @@ impl SessionFolder {
                 FolderError::NotASession { path }
             });
         }
-        Self::hold(disk, paths)
+        Self::lock(disk, paths)
     }
 
-    fn hold(disk: Arc<dyn Disk>, paths: SessionPaths) -> Result<Self, FolderError> {
+    fn lock(disk: Arc<dyn Disk>, paths: SessionPaths) -> Result<Self, FolderError> {
         let path = paths.root().to_owned();
-        match disk.hold(&path) {
-            Ok(hold) => Ok(Self { paths, disk, is_new: false, _hold: hold }),
+        match disk.lock_folder(&path) {
+            Ok(lock) => Ok(Self { paths, disk, is_new: false, _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path }),
             Err(TryLockError::Error(source)) => Err(FolderError::Io { path, source }),
         }
@@ -197,7 +197,7 @@ impl SessionFolder {
     /// if the folder holds anything else or another process holds it.
     pub(super) fn remove_leftovers(root: &Path) {
         let disk = MachineDisk;
-        let Ok(_hold) = disk.hold(root) else { return };
+        let Ok(_lock) = disk.lock_folder(root) else { return };
         if !has_not_begun(&disk, root).unwrap_or(false) {
             return;
         }

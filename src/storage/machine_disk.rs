@@ -7,7 +7,7 @@ use std::path::Path;
 use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustix::io::Errno;
 
-use super::{Disk, DiskFile, Hold, is_taken, open_regular, sync_name};
+use super::{Disk, DiskFile, FolderLock, is_taken, open_regular, sync_name};
 
 /// The file system of this computer.
 #[derive(Clone, Copy, Debug, Default)]
@@ -104,10 +104,10 @@ impl Disk for MachineDisk {
         File::open(path)?.sync_all()
     }
 
-    fn hold(&self, folder: &Path) -> Result<Hold, TryLockError> {
+    fn lock_folder(&self, folder: &Path) -> Result<FolderLock, TryLockError> {
         let lock = File::open(folder).map_err(TryLockError::Error)?;
         lock.try_lock()?;
-        Ok(Hold { lock: Some(lock) })
+        Ok(FolderLock { lock: Some(lock) })
     }
 }
 
@@ -158,13 +158,13 @@ mod tests {
     }
 
     #[test]
-    fn a_hold_ends_although_a_process_that_begins_has_a_copy_of_its_file() {
+    fn a_lock_ends_although_a_process_that_begins_has_a_copy_of_its_file() {
         let directory = tempfile::tempdir().unwrap();
-        let hold = MachineDisk.hold(directory.path()).unwrap();
-        let of_the_other_process = hold.lock.as_ref().unwrap().try_clone().unwrap();
-        assert!(matches!(MachineDisk.hold(directory.path()), Err(TryLockError::WouldBlock)));
-        drop(hold);
-        assert!(MachineDisk.hold(directory.path()).is_ok());
+        let lock = MachineDisk.lock_folder(directory.path()).unwrap();
+        let of_the_other_process = lock.lock.as_ref().unwrap().try_clone().unwrap();
+        assert!(matches!(MachineDisk.lock_folder(directory.path()), Err(TryLockError::WouldBlock)));
+        drop(lock);
+        assert!(MachineDisk.lock_folder(directory.path()).is_ok());
         drop(of_the_other_process);
     }
 

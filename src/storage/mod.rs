@@ -124,13 +124,13 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The storage failed.
     fn sync_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Locks a folder until the returned [`Hold`] is dropped. The lock keeps out only programs that
-    /// take it, too.
+    /// Locks a folder until the returned [`FolderLock`] is dropped. The lock keeps out only programs
+    /// that take it, too.
     ///
     /// # Errors
     /// The folder is already locked, by another process or by this one, or the operating system
     /// refuses.
-    fn hold(&self, folder: &Path) -> Result<Hold, TryLockError>;
+    fn lock_folder(&self, folder: &Path) -> Result<FolderLock, TryLockError>;
 }
 
 /// The error of a file that is longer than `limit` bytes.
@@ -157,19 +157,19 @@ pub trait DiskFile: Write + Send + fmt::Debug {
 /// A lock on a folder. The operating system releases the lock when the process ends, also after a
 /// crash.
 #[derive(Debug)]
-pub struct Hold {
+pub struct FolderLock {
     lock: Option<File>,
 }
 
-impl Hold {
-    /// Makes a hold that locks nothing, for a disk that only this process can see.
+impl FolderLock {
+    /// Makes a lock of nothing, for a disk that only this process can see.
     #[must_use]
     pub fn unshared() -> Self {
         Self { lock: None }
     }
 }
 
-impl Drop for Hold {
+impl Drop for FolderLock {
     /// Unlocks the folder. Closing the file is not enough: if another thread is just starting a
     /// process, that process has a copy of the file's descriptor until it begins its own program,
     /// and would keep the lock until then.

@@ -20,7 +20,7 @@ use qube_hil::recording::RecordingError;
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::session::{Session, SessionEvent, SessionFolder};
-use qube_hil::storage::{Disk, DiskFile, Hold};
+use qube_hil::storage::{Disk, DiskFile, FolderLock};
 
 use crate::schedules;
 use crate::simulated_disk::SimulatedDisk;
@@ -91,8 +91,8 @@ impl Disk for TrickyDisk {
         self.disk.sync_folder(path)
     }
 
-    fn hold(&self, folder: &Path) -> Result<Hold, TryLockError> {
-        self.disk.hold(folder)
+    fn lock_folder(&self, folder: &Path) -> Result<FolderLock, TryLockError> {
+        self.disk.lock_folder(folder)
     }
 }
 

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use qube_hil::storage::{Disk, DiskFile, Hold};
+use qube_hil::storage::{Disk, DiskFile, FolderLock};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -374,8 +374,8 @@ impl Disk for SimulatedDisk {
         Ok(())
     }
 
-    fn hold(&self, _folder: &Path) -> Result<Hold, TryLockError> {
-        Ok(Hold::unshared())
+    fn lock_folder(&self, _folder: &Path) -> Result<FolderLock, TryLockError> {
+        Ok(FolderLock::unshared())
     }
 }
 

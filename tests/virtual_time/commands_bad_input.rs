@@ -483,10 +483,10 @@ fn a_folder_in_which_another_program_records_is_in_use() {
     let directory = tempfile::tempdir().unwrap();
     let runs = directory.path().join("runs");
     std::fs::create_dir(&runs).unwrap();
-    let hold = qube_hil::storage::MachineDisk.hold(&runs).unwrap();
+    let lock = qube_hil::storage::MachineDisk.lock_folder(&runs).unwrap();
     let run = ["run", "--policy", "classical", "--clock", "virtual", "--out", "runs"];
     refused(directory.path(), &run, 2, &["runs", "in use"]);
-    drop(hold);
+    drop(lock);
     assert!(qube_hil(directory.path(), &run).status.success());
 }
 

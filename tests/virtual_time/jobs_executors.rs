@@ -16,7 +16,7 @@ use qube_hil::jobs::starter::{StartError, Starter, WorkerCount};
 use qube_hil::jobs::{AtEnd, Executor, FolderExecutor, JobEvent, TrainingJob};
 use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
-use qube_hil::storage::{Disk, DiskFile, Hold, MachineDisk};
+use qube_hil::storage::{Disk, DiskFile, FolderLock, MachineDisk};
 
 use crate::folders::files_of;
 
@@ -248,8 +248,8 @@ impl Disk for SlowRemoval {
         MachineDisk.sync_folder(path)
     }
 
-    fn hold(&self, folder: &Path) -> Result<Hold, TryLockError> {
-        MachineDisk.hold(folder)
+    fn lock_folder(&self, folder: &Path) -> Result<FolderLock, TryLockError> {
+        MachineDisk.lock_folder(folder)
     }
 }
 

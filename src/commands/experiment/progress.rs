@@ -28,13 +28,30 @@ pub struct ExperimentProgress {
     /// Number of the finished pieces of work that were on disk before this process began. The time
     /// left is estimated without them, because their time is not known.
     found: AtomicU64,
-    /// Number of updates of a training by the name of its recipe; then the number for any other
-    /// name, which is that of the first recipe.
-    updates: (BTreeMap<String, u32>, u32),
+    updates: UpdatesOfTrainings,
     /// Number of competing trainings of each policy.
     trainings: u32,
     /// The best mean return of a policy on a plant so far.
     best: Mutex<Option<f64>>,
+}
+
+/// The number of updates of the trainings of an experiment.
+struct UpdatesOfTrainings {
+    by_recipe: BTreeMap<String, u32>,
+    /// Number for every other name, such as that of a method: that of the first recipe.
+    of_first_recipe: u32,
+}
+
+/// A training that the display shows.
+struct ShownTraining<'a> {
+    /// Recipe, or search.
+    group: &'a str,
+    /// `policy` or `candidate`.
+    item: &'static str,
+    /// Number of the policy or candidate.
+    number: u32,
+    /// Number of the training among those that compete.
+    training: u32,
 }
 
 impl ExperimentProgress {
@@ -57,7 +74,7 @@ impl ExperimentProgress {
             state.done = Some((0, count));
         });
         let updates = |recipe: &Recipe| recipe.settings.training.updates;
-        let by_name = settings.recipes.iter().map(|it| (it.name.clone(), updates(it))).collect();
+        let by_recipe = settings.recipes.iter().map(|it| (it.name.clone(), updates(it))).collect();
         Self {
             progress: progress.clone(),
             stop: Arc::clone(&stop.flag),
@@ -65,7 +82,10 @@ impl ExperimentProgress {
             count,
             done: AtomicU64::new(0),
             found: AtomicU64::new(0),
-            updates: (by_name, settings.recipes.first().map_or(0, updates)),
+            updates: UpdatesOfTrainings {
+                by_recipe,
+                of_first_recipe: settings.recipes.first().map_or(0, updates),
+            },
             trainings: settings.methods.as_ref().map_or(1, |methods| methods.trainings),
             best: Mutex::new(None),
         }
@@ -76,7 +96,9 @@ impl ExperimentProgress {
         match event {
             ExperimentEvent::Search { name, progress } => self.searching(name, progress),
             ExperimentEvent::Training { recipe, policy, training, update } => {
-                self.training((recipe, "policy", *policy, *training), update);
+                let (number, training) = (*policy, *training);
+                let shown = ShownTraining { group: recipe, item: "policy", number, training };
+                self.training(&shown, update);
             }
             ExperimentEvent::Trained { recipe, policy, best_return } => {
                 self.trained(recipe, *policy);
@@ -91,7 +113,7 @@ impl ExperimentProgress {
                 let kinds: Vec<String> = Behaviour::ALL
                     .into_iter()
                     .filter(|&kind| count(kind) > 0)
-                    .map(|kind| format!("{} {}", count(kind), told(kind)))
+                    .map(|kind| format!("{} {}", count(kind), behaviour_in_words(kind)))
                     .collect();
                 let returns: Vec<f64> = results.iter().filter_map(|it| it.return_).collect();
                 let kinds = kinds.join(", ");
@@ -99,7 +121,7 @@ impl ExperimentProgress {
                     "no return".to_owned()
                 } else {
                     let mean = returns.iter().sum::<f64>() / returns.len() as f64;
-                    self.better(mean, &format!("{recipe}, policy {policy} on {plant}"));
+                    self.show_if_best(mean, &format!("{recipe}, policy {policy} on {plant}"));
                     format!("mean return {mean:.0}")
                 };
                 self.count_finished(1, *made);
@@ -156,12 +178,12 @@ impl ExperimentProgress {
         state.expect_end(time_left(self.began.elapsed(), made + parts, to_do - parts));
     }
 
-    /// Shows an update of a training. `of` holds the recipe or search, `policy` or `candidate` with
-    /// its number, and the number of the training.
-    fn training(&self, of: (&str, &str, u32, u32), update: &TrainUpdate) {
-        let (group, item, number, training) = of;
+    /// Shows an update of a training.
+    fn training(&self, shown: &ShownTraining, update: &TrainUpdate) {
+        let ShownTraining { group, item, number, training } = *shown;
         let recipe = group.strip_suffix(SEARCH).unwrap_or(group);
-        let updates = *self.updates.0.get(recipe).unwrap_or(&self.updates.1);
+        let UpdatesOfTrainings { by_recipe, of_first_recipe } = &self.updates;
+        let updates = *by_recipe.get(recipe).unwrap_or(of_first_recipe);
         let name =
             name_of_training(&format!("{recipe}: {item} {number}"), training, self.trainings);
         self.progress.update(|state| {
@@ -179,7 +201,7 @@ impl ExperimentProgress {
     }
 
     /// Shows a mean return if it is the best so far; `of` names the policy.
-    fn better(&self, mean: f64, of: &str) {
+    fn show_if_best(&self, mean: f64, of: &str) {
         let mut best = self.best.lock().unwrap_or_else(PoisonError::into_inner);
         if mean.is_finite() && best.is_none_or(|best| mean > best) {
             *best = Some(mean);
@@ -206,8 +228,10 @@ impl ExperimentProgress {
                 self.line(format!("{name}: the search proposes candidate {candidate}"));
             }
             SessionEvent::Training { candidate, training, update } => {
-                let group = format!("{name}{SEARCH}");
-                self.training((&group, "candidate", *candidate, *training), update);
+                let group = &format!("{name}{SEARCH}");
+                let (number, training) = (*candidate, *training);
+                let shown = ShownTraining { group, item: "candidate", number, training };
+                self.training(&shown, update);
             }
             SessionEvent::Trained { candidate, .. } => {
                 self.trained(&format!("{name}{SEARCH}"), *candidate);
@@ -240,7 +264,7 @@ impl ExperimentProgress {
 }
 
 /// A behaviour in the words of the table.
-fn told(behaviour: Behaviour) -> &'static str {
+fn behaviour_in_words(behaviour: Behaviour) -> &'static str {
     match behaviour {
         Behaviour::Balanced => "balanced",
         Behaviour::BalancedLate => "balanced late",

@@ -149,7 +149,7 @@ fn assessment(identified: &Identified) -> String {
     let widened = if identified.inflation > 1.05 {
         let factor = identified.inflation;
         format!(
-            " Standard errors are {factor:.1} times those of noise alone, because parts of the recordings disagree."
+            " Standard errors are {factor:.1} times those of noise alone, because recordings, or parts of them, disagree."
         )
     } else {
         String::new()

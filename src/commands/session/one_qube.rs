@@ -25,7 +25,7 @@ use crate::session::Session;
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let mut device = arguments.rigs.choose_one()?;
-    let consent = arguments.consent.beside(arguments.guard)?;
+    let consent = arguments.consent.with_guard(arguments.guard)?;
     let mut place = None;
     let (folder, settings) = match &arguments.resume {
         Some(directory) => {

@@ -66,7 +66,7 @@ pub fn run(
     output: &Output,
 ) -> Result<(), Failure> {
     let started = Instant::now();
-    let consent = arguments.consent.beside(arguments.guard)?;
+    let consent = arguments.consent.with_guard(arguments.guard)?;
     let begins = arguments.resume.is_none();
     let mut place = None;
     let (root, sessions) = match &arguments.resume {

@@ -39,7 +39,7 @@ pub fn run(
     output: &Output,
 ) -> Result<(), Failure> {
     let started = Instant::now();
-    let consent = arguments.consent.beside(arguments.guard)?;
+    let consent = arguments.consent.with_guard(arguments.guard)?;
     let mut place = None;
     let (folder, settings) = match &arguments.resume {
         Some(directory) => {
