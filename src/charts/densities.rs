@@ -5,14 +5,6 @@ use super::{DrawingError, Panel, PlotError};
 use crate::qube::{DomainParameter, PlantModel, Quantity};
 use crate::simulation::DomainDistribution;
 
-/// Masses and lengths, the parameters of the thesis's figure 5.2.
-const SHOWN: [DomainParameter; 4] = [
-    DomainParameter::RotaryMass,
-    DomainParameter::PendulumMass,
-    DomainParameter::RotaryLength,
-    DomainParameter::PendulumLength,
-];
-
 /// Number of points of a drawn density.
 const POINTS: usize = 600;
 
@@ -41,7 +33,9 @@ fn densities(
     let root = SVGBackend::with_string(svg, (1000, 780)).into_drawing_area();
     root.fill(&WHITE)?;
     let spread = |distribution: &DomainDistribution| {
-        SHOWN.iter().any(|it| distribution.marginal(*it).standard_deviation() > 0.0)
+        DomainParameter::MASSES_AND_LENGTHS
+            .iter()
+            .any(|it| distribution.marginal(*it).standard_deviation() > 0.0)
     };
     let named = recipes.iter().enumerate();
     let mut entries: Vec<(String, Key)> = named
@@ -52,7 +46,7 @@ fn densities(
         .collect();
     entries.push(("nominal value".into(), Key::Dashed(INK)));
     let panels = with_key(&root, &entries)?.split_evenly((2, 2));
-    for (panel, parameter) in panels.iter().zip(SHOWN) {
+    for (panel, parameter) in panels.iter().zip(DomainParameter::MASSES_AND_LENGTHS) {
         density_panel(panel, parameter, recipes, plant.parameters.get(parameter))?;
     }
     root.present()

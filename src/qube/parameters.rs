@@ -94,6 +94,11 @@ pub enum ParameterError {
 }
 
 impl DomainParameter {
+    /// The masses and lengths: the parameters that psi sets in the thesis's search space, that the
+    /// model `nominal-handcrafted` randomises, and whose densities the thesis's figure 5.2 shows.
+    pub const MASSES_AND_LENGTHS: [Self; 4] =
+        [Self::RotaryMass, Self::PendulumMass, Self::RotaryLength, Self::PendulumLength];
+
     /// Largest accepted value of this parameter in its SI unit. Masses and lengths are those of
     /// table-top pendulums, so that most masses in g and lengths in cm or mm are refused.
     #[must_use]

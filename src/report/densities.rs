@@ -5,14 +5,6 @@ use super::draws::QuantityDraws;
 use super::page::significant;
 use crate::qube::{DomainParameter, Quantity};
 
-/// The masses and lengths of the thesis's figure 5.2; reports draw them before the others.
-pub const FIRST: [DomainParameter; 4] = [
-    DomainParameter::RotaryMass,
-    DomainParameter::PendulumMass,
-    DomainParameter::RotaryLength,
-    DomainParameter::PendulumLength,
-];
-
 /// Largest standard deviation, in a quantity's SI unit, of a quantity that counts as constant; nobody
 /// knows one that precisely. Tables show numbers below it as 0.
 pub const NEGLIGIBLE: f64 = 1e-12;

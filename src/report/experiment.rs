@@ -2,7 +2,7 @@
 
 use super::ReportError;
 use super::chart::{Axis, Chart, Mark, Series, Style};
-use super::densities::{FIRST, density_chart, words};
+use super::densities::{density_chart, words};
 use super::draws::{DRAWS_IN_WORDS, QuantityDraws};
 use super::headline::{compared, headlines};
 use super::page::{Cell, Page};
@@ -14,7 +14,7 @@ use crate::experiment::{
     Comparison, ExperimentSettings, MethodResult, MethodResults, RecipeResult, Results,
     SearchReturns,
 };
-use crate::qube::{MAX_STEPS, PlantModel, Quantity};
+use crate::qube::{DomainParameter, MAX_STEPS, PlantModel, Quantity};
 use crate::scoring::Behaviour;
 use crate::scoring::criterion::{POLICY_SHARE, SUCCESS_RETURN};
 use crate::simulation::DomainDistribution;
@@ -361,7 +361,7 @@ fn distribution_charts(
     let named = distributions.iter();
     let draws: Vec<_> = named.map(|(name, it)| (name.as_str(), QuantityDraws::of(it))).collect();
     let mut charts = Vec::new();
-    for quantity in FIRST.map(Quantity::Parameter) {
+    for quantity in DomainParameter::MASSES_AND_LENGTHS.map(Quantity::Parameter) {
         let curves: Vec<_> =
             draws.iter().map(|(name, it)| (*name, &it[quantity.index()])).collect();
         if curves.iter().any(|(_, it)| it.has_spread()) {
@@ -418,7 +418,6 @@ fn add_examples(page: &mut Page, what: &str, rollouts: NamedRollouts) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::DomainParameter;
     use crate::simulation::Direction;
 
     #[test]

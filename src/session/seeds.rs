@@ -4,8 +4,7 @@
 use rand::{RngExt as _, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Largest distance of the start angle of the arm from the middle, rad, as in training.
-const START_REACH_RAD: f64 = 0.1;
+use crate::simulation::START_REACH_RAD;
 
 /// The purpose of a random stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -99,7 +98,8 @@ pub fn derived_seed(session_seed: u64, purpose: SeedFor) -> u64 {
     random(session_seed, purpose).random()
 }
 
-/// The start angle of the arm in a rollout, rad. It is the same for each attempt at the rollout.
+/// The start angle of the arm in a rollout, rad: as far from the middle as in training, and the same
+/// for each attempt at the rollout.
 #[must_use]
 pub fn start_theta_rad(session_seed: u64, candidate: u32, rollout: u32) -> f64 {
     random(session_seed, SeedFor::Start { candidate, rollout })

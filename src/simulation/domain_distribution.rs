@@ -13,15 +13,6 @@ use crate::qube::{Distribution, DomainParameter, Nonideality, PlantModel, Quanti
 /// section 5.2).
 const HANDCRAFTED_SPREAD: f64 = 0.2;
 
-/// The masses and lengths: the parameters that the model `nominal-handcrafted` randomises and that
-/// psi sets in the thesis's search space.
-const MASSES_AND_LENGTHS: [DomainParameter; 4] = [
-    DomainParameter::RotaryMass,
-    DomainParameter::PendulumMass,
-    DomainParameter::RotaryLength,
-    DomainParameter::PendulumLength,
-];
-
 /// The family of the distributions of the models `handcrafted`, `nominal-handcrafted` and
 /// `profile`, and of the quantities that a psi names.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -137,7 +128,7 @@ impl DomainDistribution {
     /// `handcrafted`, the other parameters are nominal.
     #[must_use]
     pub fn nominal_handcrafted(family: Family) -> Self {
-        Self::nominal().with_handcrafted(&MASSES_AND_LENGTHS, family)
+        Self::nominal().with_handcrafted(&DomainParameter::MASSES_AND_LENGTHS, family)
     }
 
     /// The distribution of the model `robust`, for a Qube that nobody has identified: motor

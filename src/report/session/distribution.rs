@@ -2,8 +2,8 @@
 //! beside the nominal Qube.
 
 use super::SessionSource;
-use crate::qube::Quantity;
-use crate::report::densities::{FIRST, density_chart, words};
+use crate::qube::{DomainParameter, Quantity};
+use crate::report::densities::{density_chart, words};
 use crate::report::draws::{DRAWS_IN_WORDS, QuantityDraws};
 use crate::report::page::{Cell, Page};
 use crate::session::{ScoredCandidate, SessionSettings};
@@ -54,7 +54,7 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     let base = search.as_ref().and_then(|settings| settings.base_distribution().ok());
     let drawn = QuantityDraws::of(&distribution);
     let before = base.as_ref().map(QuantityDraws::of);
-    let order = FIRST.into_iter().map(Quantity::Parameter);
+    let order = DomainParameter::MASSES_AND_LENGTHS.into_iter().map(Quantity::Parameter);
     let others = Quantity::all().filter(|quantity| !order.clone().any(|it| it == *quantity));
     let all: Vec<Quantity> = order.clone().chain(others).collect();
     page.grid(|page| {
