@@ -25,10 +25,10 @@ use super::warn_without_realtime;
 use crate::device::emulator::EmulatorSettings;
 use crate::device::stable_port_name;
 use crate::estimation::EstimatorSettings;
-use crate::preflight::OtherSigns;
+use crate::preflight::{Examination, OtherSigns};
 use crate::rig::{Rig, RigSettings};
 use crate::session::{LibraryWatchdog, QUBE_FILE, QubeFile};
-use crate::telemetry::CheckVerdict;
+use crate::telemetry::{CheckResult, CheckVerdict};
 
 /// The command that `qube.toml` records as its writer.
 const WRITER: &str = "qube-hil check --write";
@@ -72,33 +72,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     if arguments.conformance {
         return conformance::run(&device, output);
     }
-    if arguments.power_test && !device.choice.is_hardware() {
-        return Err(Failure::usage(
-            "--power-test is for a Qube at a port: the embedded emulator has no plug. Give --device",
-        ));
-    }
-    let file = match &arguments.write {
-        Some(path) => {
-            // A file that cannot be written is refused before anything moves.
-            OutputFile::of_option("--write", path, true)?;
-            Some((path.as_path(), base_file(path, &device)?))
-        }
-        None => None,
-    };
-    let tested_path = arguments.write.clone().or(device.path.clone());
-    let tested_path = tested_path.unwrap_or_else(|| QUBE_FILE.into());
-    if arguments.power_test {
-        OutputFile::of_option("--power-test", &tested_path, true)?;
-    }
+    let files = Files::prepare(arguments, &device)?;
     let stop = Stop::on_signals()?;
-    let settings = device.rig_settings(
-        EmulatorSettings { model: device.plant.nominal(), ..EmulatorSettings::default() },
-        EstimatorSettings::default(),
-        CheckArguments::default(),
-    );
-    // The file that --write replaces may belong to another board, so its board is not checked.
-    let board = settings.board.clone().filter(|_| file.is_none());
-    let settings = RigSettings { board, ..settings };
+    let settings = rig_settings(&device, &files);
     device.check_port_exists()?;
     let failed = |error| failures::rig(error, &stop);
     let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
@@ -108,90 +84,151 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     ));
     warn_without_realtime(rig.realtime());
     // Signs that are found have a use only if they can be stored.
-    let other_signs = if file.is_some() { OtherSigns::Adopt } else { OtherSigns::Fail };
+    let other_signs = if files.written.is_some() { OtherSigns::Adopt } else { OtherSigns::Fail };
     // The power test reads whole lines, so the single keys are read no longer than the check lasts.
     let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
     let examined = rig.check(other_signs);
     drop(keyboard);
     let examination = examined.map_err(failed)?;
 
-    let results = &examination.results;
     let passed = examination.passed();
-    let rows: Vec<Row> = results.iter().map(Row::from).collect();
-    let count = |verdict| results.iter().filter(|result| result.verdict == verdict).count();
-    let mut text = format!(
-        "{}\n{} passed, {} failed, {} not done (-)\n",
-        table(&rows),
-        count(CheckVerdict::Pass),
-        count(CheckVerdict::Fail),
-        count(CheckVerdict::Skipped),
-    );
-    let (mut written, mut unwritten) = (None, None);
-    if let Some((path, base)) = file.filter(|_| passed) {
-        let port = stable_port_name(&rig.identity().port);
-        let serial = &rig.identity().serial;
-        if base.board.as_ref().is_some_and(|board| board != serial) {
-            print_message(&format!(
-                "warning: {} was of another board: only its limits, its rating of the motor and its method of \
-                 homing are kept",
-                path.display()
-            ));
-        }
-        let file = QubeFile {
-            port: Some(port),
-            board: Some(serial.clone()),
-            signs: examination.signs.into(),
-            watchdog: examination.library_watchdog_ms.map(|expired_ms| LibraryWatchdog {
-                expired_ms: (expired_ms * 10.0).round() / 10.0,
-                date: jiff::Zoned::now().date().to_string(),
-                board: serial.clone(),
-            }),
-            ..base.of_board(serial)
-        };
-        match file.save(path, WRITER) {
-            Ok(()) => {
-                text += &format!("written: {0}; use it with --qube {0}\n", path.display());
-                written = Some(path);
-            }
-            Err(error) => unwritten = Some(error),
-        }
+    let saved = match &files.written {
+        Some(file) if passed => file.save(&rig, &examination).map(|()| Some(&file.path)),
+        _ => Ok(None),
+    };
+    let written = saved.as_ref().ok().copied().flatten();
+    let mut text = summary(&examination.results);
+    if let Some(path) = written {
+        text += &format!("written: {0}; use it with --qube {0}\n", path.display());
     }
     output.print_for_people(&text);
-    let written_as_text = written.map(Path::to_string_lossy);
-    let mut value =
-        json!({ "checks": checks_json(results), "passed": passed, "written": written_as_text });
-    let ended = if let Some(error) = unwritten {
-        Err(Failure::failed(error))
-    } else if !passed {
-        let note = if arguments.write.is_some() { ", so nothing was written" } else { "" };
-        Err(Failure::failed(format!("failed: {}{note}", failed_names(results))))
-    } else {
-        let is_wanted = if arguments.power_test {
-            Ok(true)
-        } else if written.is_some() {
-            wants_power_test(&tested_path, &stop)
-        } else {
-            Ok(false)
-        };
-        if let Ok(true) = is_wanted {
-            let file = QubeFile {
-                port: Some(stable_port_name(&rig.identity().port)),
-                board: Some(rig.identity().serial.clone()),
-                signs: examination.signs.into(),
-                ..base_file(&tested_path, &device)?.of_board(&rig.identity().serial)
+    let mut value = json!({
+        "checks": checks_json(&examination.results),
+        "passed": passed,
+        "written": written.map(|path| path.to_string_lossy()),
+    });
+    let ended = if passed {
+        saved.and_then(|written| {
+            let asks = written.is_some() && !arguments.power_test;
+            let is_wanted = match asks {
+                true => wants_power_test(&files.tested, &stop)?,
+                false => arguments.power_test,
             };
-            let tested = power_test::run(rig, &settings, &tested_path, file, &stop);
+            if !is_wanted {
+                return Ok(());
+            }
+            let base = base_file(&files.tested, &device)?;
+            let file = of_this_board(base, &rig, &examination);
+            let tested = power_test::run(rig, &settings, &files.tested, file, &stop);
             value["power_test"] = match &tested {
                 Ok(tested) => tested.value.clone(),
                 Err(failure) => json!({ "ended_by": failure.ended_by() }),
             };
             tested.map(|tested| output.print_for_people(&tested.text))
-        } else {
-            is_wanted.map(|_| ())
-        }
+        })
+    } else {
+        let note = if arguments.write.is_some() { ", so nothing was written" } else { "" };
+        Err(Failure::failed(format!("failed: {}{note}", failed_names(&examination.results))))
     };
     output.print_for_scripts(&value);
     ended
+}
+
+/// The files that the command writes.
+struct Files {
+    /// File for the results of the check; `None` without `--write`.
+    written: Option<WrittenFile>,
+    /// File for the result of the power test.
+    tested: PathBuf,
+}
+
+/// The file of `--write`.
+struct WrittenFile {
+    path: PathBuf,
+    /// Entries that it begins with.
+    base: QubeFile,
+}
+
+impl Files {
+    /// Refuses, before anything moves, files that cannot be written and options that need a Qube at
+    /// a port.
+    fn prepare(arguments: &Arguments, device: &ChosenDevice) -> Result<Self, Failure> {
+        if arguments.power_test && !device.choice.is_hardware() {
+            return Err(Failure::usage(
+                "--power-test is for a Qube at a port: the embedded emulator has no plug. Give --device",
+            ));
+        }
+        let written = match &arguments.write {
+            Some(path) => {
+                OutputFile::of_option("--write", path, true)?;
+                Some(WrittenFile { path: path.clone(), base: base_file(path, device)? })
+            }
+            None => None,
+        };
+        let tested = arguments.write.clone().or(device.path.clone());
+        let tested = tested.unwrap_or_else(|| QUBE_FILE.into());
+        if arguments.power_test {
+            OutputFile::of_option("--power-test", &tested, true)?;
+        }
+        Ok(Self { written, tested })
+    }
+}
+
+impl WrittenFile {
+    /// Saves what the examination has found.
+    fn save(&self, rig: &Rig, examination: &Examination) -> Result<(), Failure> {
+        let serial = &rig.identity().serial;
+        if self.base.board.as_ref().is_some_and(|board| board != serial) {
+            print_message(&format!(
+                "warning: {} was of another board: only its limits, its rating of the motor and its method of \
+                 homing are kept",
+                self.path.display()
+            ));
+        }
+        let watchdog = examination.library_watchdog_ms.map(|expired_ms| LibraryWatchdog {
+            expired_ms: (expired_ms * 10.0).round() / 10.0,
+            date: jiff::Zoned::now().date().to_string(),
+            board: serial.clone(),
+        });
+        let file = QubeFile { watchdog, ..of_this_board(self.base.clone(), rig, examination) };
+        file.save(&self.path, WRITER).map_err(Failure::failed)
+    }
+}
+
+/// The entries of a file with port, board and signs of the Qube that was examined.
+fn of_this_board(base: QubeFile, rig: &Rig, examination: &Examination) -> QubeFile {
+    let identity = rig.identity();
+    QubeFile {
+        port: Some(stable_port_name(&identity.port)),
+        board: Some(identity.serial.clone()),
+        signs: examination.signs.into(),
+        ..base.of_board(&identity.serial)
+    }
+}
+
+/// The settings of the rig that is checked. The file that `--write` replaces may belong to another
+/// board, so its board is not checked.
+fn rig_settings(device: &ChosenDevice, files: &Files) -> RigSettings {
+    let settings = device.rig_settings(
+        EmulatorSettings { model: device.plant.nominal(), ..EmulatorSettings::default() },
+        EstimatorSettings::default(),
+        CheckArguments::default(),
+    );
+    let board = settings.board.clone().filter(|_| files.written.is_none());
+    RigSettings { board, ..settings }
+}
+
+/// The table of the checks, with their counts.
+fn summary(results: &[CheckResult]) -> String {
+    let rows: Vec<Row> = results.iter().map(Row::from).collect();
+    let count = |verdict| results.iter().filter(|result| result.verdict == verdict).count();
+    format!(
+        "{}\n{} passed, {} failed, {} not done (-)\n",
+        table(&rows),
+        count(CheckVerdict::Pass),
+        count(CheckVerdict::Fail),
+        count(CheckVerdict::Skipped),
+    )
 }
 
 /// Whether the operator wants the power test. Asks only at a terminal, and only if the file has no
