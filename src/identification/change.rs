@@ -6,12 +6,13 @@ use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};
 /// The model after a change of the unknowns, in the fit's units and the order of `unknowns`.
 ///
 /// A motion stays the same if masses, dampings, Coulomb friction, the cable's stiffness and the
-/// motor's torque per volt grow in proportion, the back-EMF unchanged: only the priors decide about
-/// their common factor. Masses, dampings and the motor's constants move by their logarithms.
-/// Friction and stiffness, which may be 0, cannot. If they moved by their changes, only small steps
-/// would keep the proportion, and a fit that begins far away would not arrive. They therefore grow
-/// with the torque per volt, and what their change has besides this growth comes on top. To first
-/// order the result is the same.
+/// motor's torque per volt grow by a common factor while the back-EMF stays the same; only the
+/// priors determine this factor. Masses, dampings and the motor's constants move by their
+/// logarithms, so that a step of any size keeps their proportion. Friction and stiffness may be 0
+/// and have no logarithm. If their changes were only added, large steps would lose the proportion,
+/// and a fit that begins far from the solution would not reach it. They are therefore multiplied by
+/// the growth of the torque per volt; then the part of their change that is not this growth is
+/// added. For small changes the result is that of a plain addition.
 pub(super) fn changed(unknowns: &[Unknown], model: &QubeModel, changes: &[f64]) -> QubeModel {
     let change_of = |parameter: DomainParameter| {
         let pairs = || unknowns.iter().zip(changes);

@@ -26,7 +26,7 @@ pub(super) enum Effect {
     Warming,
     /// An error of the arm's encoder that is periodic in the arm's angle.
     Angle,
-    /// A torque in proportion to the arm's speed, whatever its direction.
+    /// A torque of one sign, in proportion to the arm's speed in either direction.
     Direction,
 }
 
@@ -95,9 +95,10 @@ fn built_up(samples: &[MotionSample], angle_rad: f64) -> Vec<f64> {
     samples.iter().map(&mut one).collect()
 }
 
-/// For each effect the reduction of the squared residuals when the effect joins the model, in
-/// residual variances; unknowns and start states adapt to the effect. Where the model holds, the
-/// reduction is a chi-squared number.
+/// For each effect the reduction of the sum of squared residuals when the effect joins the model,
+/// in units of the residual variance; unknowns and start states adapt to the effect. Where the
+/// model holds, the reduction has a chi-squared distribution with as many degrees of freedom as the
+/// effect has columns.
 pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
     let unknowns = check.unknowns.len();
     let columns: usize = Effect::ALL.iter().map(|effect| effect.columns()).sum();
@@ -110,31 +111,35 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
         check.stretches.iter().zip(&check.starts).zip(&check.recording).zip(&simulated)
     {
         let model = check.offsets[recording].applied(&check.model);
-        let others = disturbed[recording].get_or_insert_with(|| {
+        let copies = disturbed[recording].get_or_insert_with(|| {
             let pairs = check.stretches.iter().zip(&simulated);
             let own = pairs.filter(|(other, _)| other.is_beside(stretch));
             all_disturbed(&with_simulated_states(stretch.recording, own), &model)
         });
         let (mut residuals, slopes) =
             linearised(stretch, check.unknowns, check.plant, &model, start, [1.0, 1.0]);
+        // The recorded angles of the pendulum contain the error of their zero.
         let zero_rad = check.offsets[recording].alpha_zero_rad;
         residuals.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad);
+        // Columns: the unknowns, the effects on the motor, the encoder's error, the residuals.
         let mut all = DMatrix::<f64>::zeros(residuals.len(), size);
         all.columns_mut(0, unknowns).copy_from(&slopes.columns(0, unknowns));
         let mut column = unknowns;
-        for other in others.iter() {
-            let moved = Stretch { recording: other, ..*stretch }.simulate(&model, start);
-            for (row, (there, here)) in moved.iter().zip(base).enumerate() {
-                all[(2 * row, column)] = (there.theta - here.theta) / DISTURBANCE_V;
-                all[(2 * row + 1, column)] = (there.alpha - here.alpha) / DISTURBANCE_V;
+        for copy in copies.iter() {
+            let states = Stretch { recording: copy, ..*stretch }.simulate(&model, start);
+            for (row, (moved, unmoved)) in states.iter().zip(base).enumerate() {
+                all[(2 * row, column)] = (moved.theta - unmoved.theta) / DISTURBANCE_V;
+                all[(2 * row + 1, column)] = (moved.alpha - unmoved.alpha) / DISTURBANCE_V;
             }
             column += 1;
         }
+        // An error that is periodic in the arm's angle is a sum of the angle's sine and cosine.
         for (row, state) in base.iter().enumerate() {
             let (sin, cos) = state.theta.sin_cos();
             (all[(2 * row, column)], all[(2 * row, column + 1)]) = (sin, cos);
         }
         all.set_column(size - 1, &residuals);
+        // The part that a change of the start state explains is removed from every column.
         let starts = slopes.columns(unknowns, STARTS).into_owned();
         if let Some(inverse) = starts.tr_mul(&starts).try_inverse() {
             all -= &starts * (inverse * starts.tr_mul(&all));
@@ -154,10 +159,10 @@ fn simulated(check: &Fit<'_>) -> Vec<Vec<State>> {
     pieces.map(one).collect()
 }
 
-/// A recording with the simulated states of its stretches in place of the recorded ones; the first
-/// 0.04 s and rests between stretches keep those. The effects depend on the arm's angle, and the
-/// simulated one is free of the encoder's rounding, which is part of the residual. At the seam of
-/// two stretches the states jump by about that rounding.
+/// A recording with the simulated states of its stretches in place of the recorded ones. Samples
+/// outside the stretches, such as those of the first 0.04 s, keep their recorded states. The
+/// effects depend on the arm's angle, and the simulated one is free of the encoder's rounding,
+/// which is part of the residual. Where two stretches meet, the states jump by about that rounding.
 fn with_simulated_states<'a>(
     recording: &[MotionSample],
     stretches: impl Iterator<Item = (&'a Stretch<'a>, &'a Vec<State>)>,
@@ -189,14 +194,14 @@ fn all_disturbed(samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<MotionS
         .collect()
 }
 
-/// The reduction by each effect, from the products of all columns: those of the unknowns, of the
-/// effects, and of the residuals. `count` is the number of residuals less that of the entries of
-/// the start states.
+/// The reduction by each effect. `squares` contains the products of all columns with each other:
+/// those of the unknowns, of the effects, and of the residuals. `count` is the number of residuals
+/// minus the number of entries of the start states.
 fn reductions(check: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effect, f64)> {
     let unknowns = check.unknowns.len();
     let size = squares.nrows();
     let variance = squares[(size - 1, size - 1)] / count.max(1.0);
-    // The columns of effects on the motor come first, as they are computed.
+    // The order of the columns: the effects on the motor, then the encoder's error.
     let mut first = unknowns;
     let mut places = Vec::new();
     for effect in [Effect::Reversals, Effect::Warming, Effect::Direction, Effect::Angle] {
@@ -209,6 +214,7 @@ fn reductions(check: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effec
             let mut matrix = DMatrix::from_fn(kept.len(), kept.len(), |row, column| {
                 squares[(kept[row], kept[column])]
             });
+            // The prior of each unknown counts like one more residual.
             for (index, unknown) in check.unknowns.iter().enumerate() {
                 matrix[(index, index)] += variance / unknown.prior(check.plant).std.powi(2);
             }

@@ -3,7 +3,7 @@ use crate::qube::{Correlations, Profile, Provenance};
 
 impl Identified {
     /// The profile of the identified specimen with the errors of its values. `recordings` are the
-    /// names of the fitted files, `boards` those of the boards that made them.
+    /// names of the fitted files, `boards` the serial numbers of the boards that made them.
     #[must_use]
     pub fn profile(&self, name: &str, recordings: Vec<String>, boards: Vec<String>) -> Profile {
         let named = |unknown: super::Unknown| unknown.name().to_owned();

@@ -38,7 +38,7 @@ impl Unknown {
     #[must_use]
     pub fn prior(self, plant: &PlantModel) -> NormalPrior {
         use DomainParameter as P;
-        use Nonideality as G;
+        use Nonideality as N;
         let (mean, std) = match self.0 {
             Quantity::Parameter(parameter) => (
                 likely(parameter, plant).ln(),
@@ -54,11 +54,11 @@ impl Unknown {
                 0.0,
                 plant.proportion(self.0)
                     * match term {
-                        G::CoulombTorque => 1.5e-3,
-                        G::PositiveDeadZone | G::NegativeDeadZone => 0.3,
-                        G::CableStiffness => 5e-3,
-                        G::CableRest => 0.5,
-                        G::CommandDelay => 0.02,
+                        N::CoulombTorque => 1.5e-3,
+                        N::PositiveDeadZone | N::NegativeDeadZone => 0.3,
+                        N::CableStiffness => 5e-3,
+                        N::CableRest => 0.5,
+                        N::CommandDelay => 0.02,
                     },
             ),
         };
@@ -73,11 +73,11 @@ impl Unknown {
         if self.is_parameter() { value.ln() } else { value }
     }
 
-    /// Sets the unknown's value in a model from the fit's unit; a strength ([`Self::is_strength`])
-    /// below 0 becomes 0.
-    pub fn set(self, model: &mut QubeModel, moved: f64) {
-        let moved = if self.is_strength() { moved.max(0.0) } else { moved };
-        model.set(self.0, self.quantity(moved));
+    /// Sets the unknown in a model to `value`, which is in the fit's unit; a strength
+    /// ([`Self::is_strength`]) below 0 becomes 0.
+    pub fn set(self, model: &mut QubeModel, value: f64) {
+        let value = if self.is_strength() { value.max(0.0) } else { value };
+        model.set(self.0, self.quantity(value));
     }
 
     /// Whether the unknown is a nonideality that cannot be negative: all but the cable's rest
@@ -98,15 +98,15 @@ impl Unknown {
 
     /// Converts a value from the fit's unit to the SI unit of the quantity.
     #[must_use]
-    pub fn quantity(self, moved: f64) -> f64 {
-        if self.is_parameter() { moved.exp() } else { moved }
+    pub fn quantity(self, value: f64) -> f64 {
+        if self.is_parameter() { value.exp() } else { value }
     }
 
-    /// Converts a small deviation about the value `moved` from the fit's unit to the SI unit of the
+    /// Converts a small deviation about `value`, both in the fit's unit, to the SI unit of the
     /// quantity.
     #[must_use]
-    pub fn deviation(self, moved: f64, deviation: f64) -> f64 {
-        if self.is_parameter() { moved.exp() * deviation } else { deviation }
+    pub fn deviation(self, value: f64, deviation: f64) -> f64 {
+        if self.is_parameter() { value.exp() * deviation } else { deviation }
     }
 
     /// Whether the unknown is a domain parameter, which moves by its logarithm.

@@ -102,8 +102,8 @@ fn identity(training: &TrainingState<'_>) -> [(&'static str, String); 4] {
     ]
 }
 
-/// Replaces the names of settings by the names that checkpoints record, which stay when a setting
-/// is renamed.
+/// Replaces the names of settings by the names that checkpoints record. These do not change when a
+/// setting is renamed, so that the settings of an older checkpoint still match.
 fn recorded_names(settings: &str) -> String {
     [("num_envs:", "pendulums:"), ("gae_lambda:", "trace_decay:"), ("target_return:", "enough:")]
         .iter()

@@ -15,8 +15,8 @@ const FRICTION_VELOCITY_RAD_S: f64 = 0.05;
 /// Longest accurate step in time constants of the arm's damping near rest.
 const LONGEST_STEP_IN_TIME_CONSTANTS: f64 = 0.5;
 
-/// The effects in a real Qube that the thesis's equations leave out: friction, dead zone, cable and delay.
-/// With all of them 0 the equations are the thesis's.
+/// The effects in a real Qube that the thesis's equations leave out: friction, dead zones, cable
+/// and delay. With all of them 0 the equations are the thesis's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Nonidealities {
@@ -26,8 +26,8 @@ pub struct Nonidealities {
     pub positive_dead_zone_v: f64,
     /// Part of a negative voltage that is lost before the motor turns, V.
     pub negative_dead_zone_v: f64,
-    /// Stiffness with which the cable to the pendulum's encoder pulls the arm towards `cable_rest_rad`, N
-    /// m/rad.
+    /// Stiffness with which the cable to the pendulum's encoder pulls the arm towards
+    /// `cable_rest_rad`, N m/rad.
     pub cable_stiffness_n_m_rad: f64,
     /// Angle of the arm at which the cable does not pull, rad.
     pub cable_rest_rad: f64,
@@ -35,8 +35,8 @@ pub struct Nonidealities {
     /// from the sample that the command answers, the emulated Qube from the command's arrival at
     /// its board.
     pub command_delay_s: f64,
-    /// Drift of the cable's rest angle, rad/min. Only the emulated Qube drifts; the equations use the rest
-    /// angle itself, and a training may draw another one for each trajectory.
+    /// Drift of the cable's rest angle, rad/min. Only the emulated Qube drifts; the equations use
+    /// the rest angle itself, and a training may draw another one for each trajectory.
     #[serde(skip_serializing_if = "is_zero")]
     pub cable_drift_rad_per_min: f64,
 }
@@ -105,7 +105,7 @@ impl QubeModel {
     /// Checks that every number is in its range.
     ///
     /// # Errors
-    /// Names the first number that is not.
+    /// A number is outside its range; the error names the first one.
     pub fn check(&self) -> Result<(), ModelError> {
         self.parameters.check()?;
         let drift = self.nonidealities.cable_drift_rad_per_min;
@@ -206,8 +206,9 @@ impl<T: Scalar> NonidealDynamics<T> {
         push + pull
     }
 
-    /// Coulomb friction torque against a velocity of the arm, N m: odd, smooth, monotone, and within a few
-    /// percent of the full torque from 0.5 rad/s on.
+    /// Torque of the Coulomb friction against a velocity of the arm, N m. It is an odd, smooth and
+    /// monotone function of the velocity, and within a few percent of the full torque from 0.5
+    /// rad/s on.
     #[inline(always)]
     fn friction(&self, theta_dot: T) -> T {
         let x = theta_dot * T::from_f64(1.0 / FRICTION_VELOCITY_RAD_S);
@@ -222,10 +223,11 @@ impl NonidealDynamics {
         3.0 * self.coulomb_torque / FRICTION_VELOCITY_RAD_S
     }
 
-    /// The longest step with which Runge-Kutta integrates the friction near rest accurately, s: half
-    /// a time constant of the arm's damping; infinite without any. Runge-Kutta is stable up to 2.78,
-    /// but inaccurate there: an arm that creeps and sticks moves otherwise than by its equations,
-    /// and a fit to its motion finds wrong dead zones.
+    /// The longest step with which Runge-Kutta integrates the friction near rest accurately, s:
+    /// half a time constant of the arm's damping near rest; infinite without damping. Runge-Kutta
+    /// is stable for steps of up to 2.78 time constants, but inaccurate there: an arm that creeps
+    /// and sticks does not follow its equations then, and a fit to its motion finds wrong dead
+    /// zones.
     #[must_use]
     pub fn accurate_step_s(&self) -> f64 {
         let ideal = &self.ideal;

@@ -43,8 +43,7 @@ const APART: f64 = 0.03;
 /// The function evaluates Owen-scrambled Sobol points, the `hints` and clouds of points around
 /// them, then follows the gradient from the best of these points by L-BFGS within the box. Hints
 /// are points in the box's own units near which a maximum is likely, such as the best observed
-/// points.
-/// A value that is NaN counts as minus infinity.
+/// points. A value that is NaN counts as minus infinity.
 #[must_use]
 pub fn maximise(
     acquisition: &dyn Acquisition,

@@ -16,7 +16,8 @@ pub fn minimise(
 ) -> Result<DVector<f64>, SearchError> {
     let mut search = CmaEs::between(lower, upper, seed)?;
     let mut data: Vec<Observation> = Vec::with_capacity(evaluations);
-    // Each call proposes a whole generation, because each call repeats all earlier updates.
+    // Each call of `propose` recomputes the updates of all earlier generations from `data`, so the
+    // loop requests a whole generation at a time.
     let generation = search.generation();
     while data.len() < evaluations {
         for point in search.propose(&data, &[], generation)? {

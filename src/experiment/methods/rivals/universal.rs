@@ -54,8 +54,8 @@ impl<'a> FromUniversalPolicy<'a> {
         Recommendation { distribution, ..Recommendation::of(recipe, None) }
     }
 
-    /// The policy with the highest return in the evaluations during its training, among the
-    /// settings' number of trainings. The first call trains.
+    /// The universal policy. The first call carries out as many trainings as the settings name, and
+    /// keeps the policy with the highest return in the evaluations during its training.
     fn policy(&self, recommendation: &Recommendation) -> Result<&UniversalPolicy, ExperimentError> {
         if let Some(policy) = self.policy.get() {
             return Ok(policy);
@@ -65,10 +65,10 @@ impl<'a> FromUniversalPolicy<'a> {
         let training = recommendation.recipe.settings.training.clone();
         let settings = TrainSettings { threads: 1, simulation, ..training };
         let space = &self.space;
-        let of = |model: &QubeModel| -> Vec<f32> {
+        let physics_of = |model: &QubeModel| -> Vec<f32> {
             space.point(model).iter().map(|entry| *entry as f32).collect()
         };
-        let physics = PhysicsInputs { count: space.dimensions(), of: &of };
+        let physics = PhysicsInputs { count: space.dimensions(), of: &physics_of };
         let train = |training: u32| {
             let seed = derived_seed(self.run.seed, SeedFor::Training { candidate: 0, training });
             let stop = self.run.experiment.stop();
@@ -96,8 +96,8 @@ impl<'a> FromUniversalPolicy<'a> {
         self.candidates.next(&mut self.search()?, self.space.dimensions())
     }
 
-    /// Adds the candidates of the first `recordings` recordings that are complete on disk. Those
-    /// that are known are not read again.
+    /// Adds the candidates of the first `recordings` recordings, as far as these are complete on
+    /// disk. The recordings of candidates that are known already are not read again.
     fn read_candidates(&mut self, recordings: u32) -> Result<(), ExperimentError> {
         for result in self.recordings.results(self.candidates.count()..recordings)? {
             let point = self.next_point()?;
