@@ -24,11 +24,11 @@ pub const CURRENT_COUNTS_PER_A: i32 = 9828;
 /// Tachometer reading of an arm at rest, and mask of the 23 bits that hold the ticks.
 pub const TACHOMETER_STILL: u32 = 0x7F_FFFF;
 
-/// Bit 23 of the tachometer: turning to negative counts.
+/// Bit 23 of the tachometer's reading: the arm turns towards negative counts.
 pub const TACHOMETER_NEGATIVE: u32 = 0x80_0000;
 
-/// Product of the arm's speed, counts/s, and the tachometer's reading, the ticks of 25 ns in which
-/// the arm's encoder counts four: 4 counts / 25 ns.
+/// Product of the arm's speed, counts/s, and the tachometer's reading: 4 counts / 25 ns. The
+/// reading is the number of ticks of 25 ns in which the arm's encoder counts four.
 pub const TACHOMETER_COUNTS_S_TICKS: u32 = 160_000_000;
 
 /// Converts mV to motor counts: mV * 999 / 24000, rounded to the nearest count, halves away from

@@ -17,7 +17,8 @@ const COOLING_STEP_NS: Nanoseconds = 100_000_000;
 /// the arm is homed before the next rollout.
 const REST_TIME_NS: Nanoseconds = 15_000_000_000;
 
-/// Longest pause between two motions after which an arm that has moved was not at rest before, ns.
+/// Pause between two motions, ns, below which an arm that has moved meanwhile was not at rest at
+/// the beginning of the pause.
 const SHORT_PAUSE_NS: Nanoseconds = 5_000_000_000;
 
 /// The motor's heat between motions.
@@ -75,10 +76,11 @@ pub(super) struct RestMonitor {
     pub encoders: Encoders,
     /// Time at which `left_at` was determined, ns.
     pub left_ns: Nanoseconds,
-    /// Whether the arm must be still after each motion, not only at rest: true from the first time
-    /// that it was not where it had just been left, to the end of the program. A cable may pull it
-    /// away each time. After a longer pause, such as a training, an arm may have crept away that was
-    /// at rest; homing it then costs less than waiting after each motion.
+    /// Whether the monitor waits after each motion until the arm is still, not only at rest. It
+    /// becomes true for the rest of the program once the arm has moved within a pause shorter than
+    /// [`SHORT_PAUSE_NS`], because a cable may pull the arm away after each motion. In a longer
+    /// pause, such as a training, an arm that was at rest may creep away; to home it then costs
+    /// less time than to wait after each motion.
     pub waits_until_still: bool,
 }
 
@@ -94,7 +96,8 @@ impl RestMonitor {
     /// stores their counts in `left_at`.
     ///
     /// # Errors
-    /// A sample says that the device is armed, although it has confirmed that it is off.
+    /// A sample reports that the device is armed, although the device has confirmed that its motor
+    /// is off.
     pub fn keep(
         &mut self,
         last: Option<&Measurement>,
@@ -118,8 +121,8 @@ impl RestMonitor {
     ///
     /// # Errors
     /// Arm or pendulum has moved, does not come to rest, or was not seen at rest after the last
-    /// motion; a stop is requested; the port is gone; the Qube is off; or it or the board has
-    /// restarted.
+    /// motion; a stop is requested; the device is armed; the port is gone; the Qube is off; or Qube
+    /// or board has restarted.
     pub fn compare(
         &mut self,
         settings: &TickSettings,
@@ -151,15 +154,15 @@ impl RestMonitor {
 /// The reason why arm and pendulum are not watched to the end.
 #[derive(Clone, Copy, Debug)]
 enum NoRest {
-    /// The device says that its motor is on.
+    /// The device reports that its motor is on.
     Armed,
-    /// The port is gone, the Qube is off, or it or the board has restarted.
+    /// The port is gone, the Qube is off, or Qube or board has restarted.
     Link(LinkFault),
 }
 
-/// Samples at 100 Hz until arm and pendulum are at rest; `None` if they are not in time or `stop`
-/// is set. With `until_still`, goes on until the arm is still; one that is at rest but not still when
-/// the time is over or `stop` is set counts as at rest.
+/// Samples at 100 Hz until arm and pendulum are at rest, for at most [`REST_TIME_NS`] and until
+/// `stop` is set; returns `None` if they are not at rest by then. With `until_still`, sampling goes
+/// on until the arm is still; an arm that is only at rest at the end counts as at rest.
 ///
 /// # Errors
 /// The device is armed or gone ([`NoRest`]). Lost samples are tolerated.

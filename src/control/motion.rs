@@ -4,8 +4,9 @@ use crate::safety::{Contradiction, Foreseen};
 use crate::telemetry::{Ending, Phase};
 
 /// Input of one tick. A recording determines every field, so that replay can decide the tick again:
-/// `link_gone`, `board_restarted` and `qube_off` follow from the rollout's ending, `motor_overheated` from the
-/// motor's heat at the start and the recorded ticks; the other fields are recorded.
+/// `link_gone`, `board_restarted` and `qube_off` follow from the rollout's ending, and
+/// `motor_overheated` from the motor's heat at the start and the recorded ticks. The other fields
+/// are recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TickInput {
     /// Deadline of the tick by the host's clock, ns.
@@ -22,7 +23,7 @@ pub struct TickInput {
     pub link_gone: bool,
     /// Whether the device has restarted; it then requires a new hello.
     pub board_restarted: bool,
-    /// Whether the board has said that its Qube no longer answers.
+    /// Whether the board has reported that its Qube does not answer.
     pub qube_off: bool,
     /// Whether the motor must cool down, by the heat computed from the samples and voltages before
     /// this tick.

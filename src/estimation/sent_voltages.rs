@@ -4,8 +4,8 @@ const REMEMBERED: usize = 16;
 
 /// The voltages that were sent and the instants from which each acts.
 ///
-/// The type is generic over the voltage: a simulation with a fixed period puts the numbers of
-/// commands in its place, and so finds out once which command acts when.
+/// The type is generic over the voltage. A simulation with a fixed period stores the numbers of
+/// commands in place of voltages, and thus computes only once which command acts when.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SentVoltages<V = f64> {
     delay_us: u64,

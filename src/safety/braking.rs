@@ -7,7 +7,7 @@ use crate::qube::{PlantModel, State, limited_to};
 const GAIN_V_S: f64 = 1.0;
 
 /// The voltage, V, that brakes an arm of this plant at this velocity, rad/s. A command of 0 V would
-/// not stop the arm: it coasts for 0.5 to 1.1 s.
+/// not stop the arm: at 0 V the arm coasts for 0.5 to 1.1 s.
 #[must_use]
 pub fn brake_voltage(theta_dot: f64, plant: &PlantModel) -> f64 {
     StoppingBrake::of(plant).voltage_v(theta_dot)
@@ -117,7 +117,7 @@ mod tests {
     use crate::estimation::{FilterGains, GUARD_CORNER_RAD_S, through_filters};
     use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, quantised, runge_kutta_4};
 
-    /// The fastest that the arm is in the fourth second of a brake, rad/s: with the strongest motor
+    /// Largest speed of the arm in the fourth second of braking, rad/s: with the strongest motor
     /// and the lightest arm within 30 % of a nominal Qube, and voltages that arrive two periods
     /// late.
     fn speed_after_three_seconds(mut brake: Brake) -> f64 {

@@ -33,7 +33,7 @@ pub enum CheckVerdict {
 pub struct MeasuredLink {
     /// Time from the request of a sample to its complete answer, µs.
     pub round_trip_us: LatencySummary,
-    /// Number of requests without a sample in time.
+    /// Number of requests to which no sample came in time.
     pub lost: u32,
     /// Time that a tick waits for its sample, µs.
     pub sample_time_us: u32,

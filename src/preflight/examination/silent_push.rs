@@ -28,8 +28,9 @@ const STEPS: u32 = 11;
 const PUSH_PERIODS: u32 = 5;
 
 /// Number of control periods for which the arm is observed, 0.3 s. In this time a motor that stays
-/// on turns the arm more than three times as far as a push does: s = a t^2 / 2 with t = 0.3 s,
-/// against 0.05 s and coasting.
+/// on turns the arm more than three times as far as a push does: at a constant acceleration a, an
+/// arm that is driven for 0.3 s turns by 0.045 s^2 a, and one that is driven for 0.05 s and then
+/// coasts without friction, by 0.014 s^2 a.
 const OBSERVED_PERIODS: u32 = 30;
 
 /// Least travel of a push, counts. From this travel on, an arm that turns twice as far can be told
@@ -40,13 +41,14 @@ const LEAST_COUNTS: u32 = 20;
 /// A disabled motor may coast more freely than a motor at 0 V.
 const LONGEST_FACTOR: u32 = 2;
 
-/// Allowance added to that multiple, counts.
+/// Counts that are added to [`LONGEST_FACTOR`] times the travel of a controlled push.
 const LONGEST_MORE_COUNTS: u32 = 10;
 
 /// Number of samples or acts that may be lost within a push under the program's control.
 const MAX_LOST: u32 = 2;
 
-/// Largest number of attempts for a push that loses more than it may.
+/// Largest number of attempts at one push. An attempt that loses too many samples or acts is
+/// repeated.
 const MAX_ATTEMPTS: u32 = 5;
 
 /// Time after which a sample counts as lost, ns.
@@ -106,8 +108,8 @@ fn verdict(push_v: f64, pushed: [u32; 2], silent: [u32; 2]) -> CheckResult {
     }
 }
 
-/// Pushes once, again if the computer or the link has disturbed the push, and returns the arm's
-/// travel, counts. Waits for the arm to rest after each push.
+/// Pushes once and returns the arm's travel, counts. A push that the computer or the link has
+/// disturbed is repeated. The function waits for the arm to rest after each push.
 fn repeated(
     device: &mut dyn Device,
     clock: &dyn Clock,

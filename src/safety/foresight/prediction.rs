@@ -89,12 +89,13 @@ impl Prediction {
         self.run = None;
     }
 
-    /// Returns how the Qube's angles contradict the particles: by lying farther from the range of
-    /// the particles' angles than allowed. Takes the estimated state of the next sample, its time by
-    /// the device's clock, us, and the commands before it (V, newest first).
+    /// Returns how the Qube contradicts the particles, if an angle lies farther from the range of
+    /// the particles' angles than allowed; if both do, the one that lies farther. Takes the
+    /// estimated state of the next sample, its time by the device's clock, us, and the commands
+    /// before it (V, newest first).
     ///
-    /// Returns `None` for the first sample and for one at an unexpected time. The particles restart
-    /// after these, after a sample that contradicts them, and after ten periods.
+    /// The first sample and one at an unexpected time are not compared: the result is `None`. The
+    /// particles restart after these, after a sample that contradicts them, and after ten periods.
     #[must_use]
     pub fn contradiction(
         &mut self,
@@ -131,7 +132,7 @@ impl Prediction {
                 beyond(PredictedAngle::Theta, spread.theta),
                 beyond(PredictedAngle::Alpha, spread.alpha),
             ];
-            // Nothing is farther than an angle beside which no other is finite.
+            // A distance that is not finite counts as the largest.
             let distance = |it: &Contradiction| it.beyond_rad.unwrap_or(f32::INFINITY);
             both.into_iter().flatten().max_by(|a, b| distance(a).total_cmp(&distance(b)))
         });
