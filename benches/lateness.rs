@@ -1,9 +1,9 @@
 //! Measures how late the control thread wakes up while policies are trained on the same computer,
 //! in real time on an emulated Qube: `cargo bench --bench lateness`.
 //!
-//! Rollouts with and without trainings alternate in one run. For each of five pairs it prints the
-//! 99th percentile of the lateness with trainings, divided by the 99th percentile without; at the
-//! end, the median of these ratios.
+//! Rollouts with and without trainings alternate in one run. For each of five pairs the program
+//! prints the 99th percentile of the lateness with trainings, divided by the 99th percentile
+//! without; at the end it prints the median of these ratios.
 
 use std::path::Path;
 use std::sync::Arc;

@@ -23,6 +23,7 @@ fn quantiles(found_ms: &mut [f64]) -> String {
     texts.join(", ")
 }
 
+/// The cells of a row of the table from the fourth on: the rollouts with one kind of freeze.
 fn row(frozen: &[Freeze]) -> String {
     let mut found_ms: Vec<f64> = frozen.iter().filter_map(Freeze::found_ms).collect();
     let soon = found_ms.iter().filter(|ms| **ms <= 300.0).count();

@@ -6,10 +6,10 @@
 //! off, guarded by the thesis's box alone. Foresight then examines every tick of the rollouts that
 //! succeed.
 //!
-//! `--held N` and `--margin RAD` examine another guard of the identified Qube: one that holds a
-//! voltage for N periods, or keeps the arm RAD from its stops. The identified Qube's profile is
-//! centred on the Qube of the row and has the standard errors and correlations of `lab`. Some Qubes
-//! have effects that no profile contains: play, and friction that yields before it slides.
+//! `--held N` and `--margin RAD` change the guard of the identified Qube: it holds a voltage for N
+//! periods, or keeps the arm RAD from its stops. The identified Qube's profile is centred on the
+//! Qube of the row and has the standard errors and correlations of `lab`. Some Qubes have effects
+//! that no profile contains: play, and friction that yields before it slides.
 
 #[path = "../beyond_the_equations/mechanics.rs"]
 mod mechanics;

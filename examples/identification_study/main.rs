@@ -5,12 +5,12 @@
 //! cargo run --release --example identification_study [PLANTS [SEED [MOTION ...]]]
 //! ```
 //!
-//! For each of PLANTS seeds from SEED (50 from 2000 unless named), a Qube is drawn, motions of 10 s
-//! (`chirp:1.5 chirp:1.5` unless named: form and largest voltage of each, or `policy:FILE` for a
-//! rollout) are recorded at 100 Hz, and a model is fitted to them: once with the Qube as drawn, and
-//! once with an effect outside the model class added, which is one of five in turn. After a line
-//! for each plant come tables of the counts. The limits of the verdict were chosen on seeds from
-//! 100.
+//! For each of PLANTS seeds from SEED on (by default 50 seeds from 2000 on) the program draws a
+//! Qube, records motions of 10 s at 100 Hz, and fits a model to them: once with the Qube as drawn,
+//! and once with an effect outside the model class added, which is one of five in turn. A MOTION is
+//! the form and the largest voltage of an excitation, or `policy:FILE` for a rollout; the default
+//! is `chirp:1.5 chirp:1.5`. The program prints a line for each plant, then tables of the counts.
+//! The limits of the verdict were chosen on seeds from 100 on.
 
 #[path = "../beyond_the_equations/mechanics.rs"]
 mod mechanics;
@@ -33,16 +33,16 @@ use qube_hil::replay::MotionLog;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-/// PLANTS and SEED unless named.
+/// PLANTS and SEED if the command does not name them.
 const DEFAULTS: [u64; 2] = [50, 2000];
 
 /// Half the width of a 90 % interval, in standard errors.
 const NINETY_PERCENT: f64 = 1.645;
 
-/// Draws a Qube: parameters and the cable's rest angle from the prior of the identification, but
-/// the motor's constants with a third of the prior's width, and dampings with half of it and within
-/// one standard deviation; strengths of nonidealities and the delay (2 to 14 ms) uniform over fixed
-/// ranges.
+/// Draws a Qube. Parameters and the cable's rest angle are drawn from the prior of the
+/// identification, except that the motor's constants have a third of the prior's width, and the
+/// dampings half of it and at most one standard deviation. Strengths of nonidealities and the delay
+/// (2 to 14 ms) are uniform over fixed ranges.
 fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
     let mut model = QubeModel::NOMINAL;
     for unknown in Unknown::all() {
@@ -121,10 +121,11 @@ fn describe(found: &Result<Identified, IdentifyError>) -> String {
     }
 }
 
-/// The counts of one kind of plant.
+/// The counts of the plants with one effect outside the model class, or of those with none.
 #[derive(Default)]
 struct Row {
-    /// Predictions of the recordings that were not fitted: all, and those within their band.
+    /// Number of predictions of the recordings that were not fitted: all, and those within the
+    /// band.
     predicted: [u32; 2],
     plants: u32,
     doubted: u32,
@@ -226,9 +227,9 @@ fn main() {
     }
     println!("\n{:12} {:>7} {:>8} {:>12}   named", "effect", "plants", "doubted", "within band");
     rows.iter().for_each(|(name, row)| row.line(name));
-    let strangers = || rows.iter().filter(|(name, _)| **name != Beyond::Nothing.name());
-    let sum = |count: fn(&Row) -> u32| strangers().map(|(_, row)| count(row)).sum::<u32>();
-    let within = percent([0, 1].map(|index| strangers().map(|(_, r)| r.predicted[index]).sum()));
+    let with_effect = || rows.iter().filter(|(name, _)| **name != Beyond::Nothing.name());
+    let sum = |count: fn(&Row) -> u32| with_effect().map(|(_, row)| count(row)).sum::<u32>();
+    let within = percent([0, 1].map(|index| with_effect().map(|(_, r)| r.predicted[index]).sum()));
     let (plants, doubted) = (sum(|row| row.plants), sum(|row| row.doubted));
     println!("{:12} {plants:>7} {doubted:>8} {within:>12}", "outside");
     println!("\n{:24} 90 % intervals that contain the truth", "quantity");

@@ -19,7 +19,7 @@ const ENDS_RAD: [f64; 2] = [2.3, 4.0 * std::f64::consts::PI];
 /// its encoders have no noise, so two rollouts from one angle would be the same recording.
 const STARTS_APART_RAD: f64 = 0.06;
 
-/// What moves a plant in a recording.
+/// The motion of a plant in a recording.
 #[derive(Clone)]
 pub enum Motion {
     /// An excitation: its form and its largest voltage, V.
@@ -29,7 +29,7 @@ pub enum Motion {
 }
 
 impl Motion {
-    /// The motion of a word such as `chirp:1.5`, `steps:0.6`, or `policy:FILE`.
+    /// The motion that a word such as `chirp:1.5`, `steps:0.6` or `policy:FILE` names.
     pub fn named(text: &str) -> Self {
         let (kind, rest) = text.split_once(':').expect("chirp:VOLTS, steps:VOLTS or policy:FILE");
         let voltage_v = || rest.parse().expect("a voltage");
@@ -42,8 +42,8 @@ impl Motion {
     }
 
     /// Records the motion on a plant; `number` is the recording's number, from 0. The held-out
-    /// recording of an excitation has nine tenths of its voltage, and each rollout of a policy has a
-    /// start of its own.
+    /// recording of an excitation has nine tenths of its voltage, and each rollout of a policy has
+    /// a start of its own.
     pub fn record(
         &self,
         model: &QubeModel,

@@ -14,12 +14,13 @@ use crate::toolchain::{Chip, toolchain};
 const PERIOD: Duration = Duration::from_millis(10);
 /// Largest time between two acts; the device's watchdog is at 50 ms.
 const TOO_SLOW: Duration = Duration::from_millis(40);
+/// Time after which a sample counts as lost, ns.
 const PATIENCE_NS: u64 = 30_000_000;
 
-/// Time before an order in which the motor must have been on, us.
+/// Interval before an order in which the Qube must have received a command with the motor on, us.
 const BEFORE_ORDER_US: u64 = 10_000;
 
-/// Attempts of a scenario, because the computer may be too slow for it.
+/// Largest number of attempts at a scenario, for which the computer may be too slow.
 const ATTEMPTS: u32 = 50;
 
 /// The computer was too slow for a scenario, so that its result proves nothing.
@@ -93,7 +94,7 @@ impl Host {
         let last_on = off.iter().rposition(Command::motor_is_on).ok_or(Disturbed)?;
         off.drain(..=last_on);
         let first = off.first().expect("the motor goes off");
-        // A slow computer lets the device's watchdog come before the order.
+        // On a slow computer the device's watchdog may switch the motor off before the order.
         let off_after_us = first.deselected_us.checked_sub(ordered_us).ok_or(Disturbed)?;
         Ok((off_after_us, off))
     }
@@ -117,7 +118,7 @@ pub fn scenario_on(chip: Chip, run: impl Fn(&mut Host) -> Result<(), Disturbed>)
     panic!("the computer was too slow for this test {ATTEMPTS} times");
 }
 
-/// A link over the same wire that has seen nothing yet.
+/// A new link over the same wire, which has neither sent nor received anything.
 pub fn next_link(host: &mut Host) -> SerialLink<&mut Tty> {
     SerialLink::new(host.link.transport(), Arc::new(MonotonicClock))
 }

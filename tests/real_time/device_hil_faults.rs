@@ -15,20 +15,21 @@ const PATIENCE: Duration = Duration::from_secs(180);
 /// Number of processes that run at once.
 const AT_ONCE: usize = 12;
 
-/// Calls of a function that switches the amplifier at which a fault begins: at the start, around
-/// homing, around the rollout.
+/// Numbers of the calls at which a fault begins, of a function that switches the amplifier: at the
+/// start, around homing, around the rollout.
 const RARE: &[u64] = &[1, 2, 4];
 
-/// The same for the functions that every arm calls, once for homing and once for the rollout.
+/// Numbers of such calls of the functions that every arm request calls: once for homing, once for
+/// the rollout.
 const ARMS: &[u64] = &[1, 2];
 
-/// The same for the function that only a hello calls, twice.
+/// Numbers of such calls of the function that only a hello calls, twice.
 const TEXTS: &[u64] = &[1, 2];
 
-/// The same for the function that reads a sample in every tick.
+/// Numbers of such calls of the function that reads a sample in every tick.
 const FREQUENT: &[u64] = &[1, 260, 420];
 
-/// The same for the functions that every act calls.
+/// Numbers of such calls of the functions that every act calls.
 const ACTS: &[u64] = &[1, 3, 150];
 
 /// The functions, and the numbers of the calls from which each fails, counted from 1.

@@ -4,8 +4,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// The program with these arguments in a folder, without input. Its cache of known boards is in
-/// that folder too.
+/// A command that runs the program with these arguments in a folder, without input. The program's
+/// state (`XDG_STATE_HOME`) is in that folder too.
 pub fn program(directory: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
     command.current_dir(directory).args(arguments).stdin(Stdio::null());
@@ -17,8 +17,8 @@ pub fn program(directory: &Path, arguments: &[&str]) -> Command {
 pub struct ServedQube(Child);
 
 impl ServedQube {
-    /// Starts it and waits until its port is there; the serial number of its board follows from the
-    /// seed.
+    /// Starts the emulated Qube and waits until its port exists. The serial number of its board
+    /// follows from the seed.
     pub fn start(directory: &Path, seed: u64, fault: Option<&str>) -> Self {
         let seed = seed.to_string();
         let mut arguments = vec!["emulate", "--link", "qube", "--seed", &seed];

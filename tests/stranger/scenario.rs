@@ -21,12 +21,15 @@ pub enum Start {
     AfterAnother,
 }
 
-/// Estimation of the state that the policy sees.
+/// The estimator of the state that the policy sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Seen {
+    /// The velocity filter of the default settings.
     Filter,
+    /// A velocity filter with a corner of 50 rad/s.
     SlowFilter,
+    /// The model observer.
     Observer,
 }
 
@@ -34,9 +37,11 @@ pub enum Seen {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scenario {
     pub seed: u64,
+    /// Knowledge of the guard about the Qube.
     pub known: BeliefKind,
+    /// The way in which the policy moves the arm outside a strike.
     pub moves: MovesKind,
-    /// Whether the policy also strikes.
+    /// Whether the policy may strike: begin a sequence of pushes in a certain state, once.
     pub strikes: bool,
     pub mishap: MishapKind,
     pub start: Start,

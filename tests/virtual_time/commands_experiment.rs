@@ -21,6 +21,7 @@ const SEARCH: &str = "[settings.extent]\ninitial_candidates = 2\niterations = 1\
 const PLANTS: &str = "[[plants]]\nname = \"lab\"\nprofile = \"lab\"\n\n\
                       [[plants]]\nname = \"worse\"\nprofile = \"lab\"\ngap = 1.5\nvary = 0.1\n";
 
+/// Writes two recipes and the file of the plants into the folder.
 fn prepare(directory: &Path) {
     let recipe = |model: &str, more: &str| {
         let text = format!("name = \"tiny-{model}\"\nmodel = \"{model}\"\n{TINY}{more}");
@@ -62,6 +63,7 @@ fn begin(directory: &Path, arguments: &[&str], threads: &str) -> Child {
         .expect("the program starts")
 }
 
+/// Resumes the experiment and returns the printed table, then the table in CSV.
 fn table(directory: &Path) -> String {
     let output = experiment(directory, &["--resume", "one", "--csv", "one.csv"]).output().unwrap();
     succeeded(&output) + &std::fs::read_to_string(directory.join("one.csv")).unwrap()
@@ -80,6 +82,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let tables = ["--csv", "one/first.csv", "--figures", "one/figures"];
     let output = experiment(whole.path(), &[&BEGIN[..], &tables].concat()).output().unwrap();
     let text = succeeded(&output);
+    // Table and figures were made. The experiments that are compared below are begun without them.
     for made in tables.map(|it| whole.path().join(it)).iter().skip(1).step_by(2) {
         assert!(made.exists(), "{}", made.display());
         if made.is_dir() { std::fs::remove_dir_all(made) } else { std::fs::remove_file(made) }
@@ -118,7 +121,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let refused = ["--out", "two", "--models", "nominal", "--csv", "foreign.csv"];
     assert_eq!(experiment(whole.path(), &refused).output().unwrap().status.code(), Some(2));
     assert!(!whole.path().join("two").exists(), "an experiment was begun");
-    // What a refused executor leaves is not in the way of the corrected command.
+    // A command whose executor is refused leaves no folder that stops the corrected command.
     let refused = ["--out", "two", "--models", "nominal", "--executor", "no-such-executor"];
     for _ in 0..2 {
         let output = experiment(whole.path(), &refused).output().unwrap();
@@ -131,7 +134,8 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     succeeded(&experiment(whole.path(), &arguments).output().unwrap());
     assert!(expected.ends_with(&std::fs::read_to_string(&foreign).unwrap()));
 
-    // A recording in the place of another, and another policy beside recordings, do not count.
+    // A recording that is put in the place of another, and a policy that did not make the
+    // recordings beside it, are refused.
     let policies = whole.path().join("one/policies/tiny-nominal");
     for (from, to) in [
         ("000/lab/rollout-0-attempt-0.mcap", "000/lab/rollout-1-attempt-0.mcap"),
@@ -215,6 +219,7 @@ fn run_with_interruptions(directory: &Path, arguments: &[&str]) {
     assert!(interruptions > 0, "it was over before it could be interrupted");
 }
 
+/// Panics unless the folder of the experiment has exactly these files.
 fn same_files(directory: &Path, expected: &BTreeMap<String, Vec<u8>>) {
     let found = files(&directory.join("one"));
     assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
@@ -234,7 +239,8 @@ fn files_that_cannot_be_written_in_the_end_do_not_hide_the_table() {
         .stderr(Stdio::piped())
         .spawn()
         .expect("the program starts");
-    // The places are checked before the settings are written. Then another program takes them.
+    // The program checks the paths of both options before it writes the settings. The test writes
+    // files at these paths afterwards, as another program might.
     while !directory.path().join("one/experiment.toml").exists() {
         std::thread::sleep(Duration::from_millis(2));
     }
@@ -296,8 +302,8 @@ fn methods_that_are_killed_and_gone_on_with_come_to_the_same_table() {
     let expected_files = files(&whole.path().join("one"));
     let count = |end: &str| expected_files.keys().filter(|name| name.ends_with(end)).count();
     assert_eq!(count("refused-2.txt"), 2);
-    // Of the three policies that score a recommendation the first decides, because every
-    // recommendation fails here. The four refused ones of `identify` have no policy.
+    // Every recommendation fails here, so that the first of the three policies that would score it
+    // decides. The four refused recommendations of `identify` have no policy.
     let judged = expected.lines().filter(|line| line.contains(",false,")).count() - 4;
     let search_policies = 2 * 2 * 3;
     assert_eq!(count("policy.safetensors"), search_policies + judged);

@@ -118,6 +118,7 @@ impl Motion for Constant {
     }
 }
 
+/// Drives the motion on the device and returns the motion's ending.
 fn drives(device: &mut Fateful, motion: &mut dyn Motion) -> Ending {
     let clock = device.clock.clone();
     let report = drive(device, &clock, motion, None, &AtomicBool::new(false)).expect("it arms");

@@ -1,4 +1,4 @@
-//! Tests that a policy that buzzes is not what a session is content with.
+//! Tests that a session goes on searching after a policy that balances but buzzes.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use qube_hil::session::{
 
 use crate::given_networks::{Given, robust};
 
-/// The policy `robust` with all gains made so large that it buzzes.
+/// The policy `robust` with its last layer multiplied by 2.5, so that it buzzes.
 fn buzzing() -> Network {
     let robust = robust();
     let mut layers = robust.layers();
@@ -47,7 +47,8 @@ fn a_verified_policy_that_buzzes_is_searched_on_and_a_quiet_one_is_recommended()
         .unwrap();
     assert_eq!(buzzed, 1);
     let report = SessionReport::read(&mut session).unwrap();
-    // The excitation, the policy that buzzes and its verification, the quiet one and its.
+    // The candidates in order: the excitation, the policy that buzzes, its verification, the quiet
+    // policy, its verification.
     let [_, _, buzzing, _, quiet] = &report.candidates[..] else {
         panic!("{:?}", report.candidates)
     };

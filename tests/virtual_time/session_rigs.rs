@@ -33,6 +33,7 @@ fn session_command(directory: &Path, arguments: &[&str]) -> Command {
     command
 }
 
+/// Runs the command `session` with these arguments to its end and returns its output.
 fn ended(directory: &Path, arguments: &[&str]) -> Output {
     let mut command = session_command(directory, arguments);
     command.stdout(Stdio::piped()).stderr(Stdio::piped()).output().unwrap()
@@ -46,6 +47,7 @@ fn with_settings(updates: u32) -> tempfile::TempDir {
     directory
 }
 
+/// Arguments that begin a session of two emulated Qubes in the folder `two`.
 const BEGIN: [&str; 8] =
     ["--config", "small.toml", "--out", "two", "--device", "emulated", "--device", "emulated"];
 
@@ -61,6 +63,7 @@ fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
     files
 }
 
+/// The JSON object on the last line of stdout.
 fn json(output: &Output) -> Value {
     let told = String::from_utf8_lossy(&output.stdout);
     serde_json::from_str(told.lines().last().unwrap()).unwrap()

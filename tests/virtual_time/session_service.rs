@@ -23,7 +23,7 @@ fn the_service_manager_is_told() {
         .spawn()
         .unwrap();
 
-    // The test reads continuously, as systemd does, because the socket holds only some datagrams.
+    // The test reads continuously, as systemd does, because the socket holds only a few datagrams.
     let mut told = Vec::new();
     let mut buffer = [0; 256];
     socket.set_read_timeout(Some(Duration::from_millis(50))).unwrap();
