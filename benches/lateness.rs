@@ -94,6 +94,7 @@ fn median(values: &[f64]) -> f64 {
     sorted[sorted.len() / 2]
 }
 
+/// Measures [`PAIRS`] pairs with this executor and prints each of them and the median ratio.
 fn measure(name: &str, executor: &LocalExecutor) {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");

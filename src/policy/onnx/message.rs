@@ -1,4 +1,7 @@
 //! A writer of the wire format of Protocol Buffers.
+//!
+//! Before each value stands a tag: the number of the field, and in the lowest three bits the kind
+//! of the value (0 a varint, 2 a length and as many bytes, 5 four bytes).
 
 /// A message that grows field by field.
 #[derive(Debug, Default)]
@@ -49,6 +52,7 @@ impl Message {
         self.bytes
     }
 
+    /// Appends a varint: seven bits a byte, lowest first; bit 7 is set in all bytes but the last.
     fn varint(&mut self, mut value: u64) {
         while value >= 0x80 {
             self.bytes.push(value as u8 | 0x80);

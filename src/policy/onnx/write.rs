@@ -1,4 +1,7 @@
 //! Writes a network as an ONNX model in one file.
+//!
+//! The numbers of fields are those of ONNX's `onnx.proto`: field 7 of a `ModelProto`, for example,
+//! is its graph.
 
 use super::message::Message;
 use crate::policy::file::network_metadata;
@@ -81,6 +84,7 @@ impl Writer {
         self.node(operator, &[&last, &constant], output, &[]);
     }
 
+    /// Adds the nodes of the activation function behind the layer of this number.
     fn activation(&mut self, activation: Activation, layer: usize) {
         let (last, output) = (self.last.clone(), format!("active_{layer}"));
         match activation {
@@ -100,6 +104,8 @@ impl Writer {
     }
 }
 
+/// The graph of the policy's network: the bounds of the observation, the layers, the action scale
+/// and the limit of the voltage.
 fn graph(policy: &NetworkPolicy) -> Message {
     let network = &policy.network;
     let (sizes, layers) = (network.sizes(), network.layers());

@@ -42,6 +42,7 @@ pub(super) struct RoundTrips {
     has_stop_switch: bool,
 }
 
+/// Reports which device answered, and whether it has an emergency-stop switch.
 pub(super) fn identity(identity: &Identity, round_trips: &RoundTrips) -> CheckResult {
     // The check always passes: a device without a Qube's module id, or with another protocol, has
     // failed at the hello already.
@@ -144,6 +145,7 @@ pub(super) fn latency_timer(port: &str, round_trips: &RoundTrips) -> CheckResult
     }
 }
 
+/// Checks that samples arrive fast enough for the ticks, and that few are lost.
 pub(super) fn latency(port: &str, round_trips: &RoundTrips) -> CheckResult {
     const NAME: &str = "latency";
     let RoundTrips { asked, lost, summary_us, .. } = round_trips;
