@@ -87,6 +87,7 @@ static bool hello(struct device *device, uint16_t host_version, struct link_fram
     leave_armed(device, understood ? STATE_GREETED : STATE_IDLE);
     device->change++;
     device->nonce = 0;
+    device->amplifier_failed = false;
     if (understood) {
         give_nonce(device);
     }
@@ -449,7 +450,8 @@ static void take_readings(struct device *device, const struct qube_readings *rea
     begun->alpha_counts = extend_counts(begun->alpha_counts, readings->alpha_raw);
     begun->tachometer_raw = readings->tachometer_raw;
     begun->current_raw = readings->current_raw;
-    if (readings->status & QUBE_AMPLIFIER_FAULT) {
+    /* A fault may be over before the host's next Sample, which must still name it. */
+    if ((readings->status & QUBE_AMPLIFIER_FAULT) || device->amplifier_failed) {
         begun->status |= STATUS_AMPLIFIER_FAULT;
     }
     if (readings->status & QUBE_STALL_DETECTED) {
@@ -497,6 +499,8 @@ void device_frame_ended(struct device *device, const uint8_t answer[QUBE_FRAME_B
     }
     device->clearing_frame = false;
     if (failed && device->state == STATE_ARMED) {
+        device->amplifier_failed =
+            device->qube_present && (readings.status & QUBE_AMPLIFIER_FAULT);
         leave_armed(device, STATE_FAULTED);
     }
 }

@@ -43,6 +43,8 @@ struct device {
     /* Nonce for the next arm; 0 is none. */
     uint32_t nonce;
     bool watchdog_tripped;
+    /* Whether an amplifier fault has led to Faulted since the last Hello. */
+    bool amplifier_failed;
     uint32_t watchdog_fed_us;
     uint16_t last_act_sequence;
     /* Whether a sample was given that no act has answered yet. */

@@ -41,6 +41,8 @@ pub struct SerialLink<T: Transport> {
     sequence: u16,
     /// Nonce for the next arm, while one is valid.
     nonce: Option<u32>,
+    /// Reason why the device arms only after a hello, if its answer to a disarm gave one.
+    latched: Option<RefusalReason>,
     /// Whether the last hello was answered by an emulator; `false` if the hello failed.
     is_emulator: bool,
     /// Boot id that the caller's last hello returned.
@@ -103,6 +105,7 @@ impl<T: Transport> SerialLink<T> {
             decoder: Decoder::new(),
             sequence: 0,
             nonce: None,
+            latched: None,
             is_emulator: false,
             boot_id: None,
             has_restarted: false,
@@ -228,6 +231,7 @@ impl<T: Transport> SerialLink<T> {
     /// Forgets what holds only for the start that the last hello greeted.
     fn forget_start(&mut self) {
         self.nonce = None;
+        self.latched = None;
         self.last_sample = None;
         self.is_emulator = false;
         self.amplifier = AmplifierState::Off;
@@ -436,7 +440,12 @@ impl<T: Transport> Device for SerialLink<T> {
             if self.has_restarted {
                 return Err(self.restarted());
             }
-            return Err(self.refused("arm", RefusalReason::NotGreeted));
+            let reason = match self.latched {
+                Some(_) if self.seen.stop_opened => RefusalReason::EmergencyStop,
+                Some(reason) => reason,
+                None => RefusalReason::NotGreeted,
+            };
+            return Err(self.refused("arm", reason));
         };
         for attempt in 1.. {
             match self.exchange(Request::Arm { nonce }, ANSWER_TIME_NS) {
@@ -523,6 +532,11 @@ impl<T: Transport> Device for SerialLink<T> {
                 }
                 Ok(Reply::Disarm(reply)) => {
                     self.nonce = (reply.nonce != 0).then_some(reply.nonce);
+                    self.latched = match reply.state {
+                        DeviceState::Tripped => Some(RefusalReason::WatchdogTripped),
+                        DeviceState::Faulted => Some(RefusalReason::Faulted),
+                        DeviceState::Idle | DeviceState::Greeted | DeviceState::Armed => None,
+                    };
                     // The watchdog tripped while this call waited for the answer to a lost disarm.
                     // That is no fault, so a hello clears it; a trip before this call is a fault
                     // and stays latched.

@@ -328,6 +328,7 @@ pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
             RefusalReason::QubeAbsent => Some(Fault::QubeOff),
             RefusalReason::EmergencyStop => Some(Fault::EmergencyStop),
             RefusalReason::Faulted => Some(Fault::Amplifier),
+            RefusalReason::WatchdogTripped => Some(Fault::WatchdogTripped),
             // A device that has had a hello says that its motor is on.
             RefusalReason::AlreadyArmed => Some(Fault::OffUnconfirmed),
             _ => None,

@@ -466,11 +466,18 @@ impl Rig {
     }
 
     /// Homes the arm. Homing is repeated, at most twice, if only the link or the computer failed,
-    /// which says nothing about the Qube.
+    /// which says nothing about the Qube. After a stop request it is not repeated, and the error is
+    /// returned if the motor may be on.
     fn home(&mut self) -> Result<(), RigError> {
         for pause_ns in HOMING_PAUSES_NS {
             match self.home_once() {
                 Err(error) if error.passing_fault().is_some() => {
+                    if self.stop.load(Ordering::Relaxed) {
+                        return Err(match self.motor.get() {
+                            MotorState::Off => RigError::Stopped { during: "homing" },
+                            MotorState::Unconfirmed => error,
+                        });
+                    }
                     tracing::warn!("homing is repeated: {error}");
                     self.greet_again(pause_ns).map_err(|lost| lost.with_ticks_of(error))?;
                 }

@@ -111,7 +111,7 @@ faults! {
         "Close programs that keep this computer busy.";
     NotArmed: TryAgain,
         "the device was disarmed in the middle of a motion",
-        "Check whether another program uses the board.";
+        "Check whether another program uses the board, and the wires between board and Qube.";
     EmergencyStop: Examine,
         "the emergency-stop switch was opened",
         "Make sure that nobody is near the arm, then close the switch. If nobody has opened it, check its wires.";

@@ -92,6 +92,8 @@ fn the_firmware_latches_an_amplifier_fault() {
         let last = Command { motor_word: 0x8000, ..commands[0] };
         commands.insert(0, last);
         assert!(off_for_good(&commands) <= fault_us + 2 * TWO_PERIODS_US, "{:?}", &commands[..5]);
+        let sample = host.sample().map_err(|_| Disturbed)?;
+        assert!(sample.status.amplifier_fault, "a fault that is over is still named");
         let blinks = commands.iter().any(|it| it.leds == [0; 3]);
         assert!(blinks, "a fault is told from the watchdog by its blinking");
 
@@ -103,6 +105,7 @@ fn the_firmware_latches_an_amplifier_fault() {
         host.board.qube().amplifier_fault = false;
         host.board.wait_us(10_000);
         host.link.hello().unwrap();
+        assert!(!host.sample().map_err(|_| Disturbed)?.status.amplifier_fault);
         host.arm_and_drive()
     });
 }

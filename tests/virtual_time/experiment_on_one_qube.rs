@@ -44,7 +44,7 @@ fn ran(
         methods: None,
     };
     let clock = VirtualClock::default();
-    let device = Timed { clock, off_unconfirmed_from_ns, awaited: None };
+    let device = Timed { clock, off_unconfirmed_from_ns, awaited: None, stalls: Arc::default() };
     let rig = RigSettings {
         clock: ClockChoice::Wall,
         ..RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(device)))

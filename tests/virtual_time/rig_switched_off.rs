@@ -49,7 +49,8 @@ impl Bench {
         off_unconfirmed_from_ns: Nanoseconds,
     ) -> Result<Self, RigError> {
         let clock = VirtualClock::default();
-        let device = Timed { clock, off_unconfirmed_from_ns, awaited: None };
+        let device =
+            Timed { clock, off_unconfirmed_from_ns, awaited: None, stalls: Arc::default() };
         Self::with(fault, method, device, tempfile::tempdir().unwrap())
     }
 
@@ -104,6 +105,30 @@ fn replays(path: &Path) {
     let recording = recording::read(path).unwrap();
     let rerun = rerun(&recording, Policy::from_bytes(&recording.policy).unwrap());
     assert_eq!(rerun.ending, recording.outcome.as_ref().map(|outcome| outcome.ending));
+}
+
+#[test]
+fn a_computer_that_stalls_at_the_end_of_a_rollout_ends_no_work() {
+    let stalls = Arc::new(AtomicBool::new(false));
+    let device = Timed {
+        clock: VirtualClock::default(),
+        off_unconfirmed_from_ns: Nanoseconds::MAX,
+        awaited: None,
+        stalls: stalls.clone(),
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let mut bench = Bench::with(None, HomingMethod::Stops, device, folder).unwrap();
+    stalls.store(true, Ordering::Relaxed);
+    assert_eq!(bench.rollout("a.mcap").unwrap(), Ending::Completed);
+    // The watchdog tripped before the disarm, so the board arms again only after a hello.
+    let refused = bench.rollout("b.mcap").unwrap_err();
+    assert!(
+        matches!(refused, RigError::NotBegun { fault: Fault::WatchdogTripped, .. }),
+        "{refused}"
+    );
+    bench.rig.start_again().unwrap();
+    assert_eq!(bench.rollout("b.mcap").unwrap(), Ending::Completed);
+    assert!(!bench.has_stored_doubt());
 }
 
 #[test]
@@ -262,6 +287,7 @@ fn a_doubt_is_stored_while_the_arm_is_still_damped() {
         clock: VirtualClock::default(),
         off_unconfirmed_from_ns: Nanoseconds::MAX,
         awaited: Some(awaited),
+        stalls: Arc::default(),
     };
     let frozen = EmulatorFault::FrozenTheta { after_s };
     let bench = Bench::with(Some(frozen), HomingMethod::Hand, device, folder).unwrap();

@@ -144,7 +144,11 @@ fn a_new_session_whose_ledger_cannot_be_written_leaves_no_files_and_a_resumed_on
 
 #[test]
 fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
-    for (fault, name) in [("amplifier@16.5", Fault::Amplifier), ("stall@16.5", Fault::StallError)] {
+    for (fault, name) in [
+        ("amplifier@16.5", Fault::Amplifier),
+        ("amplifier@16.5+0.004", Fault::Amplifier),
+        ("stall@16.5", Fault::StallError),
+    ] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("session");
         let error = run(begin(&root), Some(fault.parse().unwrap())).unwrap_err();

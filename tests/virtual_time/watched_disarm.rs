@@ -19,6 +19,8 @@ pub struct Timed {
     pub off_unconfirmed_from_ns: Nanoseconds,
     /// Where each disarm looks whether a doubt is stored; `None` to ask nothing.
     pub awaited: Option<AwaitedDoubt>,
+    /// Whether the computer stalls for 60 ms before the next disarm, so that the watchdog trips.
+    pub stalls: Arc<AtomicBool>,
 }
 
 /// A folder of doubts in which one is to appear before the motor is switched off.
@@ -71,6 +73,9 @@ impl Device for WatchedDisarm {
         let now_ns = self.timed.clock.now_ns();
         if let Some(awaited) = self.timed.awaited.as_ref().filter(|it| now_ns >= it.from_ns) {
             awaited.wait();
+        }
+        if self.timed.stalls.swap(false, Ordering::Relaxed) {
+            self.timed.clock.sleep_until(now_ns + 60_000_000);
         }
         self.link.disarm()?;
         if self.timed.clock.now_ns() >= self.timed.off_unconfirmed_from_ns {

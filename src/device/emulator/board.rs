@@ -52,6 +52,8 @@ pub struct Board {
     nonce: u32,
     watchdog_tripped: bool,
     fault_began: bool,
+    /// Whether an amplifier fault has led to Faulted since the last hello.
+    amplifier_failed: bool,
     stall_error: bool,
     frozen_theta_counts: Option<i32>,
     /// Latched state of the emergency stop.
@@ -101,6 +103,7 @@ impl Board {
             nonce: 0,
             watchdog_tripped: false,
             fault_began: false,
+            amplifier_failed: false,
             stall_error: false,
             frozen_theta_counts: None,
             emergency_stop: false,
@@ -240,6 +243,7 @@ impl Board {
         };
         let understood = host_version == version;
         self.leave_armed(if understood { DeviceState::Greeted } else { DeviceState::Idle });
+        self.amplifier_failed = false;
         self.nonce = if understood { self.new_nonce() } else { 0 };
         self.previous_sample_us = None;
         self.given_us = None;
@@ -411,6 +415,7 @@ impl Board {
         self.alpha_shift = self.starts.random_range(-RESTART_COUNTS..=RESTART_COUNTS);
         self.nonce = 0;
         self.watchdog_tripped = false;
+        self.amplifier_failed = false;
         self.emergency_stop = false;
         self.last_act_sequence = 0;
         self.previous_sample_us = None;
@@ -433,7 +438,7 @@ impl Board {
         StatusBits(
             bit(StatusBits::ARMED, self.state == DeviceState::Armed)
                 | bit(StatusBits::WATCHDOG_TRIPPED, self.watchdog_tripped)
-                | bit(StatusBits::AMPLIFIER_FAULT, self.amplifier_fault())
+                | bit(StatusBits::AMPLIFIER_FAULT, self.amplifier_fault() || self.amplifier_failed)
                 | bit(StatusBits::STALL_DETECTED, self.stall_error)
                 | bit(StatusBits::STALL_ERROR, self.stall_error)
                 | bit(StatusBits::EMERGENCY_STOP, self.emergency_stop)

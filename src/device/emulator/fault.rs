@@ -42,6 +42,13 @@ pub enum EmulatorFault {
         /// Onset, s.
         after_s: f64,
     },
+    /// The Qube reports a fault of its amplifier for a time, which may be shorter than a tick.
+    LapsingAmplifierFault {
+        /// Onset, s.
+        after_s: f64,
+        /// Duration, s.
+        lasts_s: f64,
+    },
     /// The Qube reports a stall and switches its motor off; the next arm clears the report. If the
     /// board was armed, a hello must precede that arm.
     StallError {
@@ -227,6 +234,7 @@ impl EmulatorFault {
             | Self::HeldPendulum { after_s, .. }
             | Self::BlockedArm { after_s }
             | Self::AmplifierFault { after_s }
+            | Self::LapsingAmplifierFault { after_s, .. }
             | Self::StallError { after_s }
             | Self::QubeAbsent { after_s }
             | Self::SwitchedOffAndOn { after_s, .. }

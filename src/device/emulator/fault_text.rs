@@ -38,7 +38,7 @@ const FORMS: [(&str, &str); 28] = [
     ("blocked-arm@S", "something holds the arm"),
     ("pushed-arm@S+D:V", "a hand pushes the arm as V volts would"),
     ("held-pendulum@S+D", "a hand holds the pendulum"),
-    ("amplifier@S", "the amplifier reports a fault"),
+    ("amplifier@S[+D]", "the amplifier reports a fault [for D]"),
     ("stall@S", "the Qube reports a stall"),
     ("qube-absent@S[+D]", "the Qube does not answer its board [is off for D]"),
     ("unplug@S[+D]", "the USB cable is pulled [for D]"),
@@ -78,6 +78,9 @@ impl fmt::Display for EmulatorFault {
             Self::DeadMotor { after_s } => write!(formatter, "dead-motor@{after_s}"),
             Self::BlockedArm { after_s } => write!(formatter, "blocked-arm@{after_s}"),
             Self::AmplifierFault { after_s } => write!(formatter, "amplifier@{after_s}"),
+            Self::LapsingAmplifierFault { after_s, lasts_s } => {
+                write!(formatter, "amplifier@{after_s}+{lasts_s}")
+            }
             Self::StallError { after_s } => write!(formatter, "stall@{after_s}"),
             Self::QubeAbsent { after_s } => write!(formatter, "qube-absent@{after_s}"),
             Self::SwitchedOffAndOn { after_s, off_s } => {
@@ -233,6 +236,9 @@ fn fault(parts: &Parts<'_>) -> Option<EmulatorFault> {
             Fault::HeldPendulum { after_s, lasts_s }
         }
         ("amplifier", Some(after_s), None, None) => Fault::AmplifierFault { after_s },
+        ("amplifier", Some(after_s), Some(lasts_s), None) => {
+            Fault::LapsingAmplifierFault { after_s, lasts_s }
+        }
         ("stall", Some(after_s), None, None) => Fault::StallError { after_s },
         ("qube-absent", Some(after_s), None, None) => Fault::QubeAbsent { after_s },
         ("qube-absent", Some(after_s), Some(off_s), None) => {
@@ -264,6 +270,7 @@ mod tests {
             "dead-motor@2",
             "blocked-arm@1",
             "amplifier@3",
+            "amplifier@3+0.004",
             "stall@3",
             "qube-absent@0",
             "unplug@1.25",

@@ -73,6 +73,39 @@ fn the_watchdog_trips_and_only_hello_and_arm_leave_that() {
 }
 
 #[test]
+fn a_trip_or_fault_that_only_the_disarm_shows_is_the_reason_why_the_next_arm_is_refused() {
+    let amplifier = EmulatorFault::AmplifierFault { after_s: 0.02 };
+    for (fault, expected) in
+        [(None, RefusalReason::WatchdogTripped), (Some(amplifier), RefusalReason::Faulted)]
+    {
+        let (mut link, clock) = armed(fault);
+        sample(&mut link, &clock);
+        clock.advance(60 * MS);
+        link.disarm().unwrap();
+        let refused = link.arm().unwrap_err();
+        assert!(
+            matches!(refused, DeviceError::Refused { reason, .. } if reason == expected),
+            "{refused}"
+        );
+        link.hello().unwrap();
+        assert_eq!(link.arm().is_ok(), fault.is_none());
+    }
+}
+
+#[test]
+fn an_amplifier_fault_that_is_over_before_the_next_sample_is_still_told() {
+    let fault = EmulatorFault::LapsingAmplifierFault { after_s: 0.02, lasts_s: 0.004 };
+    let (mut link, clock) = armed(Some(fault));
+    sample(&mut link, &clock);
+    clock.advance(30 * MS);
+    let status = sample(&mut link, &clock).status;
+    assert!(status.amplifier_fault && !status.armed, "{status:?}");
+    link.hello().unwrap();
+    link.arm().unwrap();
+    assert!(!sample(&mut link, &clock).status.amplifier_fault);
+}
+
+#[test]
 fn a_device_that_says_that_it_stays_armed_has_not_switched_its_motor_off() {
     let (mut link, _) = armed(Some(EmulatorFault::IgnoredDisarm { after_s: 0.0 }));
     let refused = link.disarm().unwrap_err();

@@ -83,7 +83,13 @@ impl Board {
                 self.stall_error = true;
                 true
             }
-            Some(EmulatorFault::AmplifierFault { .. } | EmulatorFault::QubeAbsent { .. }) => true,
+            Some(
+                EmulatorFault::AmplifierFault { .. } | EmulatorFault::LapsingAmplifierFault { .. },
+            ) => {
+                self.amplifier_failed = self.state == DeviceState::Armed;
+                true
+            }
+            Some(EmulatorFault::QubeAbsent { .. }) => true,
             Some(EmulatorFault::SwitchedOffAndOn { off_s, .. }) => {
                 self.qube_returns_us = Some(self.now_us.saturating_add((off_s * 1e6) as u64));
                 true
@@ -150,7 +156,13 @@ impl Board {
 
     /// Whether the amplifier reports a fault.
     pub(super) fn amplifier_fault(&self) -> bool {
-        self.has_begun(|fault| matches!(fault, EmulatorFault::AmplifierFault { .. }))
+        self.has_begun(|fault| match *fault {
+            EmulatorFault::AmplifierFault { .. } => true,
+            EmulatorFault::LapsingAmplifierFault { after_s, lasts_s } => {
+                self.now_us < ((after_s + lasts_s) * 1e6) as u64
+            }
+            _ => false,
+        })
     }
 
     /// Whether the emergency stop's switch is closed, which lets the motor run.
