@@ -31,7 +31,7 @@ fn virtual_rollout(criterion: &mut Criterion) {
         start_theta_rad: 0.0,
         stops: None,
         foresight: None,
-        rules: qube_hil::telemetry::TickRules::CrossChecked,
+        rules: qube_hil::telemetry::TickRules::NEWEST,
         plant: qube_hil::qube::PlantModel::QUBE,
     };
     let network = Policy::load(std::path::Path::new("policies/nominal.safetensors"));

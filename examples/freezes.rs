@@ -64,7 +64,7 @@ fn main() {
             for ((kind, _), frozen) in KINDS.iter().zip(&frozen) {
                 println!("| {qube} | {name} | {kind} | {}", row(frozen));
             }
-            println!(
+            eprintln!(
                 "{qube}, {name}: {false_alarms} false alarms in {healthy} healthy rollouts of \
                  {seeds} seeds; {missing} rollouts with a freeze gave no result"
             );

@@ -93,6 +93,22 @@ struct Step {
 }
 
 impl Step {
+    /// The motion from one sample to another, `elapsed_us` later.
+    fn between(before: &Measurement, after: &Measurement, elapsed_us: u64) -> Self {
+        Self {
+            theta: f64::from(after.theta_counts.wrapping_sub(before.theta_counts)),
+            alpha: f64::from(after.alpha_counts.wrapping_sub(before.alpha_counts)),
+            elapsed_s: elapsed_us as f64 * 1e-6,
+        }
+    }
+
+    /// Whether one of the two counts has moved farther than any arm or pendulum can.
+    /// `counts_per_qube_count` scales the limit to the plant's encoder.
+    fn is_jump(&self, moved_counts: f64, counts_per_qube_count: f64) -> bool {
+        let periods = (self.elapsed_s / CONTROL_PERIOD_S).max(1.0);
+        moved_counts.abs() > counts_per_qube_count * JUMP_COUNTS * periods
+    }
+
     fn theta_of_a_period(&self) -> f64 {
         self.theta * (CONTROL_PERIOD_S / self.elapsed_s)
     }
@@ -203,73 +219,30 @@ impl SensorWatch {
         if elapsed_us == 0 {
             return None;
         }
-        let elapsed_s = elapsed_us as f64 * 1e-6;
-        let moved = |now: i32, before: i32| f64::from(now.wrapping_sub(before));
-        let theta = moved(sample.theta_counts, previous.theta_counts);
-        let alpha = moved(sample.alpha_counts, previous.alpha_counts);
-        let periods = (elapsed_s / CONTROL_PERIOD_S).max(1.0);
+        let passed = Step::between(&previous, sample, elapsed_us);
         let step = self.step(sample, &previous);
-        let [of_theta, of_alpha] = self.counts_per_qube_count;
-        if theta.abs() > of_theta * JUMP_COUNTS * periods {
-            return Some(Alarm::SwitchOff(Fault::EncoderJump));
+        if let Some(alarm) = self.jump(&passed) {
+            return Some(alarm);
         }
-        if alpha.abs() > of_alpha * JUMP_COUNTS * periods && self.cross_check.is_some() {
-            self.cross_check = None;
-            return Some(Alarm::Brake(Fault::PendulumJump));
+        // Over a short interval a rate would be an amplified rounding: the counts themselves decide.
+        let of_a_period = step.unwrap_or(Step { elapsed_s: CONTROL_PERIOD_S, ..passed });
+        let contradiction = self.contradiction(sample, &of_a_period);
+        if let Some(alarm) = step.and_then(|step| self.spike(&step)) {
+            return Some(alarm);
         }
-        let mut contradiction = self.cross_check.as_mut().and_then(|(calibration, cross_check)| {
-            let (theta, alpha) = calibration.angles_rad(sample);
-            cross_check.update(sample, theta, alpha)
-        });
-        if self.cross_check.is_some() {
-            // Whether a step is a jump is known one sample later, so a sudden step is no evidence
-            // yet.
-            let leaps = |steps: &[i32; 3], step: f64, of_qube: f64| {
-                (step - f64::from(steps[2])).abs() > of_qube * f64::from(SPIKE_COUNTS)
-            };
-            let step = step.unwrap_or(Step { theta, alpha, elapsed_s: CONTROL_PERIOD_S });
-            if leaps(&self.theta_steps, step.theta_of_a_period(), of_theta)
-                || leaps(&self.alpha_steps, step.alpha_of_a_period(), of_alpha)
-            {
-                contradiction = None;
-            }
-        }
-        if let Some(step) = step.filter(|_| self.cross_check.is_some()) {
-            if is_spike(&mut self.theta_steps, step.theta_of_a_period(), of_theta) {
-                return Some(Alarm::SwitchOff(Fault::EncoderJump));
-            }
-            if is_spike(&mut self.alpha_steps, step.alpha_of_a_period(), of_alpha) {
-                self.cross_check = None;
-                return Some(Alarm::Brake(Fault::PendulumJump));
-            }
-        }
-        if let (Some((calibration, _)), Some(arm_input)) = (&self.cross_check, arm_input) {
-            let (_, alpha) = calibration.angles_rad(sample);
-            let sign = if calibration.voltage_inverted { -1.0 } else { 1.0 };
-            let voltage_v = f64::from(arm_input.voltage_mv) * 1e-3;
-            if self.momentum.is_frozen(sample, alpha, voltage_v, sign * sample.current_a) {
-                return Some(Alarm::SwitchOff(Fault::EncoderFrozen));
-            }
-        }
-        match contradiction {
-            Some(FrozenEncoder::Arm) => return Some(Alarm::SwitchOff(Fault::EncoderFrozen)),
-            Some(FrozenEncoder::Pendulum) => {
-                // The brake does not need the pendulum; the cross-check does and ends here.
-                self.cross_check = None;
-                return Some(Alarm::Brake(Fault::PendulumFrozen));
-            }
-            None => {}
+        if let Some(alarm) = self.contradicted(sample, arm_input, contradiction) {
+            return Some(alarm);
         }
         if self.cross_check.is_some() && self.motor.takes_no_current(sample) {
             return Some(Alarm::SwitchOff(Fault::MotorDead));
         }
-        let counts_s = theta / elapsed_s;
+        let counts_s = passed.theta / passed.elapsed_s;
         if self.disagrees(sample, counts_s) {
             return Some(Alarm::SwitchOff(Fault::TachometerDisagrees));
         }
         // The arm is slow here. The brake would act on the wrong velocity, so the motor goes off at
         // once.
-        if self.has_drifted(sample, theta, elapsed_us) {
+        if self.has_drifted(sample, passed.theta, elapsed_us) {
             return Some(Alarm::SwitchOff(Fault::EncoderDrifts));
         }
         let pendulum_is_frozen = step.is_some_and(|step| {
@@ -278,14 +251,83 @@ impl SensorWatch {
         });
         // The arm's tests come first: a fault of the pendulum lasts while the brake works and must
         // not hide a fault of the arm.
-        let held = arm_input.and_then(|input| self.held(sample, input, counts_s, elapsed_s));
+        let held = arm_input.and_then(|input| self.held(sample, input, counts_s, passed.elapsed_s));
         if let Some(fault) = held {
             return Some(Alarm::SwitchOff(fault));
         }
-        if alpha.abs() > of_alpha * JUMP_COUNTS * periods {
+        let [_, of_alpha] = self.counts_per_qube_count;
+        if passed.is_jump(passed.alpha, of_alpha) {
             return Some(Alarm::Brake(Fault::PendulumJump));
         }
         pendulum_is_frozen.then_some(Alarm::Brake(Fault::PendulumFrozen))
+    }
+
+    /// The alarm of a count that has moved farther since the last sample than any arm or pendulum
+    /// can. Without the cross-check a jump of the pendulum is told after the arm's tests.
+    fn jump(&mut self, passed: &Step) -> Option<Alarm> {
+        let [of_theta, of_alpha] = self.counts_per_qube_count;
+        if passed.is_jump(passed.theta, of_theta) {
+            return Some(Alarm::SwitchOff(Fault::EncoderJump));
+        }
+        if passed.is_jump(passed.alpha, of_alpha) && self.cross_check.is_some() {
+            self.cross_check = None;
+            return Some(Alarm::Brake(Fault::PendulumJump));
+        }
+        None
+    }
+
+    /// The encoder whose count the other one contradicts, if there is one. A sudden step is no
+    /// evidence yet, because whether it is a jump is known one sample later.
+    fn contradiction(&mut self, sample: &Measurement, step: &Step) -> Option<FrozenEncoder> {
+        let (calibration, cross_check) = self.cross_check.as_mut()?;
+        let (theta, alpha) = calibration.angles_rad(sample);
+        let contradiction = cross_check.update(sample, theta, alpha);
+        let leaps = |steps: &[i32; 3], step: f64, of_qube: f64| {
+            (step - f64::from(steps[2])).abs() > of_qube * f64::from(SPIKE_COUNTS)
+        };
+        let [of_theta, of_alpha] = self.counts_per_qube_count;
+        let is_sudden = leaps(&self.theta_steps, step.theta_of_a_period(), of_theta)
+            || leaps(&self.alpha_steps, step.alpha_of_a_period(), of_alpha);
+        contradiction.filter(|_| !is_sudden)
+    }
+
+    /// The alarm of a count that has jumped away and back, as far as the cross-check runs.
+    fn spike(&mut self, step: &Step) -> Option<Alarm> {
+        self.cross_check.as_ref()?;
+        let [of_theta, of_alpha] = self.counts_per_qube_count;
+        if is_spike(&mut self.theta_steps, step.theta_of_a_period(), of_theta) {
+            return Some(Alarm::SwitchOff(Fault::EncoderJump));
+        }
+        if is_spike(&mut self.alpha_steps, step.alpha_of_a_period(), of_alpha) {
+            self.cross_check = None;
+            return Some(Alarm::Brake(Fault::PendulumJump));
+        }
+        None
+    }
+
+    /// The alarm of an encoder that the motor's current or the other encoder contradicts.
+    fn contradicted(
+        &mut self,
+        sample: &Measurement,
+        arm_input: Option<ArmInput>,
+        contradiction: Option<FrozenEncoder>,
+    ) -> Option<Alarm> {
+        if let (Some((calibration, _)), Some(arm_input)) = (&self.cross_check, arm_input) {
+            let (_, alpha) = calibration.angles_rad(sample);
+            let sign = if calibration.voltage_inverted { -1.0 } else { 1.0 };
+            let voltage_v = f64::from(arm_input.voltage_mv) * 1e-3;
+            if self.momentum.is_frozen(sample, alpha, voltage_v, sign * sample.current_a) {
+                return Some(Alarm::SwitchOff(Fault::EncoderFrozen));
+            }
+        }
+        match contradiction? {
+            FrozenEncoder::Arm => Some(Alarm::SwitchOff(Fault::EncoderFrozen)),
+            FrozenEncoder::Pendulum => {
+                // The brake does not need the pendulum; the cross-check does and ends here.
+                self.cross_check = None;
+                Some(Alarm::Brake(Fault::PendulumFrozen))
+            }
+        }
     }
 
     /// Motion of both counts since the last usable sample; `None` while the interval is too short.
@@ -296,11 +338,7 @@ impl SensorWatch {
             return None;
         }
         self.stepped = Some(*sample);
-        Some(Step {
-            theta: f64::from(sample.theta_counts.wrapping_sub(from.theta_counts)),
-            alpha: f64::from(sample.alpha_counts.wrapping_sub(from.alpha_counts)),
-            elapsed_s: elapsed_us as f64 * 1e-6,
-        })
+        Some(Step::between(&from, sample, elapsed_us))
     }
 
     /// The fault of an arm that is driven and does not follow, if there is one; `counts_s` is the

@@ -73,7 +73,7 @@ impl Checkpointing {
                         property,
                     });
                 }
-                None => return Err(self.damaged(format!("it does not name its {property}"))),
+                None => return Err(self.damaged(format!("its {property} is missing"))),
             }
         }
         let tensors = SafeTensors::deserialize(&bytes).map_err(damaged)?;

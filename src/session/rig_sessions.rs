@@ -107,12 +107,12 @@ impl RigSessions {
         let next = Self::folder(root, count + 1);
         let reason = if next.exists() {
             format!(
-                "devices names {count} rigs, but there is {}: name the device of each rig-N",
+                "the list devices has {count} entries, but there is {}: name the device of each rig-N",
                 next.display()
             )
         } else if count < 2 {
             format!(
-                "devices names {count} rigs, but sessions side by side need two or more: name the device of each rig-N"
+                "the list devices has {count} entries, but sessions side by side need two or more: name the device of each rig-N"
             )
         } else {
             return Ok(all);

@@ -97,10 +97,10 @@ fn commands_print_the_fields_of_the_page() {
         agrees(section, &value);
     };
     let small = "[extent]\ninitial_candidates = 1\niterations = 0\nrollouts = 1\n\
-                 verification_rollouts = 1\n[training]\nupdates = 1\npendulums = 16\nepochs = 1\n";
+                 verification_rollouts = 1\n[training]\nupdates = 1\nnum_envs = 16\nepochs = 1\n";
     std::fs::write(directory.path().join("small.toml"), small).unwrap();
     let recipe = "name = \"tiny\"\nmodel = \"nominal\"\n[settings.training]\nupdates = 1\n\
-                  pendulums = 16\nepochs = 1\n";
+                  num_envs = 16\nepochs = 1\n";
     std::fs::write(directory.path().join("tiny.toml"), recipe).unwrap();
 
     succeeds("`run`", &["run", "--policy", "classical", "--clock", "virtual", "--out", "run"]);

@@ -141,8 +141,8 @@ fn each_of_two_qubes_has_a_session_of_its_own() {
     // differs from the number of sessions.
     for (rigs, message) in [
         ("[\"/dev/ttyACM0\", \"emulated\"]", "rig 1 of two began at /dev/ttyACM0"),
-        ("[\"emulated\"]", "devices names 1 rigs, but there is two/rig-2"),
-        ("[]", "devices names 0 rigs, but there is two/rig-1"),
+        ("[\"emulated\"]", "the list devices has 1 entries, but there is two/rig-2"),
+        ("[]", "the list devices has 0 entries, but there is two/rig-1"),
     ] {
         let file = directory.path().join("two/rigs.toml");
         std::fs::write(file, format!("devices = {rigs}\n")).unwrap();

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 const SMALL: &str = "[extent]\ninitial_candidates = 1\niterations = 0\nrollouts = 1\n\
-    verification_rollouts = 1\n[training]\nupdates = 1\npendulums = 16\nepochs = 1\n";
+    verification_rollouts = 1\n[training]\nupdates = 1\nnum_envs = 16\nepochs = 1\n";
 
 #[test]
 fn the_service_manager_is_told() {
