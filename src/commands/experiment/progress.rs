@@ -104,7 +104,7 @@ impl ExperimentProgress {
                 self.trained(recipe, *policy);
                 if let Some(best_return) = best_return {
                     self.line(format!(
-                        "{recipe} {policy}: trained, best evaluation {best_return:.0}"
+                        "{recipe} {policy}: trained, earns {best_return:.0} in its simulations"
                     ));
                 }
             }

@@ -9,6 +9,8 @@ use crate::commands::stop::Stop;
 use crate::commands::training_pace::TrainingPace;
 use crate::commands::training_progress::name_of_training;
 use crate::commands::warn_without_realtime;
+use crate::device::Identity;
+use crate::rig::Rig;
 use crate::scoring::{QuietnessFigures, Verdict};
 use crate::session::{CandidateCounts, Purpose, SessionError, SessionEvent, SessionSettings};
 use crate::telemetry::Ending;
@@ -135,21 +137,7 @@ impl SessionProgress {
                 let on = of_rig(*rig);
                 self.line(format!("{on}first the Qube is checked and homed{how}"));
             }
-            SessionEvent::Connected { rig, opened } => {
-                if !self.connected.contains(rig) {
-                    let identity = opened.identity();
-                    self.line(format!(
-                        "{}connected to {} {} at {}; the arm is homed",
-                        of_rig(*rig),
-                        identity.kind,
-                        identity.serial,
-                        identity.port
-                    ));
-                    warn_without_realtime(opened.realtime());
-                }
-                self.connected.insert(*rig);
-                self.progress.update(|state| state.phase = ROLLOUTS.into());
-            }
+            SessionEvent::Connected { rig, opened } => self.connected(*rig, opened),
             SessionEvent::Identified { recordings, doubts } => {
                 self.progress.update(|state| state.phase = "planning".into());
                 self.line(identified(*recordings, doubts));
@@ -200,31 +188,47 @@ impl SessionProgress {
                 self.progress.update(|state| state.phase = ROLLOUTS.into());
             }
             SessionEvent::Rollout { candidate, purpose, rollout, attempt, rig, verdict } => {
-                // Its rollouts are recordings and no attempts to balance.
-                let is_excitation = *purpose == Purpose::Excitation;
                 let on_rig = rig.map_or(String::new(), |rig| format!(" on rig {rig}"));
                 let again =
                     if *attempt > 0 { format!(" (try {})", attempt + 1) } else { String::new() };
-                let came_to = match verdict {
-                    Verdict::Result { .. } if is_excitation => "recorded".into(),
-                    verdict => describe(verdict),
-                };
-                self.line(format!("candidate {candidate}, rollout {rollout}{on_rig}{again}: {came_to}"));
-                if let Verdict::Result { outcome, .. } = verdict
-                    && let Ending::LeftBox(limit) = outcome.ending
-                    && self.around.is_none()
-                    && let Some(hint) = command_hints::after_limit(limit)
-                {
-                    self.line(hint.into());
-                }
-                if !is_excitation
-                    && let Verdict::Result { return_, success, .. } = verdict
-                {
-                    self.returned(*candidate, *return_, *success);
-                }
-                self.progress.wait_while_paused(&self.stop);
+                let name = format!("candidate {candidate}, rollout {rollout}{on_rig}{again}");
+                self.rollout(*candidate, *purpose, &name, verdict);
             }
         }
+    }
+
+    /// Shows that a rig is open; its identity only the first time.
+    fn connected(&mut self, rig: Option<u32>, opened: &Rig) {
+        if self.connected.insert(rig) {
+            let Identity { kind, serial, port, .. } = opened.identity();
+            let on = of_rig(rig);
+            self.line(format!("{on}connected to {kind} {serial} at {port}; the arm is homed"));
+            warn_without_realtime(opened.realtime());
+        }
+        self.progress.update(|state| state.phase = ROLLOUTS.into());
+    }
+
+    /// Shows what a rollout came to.
+    fn rollout(&mut self, candidate: u32, purpose: Purpose, name: &str, verdict: &Verdict) {
+        // The rollouts of an excitation are recordings and no attempts to balance.
+        let is_excitation = purpose == Purpose::Excitation;
+        match verdict {
+            Verdict::Result { .. } if is_excitation => self.line(format!("{name}: recorded")),
+            verdict => self.line(format!("{name}: {}", describe(verdict))),
+        }
+        if let Verdict::Result { outcome, .. } = verdict
+            && let Ending::LeftBox(limit) = outcome.ending
+            && self.around.is_none()
+            && let Some(hint) = command_hints::after_limit(limit)
+        {
+            self.line(hint.into());
+        }
+        if let Verdict::Result { return_, success, .. } = verdict
+            && !is_excitation
+        {
+            self.returned(candidate, *return_, *success);
+        }
+        self.progress.wait_while_paused(&self.stop);
     }
 
     fn is_connected(&self) -> bool {
