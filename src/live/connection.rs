@@ -22,6 +22,8 @@ pub(super) struct Shared {
     pub(super) admission: Admission,
     /// Token with which clients of other computers may stop.
     pub(super) token: String,
+    /// Random text by which the page tells this view from another one at the same address.
+    pub(super) server: String,
     /// Requests a stop for the client at this address.
     pub(super) stop: Box<dyn Fn(SocketAddr) + Send + Sync>,
     /// Numbers of open connections: from this computer, and from others.
@@ -85,7 +87,7 @@ pub(super) fn serve(slot: &Slot, mut stream: TcpStream, peer: SocketAddr) {
         ("GET", "/") if request.is_upgrade() => {
             return foxglove::serve(&shared.feed, stream, &request, rest);
         }
-        ("GET", "/events") => return page::events(&shared.feed, stream),
+        ("GET", "/events") => return page::events(&shared.feed, &shared.server, stream),
         ("GET", path) => page::asset(path).unwrap_or_else(|| Answer::refusal("404 Not Found")),
         ("POST", "/stop") => stop(shared, &request, peer),
         _ => Answer::refusal("405 Method Not Allowed"),
@@ -127,6 +129,7 @@ mod tests {
             feed: Arc::default(),
             admission: Admission::default(),
             token: "0123456789abcdef".to_owned(),
+            server: "fedcba9876543210".to_owned(),
             stop: Box::new(move |_| {
                 stops.fetch_add(1, Ordering::Relaxed);
             }),

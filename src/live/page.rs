@@ -90,10 +90,11 @@ fn head(status: &str, kind: &str, more: &str) -> String {
     )
 }
 
-/// Sends the feed's changes as server-sent events until the client goes or takes no more bytes, or
-/// the view closes.
-pub(super) fn events(feed: &Feed, mut stream: TcpStream) {
-    let started = head("200 OK", "text/event-stream", "");
+/// Sends the name `server` of this view and the feed's changes as server-sent events until the
+/// client goes or takes no more bytes, or the view closes.
+pub(super) fn events(feed: &Feed, server: &str, mut stream: TcpStream) {
+    let mut started = head("200 OK", "text/event-stream", "");
+    event(&mut started, "server", &server);
     if stream.write_all(started.as_bytes()).is_err() || stream.set_nonblocking(false).is_err() {
         return;
     }

@@ -318,6 +318,28 @@ fn the_page_hears_of_status_rollout_ticks_and_end() {
 }
 
 #[test]
+fn the_page_tells_a_view_from_another_one_at_its_address() {
+    let (first, _) = view();
+    let address = first.address();
+    let server = || {
+        let mut stream = connect(address);
+        let request = format!("GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n");
+        stream.write_all(request.as_bytes()).unwrap();
+        let text = until(&mut stream, "event: status");
+        let (_, events) = text.split_once("\r\n\r\n").unwrap();
+        // It comes first, because the page drops what it has from another view.
+        let data = events.strip_prefix("event: server\ndata: \"").unwrap();
+        data.split_once("\"\n\n").unwrap().0.to_owned()
+    };
+    let of_first = server();
+    assert_eq!(of_first, server());
+    drop(first);
+    let settings = LiveSettings { address, origins: Vec::new() };
+    let _second = LiveView::serve(&settings, |_| {}).unwrap();
+    assert_ne!(of_first, server());
+}
+
+#[test]
 fn a_stop_needs_the_pages_own_request() {
     let (view, stopped) = view();
     let address = view.address();

@@ -55,7 +55,8 @@ impl LiveView {
         let shared = Arc::new(Shared {
             feed: Arc::clone(&feed),
             admission: Admission { hostname: name, origins: settings.origins.clone() },
-            token: token().map_err(LiveError::System)?,
+            token: random().map_err(LiveError::System)?,
+            server: random().map_err(LiveError::System)?,
             stop: Box::new(stop),
             open: [AtomicUsize::new(0), AtomicUsize::new(0)],
         });
@@ -139,8 +140,8 @@ impl Drop for LiveView {
     }
 }
 
-/// A random token of 128 bits, as 32 hexadecimal digits.
-fn token() -> io::Result<String> {
+/// 128 random bits, as 32 hexadecimal digits.
+fn random() -> io::Result<String> {
     let mut bytes = [0; 16];
     File::open("/dev/urandom")?.read_exact(&mut bytes)?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())

@@ -9,7 +9,7 @@
   const WINDOW_S = 10, MOST = 1200;
   const fixed = (value, digits, unit) => (value == null ? "–" : `${value.toFixed(digits)} ${unit}`);
 
-  let status = null, rollout = null, end = null, lost = 0, latest = null, heard = 0, waiting = false;
+  let server = null, status = null, rollout = null, end = null, lost = 0, latest = null, heard = 0, waiting = false;
   const columns = [[], [], [], []];
 
   // Facts, in words.
@@ -157,6 +157,16 @@
   const clear = () => columns.forEach((column) => { column.length = 0; });
   const source = new EventSource("events");
   const on = (name, take) => source.addEventListener(name, (event) => { take(JSON.parse(event.data)); soon(); });
+  // Another view at this address, such as that of a resumed session, shares nothing with the last.
+  on("server", (it) => {
+    if (server !== null && server !== it) {
+      [status, rollout, end, latest, lost] = [null, null, null, null, 0];
+      clear();
+      by("now").textContent = "";
+      stopped("", false);
+    }
+    server = it;
+  });
   on("status", (it) => { status = it; });
   on("rollout", (it) => { rollout = it; latest = null; clear(); });
   on("end", (it) => { end = it; });
