@@ -11,7 +11,11 @@ use super::request::{BadRequest, Request};
 
 /// Largest number of simultaneous connections from this computer, and likewise from all other
 /// computers together.
-pub(super) const MAX_CONNECTIONS: usize = 16;
+pub(super) const MAX_CONNECTIONS: usize = 24;
+
+/// Largest number of those connections that may be viewers, which stay. The others are for requests
+/// that end soon, so that a stop gets through beside all viewers.
+pub(super) const MAX_VIEWERS: usize = 16;
 
 /// Time after which a client that takes no bytes counts as gone.
 pub(super) const STUCK_WITHIN: Duration = Duration::from_secs(5);
@@ -28,6 +32,8 @@ pub(super) struct Shared {
     pub(super) stop: Box<dyn Fn(SocketAddr) + Send + Sync>,
     /// Numbers of open connections: from this computer, and from others.
     pub(super) open: [AtomicUsize; 2],
+    /// Numbers of those connections that are viewers.
+    pub(super) viewers: [AtomicUsize; 2],
 }
 
 /// A place for one of a limited number of connections; dropping it frees the place.
@@ -42,6 +48,14 @@ impl Slot {
         let slot = Self(Arc::clone(shared), side);
         (open < MAX_CONNECTIONS).then_some(slot)
     }
+
+    /// A place among the viewers; `None` where all are taken.
+    fn viewer(&self) -> Option<ViewerPlace<'_>> {
+        let viewers = &self.0.viewers[self.1];
+        let before = viewers.fetch_add(1, Ordering::Relaxed);
+        let place = ViewerPlace(viewers);
+        (before < MAX_VIEWERS).then_some(place)
+    }
 }
 
 impl Drop for Slot {
@@ -50,12 +64,22 @@ impl Drop for Slot {
     }
 }
 
+/// A place for one of a limited number of viewers; dropping it frees the place.
+struct ViewerPlace<'a>(&'a AtomicUsize);
+
+impl Drop for ViewerPlace<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
 fn is_of_this_computer(peer: SocketAddr) -> bool {
     peer.ip().to_canonical().is_loopback()
 }
 
 /// Serves one client: answers one request, or sends the feed until the client goes or the view
-/// closes.
+/// closes. A viewer for whom there is no place gets no answer: a browser then tries again, as it
+/// would not after a refusal.
 pub(super) fn serve(slot: &Slot, mut stream: TcpStream, peer: SocketAddr) {
     let shared = &slot.0;
     if stream.set_write_timeout(Some(STUCK_WITHIN)).is_err() || stream.set_nodelay(true).is_err() {
@@ -85,9 +109,13 @@ pub(super) fn serve(slot: &Slot, mut stream: TcpStream, peer: SocketAddr) {
     }
     let answer = match (request.method.as_str(), request.path.as_str()) {
         ("GET", "/") if request.is_upgrade() => {
+            let Some(_place) = slot.viewer() else { return };
             return foxglove::serve(&shared.feed, stream, &request, rest);
         }
-        ("GET", "/events") => return page::events(&shared.feed, &shared.server, stream),
+        ("GET", "/events") => {
+            let Some(_place) = slot.viewer() else { return };
+            return page::events(&shared.feed, &shared.server, stream);
+        }
         ("GET", path) => page::asset(path).unwrap_or_else(|| Answer::refusal("404 Not Found")),
         ("POST", "/stop") => stop(shared, &request, peer),
         _ => Answer::refusal("405 Method Not Allowed"),
@@ -133,7 +161,8 @@ mod tests {
             stop: Box::new(move |_| {
                 stops.fetch_add(1, Ordering::Relaxed);
             }),
-            open: [AtomicUsize::new(0), AtomicUsize::new(0)],
+            open: Default::default(),
+            viewers: Default::default(),
         })
     }
 

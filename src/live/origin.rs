@@ -6,8 +6,9 @@ use super::request::Request;
 ///
 /// A page of any web site can connect to a server on this computer, and can give that server a name
 /// of its own (DNS rebinding). A browser sends the name under which it connects in the header
-/// `Host`, and the site of the page that connects in `Origin`, so both are checked. Programs that
-/// are no browser send no `Origin`.
+/// `Host`, and the site of the page that connects in `Origin`, so both are checked. For the images
+/// and links of a page it sends no `Origin`, but says in `Sec-Fetch-Site` whether the page is of
+/// another site. Programs that are no browser send neither.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Admission {
     /// Name of this computer.
@@ -33,7 +34,13 @@ impl Admission {
             return Err(Refusal::Host);
         }
         if !request.has("origin") {
-            return Ok(());
+            let is_foreign = request.header("sec-fetch-site") == Some("cross-site");
+            // A link to the view's own page may be anywhere, such as in an e-mail or a terminal in
+            // the browser; following it holds no connection.
+            let is_link = request.header("sec-fetch-mode") == Some("navigate")
+                && request.path == "/"
+                && !request.is_upgrade();
+            return if is_foreign && !is_link { Err(Refusal::Origin) } else { Ok(()) };
         }
         let origin = request.header("origin").ok_or(Refusal::Origin)?;
         let is_allowed = is_same(origin, host)
@@ -148,6 +155,33 @@ mod tests {
             check("192.168.1.7:80", Some("http://192.168.1.8:80"), false),
             Err(Refusal::Origin)
         );
+    }
+
+    #[test]
+    fn images_of_other_sites_are_refused_and_links_to_the_page_are_not() {
+        let asked = |path: &str, more: &str| {
+            let text = format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1:8765\r\n{more}\r\n");
+            let (request, _) = Request::parse(text.as_bytes()).unwrap().unwrap();
+            Admission::default().check(&request)
+        };
+        let foreign = "Sec-Fetch-Site: cross-site\r\n";
+        for path in ["/", "/events", "/live.js"] {
+            assert_eq!(asked(path, ""), Ok(()), "a program, {path}");
+            assert_eq!(asked(path, foreign), Err(Refusal::Origin), "{path}");
+            for site in ["same-origin", "same-site", "none"] {
+                assert_eq!(asked(path, &format!("Sec-Fetch-Site: {site}\r\n")), Ok(()), "{site}");
+            }
+        }
+        let link = format!("{foreign}Sec-Fetch-Mode: navigate\r\n");
+        assert_eq!(asked("/", &link), Ok(()));
+        assert_eq!(asked("/events", &link), Err(Refusal::Origin));
+        assert_eq!(
+            asked("/", &format!("{link}Upgrade: websocket\r\n")),
+            Err(Refusal::Origin),
+            "a page cannot follow a link by a WebSocket"
+        );
+        let allowed = format!("{foreign}Origin: http://localhost:8080\r\n");
+        assert_eq!(asked("/events", &allowed), Ok(()), "a page of a server on this computer");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
-use super::connection::MAX_CONNECTIONS;
+use super::connection::{MAX_CONNECTIONS, MAX_VIEWERS};
 use super::foxglove::{MAX_CLIENT_MESSAGE_BYTES, MAX_MESSAGES_A_SECOND};
 use super::request::MAX_HEAD_BYTES;
 use super::{LiveError, LiveSettings, LiveView};
@@ -391,6 +391,10 @@ fn foreign_pages_get_no_feed() {
         let foreign = format!("Origin: {origin}\r\n");
         assert_eq!(status_of(&get(view.address(), "/events", &foreign)), "403 Forbidden");
     }
+    // An image of a foreign page comes without the header `Origin`.
+    let image =
+        "Sec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: no-cors\r\nSec-Fetch-Dest: image\r\n";
+    assert_eq!(status_of(&get(view.address(), "/events", image)), "403 Forbidden");
     let other = upgrade.replace("foxglove.sdk.v1", "chat");
     assert_eq!(status_of(&get(view.address(), "/", &other)), "400 Bad Request");
 }
@@ -485,6 +489,37 @@ fn half_open_connections_take_a_bounded_number_of_places_and_give_them_back() {
             assert_eq!(status_of(&answer), "200 OK");
             break;
         }
+    }
+}
+
+#[test]
+fn a_stop_gets_through_beside_all_viewers_that_are_served() {
+    let (view, stopped) = view();
+    let address = view.address();
+    let events = format!("GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n");
+    let watch = || {
+        let mut stream = connect(address);
+        stream.write_all(events.as_bytes()).unwrap();
+        stream
+    };
+    let mut viewers: Vec<TcpStream> = (0..MAX_VIEWERS).map(|_| watch()).collect();
+    viewers.iter_mut().for_each(|viewer| drop(until(viewer, "event: status")));
+    // Whoever comes later is closed without an answer, so that a browser tries again.
+    for mut late in (0..MAX_CONNECTIONS).map(|_| watch()) {
+        assert!(matches!(late.read(&mut [0]), Ok(0) | Err(_)));
+    }
+    let upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n\
+                   Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n";
+    assert_eq!(get(address, "/", upgrade), "");
+    assert_eq!(status_of(&get(address, "/", "")), "200 OK");
+    let stop = format!("POST /stop HTTP/1.1\r\nHost: {address}\r\nX-Qube-Hil: stop\r\n\r\n");
+    assert_eq!(status_of(&ask(address, &stop)), "200 OK");
+    assert!(stopped.load(Ordering::Relaxed));
+    // A viewer that goes frees its place.
+    drop(viewers);
+    let mut answer = 0;
+    while answer == 0 {
+        answer = watch().read(&mut [0]).unwrap_or(0);
     }
 }
 

@@ -2,7 +2,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::Ordering;
 use std::thread::{self, Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -58,7 +58,8 @@ impl LiveView {
             token: random().map_err(LiveError::System)?,
             server: random().map_err(LiveError::System)?,
             stop: Box::new(stop),
-            open: [AtomicUsize::new(0), AtomicUsize::new(0)],
+            open: Default::default(),
+            viewers: Default::default(),
         });
         let (sender, receiver) = feed.channel();
         let of_clients = Arc::clone(&shared);
