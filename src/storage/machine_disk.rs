@@ -82,12 +82,7 @@ impl Disk for MachineDisk {
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
         match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
             // Some file systems, such as NFS, cannot do this in one step.
-            Err(Errno::INVAL | Errno::NOSYS | Errno::NOTSUP) => {
-                if is_taken(self, to) {
-                    return Err(io::ErrorKind::AlreadyExists.into());
-                }
-                fs::rename(from, to)
-            }
+            Err(Errno::INVAL | Errno::NOSYS | Errno::NOTSUP) => rename_new_by_link(from, to),
             renamed => Ok(renamed?),
         }
     }
@@ -108,6 +103,22 @@ impl Disk for MachineDisk {
         let lock = File::open(folder).map_err(TryLockError::Error)?;
         lock.try_lock()?;
         Ok(FolderLock { lock: Some(lock) })
+    }
+}
+
+/// Renames a file whose new name must be free by a second (hard) link, which the file system
+/// refuses where the name exists. On a file system without such links this looks for the new name
+/// and then renames, so that a file which another process creates in between is lost.
+fn rename_new_by_link(from: &Path, to: &Path) -> io::Result<()> {
+    match fs::hard_link(from, to) {
+        Ok(()) => {
+            // The file has its new name, so the old one is only a remainder.
+            let _ = fs::remove_file(from);
+            Ok(())
+        }
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Err(error),
+        Err(_) if is_taken(&MachineDisk, to) => Err(io::ErrorKind::AlreadyExists.into()),
+        Err(_) => fs::rename(from, to),
     }
 }
 
@@ -155,6 +166,27 @@ mod tests {
         assert_eq!(MachineDisk.names(&folder).unwrap(), ["file"]);
         let no_folder = MachineDisk.names(&path).unwrap_err();
         assert_eq!(no_folder.kind(), io::ErrorKind::NotADirectory);
+    }
+
+    #[test]
+    fn a_file_gets_a_new_name_by_a_link_where_the_name_is_free() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        fs::write(at("from"), "new").unwrap();
+        fs::write(at("file"), "precious").unwrap();
+        fs::create_dir(at("folder")).unwrap();
+        std::os::unix::fs::symlink(at("nothing"), at("link")).unwrap();
+        for taken in ["file", "folder", "link"] {
+            let refused = rename_new_by_link(&at("from"), &at(taken)).unwrap_err();
+            assert_eq!(refused.kind(), io::ErrorKind::AlreadyExists, "{taken}");
+        }
+        assert_eq!(fs::read(at("file")).unwrap(), b"precious");
+        rename_new_by_link(&at("from"), &at("to")).unwrap();
+        assert_eq!(fs::read(at("to")).unwrap(), b"new");
+        assert!(!at("from").exists() && !at("nothing").exists());
+        // A folder can have no second link.
+        rename_new_by_link(&at("folder"), &at("moved")).unwrap();
+        assert!(at("moved").is_dir() && !at("folder").exists());
     }
 
     #[test]
