@@ -125,7 +125,8 @@ pub trait Disk: Send + Sync + fmt::Debug {
     fn sync_folder(&self, path: &Path) -> io::Result<()>;
 
     /// Locks a folder until the returned [`FolderLock`] is dropped. The lock keeps out only programs
-    /// that take it, too.
+    /// that take it, too; on a file system that several computers share, such as NFS, it may keep
+    /// out only those of this computer.
     ///
     /// # Errors
     /// The folder is already locked, by another process or by this one, or the operating system
