@@ -35,7 +35,8 @@ pub enum JobError {
     },
     /// The executor ended without a result of the job, which [`Executor`](super::Executor) forbids.
     #[error(
-        "the executor ended without a result of training {job} (counted from 0): mend its `train`"
+        "the executor ended without a result of training {job} (counted from 0), which is an error in its program: report \
+         it, and resume"
     )]
     Unreported {
         /// Index of the job in the list of jobs.

@@ -164,9 +164,7 @@ impl WorkerPool {
                 self.started = Some(Instant::now());
                 self.starts_without_result += 1;
             }
-            Err(StartError::Silent { reason }) => {
-                self.warn_once(format!("Slurm does not answer: {reason}"))
-            }
+            Err(silent @ StartError::Silent { .. }) => self.warn_once(silent.to_string()),
             Err(error) => return Err(error.into()),
         }
         Ok(())
@@ -310,7 +308,10 @@ mod tests {
 
     impl Starter for Busy {
         fn start(&mut self, _folder: &JobFolder, _workers: u32) -> Result<(), StartError> {
-            Err(StartError::Silent { reason: "Socket timed out".to_owned() })
+            Err(StartError::Silent {
+                scheduler: "the queue".to_owned(),
+                reason: "Socket timed out".to_owned(),
+            })
         }
 
         fn count_workers(&mut self, _: u32, _: u32) -> Result<WorkerCount, StartError> {

@@ -59,19 +59,23 @@ pub enum StartError {
         program: String,
     },
     /// The scheduler refuses the workers.
-    #[error("Slurm refuses the workers: {reason}")]
+    #[error("{scheduler} refuses the workers: {reason}")]
     Refused {
+        /// Name of the scheduler.
+        scheduler: String,
         /// Message of the scheduler.
         reason: String,
     },
     /// The scheduler does not answer. It may answer later.
-    #[error("Slurm does not answer: {reason}")]
+    #[error("{scheduler} does not answer: {reason}")]
     Silent {
+        /// Name of the scheduler.
+        scheduler: String,
         /// Message of the scheduler's command.
         reason: String,
     },
-    /// The workers could not be counted for ten minutes: the scheduler did not answer, or `squeue`
-    /// failed each time.
+    /// The workers could not be counted for ten minutes: the scheduler did not answer, or refused
+    /// to count them each time.
     #[error("for ten minutes the workers could not be counted; the last attempt: {last}")]
     SilentTooLong {
         /// Note about the last attempt.

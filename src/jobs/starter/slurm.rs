@@ -9,6 +9,9 @@ use super::{StartError, Starter, WorkerCount, log_folder};
 use crate::jobs::checksum::checksum;
 use crate::jobs::folder::JobFolder;
 
+/// Name of the scheduler in messages.
+const SLURM: &str = "Slurm";
+
 /// Slurm's command for new jobs.
 const SUBMIT: &str = "sbatch";
 
@@ -124,8 +127,8 @@ impl Starter for SlurmStarter {
         }
         let reason = first_line(&output.stderr);
         Err(match is_silence(&reason) {
-            true => StartError::Silent { reason },
-            false => StartError::Refused { reason },
+            true => StartError::Silent { scheduler: SLURM.to_owned(), reason },
+            false => StartError::Refused { scheduler: SLURM.to_owned(), reason },
         })
     }
 
@@ -217,6 +220,7 @@ fn run_command(
     run().map_err(|error| match error.kind() {
         io::ErrorKind::NotFound => StartError::NoProgram { program: program.to_owned() },
         io::ErrorKind::TimedOut => StartError::Silent {
+            scheduler: SLURM.to_owned(),
             reason: format!("{program} has not ended after {} s", longest.as_secs_f64()),
         },
         _ => StartError::Command(error),
