@@ -8,8 +8,8 @@ use super::starter::{StartError, Starter};
 /// Number of starts in a row without any new worker after which the work ends.
 const MAX_STARTS_WITHOUT_WORKER: u32 = 2;
 
-/// Number of starts in a row without any result after which the work ends. Such starts happen when
-/// a scheduler ends all workers before they finish a training.
+/// Number of starts in a row without any result after which the work ends, unless a worker lives.
+/// Such starts happen when a scheduler ends all workers before they finish a training.
 const MAX_STARTS_WITHOUT_RESULT: u32 = 20;
 
 /// Longest time for which a scheduler may fail to answer.
@@ -25,7 +25,7 @@ pub(super) struct WorkerPool {
     workers: u32,
     watch: HeartbeatWatch,
     begun: Instant,
-    /// Worker files seen so far, with whether the worker lived.
+    /// Worker files seen so far, with whether the worker may still live: its file has no ending.
     seen: HashMap<String, bool>,
     /// Time of the last look at the workers' files.
     counted: Option<Instant>,
@@ -154,7 +154,8 @@ impl WorkerPool {
             self.starts_without_worker = starts_without_worker;
             return Err(self.no_worker(folder).into());
         }
-        if self.starts_without_result >= MAX_STARTS_WITHOUT_RESULT {
+        // While workers live, starts may also follow each other because jobs come one by one.
+        if alive == 0 && self.starts_without_result >= MAX_STARTS_WITHOUT_RESULT {
             return Err(StartError::NoResult { starts: self.starts_without_result }.into());
         }
         match self.starter.start(folder, wanted - expected) {
@@ -219,6 +220,8 @@ impl WorkerPool {
             }
             let Some(state) = folder.worker(&name)? else { continue };
             let is_new = !self.seen.contains_key(&name);
+            // A worker that counts as dead lives again if it was only suspended, so its file is
+            // read until it has an ending.
             let lives = state.ending.is_none() && !self.watch.is_dead(&name, &state, now);
             if is_new && (lives || since_counted.is_some()) {
                 self.appeared += 1;
@@ -231,7 +234,7 @@ impl WorkerPool {
                 self.warn_once(note);
             }
             alive += u32::from(lives);
-            self.seen.insert(name, lives);
+            self.seen.insert(name, state.ending.is_none());
         }
         self.counted = Some(looked);
         if let Some(reason) = refusal {
@@ -298,7 +301,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::jobs::folder::Terms;
+    use crate::jobs::folder::{Heartbeat, Terms};
     use crate::jobs::starter::WorkerCount;
     use crate::storage::MachineDisk;
 
@@ -356,6 +359,66 @@ mod tests {
             assert!(pool.start_missing(&folder, 1, 0).is_ok());
         }
         assert_eq!(pool.starts_without_worker, 0);
+    }
+
+    /// Starts workers that register at once, and keeps their heartbeats.
+    #[derive(Debug, Default)]
+    struct Prompt(Arc<std::sync::Mutex<Vec<Heartbeat>>>);
+
+    impl Starter for Prompt {
+        fn start(&mut self, folder: &JobFolder, workers: u32) -> Result<(), StartError> {
+            let mut begun = self.0.lock().unwrap();
+            for _ in 0..workers {
+                let number = begun.len() as u32;
+                let holder =
+                    Holder { host: "far".into(), process: number, ..Holder::this_process() };
+                begun.push(folder.register(&holder).unwrap());
+            }
+            Ok(())
+        }
+
+        fn count_workers(&mut self, _: u32, alive: u32) -> Result<WorkerCount, StartError> {
+            Ok(WorkerCount { expected: Some(alive), running: alive, note: None })
+        }
+
+        fn cancel(&mut self) {}
+    }
+
+    #[test]
+    fn workers_that_train_while_jobs_come_one_by_one_were_not_ended_early() {
+        let directory = tempfile::tempdir().unwrap();
+        let terms = Terms::default();
+        let folder = JobFolder::create(Arc::new(MachineDisk), directory.path(), terms).unwrap();
+        let workers = Arc::default();
+        let mut pool = WorkerPool::new(Box::new(Prompt(Arc::clone(&workers))), 100, &folder);
+        let jobs = MAX_STARTS_WITHOUT_RESULT as usize + 5;
+        for open_jobs in 1..=jobs {
+            assert!(pool.start_missing(&folder, open_jobs, 0).is_ok(), "{open_jobs}");
+        }
+        assert_eq!(workers.lock().unwrap().len(), jobs);
+        for worker in workers.lock().unwrap().drain(..) {
+            worker.end(&ClaimEnding::Stopped).unwrap();
+        }
+        assert!(matches!(
+            pool.start_missing(&folder, jobs, 0),
+            Err(NoWorkers::Start(StartError::NoResult { .. }))
+        ));
+    }
+
+    #[test]
+    fn a_worker_that_was_suspended_for_longer_than_the_stale_time_counts_again() {
+        let directory = tempfile::tempdir().unwrap();
+        let (mut pool, folder) = pool(directory.path(), Some(0));
+        let holder = Holder { host: "far".into(), ..Holder::this_process() };
+        let mut worker = folder.register(&holder).unwrap();
+        let alive = |pool: &mut WorkerPool| pool.count_alive(&folder).ok();
+        assert_eq!(alive(&mut pool), Some(1));
+        pool.begun -= folder.terms().stale();
+        assert_eq!(alive(&mut pool), Some(0));
+        worker.beat().unwrap();
+        assert_eq!(alive(&mut pool), Some(1));
+        worker.end(&ClaimEnding::Done).unwrap();
+        assert_eq!((alive(&mut pool), pool.appeared), (Some(0), 1));
     }
 
     #[test]
