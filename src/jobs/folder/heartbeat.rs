@@ -10,8 +10,9 @@ use serde::{Deserialize, Serialize};
 use super::Holder;
 use crate::storage::{Disk, DiskFile};
 
-/// Largest part of a heartbeat file that is read, bytes. With a beat every 5 s a file reaches it in
-/// 2.6 years; then it seems to grow no more, and its process counts as dead.
+/// Largest part of a heartbeat file that is read, bytes. A file that has reached it seems to grow
+/// no more, and its process counts as dead: after 2.6 years with the default of a beat every 5 s,
+/// after 16 days with the shortest stale time, a second.
 const MAX_BYTES: u64 = 1 << 24;
 
 /// The reason why a process has given up its heartbeat file.
