@@ -1,12 +1,19 @@
 use std::fs::{self, File};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process_group};
 use thiserror::Error;
 
 use super::{StartError, Starter, WorkerCount, log_folder};
 use crate::jobs::folder::JobFolder;
+
+/// Time for which a start that is to end may take to do so before it is killed.
+const END_WITHIN: Duration = Duration::from_secs(5);
+
+/// Time between two looks at starts that are to end.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// A starter that runs a shell command of the user's, such as GNU parallel over ssh.
 #[derive(Debug)]
@@ -71,6 +78,21 @@ pub fn quoted(text: &str) -> String {
     }
 }
 
+impl Start {
+    fn is_running(&mut self) -> bool {
+        matches!(self.child.try_wait(), Ok(None))
+    }
+
+    /// Sends a signal to the command and the processes that it has started, unless it has ended.
+    fn signal(&mut self, signal: Signal) {
+        if self.is_running()
+            && let Some(group) = Pid::from_raw(self.child.id() as i32)
+        {
+            let _ = kill_process_group(group, signal);
+        }
+    }
+}
+
 impl Starter for CommandStarter {
     fn start(&mut self, folder: &JobFolder, workers: u32) -> Result<(), StartError> {
         let logs = log_folder(folder)?;
@@ -126,15 +148,14 @@ impl Starter for CommandStarter {
     }
 
     fn cancel(&mut self) {
-        for start in &mut self.starts {
-            let ended = start.child.try_wait();
-            if matches!(ended, Ok(None))
-                && let Some(group) = Pid::from_raw(start.child.id() as i32)
-            {
-                let _ = kill_process_group(group, Signal::TERM);
-                let _ = start.child.wait();
-            }
+        self.starts.iter_mut().for_each(|start| start.signal(Signal::TERM));
+        let until = Instant::now() + END_WITHIN;
+        while self.starts.iter_mut().any(Start::is_running) && Instant::now() < until {
+            std::thread::sleep(POLL_INTERVAL);
         }
+        // A command that ignores the signal, or hangs, must not keep this program from its end. Even
+        // a kill may have to wait for a file server, so nobody waits for it.
+        self.starts.iter_mut().for_each(|start| start.signal(Signal::KILL));
     }
 }
 
@@ -157,6 +178,22 @@ mod tests {
         ] {
             assert_eq!(quoted(path), word);
         }
+    }
+
+    #[test]
+    fn a_command_that_ignores_the_request_to_end_is_killed() {
+        let directory = tempfile::tempdir().unwrap();
+        let root = directory.path().join("jobs");
+        let folder = JobFolder::create(Arc::new(MachineDisk), &root, Terms::default()).unwrap();
+        let template = "trap '' TERM; touch {folder}/ready; while :; do sleep 1; done";
+        let mut starter = CommandStarter::new(template, String::new()).unwrap();
+        starter.start(&folder, 1).unwrap();
+        while !root.join("ready").exists() {
+            std::thread::sleep(POLL_INTERVAL);
+        }
+        starter.cancel();
+        // Without the kill the command would run for ever.
+        assert!(!starter.starts[0].child.wait().unwrap().success());
     }
 
     #[test]
