@@ -10,7 +10,9 @@ use super::printable::print_message;
 use super::service_manager;
 use super::stop::Stop;
 use crate::jobs::folder::{JobFolder, Terms};
-use crate::jobs::starter::{CommandStarter, SlurmOptions, SlurmStarter, Starter, quoted};
+use crate::jobs::starter::{
+    CommandStarter, SlurmOptions, SlurmStarter, Starter, needs_quotes, quoted,
+};
 use crate::jobs::{AtEnd, Executor, FolderExecutor};
 use crate::storage::MachineDisk;
 
@@ -104,6 +106,27 @@ fn command_starter(template: &str, work: String) -> Result<CommandStarter, Failu
     })
 }
 
+/// The shell command by which `program` works in the folder `root`.
+fn worker_command(program: &Path, root: &Path) -> String {
+    let word = |path: &Path| quoted(&path.to_string_lossy());
+    format!("{} work {}", word(program), word(root))
+}
+
+/// Refuses paths in a worker's command that need quotes. The operator's command may hand the
+/// worker's command to a second shell, as parallel, ssh and echo do, and then its quotes are lost.
+fn check_words(program: &Path, root: &Path) -> Result<(), Failure> {
+    for (path, option) in [(program, "--worker-program"), (root, "--jobs or --out")] {
+        if needs_quotes(&path.to_string_lossy()) {
+            return Err(Failure::usage(format!(
+                "{} needs quotes for a shell, and a command of --executor may lose them on the way to the workers: name a \
+                 path without blanks and special letters with {option}",
+                path.display()
+            )));
+        }
+    }
+    Ok(())
+}
+
 impl ExecutorArguments {
     /// Checks, before a folder is made, that the executor can start workers: that the command is
     /// one, or that Slurm is on this computer.
@@ -128,7 +151,11 @@ impl ExecutorArguments {
         }
         let root = self.jobs.clone().unwrap_or_else(|| results.join("jobs"));
         let root = std::path::absolute(&root).map_err(Failure::usage)?;
-        let work = self.worker_command(&root)?;
+        let program = self.worker_program()?;
+        if let ExecutorChoice::Command(_) = self.executor {
+            check_words(&program, &root)?;
+        }
+        let work = worker_command(&program, &root);
         let terms = Terms::new(Duration::from_secs_f64(self.stale), self.tries);
         let failed = |error| failures::job_folder(&error, stop);
         let folder = JobFolder::create(Arc::new(MachineDisk), &root, terms).map_err(failed)?;
@@ -148,14 +175,12 @@ impl ExecutorArguments {
         Ok(Some(Arc::new(executor.map_err(failed)?.while_waiting(service_manager::alive))))
     }
 
-    /// The shell command of a worker of the folder `root`.
-    fn worker_command(&self, root: &Path) -> Result<String, Failure> {
-        let program = match &self.worker_program {
-            Some(program) => program.clone(),
-            None => std::env::current_exe().map_err(Failure::failed)?,
-        };
-        let word = |path: &Path| quoted(&path.to_string_lossy());
-        Ok(format!("{} work {}", word(&program), word(root)))
+    /// Path of the program on the workers' computers.
+    fn worker_program(&self) -> Result<PathBuf, Failure> {
+        match &self.worker_program {
+            Some(program) => Ok(program.clone()),
+            None => std::env::current_exe().map_err(Failure::failed),
+        }
     }
 
     fn slurm_options(&self) -> SlurmOptions {

@@ -95,6 +95,8 @@ fn a_command_that_cannot_start_workers_is_refused_in_a_sentence() {
         experiment(directory, out, &["--executor", executor, "--stale", "1", "--workers", "1"])
     };
     refused(&run("none", "make -j8"), &["{work}", "slurm"]);
+    refused(&run("my table", "{work}"), &["my table", "needs quotes", "--jobs"]);
+    assert_eq!(std::fs::read_dir(directory.join("my table")).unwrap().count(), 0);
     refused(
         &run("fails", "echo no such host >&2; false {work}"),
         &["none has appeared", "no such host"],

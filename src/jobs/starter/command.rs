@@ -71,11 +71,26 @@ impl CommandStarter {
 /// The text quoted as one word of the shell.
 #[must_use]
 pub fn quoted(text: &str) -> String {
-    let plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-+=:,@%".contains(letter);
-    match !text.is_empty() && text.chars().all(plain) {
+    match !text.is_empty() && text.chars().all(is_plain) {
         true => text.to_owned(),
         false => format!("'{}'", text.replace('\'', "'\\''")),
     }
+}
+
+/// Whether a shell would take the text for several words, or for something else, without quotes.
+#[must_use]
+pub fn needs_quotes(text: &str) -> bool {
+    // Letters beyond ASCII, other than blanks, mean nothing to a shell.
+    let is_special = |letter: char| match letter.is_ascii() {
+        true => !is_plain(letter),
+        false => letter.is_whitespace(),
+    };
+    text.is_empty() || text.chars().any(is_special)
+}
+
+/// Whether a letter means itself to every shell.
+fn is_plain(letter: char) -> bool {
+    letter.is_ascii_alphanumeric() || "/._-+=:,@%".contains(letter)
 }
 
 impl Start {
@@ -177,6 +192,16 @@ mod tests {
             ("", "''"),
         ] {
             assert_eq!(quoted(path), word);
+        }
+    }
+
+    #[test]
+    fn a_path_that_a_shell_would_take_for_something_else_needs_quotes() {
+        for path in ["", "my logs", "a\u{a0}b", "it's", "a;b", "$HOME", "~", "*", "a\nb"] {
+            assert!(needs_quotes(path), "{path}");
+        }
+        for path in ["/shared/me/monday_2/jobs", "/home/j\u{fc}rgen/a-b+c.d"] {
+            assert!(!needs_quotes(path), "{path}");
         }
     }
 

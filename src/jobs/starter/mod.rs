@@ -10,7 +10,7 @@ use thiserror::Error;
 
 use super::folder::JobFolder;
 
-pub use command::{CommandStarter, TemplateError, quoted};
+pub use command::{CommandStarter, TemplateError, needs_quotes, quoted};
 pub use slurm::{SlurmOptions, SlurmStarter};
 
 /// Starts workers, and counts those that run or are still to come.
