@@ -283,7 +283,9 @@ pub fn job_folder(error: &JobFolderError, stop: &Stop) -> Failure {
         | JobFolderError::OtherProgram { .. }
         | JobFolderError::NoFma { .. }
         | JobFolderError::TwoCoordinators { .. } => Failure::usage(error),
-        JobFolderError::Disk { .. } | JobFolderError::Damaged { .. } => Failure::failed(error),
+        JobFolderError::Disk { .. }
+        | JobFolderError::Damaged { .. }
+        | JobFolderError::TakenOver { .. } => Failure::failed(error),
     }
 }
 

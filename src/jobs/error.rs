@@ -114,6 +114,17 @@ pub enum JobFolderError {
         /// The other coordinator.
         by: String,
     },
+    /// Another process coordinates the folder since this one counted as dead.
+    #[error(
+        "{by} has taken {path} over, because this program had shown no sign of life: go on there, or end that process and \
+         resume here"
+    )]
+    TakenOver {
+        /// Path of the folder.
+        path: PathBuf,
+        /// The other coordinator.
+        by: String,
+    },
     /// A stop was requested before it was clear whether another coordinator lives.
     #[error("stopped while it was not known whether another program uses {path}")]
     Stopped {

@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{RecvTimeoutError, Sender, unbounded};
 
 use super::folder::{
-    ClaimEnding, Heartbeat, HeartbeatWatch, Holder, JobFolder, JobResult, NextTry, Tries,
+    ClaimEnding, Coordinator, Heartbeat, HeartbeatWatch, Holder, JobFolder, JobResult, NextTry,
+    Tries,
 };
 use super::patience::{PATIENCE, Patience};
 use super::starter::{StartError, Starter};
@@ -83,6 +84,8 @@ pub struct FolderExecutor {
 #[derive(Debug)]
 struct Shared {
     folder: JobFolder,
+    /// Number of this process among the folder's coordinators.
+    coordinator: u32,
     state: Mutex<State>,
     changed: Condvar,
     ended: AtomicBool,
@@ -167,10 +170,11 @@ impl FolderExecutor {
         at_end: AtEnd,
         stop: &AtomicBool,
     ) -> Result<Self, JobFolderError> {
-        let heartbeat = folder.coordinate(&Holder::this_process(), stop)?;
+        let Coordinator { number, heartbeat } = folder.coordinate(&Holder::this_process(), stop)?;
         folder.reopen()?;
         let shared = Arc::new(Shared {
             folder,
+            coordinator: number,
             state: Mutex::default(),
             changed: Condvar::new(),
             ended: AtomicBool::new(false),
@@ -326,7 +330,7 @@ impl Shared {
     /// Writes a job to the folder again if somebody has removed its file.
     fn put_lost_job_again(&self, name: &str, job: &TrainingJob) {
         let is_lost = || !self.folder.is_open(name) && !self.folder.has_result(name);
-        if !is_lost() {
+        if !is_lost() || self.has_lost_folder() {
             return;
         }
         // The lock is held meanwhile, as in [`Self::release`].
@@ -387,12 +391,27 @@ impl Shared {
     /// caller that asks for an equal job finds the files or puts them again.
     fn release(&self, name: &str, has_ended: bool) {
         let mut state = self.lock();
-        if self.release_reading(&mut state, name)
-            && (has_ended || self.at_end == AtEnd::Withdraw)
+        if self.release_reading(&mut state, name) && (has_ended || self.at_end == AtEnd::Withdraw) {
+            self.remove_job(name);
+        }
+    }
+
+    /// Removes the files of a job, unless they belong to another coordinator.
+    fn remove_job(&self, name: &str) {
+        if !self.has_lost_folder()
             && let Err(error) = self.folder.remove_job(name)
         {
             tracing::warn!("{error}");
         }
+    }
+
+    /// Whether another coordinator has taken the folder over, whose files are not to be touched.
+    /// The folder is looked at each time, because this process may have slept since the last look.
+    fn has_lost_folder(&self) -> bool {
+        matches!(
+            self.folder.check_coordinator(self.coordinator),
+            Err(JobFolderError::TakenOver { .. })
+        )
     }
 
     /// Removes a caller that stops waiting for a job or reading its result, and the job too if no
@@ -415,11 +434,8 @@ impl Shared {
             // The result was announced to the caller, which has not read it.
             None => self.release_reading(&mut state, name),
         };
-        if is_last
-            && self.at_end == AtEnd::Withdraw
-            && let Err(error) = self.folder.remove_job(name)
-        {
-            tracing::warn!("{error}");
+        if is_last && self.at_end == AtEnd::Withdraw {
+            self.remove_job(name);
         }
     }
 
@@ -438,6 +454,14 @@ impl Shared {
             if beaten.elapsed() >= terms.beat() {
                 beaten = Instant::now();
                 let _ = heartbeat.beat();
+                match self.folder.check_coordinator(self.coordinator) {
+                    Err(error @ JobFolderError::TakenOver { .. }) => {
+                        self.fail(&Failure::Folder(Arc::new(error)));
+                        break;
+                    }
+                    // A failure of the disk is met below, with patience.
+                    _ => {}
+                }
             }
             let looked = self.announce_results().and_then(|found| {
                 if stale_checked.elapsed() >= terms.beat() {
@@ -480,8 +504,9 @@ impl Shared {
             let wait_on = |state: &mut State| !ended(state) && state.waiting.len() <= before;
             drop(self.changed.wait_timeout_while(state, wait, wait_on));
         }
-        if self.at_end == AtEnd::Withdraw
-            || self.folder.open_jobs().is_ok_and(|jobs| jobs.is_empty())
+        if !self.has_lost_folder()
+            && (self.at_end == AtEnd::Withdraw
+                || self.folder.open_jobs().is_ok_and(|jobs| jobs.is_empty()))
         {
             let _ = self.folder.close();
             worker_pool.iter_mut().for_each(WorkerPool::cancel);
@@ -528,6 +553,9 @@ impl Shared {
             // The result may have come while the claims were read.
             if tries.next_try(most) != NextTry::GivenUp || self.folder.has_result(&job) {
                 continue;
+            }
+            if self.has_lost_folder() {
+                return Ok(());
             }
             // The lock is held meanwhile, as in [`Self::release`].
             let mut state = self.lock();

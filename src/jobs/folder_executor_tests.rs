@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use super::folder::{Holder, JobFolder, Terms, Worker};
+use super::folder::{Heartbeat, Holder, JobFolder, Terms, Worker};
 use super::starter::{StartError, Starter, WorkerCount};
-use super::{AtEnd, Executor, FolderExecutor, JobError, TrainingJob};
+use super::{AtEnd, Executor, FolderExecutor, JobError, JobFolderError, TrainingJob};
 use crate::learning::{TrainSettings, Trained};
 use crate::simulation::DomainDistribution;
 use crate::storage::{Disk, DiskFile, FolderLock, MachineDisk};
@@ -200,18 +200,75 @@ fn workers_and_trainings_that_are_to_be_left_outlive_a_scheduler_that_falls_sile
     }
 }
 
+/// Whether the condition holds within half a minute.
+fn comes(condition: impl Fn() -> bool) -> bool {
+    (0..600).any(|_| {
+        std::thread::sleep(Duration::from_millis(50));
+        condition()
+    })
+}
+
+/// Terms by which processes beat every 50 ms.
+fn quick_beats() -> Terms {
+    Terms { beat_ms: 50, ..Terms::default() }
+}
+
+fn elsewhere() -> Holder {
+    Holder { host: "elsewhere".into(), ..Holder::this_process() }
+}
+
+#[test]
+fn a_coordinator_that_was_taken_for_dead_leaves_the_folder_to_its_successor() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, quick_beats()).unwrap();
+    let is_cancelled = Arc::new(AtomicBool::new(false));
+    let queue = Queue { is_silent: false, is_cancelled: Arc::clone(&is_cancelled) };
+    let never = AtomicBool::new(false);
+    let executor =
+        FolderExecutor::new(folder.clone(), Some(Box::new(queue)), 1, AtEnd::Withdraw, &never)
+            .unwrap();
+    std::thread::scope(|scope| {
+        let caller = scope.spawn(|| train(&executor));
+        assert!(comes(|| folder.is_open(&job().fingerprint())));
+        // A successor on another computer has seen no beat of this one, which was asleep.
+        let path = root.join("coordinators/1");
+        let _successor = Heartbeat::create(&MachineDisk, &path, &elsewhere()).unwrap().unwrap();
+        let error = caller.join().unwrap().unwrap_err();
+        let is_taken_over = matches!(
+            &error,
+            JobError::Folder(error) if matches!(**error, JobFolderError::TakenOver { .. })
+        );
+        assert!(is_taken_over && error.to_string().contains("elsewhere"), "{error}");
+    });
+    // No further job gets into the successor's folder.
+    assert!(matches!(train(&executor), Err(JobError::Folder(_))));
+    drop(executor);
+    assert_eq!(folder.open_jobs().unwrap().len(), 1);
+    assert!(!folder.is_closed() && !is_cancelled.load(Ordering::Relaxed));
+}
+
+#[test]
+fn a_coordinator_is_judged_by_the_terms_that_it_has_written() {
+    let directory = tempfile::tempdir().unwrap();
+    let disk = Arc::new(MachineDisk);
+    let seldom = Terms { beat_ms: 500, stale_ms: 30_000, ..Terms::default() };
+    let folder = JobFolder::create(disk.clone(), directory.path(), seldom).unwrap();
+    let never = AtomicBool::new(false);
+    let _first = FolderExecutor::new(folder, None, 1, AtEnd::Withdraw, &never).unwrap();
+    let hasty = Terms { beat_ms: 1, stale_ms: 10, ..Terms::default() };
+    let folder = JobFolder::create(disk, directory.path(), hasty).unwrap();
+    let refused = folder.coordinate(&elsewhere(), &never).unwrap_err();
+    assert!(matches!(refused, JobFolderError::TwoCoordinators { .. }), "{refused}");
+}
+
 #[test]
 fn a_job_whose_file_somebody_removes_is_written_again() {
     let directory = tempfile::tempdir().unwrap();
     let disk = Arc::new(MachineDisk);
     let executor = executor(disk, directory.path(), Queue::default(), AtEnd::Withdraw);
     let (folder, name) = (executor.folder().clone(), job().fingerprint());
-    let comes = || {
-        (0..600).any(|_| {
-            std::thread::sleep(Duration::from_millis(50));
-            folder.is_open(&name)
-        })
-    };
+    let comes = || comes(|| folder.is_open(&name));
     let stop = AtomicBool::new(false);
     std::thread::scope(|scope| {
         let caller = scope.spawn(|| executor.train_one(&job(), &stop, &mut |_| ()));

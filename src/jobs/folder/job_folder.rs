@@ -98,6 +98,15 @@ struct ResultHeader {
     error: Option<String>,
 }
 
+/// The place of a process among the coordinators of a folder.
+#[derive(Debug)]
+pub struct Coordinator {
+    /// Number of the coordinator, from 0; that of a successor is higher.
+    pub number: u32,
+    /// File that grows while the coordinator lives.
+    pub heartbeat: Heartbeat,
+}
+
 /// A folder of jobs.
 #[derive(Clone, Debug)]
 pub struct JobFolder {
@@ -129,6 +138,18 @@ impl JobFolder {
         self.root.join("folder.json")
     }
 
+    /// The terms in `folder.json`; `None` if the file is missing or damaged.
+    fn written_terms(&self) -> Result<Option<Terms>, JobFolderError> {
+        let path = self.terms_file();
+        match self.disk.read(&path, MAX_JOB_BYTES) {
+            Ok(bytes) => Ok(terms_in(&bytes).ok()),
+            Err(error) if is_absence(&error) || error.kind() == io::ErrorKind::FileTooLarge => {
+                Ok(None)
+            }
+            Err(source) => Err(refused(&path, source)),
+        }
+    }
+
     fn write_terms(&self) -> Result<(), JobFolderError> {
         let path = self.terms_file();
         self.write(&path, "terms", &json(&path, &self.terms)?)
@@ -148,10 +169,8 @@ impl JobFolder {
                 unread(&path, source)
             }
         })?;
-        let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
-        let json = unsealed("terms", &bytes).map_err(damaged)?;
-        let terms: Terms =
-            serde_json::from_slice(json).map_err(|error| damaged(error.to_string()))?;
+        let terms = terms_in(&bytes)
+            .map_err(|reason| JobFolderError::Damaged { path: path.clone(), reason })?;
         let here = program();
         if terms.program != here || terms.format != FORMAT {
             let (path, there) = (root.to_owned(), terms.program);
@@ -391,7 +410,7 @@ impl JobFolder {
     /// Takes the folder for one coordinator, whose terms hold from then on. If the last coordinator
     /// has written no ending and ran on another computer, before this computer's last start or in
     /// another PID namespace, this waits until its heartbeat file grows, which is an error, or
-    /// counts as stale.
+    /// counts as stale by its own terms and by those of this process.
     ///
     /// # Errors
     /// Another coordinator lives, `stop` was set during the wait, or a file operation fails.
@@ -399,21 +418,18 @@ impl JobFolder {
         &self,
         holder: &Holder,
         stop: &AtomicBool,
-    ) -> Result<Heartbeat, JobFolderError> {
-        let folder = self.root.join("coordinators");
-        let mut watch = HeartbeatWatch::new(holder.clone(), self.terms.stale());
+    ) -> Result<Coordinator, JobFolderError> {
+        // The last coordinator beats as often as the terms ask that it has written.
+        let of_last = self.written_terms()?.map_or(Duration::ZERO, |terms| terms.stale());
+        let mut watch = HeartbeatWatch::new(holder.clone(), self.terms.stale().max(of_last));
         let begun = std::time::Instant::now();
         let mut first = None;
         loop {
-            let numbers = self.names("coordinators")?.into_iter().filter_map(|it| it.parse().ok());
-            let last: Option<u32> = numbers.max();
+            let last = self.last_coordinator()?;
             if let Some(last) = last {
-                let (name, path) = (last.to_string(), folder.join(last.to_string()));
-                let state = HeartbeatState::read(self.disk(), &path)
-                    .map_err(|source| refused(&path, source))?
-                    .unwrap_or_default();
-                let is_over =
-                    state.ending.is_some() || watch.is_dead(&name, &state, begun.elapsed());
+                let state = self.coordinator_state(last)?;
+                let is_over = state.ending.is_some()
+                    || watch.is_dead(&last.to_string(), &state, begun.elapsed());
                 if !is_over {
                     let has_grown =
                         first.as_ref().is_some_and(|first| *first != (last, state.clone()));
@@ -433,16 +449,49 @@ impl JobFolder {
                     continue;
                 }
             }
-            let path = folder.join(last.map_or(0, |last| last + 1).to_string());
+            let number = last.map_or(0, |last| last + 1);
+            let path = self.coordinator(number);
             match Heartbeat::create(self.disk(), &path, holder) {
                 Ok(Some(heartbeat)) => {
                     self.write_terms()?;
-                    return Ok(heartbeat);
+                    return Ok(Coordinator { number, heartbeat });
                 }
                 Ok(None) => {}
                 Err(source) => return Err(refused(&path, source)),
             }
         }
+    }
+
+    /// Checks that no other coordinator has taken the folder over from the one with this number.
+    /// That happens to a coordinator that was suspended for so long that it counted as dead.
+    ///
+    /// # Errors
+    /// Another coordinator has taken the folder over ([`JobFolderError::TakenOver`]), or a file
+    /// operation fails.
+    pub fn check_coordinator(&self, number: u32) -> Result<(), JobFolderError> {
+        match self.last_coordinator()? {
+            Some(last) if last > number => Err(JobFolderError::TakenOver {
+                path: self.root.clone(),
+                by: self.coordinator_state(last).unwrap_or_default().by(),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Number of the last coordinator; `None` if the folder has had none.
+    fn last_coordinator(&self) -> Result<Option<u32>, JobFolderError> {
+        let names = self.names("coordinators")?;
+        Ok(names.into_iter().filter_map(|name| name.parse().ok()).max())
+    }
+
+    fn coordinator(&self, number: u32) -> PathBuf {
+        self.root.join("coordinators").join(number.to_string())
+    }
+
+    fn coordinator_state(&self, number: u32) -> Result<HeartbeatState, JobFolderError> {
+        let path = self.coordinator(number);
+        let state = HeartbeatState::read(self.disk(), &path);
+        Ok(state.map_err(|source| refused(&path, source))?.unwrap_or_default())
     }
 
     /// Tells the workers that no further work is wanted: they stop.
@@ -494,6 +543,14 @@ impl JobFolder {
             _ => Ok(()),
         }
     }
+}
+
+/// The terms in the bytes of a `folder.json`.
+///
+/// # Errors
+/// The file is damaged.
+fn terms_in(bytes: &[u8]) -> Result<Terms, String> {
+    serde_json::from_slice(unsealed("terms", bytes)?).map_err(|error| error.to_string())
 }
 
 /// A value as JSON for the file at `path`.

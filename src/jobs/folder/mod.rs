@@ -27,6 +27,6 @@ mod worker;
 
 pub use heartbeat::{ClaimEnding, Heartbeat, HeartbeatState, HeartbeatWatch};
 pub use holder::Holder;
-pub use job_folder::{JobFolder, JobResult, Terms, program};
+pub use job_folder::{Coordinator, JobFolder, JobResult, Terms, program};
 pub use tries::{NextTry, Tries};
 pub use worker::{NotASlot, Slot, WorkReport, Worker, WorkerEvent};
