@@ -237,7 +237,8 @@ impl Executor for FolderExecutor {
         }
         shared.changed.notify_all();
         let (mut notified, mut looked) = (Instant::now(), Instant::now());
-        while !open.is_empty() {
+        // Results may come faster than they are read, so a stop waits for no pause between them.
+        while !open.is_empty() && !stop.load(Ordering::Relaxed) {
             if looked.elapsed() >= LOST_JOB_INTERVAL {
                 looked = Instant::now();
                 for (index, name) in &open {
@@ -250,8 +251,8 @@ impl Executor for FolderExecutor {
             }
             let notice = match receiver.recv_timeout(POLL_INTERVAL) {
                 Ok(notice) => notice,
-                Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => continue,
-                Err(_) => break,
+                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Disconnected) => break,
             };
             // A job that could not be put into the folder has ended already.
             let (Notice::Result(index) | Notice::Failed(index, _)) = &notice;

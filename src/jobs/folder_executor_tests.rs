@@ -263,6 +263,17 @@ fn a_coordinator_is_judged_by_the_terms_that_it_has_written() {
 }
 
 #[test]
+fn a_stop_is_seen_while_results_come() {
+    let directory = tempfile::tempdir().unwrap();
+    let disk = Arc::new(MachineDisk);
+    let executor = executor(disk, directory.path(), Queue::default(), AtEnd::Leave);
+    let outcome = Err("the result came first".to_owned());
+    executor.folder().write_result(&job().fingerprint(), &elsewhere(), outcome).unwrap();
+    let stopped = executor.train_one(&job(), &AtomicBool::new(true), &mut |_| ());
+    assert!(stopped.unwrap_err().is_stop());
+}
+
+#[test]
 fn a_job_whose_file_somebody_removes_is_written_again() {
     let directory = tempfile::tempdir().unwrap();
     let disk = Arc::new(MachineDisk);
