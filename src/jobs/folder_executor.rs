@@ -461,7 +461,8 @@ impl Shared {
                         break;
                     }
                     // A failure of the disk is met below, with patience.
-                    _ => {}
+                    Err(_) => {}
+                    Ok(()) => self.restore_terms(),
                 }
             }
             let looked = self.announce_results().and_then(|found| {
@@ -513,6 +514,18 @@ impl Shared {
             worker_pool.iter_mut().for_each(WorkerPool::cancel);
         }
         let _ = heartbeat.end(&ClaimEnding::Done);
+    }
+
+    /// Writes `folder.json` again if it is damaged or gone, and says so.
+    fn restore_terms(&self) {
+        match self.folder.restore_terms() {
+            Ok(false) => {}
+            Ok(true) => tracing::warn!(
+                "folder.json in {} was damaged or gone, so that no worker could begin; it is written again",
+                self.folder.root().display()
+            ),
+            Err(error) => tracing::warn!("{error}"),
+        }
     }
 
     /// Tells callers which results have come; returns whether there were any.

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use super::folder::{Heartbeat, Holder, JobFolder, Terms, Worker};
+use super::folder::{Heartbeat, Holder, JobFolder, Terms, Worker, WorkerEvent};
 use super::starter::{StartError, Starter, WorkerCount};
 use super::{AtEnd, Executor, FolderExecutor, JobError, JobFolderError, TrainingJob};
 use crate::learning::{TrainSettings, Trained};
@@ -271,6 +271,50 @@ fn a_stop_is_seen_while_results_come() {
     executor.folder().write_result(&job().fingerprint(), &elsewhere(), outcome).unwrap();
     let stopped = executor.train_one(&job(), &AtomicBool::new(true), &mut |_| ());
     assert!(stopped.unwrap_err().is_stop());
+}
+
+#[test]
+fn a_damaged_job_costs_one_try() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    let disk = Arc::new(MachineDisk);
+    let executor = executor(disk.clone(), root, Queue::default(), AtEnd::Leave);
+    let (folder, name) = (executor.folder().clone(), job().fingerprint());
+    let (is_late, is_over) = (AtomicBool::new(false), AtomicBool::new(false));
+    std::thread::scope(|scope| {
+        let caller = scope.spawn(|| executor.train_one(&job(), &is_late, &mut |_| ()));
+        assert!(comes(|| folder.is_open(&name)));
+        std::fs::write(root.join("jobs").join(&name), "half a job").unwrap();
+        let of_worker = JobFolder::open(disk, root).unwrap();
+        let worker = Worker::new(of_worker, elsewhere(), None, Duration::from_secs(60)).unwrap();
+        let (is_late, is_over) = (&is_late, &is_over);
+        let damaged = scope.spawn(move || {
+            let mut damaged = 0;
+            let report = worker.run(is_over, &mut |event| {
+                damaged += u32::from(matches!(event, WorkerEvent::Unreadable { .. }));
+            });
+            is_late.store(true, Ordering::Relaxed);
+            assert_eq!(report.unwrap().trained, 1);
+            damaged
+        });
+        assert_eq!(caller.join().unwrap().unwrap().curve.len(), 1);
+        is_over.store(true, Ordering::Relaxed);
+        assert_eq!(damaged.join().unwrap(), 1);
+    });
+}
+
+#[test]
+fn a_damaged_folder_json_is_written_again() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, quick_beats()).unwrap();
+    let never = AtomicBool::new(false);
+    let _executor = FolderExecutor::new(folder, None, 1, AtEnd::Withdraw, &never).unwrap();
+    let file = root.join("folder.json");
+    std::fs::write(&file, "{}").unwrap();
+    assert!(comes(|| JobFolder::open(Arc::new(MachineDisk), root).is_ok()));
+    std::fs::remove_file(&file).unwrap();
+    assert!(comes(|| JobFolder::open(Arc::new(MachineDisk), root).is_ok()));
 }
 
 #[test]

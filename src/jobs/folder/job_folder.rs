@@ -150,6 +150,19 @@ impl JobFolder {
         }
     }
 
+    /// Writes `folder.json` again if it does not contain the terms of this coordinator, because it
+    /// is damaged or gone: no worker can begin without it. Returns whether it was written.
+    ///
+    /// # Errors
+    /// A file operation fails.
+    pub fn restore_terms(&self) -> Result<bool, JobFolderError> {
+        let is_whole = self.written_terms()?.is_some_and(|terms| terms == self.terms);
+        if !is_whole {
+            self.write_terms()?;
+        }
+        Ok(!is_whole)
+    }
+
     fn write_terms(&self) -> Result<(), JobFolderError> {
         let path = self.terms_file();
         self.write(&path, "terms", &json(&path, &self.terms)?)
@@ -312,6 +325,14 @@ impl JobFolder {
             }
         };
         Ok(JobResult { by: header.by, outcome })
+    }
+
+    /// Removes the file of a job that is damaged, so that the coordinator writes it again.
+    ///
+    /// # Errors
+    /// A file operation fails.
+    pub fn discard_job(&self, name: &str) -> Result<(), JobFolderError> {
+        self.remove(&self.job(name))
     }
 
     /// Removes the result of a job, so that it is done again.

@@ -254,6 +254,8 @@ impl<'a> JobLoop<'a> {
             Err(error @ JobFolderError::Damaged { .. }) => {
                 let reason = error.to_string();
                 let _ = claimed.claim.end(&ClaimEnding::Failed(reason.clone()));
+                // Without this, every further try would fail in the same way.
+                let _ = folder.discard_job(claimed.job);
                 (self.on_event)(WorkerEvent::Unreadable { job: claimed.job, reason });
             }
             Err(error) => {
