@@ -1,16 +1,16 @@
 //! Conversion of an ONNX graph of operators to the layers of a network.
 
 use super::input::{Input, spread};
-use super::model::{Graph, Node, Tensor};
+use super::model::{Graph, Node, Tensor, Values};
 use super::{ImportError, Layers};
 use crate::policy::{Activation, LayerWeights, OutputKind};
 
 /// An operator on the way from the observation to the action.
 enum Step {
-    /// A matrix, `[outputs][inputs]`, and its bias, which is empty if there is none.
+    /// A matrix, `[outputs][inputs]`, and its bias.
     Matrix {
         weight: Vec<f32>,
-        bias: Vec<f32>,
+        bias: Option<Vec<f32>>,
         inputs: usize,
     },
     /// A constant that is added.
@@ -23,6 +23,11 @@ enum Step {
         upper: Vec<f32>,
     },
     Activation(Activation),
+    /// A new shape: the name of the operator, and the last entry of the shape if it is constant.
+    Shaped {
+        operator: String,
+        last: Option<i64>,
+    },
 }
 
 /// The layers between a graph's input and its first output.
@@ -36,9 +41,14 @@ pub fn layers(graph: &Graph<'_>) -> Result<Layers, ImportError> {
     // Each pass goes back by one operator, so more passes than operators mean that the graph has a
     // cycle.
     for _ in 0..=graph.nodes.len() {
-        if name == *input {
+        if name == input.name {
             steps.reverse();
-            return assembled(steps);
+            let layers = assembled(steps)?;
+            let (declared, inputs) = (input.entries.unwrap_or(layers.inputs), layers.inputs);
+            if declared != inputs && !layers.layers.is_empty() {
+                return Err(ImportError::Declared { declared, inputs });
+            }
+            return Ok(layers);
         }
         let node = graph.maker(name).ok_or(ImportError::NotOnnx)?;
         let (step, before) = step(graph, node)?;
@@ -51,106 +61,192 @@ pub fn layers(graph: &Graph<'_>) -> Result<Layers, ImportError> {
 /// Returns the step of an operator, `None` for an operator that changes no value, and the name of
 /// the value that the operator works on.
 fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str), ImportError> {
-    let input = |index: usize| node.inputs.get(index).copied().ok_or(ImportError::NotOnnx);
-    let constant = |name: &str| graph.constant(name);
-    let refused = |place| ImportError::Place { operator: node.operator.to_owned(), place };
-    let first = input(0)?;
-    match node.operator {
-        "Identity" | "Flatten" | "Expand" | "Reshape" => Ok((None, first)),
-        "Cast" if node.is_cast_to_float() => Ok((None, first)),
-        "Cast" => Err(refused("to another type than float and double")),
-        "Gemm" => {
-            let by_default = node.integer("transA", 0) == 0
-                && node.number("alpha", 1.0) == 1.0
-                && node.number("beta", 1.0) == 1.0;
-            if !by_default {
-                return Err(refused(
-                    "with a transposed input or a factor, which this program does not know",
+    let operator = Operator { graph, node };
+    let x = operator.input(0)?;
+    let activation = |activation| Ok((Some(Step::Activation(activation)), x));
+    match &*node.operator {
+        "Identity" => Ok((None, x)),
+        "Cast" if node.is_cast_to_float() => Ok((None, x)),
+        "Cast" => Err(operator.refused("to another type than float and double")),
+        "Flatten" if matches!(node.integer("axis", 1), -1..=1) => Ok((None, x)),
+        "Flatten" => Err(operator.refused("at another axis than the first one")),
+        "Reshape" | "Expand" => Ok((operator.shaped(x)?, x)),
+        "Gemm" => Ok((Some(operator.gemm()?), x)),
+        "MatMul" => {
+            let (weight, inputs) = operator.weights(false)?;
+            Ok((Some(Step::Matrix { weight, bias: None, inputs }), x))
+        }
+        "Add" | "Sub" | "Mul" | "Div" => operator.arithmetic(x),
+        "Tanh" => activation(Activation::Tanh),
+        "Relu" => activation(Activation::Relu),
+        "Elu" if node.number("alpha", 1.0) == 1.0 => activation(Activation::Elu),
+        "Elu" => Err(operator.refused("with another alpha than 1")),
+        "Clip" => Ok((Some(operator.clip()?), x)),
+        "Max" | "Min" => operator.extremum(x),
+        other => Err(ImportError::Operator { operator: other.to_owned() }),
+    }
+}
+
+/// An operator of a graph.
+struct Operator<'g, 'a> {
+    graph: &'g Graph<'a>,
+    node: &'g Node<'a>,
+}
+
+impl<'g, 'a> Operator<'g, 'a> {
+    /// Returns the name of an input.
+    fn input(&self, index: usize) -> Result<&'a str, ImportError> {
+        self.node.inputs.get(index).copied().ok_or(ImportError::NotOnnx)
+    }
+
+    /// Returns the numbers of a constant; `None` if the name stands for no constant.
+    fn numbers(&self, name: &str) -> Result<Option<&'g [f32]>, ImportError> {
+        self.graph.constant(name).map(|tensor| numbers(name, tensor)).transpose()
+    }
+
+    /// The error that the operator is not known in this form.
+    fn refused(&self, place: &'static str) -> ImportError {
+        ImportError::Place { operator: self.node.operator.clone().into_owned(), place }
+    }
+
+    /// Returns the weights, which are the second input, as [`matrix`] does.
+    fn weights(&self, is_transposed: bool) -> Result<(Vec<f32>, usize), ImportError> {
+        let name = self.input(1)?;
+        let tensor = self.graph.constant(name);
+        let tensor = tensor.ok_or_else(|| self.refused("whose weights are not constant"))?;
+        matrix(&tensor.shape, numbers(name, tensor)?, is_transposed).ok_or(ImportError::NotOnnx)
+    }
+
+    fn gemm(&self) -> Result<Step, ImportError> {
+        let node = self.node;
+        let by_default = node.integer("transA", 0) == 0
+            && node.number("alpha", 1.0) == 1.0
+            && node.number("beta", 1.0) == 1.0;
+        if !by_default {
+            return Err(self
+                .refused("with a transposed input or a factor, which this program does not know"));
+        }
+        let (weight, inputs) = self.weights(node.integer("transB", 0) == 1)?;
+        let bias = match node.inputs.get(2) {
+            Some(name) if !name.is_empty() => {
+                let bias = self.numbers(name)?.map(<[f32]>::to_vec);
+                Some(bias.ok_or_else(|| self.refused("whose bias is not constant"))?)
+            }
+            _ => None,
+        };
+        Ok(Step::Matrix { weight, bias, inputs })
+    }
+
+    /// Addition, subtraction, multiplication and division of x and a constant, and Silu, which is
+    /// x times Sigmoid(x). `first` is the first input.
+    fn arithmetic(&self, first: &'a str) -> Result<(Option<Step>, &'a str), ImportError> {
+        let (graph, operator) = (self.graph, &*self.node.operator);
+        let second = self.input(1)?;
+        let (values, other, swapped) = match (self.numbers(first)?, self.numbers(second)?) {
+            (None, Some(values)) => (values, first, false),
+            (Some(values), None) => (values, second, true),
+            _ if operator == "Mul" => {
+                return silu(graph, first, second)
+                    .map(|of| (Some(Step::Activation(Activation::Silu)), of))
+                    .ok_or_else(|| {
+                        self.refused("of inputs other than x and a constant, or x and Sigmoid(x)")
+                    });
+            }
+            _ => return Err(self.refused(NEEDS_CONSTANT)),
+        };
+        let values = values.iter().copied();
+        let step = match (operator, swapped) {
+            ("Add", _) => Step::Added(values.collect()),
+            ("Sub", false) => Step::Added(values.map(|value| -value).collect()),
+            ("Mul", _) => Step::Multiplied(values.collect()),
+            ("Div", false) => Step::Multiplied(values.map(|value| 1.0 / value).collect()),
+            _ => {
+                return Err(self.refused(
+                    "with a constant as its first input, which this program does not know",
                 ));
             }
-            let weight =
-                constant(input(1)?).ok_or_else(|| refused("whose weights are not constant"))?;
-            let matrix =
-                matrix(weight, node.integer("transB", 0) == 1).ok_or(ImportError::NotOnnx)?;
-            let bias = match node.inputs.get(2) {
-                Some(name) if !name.is_empty() => constant(name)
-                    .ok_or_else(|| refused("whose bias is not constant"))?
-                    .values
-                    .clone(),
-                _ => Vec::new(),
-            };
-            let (weight, inputs) = matrix;
-            Ok((Some(Step::Matrix { weight, bias, inputs }), first))
+        };
+        Ok((Some(step), other))
+    }
+
+    /// Clipping between two bounds. Since version 11 of the operators the bounds are inputs; before,
+    /// they are attributes.
+    fn clip(&self) -> Result<Step, ImportError> {
+        let bound = |index: usize, name: &str, open: f32| match self.node.inputs.get(index) {
+            Some(input) if !input.is_empty() => self
+                .numbers(input)?
+                .map(<[f32]>::to_vec)
+                .ok_or_else(|| self.refused("whose bounds are not constant")),
+            _ => Ok(vec![self.node.number(name, open)]),
+        };
+        let lower = bound(1, "min", f32::NEG_INFINITY)?;
+        let upper = bound(2, "max", f32::INFINITY)?;
+        Ok(Step::Clipped { lower, upper })
+    }
+
+    /// The larger or the smaller one of x and a constant. `first` is the first input.
+    fn extremum(&self, first: &'a str) -> Result<(Option<Step>, &'a str), ImportError> {
+        if self.node.inputs.len() != 2 {
+            return Err(self.refused("with another number of inputs than 2"));
         }
-        "MatMul" => {
-            let weight =
-                constant(input(1)?).ok_or_else(|| refused("whose weights are not constant"))?;
-            let (weight, inputs) = matrix(weight, false).ok_or(ImportError::NotOnnx)?;
-            Ok((Some(Step::Matrix { weight, bias: Vec::new(), inputs }), first))
+        let second = self.input(1)?;
+        let (values, other) = match (self.numbers(first)?, self.numbers(second)?) {
+            (None, Some(values)) => (values.to_vec(), first),
+            (Some(values), None) => (values.to_vec(), second),
+            _ => return Err(self.refused(NEEDS_CONSTANT)),
+        };
+        let (lower, upper) = if self.node.operator == "Max" {
+            (values, vec![f32::INFINITY])
+        } else {
+            (vec![f32::NEG_INFINITY], values)
+        };
+        Ok((Some(Step::Clipped { lower, upper }), other))
+    }
+
+    /// A change of the shape of x; `None` if x keeps its own shape.
+    fn shaped(&self, x: &str) -> Result<Option<Step>, ImportError> {
+        let operator = self.node.operator.clone().into_owned();
+        // Before version 5 of the operators the shape of a Reshape is an attribute.
+        if let Some(shape) = self.node.list("shape").filter(|_| self.node.inputs.len() == 1) {
+            return Ok(Some(Step::Shaped { operator, last: shape.last().copied() }));
         }
-        "Add" | "Sub" | "Mul" | "Div" => {
-            let second = input(1)?;
-            let (value, other, swapped) = match (constant(first), constant(second)) {
-                (None, Some(value)) => (value, first, false),
-                (Some(value), None) => (value, second, true),
-                _ if node.operator == "Mul" => {
-                    return silu(graph, first, second)
-                        .map(|of| (Some(Step::Activation(Activation::Silu)), of))
-                        .ok_or_else(|| {
-                            refused("of inputs other than x and a constant, or x and Sigmoid(x)")
-                        });
-                }
-                _ => return Err(refused("of inputs other than x and a constant")),
+        let mut name = self.input(1)?;
+        let mut last = None;
+        for _ in 0..=self.graph.nodes.len() {
+            if let Some(tensor) = self.graph.constant(name) {
+                let Values::Integers(shape) = &tensor.values else {
+                    return Err(ImportError::NotOnnx);
+                };
+                last = shape.last().copied();
+                break;
+            }
+            let Some(maker) = self.graph.maker(name) else { break };
+            // The last entry of a joined shape is that of its last part.
+            let before = match &*maker.operator {
+                "Shape" if maker.inputs == [x] && is_whole_shape(maker) => return Ok(None),
+                "Concat" => maker.inputs.last(),
+                "Identity" | "Cast" => maker.inputs.first(),
+                _ => break,
             };
-            let values = value.values.iter().copied();
-            let step = match (node.operator, swapped) {
-                ("Add", _) => Step::Added(values.collect()),
-                ("Sub", false) => Step::Added(values.map(|value| -value).collect()),
-                ("Mul", _) => Step::Multiplied(values.collect()),
-                ("Div", false) => Step::Multiplied(values.map(|value| 1.0 / value).collect()),
-                _ => {
-                    return Err(refused(
-                        "with a constant as its first input, which this program does not know",
-                    ));
-                }
-            };
-            Ok((Some(step), other))
+            name = before.ok_or(ImportError::NotOnnx)?;
         }
-        "Tanh" => Ok((Some(Step::Activation(Activation::Tanh)), first)),
-        "Relu" => Ok((Some(Step::Activation(Activation::Relu)), first)),
-        "Elu" if node.number("alpha", 1.0) == 1.0 => {
-            Ok((Some(Step::Activation(Activation::Elu)), first))
-        }
-        "Elu" => Err(refused("with another alpha than 1")),
-        // Since version 11 of the operators the bounds are inputs; before, they are attributes.
-        "Clip" => {
-            let bound = |index: usize, name: &str, open: f32| match node.inputs.get(index) {
-                Some(input) if !input.is_empty() => constant(input)
-                    .map(|value| value.values.clone())
-                    .ok_or_else(|| refused("whose bounds are not constant")),
-                _ => Ok(vec![node.number(name, open)]),
-            };
-            let lower = bound(1, "min", f32::NEG_INFINITY)?;
-            let upper = bound(2, "max", f32::INFINITY)?;
-            Ok((Some(Step::Clipped { lower, upper }), first))
-        }
-        "Max" | "Min" if node.inputs.len() == 2 => {
-            let second = input(1)?;
-            let (value, other) = match (constant(first), constant(second)) {
-                (None, Some(value)) => (value, first),
-                (Some(value), None) => (value, second),
-                _ => return Err(refused("of inputs other than x and a constant")),
-            };
-            let values = value.values.clone();
-            let (lower, upper) = if node.operator == "Max" {
-                (values, vec![f32::INFINITY])
-            } else {
-                (vec![f32::NEG_INFINITY], values)
-            };
-            Ok((Some(Step::Clipped { lower, upper }), other))
-        }
-        "Max" | "Min" => Err(refused("with another number of inputs than 2")),
-        operator => Err(ImportError::Operator { operator: operator.to_owned() }),
+        Ok(Some(Step::Shaped { operator, last }))
+    }
+}
+
+/// Reason why an operator on two values that are not constant is refused.
+const NEEDS_CONSTANT: &str = "of inputs other than x and a constant";
+
+/// Whether a `Shape` gives all sizes of its input.
+fn is_whole_shape(node: &Node<'_>) -> bool {
+    node.integer("start", 0) == 0 && node.integer("end", i64::MAX) == i64::MAX
+}
+
+/// Returns the numbers of this constant.
+fn numbers<'g>(name: &str, tensor: &'g Tensor) -> Result<&'g [f32], ImportError> {
+    match &tensor.values {
+        Values::Numbers(numbers) => Ok(numbers),
+        Values::Integers(_) | Values::Unread => Err(ImportError::Type { name: name.to_owned() }),
     }
 }
 
@@ -167,17 +263,17 @@ fn silu<'a>(graph: &Graph<'a>, first: &'a str, second: &'a str) -> Option<&'a st
     }
 }
 
-/// Returns weights as `[outputs][inputs]`, with the number of inputs; `None` if the tensor is no
-/// matrix. A tensor that `is_transposed` has this layout already.
-fn matrix(tensor: &Tensor, is_transposed: bool) -> Option<(Vec<f32>, usize)> {
-    let &[rows, columns] = tensor.shape.as_slice() else { return None };
-    if rows == 0 || columns == 0 || tensor.values.len() != rows.checked_mul(columns)? {
+/// Returns weights as `[outputs][inputs]`, with the number of inputs; `None` if the shape is that of
+/// no matrix. Values that are `is_transposed` have this layout already.
+fn matrix(shape: &[usize], values: &[f32], is_transposed: bool) -> Option<(Vec<f32>, usize)> {
+    let &[rows, columns] = shape else { return None };
+    if rows == 0 || columns == 0 || values.len() != rows.checked_mul(columns)? {
         return None;
     }
     if is_transposed {
-        return Some((tensor.values.clone(), columns));
+        return Some((values.to_vec(), columns));
     }
-    let column = |column: usize| (0..rows).map(move |row| tensor.values[row * columns + column]);
+    let column = |column: usize| (0..rows).map(move |row| values[row * columns + column]);
     Some(((0..columns).flat_map(column).collect(), rows))
 }
 
@@ -192,7 +288,9 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
     let (mut activations, mut is_active) = (Vec::new(), true);
     let mut after = After::default();
     for step in steps {
-        if after.is_begun && !matches!(step, Step::Multiplied(_) | Step::Clipped { .. }) {
+        let may_be_last =
+            matches!(step, Step::Multiplied(_) | Step::Clipped { .. } | Step::Shaped { .. });
+        if after.is_begun && !may_be_last {
             return Err(refused(
                 "Mul, Div, Max, Min or Clip",
                 "between other operators: it may only be before the first layer or at the end",
@@ -207,8 +305,9 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
                     ));
                 }
                 let outputs = weight.len() / seen;
-                let bias = if bias.is_empty() { vec![0.0; outputs] } else { bias };
-                let mut layer = LayerWeights { weight, bias: spread(&bias, outputs)? };
+                let bias =
+                    bias.map_or_else(|| Ok(vec![0.0; outputs]), |it| spread(&it, outputs))?;
+                let mut layer = LayerWeights { weight, bias };
                 if layers.is_empty() {
                     inputs = seen;
                     bounds = fold(&before, &mut layer, seen)?;
@@ -224,6 +323,14 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
                 is_active = true;
             }
             constant if layers.is_empty() => before.push(constant),
+            Step::Shaped { operator, last } => {
+                let outputs = layers.last().map_or(0, |layer| layer.bias.len());
+                // A computed shape that changes the number of values is refused with the next layer,
+                // whose inputs have another number.
+                if last.is_some_and(|last| !keeps(&operator, last, outputs)) {
+                    return Err(refused(&operator, CHANGES_ENTRIES));
+                }
+            }
             Step::Added(values) if !is_active => {
                 if let Some(layer) = layers.last_mut() {
                     let values = spread(&values, layer.bias.len())?;
@@ -254,6 +361,16 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
     }
     let After { scale, limits, .. } = after;
     Ok(Layers { layers, inputs, bounds, activation, output, scale, limits })
+}
+
+/// Reason why an operator that changes a shape is refused.
+const CHANGES_ENTRIES: &str = "to a shape with another number of entries in a row";
+
+/// Whether a `Reshape` or `Expand` to a shape with this last entry keeps rows of `entries` values.
+fn keeps(operator: &str, last: i64, entries: usize) -> bool {
+    // A Reshape computes a size of -1 and copies one of 0; an Expand keeps an axis whose size is 1.
+    let is_kept = if operator == "Expand" { last == 1 } else { matches!(last, -1 | 0) };
+    is_kept || usize::try_from(last) == Ok(entries)
 }
 
 /// The scaling of the output after the last layer and its function: a factor, and limits of the
@@ -297,6 +414,15 @@ fn fold(
             Step::Added(values) => input.add(values)?,
             Step::Multiplied(values) => input.multiply(values)?,
             Step::Clipped { lower, upper } => input.clip(lower, upper)?,
+            Step::Shaped { operator, last } => {
+                let refused = |place| ImportError::Place { operator: operator.clone(), place };
+                let last = last.ok_or_else(|| {
+                    refused("before the first layer to a shape that is not constant")
+                })?;
+                if !keeps(operator, last, inputs) {
+                    return Err(refused(CHANGES_ENTRIES));
+                }
+            }
             Step::Matrix { .. } | Step::Activation(_) => {}
         }
     }

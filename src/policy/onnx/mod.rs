@@ -63,6 +63,24 @@ pub enum ImportError {
         /// Name of the constant, or its place.
         name: String,
     },
+    /// A constant of the network has another type than `float` and `double`.
+    #[error(
+        "has a constant ({name:?}) of another type than float and double, whose values are not read: export the model in float32"
+    )]
+    Type {
+        /// Name of the constant.
+        name: String,
+    },
+    /// The declared shape of the input does not fit the first layer.
+    #[error(
+        "declares an observation of {declared} entries, and has a first layer for {inputs} inputs"
+    )]
+    Declared {
+        /// Entries of an observation in the declared shape.
+        declared: usize,
+        /// Inputs of the first layer.
+        inputs: usize,
+    },
     /// The graph does not have exactly one input and at least one output.
     #[error(
         "has {inputs} inputs and {outputs} outputs: a policy has one input, the observation, and its first output is the action"
@@ -105,7 +123,7 @@ pub enum ImportError {
     /// The output is limited to a narrower range than the motor's.
     #[error(
         "limits the voltage to {lower_v} V to {upper_v} V, and this program's networks have no limit below the motor's \
-         {MAX_VOLTAGE_V} V of either sign: check the action scale. Without that limit the module would be another policy, \
+         {MAX_VOLTAGE_V} V of either sign: check the action scale. Without that limit the model would be another policy, \
          which may ask for {MAX_VOLTAGE_V} V"
     )]
     OutputLimits {

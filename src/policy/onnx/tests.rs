@@ -77,6 +77,169 @@ fn a_graph_with_too_many_operators_is_refused_at_once() {
     assert_eq!(read(100_000), Err(ImportError::TooManyOperators));
 }
 
+/// ONNX's numbers for types: `float`, `int64`, `float16`.
+const TYPES: [u64; 3] = [1, 7, 10];
+
+fn node(operator: &str, inputs: &[&str], output: &str) -> Message {
+    let node = inputs.iter().fold(Message::default(), |node, input| node.text(1, input));
+    node.text(2, output).text(4, operator)
+}
+
+fn tensor(name: &str, kind: u64, shape: &[u64], raw: &[u8]) -> Message {
+    let shaped = shape.iter().fold(Message::default(), |it, &size| it.integer(1, size));
+    shaped.integer(2, kind).text(8, name).bytes(9, raw)
+}
+
+fn numbers_of(name: &str, shape: &[u64]) -> Message {
+    let raw: Vec<u8> = (0..shape.iter().product()).flat_map(|_| 1.0_f32.to_le_bytes()).collect();
+    tensor(name, TYPES[0], shape, &raw)
+}
+
+fn integers_of(name: &str, values: &[i64]) -> Message {
+    let raw: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    tensor(name, TYPES[1], &[values.len() as u64], &raw)
+}
+
+/// A model from `x` to `y`, with a declared number of entries of `x`.
+fn model(nodes: &[Message], constants: &[Message], entries: Option<u64>) -> Message {
+    let rows = Message::default().text(2, "n");
+    let columns = entries.map_or_else(Message::default, |it| Message::default().integer(1, it));
+    let shape = Message::default().message(1, &rows).message(1, &columns);
+    let kind = Message::default().integer(1, TYPES[0]).message(2, &shape);
+    let end = |name: &str| Message::default().text(1, name);
+    let graph = Message::default()
+        .messages(1, nodes)
+        .messages(5, constants)
+        .message(11, &end("x").message(2, &Message::default().message(1, &kind)))
+        .message(12, &end("y"));
+    Message::default().message(7, &graph)
+}
+
+fn read(model: Message) -> Result<Layers, ImportError> {
+    Layers::from_onnx(&model.into_bytes())
+}
+
+#[test]
+fn a_bias_of_another_type_than_float_is_refused() {
+    let with_bias = |kind: u64, raw: &[u8]| {
+        let cast = node("Cast", &["b"], "bias");
+        let to_float = Message::default().text(1, "to").integer(3, 1).integer(20, 2);
+        let nodes = [
+            cast.message(5, &to_float),
+            node("Gemm", &["x", "w0", "bias"], "h"),
+            node("Tanh", &["h"], "a"),
+            node("MatMul", &["a", "w1"], "y"),
+        ];
+        let weights = [numbers_of("w0", &[6, 2]), numbers_of("w1", &[2, 1])];
+        let constants: Vec<_> = weights.into_iter().chain([tensor("b", kind, &[2], raw)]).collect();
+        read(model(&nodes, &constants, Some(6)))
+    };
+    let float: Vec<u8> = [0.5_f32, -2.0].iter().flat_map(|it| it.to_le_bytes()).collect();
+    assert_eq!(with_bias(TYPES[0], &float).unwrap().layers[0].bias, [0.5, -2.0]);
+    let refused = Err(ImportError::Type { name: "bias".into() });
+    assert_eq!(with_bias(TYPES[2], &[0, 0x38, 0, 0xc0]), refused);
+    assert_eq!(with_bias(TYPES[1], &[1; 16]), refused);
+    // An integer constant has as many values as its shape says, too.
+    assert_eq!(with_bias(TYPES[1], &[1; 8]), Err(ImportError::Values { name: "b".into() }));
+}
+
+#[test]
+fn a_shape_that_contradicts_the_layers_is_refused() {
+    let read = |shaped: Message, more: Option<Message>, target: &[i64], entries: Option<u64>| {
+        let nodes: Vec<Message> = more
+            .into_iter()
+            .chain([
+                shaped,
+                node("MatMul", &["s", "w0"], "h"),
+                node("Tanh", &["h"], "a"),
+                node("MatMul", &["a", "w1"], "y"),
+            ])
+            .collect();
+        let weights = [numbers_of("w0", &[6, 2]), numbers_of("w1", &[2, 1])];
+        let constants: Vec<_> = weights.into_iter().chain([integers_of("to", target)]).collect();
+        read(model(&nodes, &constants, entries)).map(|layers| layers.inputs)
+    };
+    let changed = |operator: &str, target: &[i64], entries| {
+        read(node(operator, &["x", "to"], "s"), None, target, entries)
+    };
+    for (operator, target) in [
+        ("Reshape", &[-1, 6][..]),
+        ("Reshape", &[0, -1]),
+        ("Reshape", &[1, 0]),
+        ("Expand", &[1, 1]),
+        ("Expand", &[4, 6]),
+    ] {
+        assert_eq!(changed(operator, target, Some(6)), Ok(6), "{operator} {target:?}");
+        assert_eq!(changed(operator, target, None), Ok(6), "{operator} {target:?}");
+    }
+    let declared = |declared| Err(ImportError::Declared { declared, inputs: 6 });
+    assert_eq!(changed("Expand", &[1, 6], Some(1)), declared(1));
+    assert_eq!(changed("Reshape", &[-1, 6], Some(12)), declared(12));
+    for (operator, target) in [("Reshape", [-1, 3]), ("Reshape", [6, 1]), ("Expand", [1, 12])] {
+        let refused = changed(operator, &target, Some(6)).unwrap_err().to_string();
+        let told = "to a shape with another number of entries in a row";
+        assert_eq!(refused, format!("has the operator {operator} {told}"));
+    }
+    // The shape of x itself, and one whose last part is constant.
+    let own = |operator: &str| {
+        let shape = node("Shape", &["x"], "own");
+        read(node(operator, &["x", "own"], "s"), Some(shape), &[6], Some(6))
+    };
+    assert_eq!((own("Expand"), own("Reshape")), (Ok(6), Ok(6)));
+    let joined = |last: i64| {
+        let joined = node("Concat", &["rows", "to"], "joined");
+        read(node("Reshape", &["x", "joined"], "s"), Some(joined), &[last], Some(6))
+    };
+    assert_eq!(joined(-1), Ok(6));
+    assert!(joined(2).is_err());
+    let computed = node("Add", &["to", "to"], "computed");
+    let computed = read(node("Expand", &["x", "computed"], "s"), Some(computed), &[3], None);
+    assert!(computed.unwrap_err().to_string().contains("that is not constant"));
+}
+
+#[test]
+fn an_operator_that_is_not_onnxs_own_is_refused_by_its_whole_name() {
+    let read = |relu: Message, function: Option<Message>| {
+        let nodes = [node("MatMul", &["x", "w0"], "h"), relu, node("MatMul", &["a", "w1"], "y")];
+        let weights = [numbers_of("w0", &[6, 2]), numbers_of("w1", &[2, 1])];
+        let model = model(&nodes, &weights, None);
+        read(model.messages(25, &Vec::from_iter(function))).map_err(|error| error.to_string())
+    };
+    let relu = || node("Relu", &["h"], "a");
+    let function = |domain: &str| Some(Message::default().text(1, "Relu").text(10, domain));
+    let refused = |name: &str| format!("has the operator {name}, which this program does not know");
+    assert!(read(relu(), None).is_ok());
+    assert!(read(relu().text(7, "ai.onnx"), None).is_ok());
+    assert!(read(relu(), function("mine")).is_ok());
+    let of_another = read(relu().text(7, "mine"), function("mine")).unwrap_err();
+    assert!(of_another.starts_with(&refused("mine::Relu")), "{of_another}");
+    for domain in ["", "ai.onnx"] {
+        let of_its_own = read(relu(), function(domain)).unwrap_err();
+        assert!(of_its_own.starts_with(&refused("Relu as a function of its own")), "{of_its_own}");
+    }
+}
+
+#[test]
+fn a_constant_operator_gives_its_value_in_each_of_its_attributes() {
+    let scaled = |value: Message| {
+        let nodes = [
+            node("Constant", &[], "factor").message(5, &value),
+            node("Mul", &["x", "factor"], "scaled"),
+            node("MatMul", &["scaled", "w0"], "h"),
+            node("Tanh", &["h"], "a"),
+            node("MatMul", &["a", "w1"], "y"),
+        ];
+        let weights = [numbers_of("w0", &[6, 2]), numbers_of("w1", &[2, 1])];
+        read(model(&nodes, &weights, Some(6))).map(|layers| layers.layers[0].weight.clone())
+    };
+    let value = |name: &str| Message::default().text(1, name);
+    assert_eq!(scaled(value("value_float").number(2, 0.5)), Ok(vec![0.5; 12]));
+    let several = (0..6).fold(value("value_floats"), |it, _| it.number(7, 0.5));
+    assert_eq!(scaled(several), Ok(vec![0.5; 12]));
+    let refused = Err(ImportError::Type { name: "factor".into() });
+    assert_eq!(scaled(value("value_int").integer(3, 2)), refused);
+}
+
 #[test]
 fn an_observation_in_another_order_is_rearranged() {
     let (_, bytes) = MODELS[0];
