@@ -298,7 +298,21 @@ fn a_training_that_cannot_be_is_refused() {
     let noise = SimulatedObserver { theta_noise_rad_s2: 0.0, ..observer };
     let mut massless = observer;
     massless.model.parameters.pendulum_mass_kg = 0.0;
+    let randomised = |distribution: Distribution, joint: f64| {
+        let mass = DomainParameter::PendulumMass.into();
+        let randomisation = Randomisation {
+            distributions: BTreeMap::from([(mass, distribution)]),
+            directions: vec![BTreeMap::from([(mass, joint)])],
+            specimens: vec![QubeModel::NOMINAL],
+        };
+        TrainingRecord { randomisation: Some(randomisation), ..fine.clone() }
+    };
+    let normal = |mean, standard_deviation| Distribution::Normal { mean, standard_deviation };
+    assert!(read_back(randomised(normal(0.024, 0.0), -0.001)).is_ok());
     for (training, words) in [
+        (randomised(normal(0.024, -0.1), 0.0), "a standard_deviation of randomisation = -0.1"),
+        (randomised(normal(1e308, 0.1), 0.0), "a mean or value of randomisation = 1"),
+        (randomised(normal(0.024, 0.1), 1e300), "an entry of randomisation.directions = 1"),
         (
             TrainingRecord { sensors: sensors(-1.0, 2048, None), ..fine.clone() },
             "corner_rad_s = -1",

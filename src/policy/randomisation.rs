@@ -3,6 +3,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::training_record::Check;
 use crate::qube::{Distribution, Quantity, QubeModel};
 
 /// The randomisation under which a network was trained: the distribution from which training drew
@@ -30,7 +31,33 @@ pub struct Randomisation {
 /// Number of quantities that a summary names.
 const SUMMARISED: usize = 3;
 
+/// Largest magnitude of a number, in its SI unit: far more than any quantity of a Qube.
+const LARGEST: f64 = 1e6;
+
 impl Randomisation {
+    /// The numbers of the file, to be checked when it is read.
+    pub(super) fn checks(&self) -> impl Iterator<Item = Check> + '_ {
+        let means = self.distributions.values().map(|drawn| drawn.mean());
+        let joint = self.directions.iter().flat_map(|direction| direction.values().copied());
+        let of_specimens = self
+            .specimens
+            .iter()
+            .flat_map(|specimen| Quantity::all().map(|quantity| specimen.get(quantity)));
+        let deviations = self.distributions.values().map(Distribution::standard_deviation);
+        let within = |name: &'static str| {
+            move |value: f64| (name, value, value.abs() <= LARGEST, "from -1000000 to 1000000")
+        };
+        let positive = |value: f64| {
+            let is_possible = (0.0..=LARGEST).contains(&value);
+            ("a standard_deviation of randomisation", value, is_possible, "from 0 to 1000000")
+        };
+        means
+            .map(within("a mean or value of randomisation"))
+            .chain(deviations.map(positive))
+            .chain(joint.map(within("an entry of randomisation.directions")))
+            .chain(of_specimens.map(within("an entry of randomisation.specimens")))
+    }
+
     /// The number of random quantities, and those that vary most beside their mean, in one line. A
     /// deviation includes the joint deviations.
     #[must_use]

@@ -6,6 +6,9 @@ use super::Randomisation;
 use super::file::PolicyFault;
 use crate::qube::{PlantModel, QubeModel};
 
+/// A number of the record: name, value, whether a training may have it, and the accepted values.
+pub(super) type Check = (&'static str, f64, bool, &'static str);
+
 /// The record of a network's training, which is part of the policy file. Commands show it. A rig
 /// refuses a network of another plant, and `run` warns of one that was trained on true states.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -81,10 +84,13 @@ impl TrainingRecord {
         let weight = f64::from(self.voltage_change_weight);
         // No step earns more than 1, and no rollout has a million steps.
         let best = self.best_return.unwrap_or_default();
-        let mut checks = vec![
+        let mut checks: Vec<Check> = vec![
             ("voltage_change_weight", weight, (0.0..=1e6).contains(&weight), "0 to 1000000"),
             ("best_return", best, best.abs() <= 1e6, "-1000000 to 1000000"),
         ];
+        if let Some(randomisation) = &self.randomisation {
+            checks.extend(randomisation.checks());
+        }
         if let SimulatedSensors::Encoders {
             corner_rad_s: corner,
             counts_per_revolution,
