@@ -1,6 +1,7 @@
 use thiserror::Error;
 
 use super::MotionSample;
+use super::motion_log::{device_time_s, with_turns_of};
 use super::motion_sample::MAX_INTERRUPTION_S;
 use crate::qube::{State, applied_voltage_mv};
 use crate::telemetry::Phase;
@@ -95,7 +96,8 @@ pub enum CsvError {
 ///
 /// Of a table of ticks, which has the column `phase` and one of [`APPLIED`], the rows are used that
 /// a recording gives: those with a sample, while the policy has the motor, with the voltage as the
-/// motor driver applies it.
+/// motor driver applies it. Where the table has the board's report too, the angles are those of
+/// the encoders and the times those of the device's clock, as in the motion of a recording.
 pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     // Some programs put a byte-order mark before the text.
     let text = text.trim_start_matches('\u{feff}');
@@ -116,6 +118,8 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     let place_of = |column: &str| names.iter().position(|name| *name == column);
     let applied = APPLIED.into_iter().find_map(|it| Some((place_of(it.column)?, it)));
     let exported = place_of("phase").zip(applied);
+    let reported = exported.and_then(|_| ReportColumns::of(&place_of));
+    let mut start_us = None;
     let mut samples: Vec<MotionSample> = Vec::new();
     while let Some((line, row)) = lines.next() {
         if let Some((phase_place, (applied_place, applied))) = exported {
@@ -132,6 +136,13 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
             COMMANDED.check(line, text, sample.voltage_v)?;
             let commanded_mv = (1000.0 * sample.voltage_v).round() as i16;
             sample.voltage_v = f64::from(applied_voltage_mv(commanded_mv)) / 1000.0;
+        }
+        if let Some(reported) = &reported {
+            let time_us = reported.replace(line, row, &mut sample)?;
+            sample.time_s = device_time_s(time_us, *start_us.get_or_insert(time_us));
+            if samples.last().is_some_and(|last| sample.time_s <= last.time_s) {
+                continue;
+            }
         }
         if let Some(last) = samples.last() {
             let (before_s, time_s) = (last.time_s, sample.time_s);
@@ -167,6 +178,43 @@ const APPLIED: [VoltageColumn; 2] = [
 ];
 
 const COMMANDED: VoltageColumn = VoltageColumn { column: "voltage_v", largest: 32.767, unit: "V" };
+
+/// The places of the columns with the board's report in a table of ticks.
+struct ReportColumns {
+    theta: usize,
+    alpha: usize,
+    time: usize,
+    /// Name of the column with the time, and microseconds in one of its units.
+    time_unit: (&'static str, f64),
+}
+
+/// The columns with the encoders' angles.
+const MEASURED: [&str; 2] = ["measured_theta_rad", "measured_alpha_rad"];
+
+/// The columns with the device's time, and microseconds in one of its units: that of `qube-hil
+/// export`, and that of recordings in Python.
+const DEVICE_TIMES: [(&str, f64); 2] = [("device_time_us", 1.0), ("device_time_s", 1e6)];
+
+impl ReportColumns {
+    /// The columns at the places that `place_of` gives; `None` if one of them is missing.
+    fn of(place_of: &impl Fn(&str) -> Option<usize>) -> Option<Self> {
+        let [theta, alpha] = MEASURED.map(place_of);
+        let mut times = DEVICE_TIMES.into_iter();
+        let (time, time_unit) = times.find_map(|it| Some((place_of(it.0)?, it)))?;
+        Some(Self { theta: theta?, alpha: alpha?, time, time_unit })
+    }
+
+    /// Replaces the angles of a sample by those of the encoders, and returns the device's time, us.
+    fn replace(&self, line: usize, row: &str, sample: &mut MotionSample) -> Result<u64, CsvError> {
+        let fields: Vec<&str> = row.split(',').map(str::trim).collect();
+        let [theta, alpha] = MEASURED;
+        let (time, unit_us) = self.time_unit;
+        sample.state.theta = number(&fields, self.theta, line, theta)?;
+        let counted = number(&fields, self.alpha, line, alpha)?;
+        sample.state.alpha = with_turns_of(sample.state.alpha, counted);
+        Ok((unit_us * number(&fields, self.time, line, time)?).round() as u64)
+    }
+}
 
 impl VoltageColumn {
     /// Whether a row has a voltage here. Python writes NaN where there is none.
@@ -214,16 +262,11 @@ fn parse_row(
 ) -> Result<MotionSample, CsvError> {
     let fields: Vec<&str> = row.split(',').map(str::trim).collect();
     let number = |index: usize| {
-        let column = COLUMNS[index];
-        let text = *fields.get(places[index]).ok_or(CsvError::ShortRow { line, column })?;
         let is_voltage = index + 1 == COLUMNS.len();
-        if text.is_empty() && is_voltage && is_last {
+        if is_voltage && is_last && fields.get(places[index]).is_some_and(|it| it.is_empty()) {
             return Ok(0.0);
         }
-        text.parse::<f64>()
-            .ok()
-            .filter(|number| number.is_finite())
-            .ok_or_else(|| CsvError::BadNumber { line, column, text: text.to_owned() })
+        number(&fields, places[index], line, COLUMNS[index])
     };
     Ok(MotionSample {
         time_s: number(0)?,
@@ -235,6 +278,20 @@ fn parse_row(
         },
         voltage_v: number(5)?,
     })
+}
+
+/// The finite number in a field of a row.
+fn number(
+    fields: &[&str],
+    place: usize,
+    line: usize,
+    column: &'static str,
+) -> Result<f64, CsvError> {
+    let text = *fields.get(place).ok_or(CsvError::ShortRow { line, column })?;
+    text.parse::<f64>()
+        .ok()
+        .filter(|number| number.is_finite())
+        .ok_or_else(|| CsvError::BadNumber { line, column, text: text.to_owned() })
 }
 
 #[cfg(test)]

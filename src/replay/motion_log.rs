@@ -159,15 +159,12 @@ impl MotionLog {
         for tick in running {
             let Some(measurement) = &tick.measurement else { continue };
             let start_us = *start_us.get_or_insert(measurement.device_time_us);
-            let time_s = measurement.device_time_us.saturating_sub(start_us) as f64 * 1e-6;
+            let time_s = device_time_s(measurement.device_time_us, start_us);
             if samples.last().is_none_or(|last| time_s > last.time_s) {
                 let voltage_v = f64::from(applied_voltage_mv(tick.voltage_mv)) / 1000.0;
                 let (theta, counted) =
                     recording.header.settings.calibration.angles_rad(measurement);
-                // The encoder counts turns from its start, and the tick from the start of the
-                // rollout: the whole turns are taken from the tick.
-                let turns = ((tick.state.alpha - counted) / (2.0 * PI)).round();
-                let alpha = counted + 2.0 * PI * turns;
+                let alpha = with_turns_of(tick.state.alpha, counted);
                 let state = State { theta, alpha, ..tick.state };
                 samples.push(MotionSample { time_s, state, voltage_v });
             }
@@ -175,6 +172,17 @@ impl MotionLog {
         let plant = recording.header.settings.plant;
         (samples.len() >= 2).then_some(Self { samples, plant })
     }
+}
+
+/// The device's time since `start_us`, s.
+pub(super) fn device_time_s(time_us: u64, start_us: u64) -> f64 {
+    time_us.saturating_sub(start_us) as f64 * 1e-6
+}
+
+/// The encoder's angle `counted`, rad, with the whole turns of the angle that the policy saw. The
+/// encoder counts turns from its start, and the tick from the start of the rollout.
+pub(super) fn with_turns_of(seen: f64, counted: f64) -> f64 {
+    counted + 2.0 * PI * ((seen - counted) / (2.0 * PI)).round()
 }
 
 fn read_error(path: &Path, source: std::io::Error) -> MotionLogError {
@@ -186,6 +194,50 @@ mod tests {
     use super::*;
     use crate::recording::{Completeness, samples};
     use crate::telemetry::RolloutOutcome;
+
+    #[test]
+    fn the_table_of_a_recording_gives_its_motion() {
+        let mut header = samples::header();
+        header.settings.calibration.theta_zero_counts += 17;
+        let mut ticks: Vec<_> = (0..25).map(samples::tick).collect();
+        for (index, tick) in ticks.iter_mut().enumerate() {
+            // The policy saw predicted angles, counted from another turn than the encoder's.
+            tick.state.theta += 0.01;
+            tick.state.alpha += 2.0 * PI + 0.02;
+            tick.phase = if index < 3 { Phase::Settling } else { Phase::Running };
+            if let Some(measurement) = &mut tick.measurement {
+                measurement.device_time_us = 1_000_003 + 10_007 * index as u64;
+            }
+        }
+        let again = ticks[11].measurement.as_ref().map(|it| it.device_time_us);
+        if let (Some(time_us), Some(measurement)) = (again, &mut ticks[12].measurement) {
+            measurement.device_time_us = time_us;
+        }
+        let recording = Recording {
+            header,
+            policy: samples::POLICY.to_vec(),
+            ticks,
+            outcome: Some(samples::outcome()),
+            completeness: Completeness::Whole,
+        };
+        let motion = MotionLog::of_recording(&recording).unwrap();
+        assert!(motion.samples.len() > 15);
+        let table = recording::csv_table(&recording);
+        assert_eq!(parse_csv(&table).unwrap(), motion.samples);
+        // Python has the time in seconds.
+        let (header, rows) = table.split_once('\n').unwrap();
+        let place = header.split(',').position(|it| it == "device_time_us").unwrap();
+        let in_seconds = rows.lines().map(|row| {
+            let mut fields: Vec<String> = row.split(',').map(str::to_owned).collect();
+            if let Ok(time_us) = fields[place].parse::<u64>() {
+                fields[place] = (1e-6 * time_us as f64).to_string();
+            }
+            fields.join(",")
+        });
+        let header = header.replace("device_time_us", "device_time_s");
+        let table = format!("{header}\n{}", in_seconds.collect::<Vec<_>>().join("\n"));
+        assert_eq!(parse_csv(&table).unwrap(), motion.samples);
+    }
 
     #[test]
     fn a_recording_that_holds_a_part_of_its_rollout_says_why() {
