@@ -6,6 +6,7 @@ use proptest::prelude::*;
 use super::samples::{POLICY, find_all, header, outcome, recorded, ticks};
 use super::*;
 use crate::qube::{Measurement, State, Status};
+use crate::storage::MachineDisk;
 use crate::telemetry::{Phase, TickRecord};
 
 /// Converts a tick to a form that compares every number by its bits, because NaN does not equal
@@ -257,6 +258,12 @@ fn a_block_that_unpacks_to_gigabytes_is_refused() {
 fn a_header_that_would_not_come_back_is_refused() {
     let mut header = header();
     header.psi.insert("mu_M_p".to_owned(), f64::NAN);
-    let result = RolloutWriter::begin(Vec::new(), Path::new("memory"), header, POLICY);
+    let result = RolloutWriter::begin(Vec::new(), Path::new("memory"), header.clone(), POLICY);
     assert!(matches!(result.err(), Some(RecordingError::NotFinite { .. })));
+    // It leaves no file, which would be in the way of the next recording.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rollout.mcap");
+    let result = RolloutWriter::create(&MachineDisk, &path, header, POLICY);
+    assert!(matches!(result.err(), Some(RecordingError::NotFinite { .. })));
+    assert!(!path.exists());
 }

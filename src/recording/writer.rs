@@ -83,10 +83,12 @@ impl RolloutWriter<Box<dyn DiskFile>> {
         header: RolloutHeader,
         policy: &[u8],
     ) -> Result<Self, RecordingError> {
+        // A header that cannot be written leaves no file, which would be in the way of the next one.
+        let fields = header_fields(path, &header)?;
         let file = disk
             .create(path, false)
             .map_err(|source| RecordingError::Create { path: path.to_owned(), source })?;
-        let writer = Self::begin(file, path, header, policy)?;
+        let writer = Self::open(file, path, header, fields, policy)?;
         // The entry in the folder must survive a loss of power too, not only the content.
         sync_name(disk, path).map_err(|source| RecordingError::write(path, source))?;
         Ok(writer)
@@ -104,15 +106,22 @@ impl<W: Sink> RolloutWriter<W> {
         header: RolloutHeader,
         policy: &[u8],
     ) -> Result<Self, RecordingError> {
-        let fields = metadata::to_map(&header).ok_or_else(|| RecordingError::NotFinite {
-            path: path.to_owned(),
-            record: metadata::HEADER,
-        })?;
-        Self::open(sink, path.to_owned(), header, fields, policy)
-            .map_err(|error| RecordingError::write(path, io_error(error)))
+        let fields = header_fields(path, &header)?;
+        Self::open(sink, path, header, fields, policy)
     }
 
     fn open(
+        sink: W,
+        path: &Path,
+        header: RolloutHeader,
+        fields: BTreeMap<String, String>,
+        policy: &[u8],
+    ) -> Result<Self, RecordingError> {
+        Self::try_open(sink, path.to_owned(), header, fields, policy)
+            .map_err(|error| RecordingError::write(path, io_error(error)))
+    }
+
+    fn try_open(
         sink: W,
         path: PathBuf,
         header: RolloutHeader,
@@ -312,6 +321,17 @@ impl<W: Sink> Drop for RolloutWriter<W> {
             }
         }
     }
+}
+
+/// The fields of the metadata record of a header; an error if it holds a number that is not finite.
+fn header_fields(
+    path: &Path,
+    header: &RolloutHeader,
+) -> Result<BTreeMap<String, String>, RecordingError> {
+    metadata::to_map(header).ok_or_else(|| RecordingError::NotFinite {
+        path: path.to_owned(),
+        record: metadata::HEADER,
+    })
 }
 
 /// The MCAP header of a message of a tick with this log time. The publish time is later by the
