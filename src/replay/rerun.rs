@@ -77,8 +77,9 @@ impl Rerun {
 /// # Errors
 /// The attachment is not a policy.
 pub fn controller_of(recording: &Recording) -> Result<Policy, PolicyFault> {
-    let Policy::External(external) = Policy::from_bytes(&recording.policy)? else {
-        return Policy::from_bytes(&recording.policy);
+    let external = match Policy::from_bytes(&recording.policy)? {
+        Policy::External(external) => external,
+        policy => return Ok(policy),
     };
     let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);
     // An answer that the guard refused is in no running tick: the guard replaces it, and the tick's
