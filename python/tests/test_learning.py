@@ -457,7 +457,7 @@ def test_a_qube_is_identified_from_its_recordings(tmp_path):
 def test_a_table_names_phases_by_numbers_or_names_and_others_are_refused_with_their_line(tmp_path):
     program("run", "--clock", "virtual", "--excite", "chirp", "--profile", "lab", "--out", tmp_path / "chirp")
     program("export", tmp_path / "chirp" / "rollout-0.mcap", "--out", tmp_path)
-    exported = pandas.read_csv(tmp_path / "rollout-0.csv", float_precision="round_trip")
+    exported = pandas.read_csv(tmp_path / "rollout-0.csv")
     values = qube_hil.identify(tmp_path / "rollout-0.csv").estimates
 
     def identified(table):
