@@ -119,8 +119,8 @@ class Session:
             returns=read["returns"],
             successes=read["successes"],
             mean_return=read["mean_return"],
-            policy=None if policy is None else Path(policy),
-            recordings=[Path(path) for path in read["recordings"]],
+            policy=None if policy is None else self.folder / policy,
+            recordings=[self.folder / path for path in read["recordings"]],
         )
 
     def __repr__(self) -> str:

@@ -1,7 +1,8 @@
 //! Policies: their files, and their voltages for observations.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::io::ErrorKind;
+use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2, PyUntypedArrayMethods};
@@ -18,7 +19,7 @@ use qube_hil::qube::{
     ALPHA_DOT_FACTOR, Distribution, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity, State,
     THETA_DOT_FACTOR,
 };
-use qube_hil::storage::{MachineDisk, read_bounded, write_whole};
+use qube_hil::storage::{MachineDisk, read_bounded, write_new, write_whole};
 
 use crate::errors::{ActionError, bad_policy, shown};
 
@@ -151,15 +152,13 @@ impl Policy {
     /// or an experiment.
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<()> {
         let shown = path.display();
+        let is_taken =
+            || bad_policy(format!("{shown}: exists already: give another name, or force=True"));
         match path.symlink_metadata() {
             Ok(found) if !found.is_file() && !found.is_symlink() => {
                 return Err(bad_policy(format!("{shown}: it is not a file: give a file")));
             }
-            Ok(_) if !force => {
-                return Err(bad_policy(format!(
-                    "{shown}: exists already: give another name, or force=True"
-                )));
-            }
+            Ok(_) if !force => return Err(is_taken()),
             Ok(_) if is_irreplaceable(&path) => {
                 return Err(bad_policy(format!(
                     "{shown} is a recording, or the record of a session or an experiment, which nothing replaces: \
@@ -169,7 +168,14 @@ impl Policy {
             _ => {}
         }
         let bytes = self.turn(py).to_bytes();
-        write(&path, &bytes)
+        if force {
+            return write_whole(&MachineDisk, &path, &bytes).map_err(bad_policy);
+        }
+        // Another program may have taken the name meanwhile.
+        write_new(&MachineDisk, &path, &bytes).map_err(|error| match error.source.kind() {
+            ErrorKind::AlreadyExists => is_taken(),
+            _ => bad_policy(error),
+        })
     }
 
     /// The kind: `network`, `classical`, `excitation` or `external`.
@@ -360,9 +366,4 @@ fn state_of(observation: &[f32]) -> State {
         theta_dot: entry(4) / THETA_DOT_FACTOR,
         alpha_dot: entry(5) / ALPHA_DOT_FACTOR,
     }
-}
-
-/// Writes a file, which appears whole or not at all.
-fn write(path: &Path, bytes: &[u8]) -> PyResult<()> {
-    write_whole(&MachineDisk, path, bytes).map_err(bad_policy)
 }

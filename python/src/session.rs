@@ -81,7 +81,8 @@ impl Surrogate {
 }
 
 /// Reads a session's folder without changing it; another program may be using the folder. Returns
-/// JSON: names of psi, candidates with their returns, and the index of the best verified candidate.
+/// JSON: names of psi, candidates with their returns and the paths of their files below the folder,
+/// and the index of the best verified candidate.
 #[pyfunction]
 pub fn read_session(py: Python<'_>, folder: PathBuf) -> PyResult<String> {
     py.detach(|| read(folder)).map(|session| session.to_string()).map_err(SessionError::new_err)
@@ -112,10 +113,12 @@ fn read(folder: PathBuf) -> Result<Value, String> {
         }
         _ => settings,
     };
+    // JSON holds no path that is not UTF-8, as that of the folder may be.
+    let below = SessionPaths::new(Path::new(""));
     let candidates: Vec<Value> = scored
         .iter()
         .map(|it| {
-            let files = paths.candidate(it.candidate.number);
+            let files = below.candidate(it.candidate.number);
             let recordings = it.candidate.finished.iter();
             let recordings = recordings.map(|one| files.rollout(one.rollout, one.attempt));
             json!({

@@ -2,6 +2,9 @@
 
 import csv
 import json
+import os
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas
@@ -101,6 +104,14 @@ def test_a_session_is_read_and_stays_as_it_is(session_folder, tmp_path):
     assert (begun.candidates, begun.recommended) == ([], None)
     with pytest.raises(qube_hil.SessionError, match="needs 3 candidates"):
         begun.surrogate()
+
+
+def test_a_session_below_a_folder_whose_name_is_no_utf_8_is_read(session_folder, tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/session-\xff"))
+    shutil.copytree(session_folder, folder)
+    best = qube_hil.Session(folder).recommended
+    assert best.policy.is_file() and best.policy.is_relative_to(folder)
+    assert all(path.is_file() for path in best.recordings)
 
 
 def page_charts(page):
