@@ -146,12 +146,13 @@ class Policy:
                 the model's environment. A model without one, such as one that ``load`` has read without ``env``, does not
                 know: then a ``UserWarning`` says so.
             named: As for `from_layers`. Without ``observation`` and ``history``, the history is that of the model's
-                environment, and without ``filter_rad_s`` the corner is, if it is an environment of this package; a model
-                without one needs ``history`` where its observation has commands.
+                environment, and without ``filter_rad_s`` the recorded sensors are those of the environment, if it is a
+                simulation of this package; a model without one needs ``history`` where its observation has commands.
 
         Raises:
             PolicyError: ``VecNormalize`` scales the observations of the model's environment, or ``normalised`` is true; the
-                features extractor is not the default one; PPO or A2C has ``squash_output``; or as for `from_layers`.
+                features extractor is not the default one; PPO or A2C has ``squash_output``; the policy has an LSTM; or as
+                for `from_layers`.
         """
         normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
         if normalised or (normaliser is not None and getattr(normaliser, "norm_obs", True)):
@@ -167,6 +168,11 @@ class Policy:
             raise PolicyError(
                 f"the features extractor {type(extractor).__name__} comes before the actor and is unknown: train with "
                 "the default features_extractor_class, FlattenExtractor"
+            )
+        if hasattr(policy, "lstm_actor"):
+            raise PolicyError(
+                f"the policy {type(policy).__name__} has an LSTM before the actor, and a policy here has no memory: train the "
+                "model without one"
             )
         if hasattr(policy, "mlp_extractor"):
             if getattr(policy, "squash_output", False):
@@ -187,13 +193,16 @@ class Policy:
                 f"the actor has a layer of {widest} neurons, and a policy here at most {_MAX_WIDTH}: train the model with "
                 "policy_kwargs=dict(net_arch=[256, 256])"
             )
+        env = _environment_of(model)
         made = cls.from_layers(
             layers,
             action_scale_v=action_scale_v,
             activation=activation,
             output=output,
-            **_with_conventions_of(model, named),
+            **_with_history_of(env, named),
         )
+        if named.get("filter_rad_s") is None and isinstance(env, (QubeEnv, QubeVectorEnv)):
+            made = cls(made._core.seen_through(env._simulation))
         if normalised is None and getattr(model, "env", None) is None:
             warnings.warn(
                 "the model has no environment, so that it cannot be known whether VecNormalize scaled its observations; if it "
@@ -312,7 +321,7 @@ def _named(observation: Sequence[str] | None) -> str | None:
     try:
         return ",".join(observation)
     except TypeError as error:
-        raise PolicyError(f"observation = {shown(observation)}: give names of entries") from error
+        raise SettingsError(f"observation = {shown(observation)}: give names of entries") from error
 
 
 def _refuse_duplicates(names: str | None) -> None:
@@ -382,9 +391,13 @@ def _check_chain(layers: list[tuple[Float32s, Float32s]], entries: int, is_own: 
 
 def _as_history(history: int | None) -> int | None:
     """A number of last commands in an observation."""
-    if history is None or (isinstance(history, (int, np.integer)) and 0 <= history <= 4):
-        return history
-    raise PolicyError(f"history = {shown(history)}: give 0 to 4")
+    if history is None:
+        return None
+    if not isinstance(history, (int, np.integer)):
+        raise SettingsError(f"history = {shown(history)}: give 0 to 4")
+    if not 0 <= history <= 4:
+        raise PolicyError(f"history = {shown(history)}: give 0 to 4")
+    return history
 
 
 #: The values of arguments, as messages name them.
@@ -405,9 +418,8 @@ def _as_limit(clip_observation: object) -> float | None:
     return as_number("clip_observation", clip_observation, "a number above 0, or None")
 
 
-def _with_conventions_of(model: Any, named: dict[str, Any]) -> dict[str, Any]:
-    """The arguments of `Policy.from_layers`, with those that are not given from the environment of a model of
-    Stable-Baselines3, if it is one of this package."""
+def _environment_of(model: Any) -> QubeEnv | QubeVectorEnv | QubeDeviceEnv | None:
+    """The environment of a model of Stable-Baselines3, without its wrappers; None if it is none of this package."""
     env: Any = getattr(model, "env", None)
     while env is not None and not isinstance(env, (QubeEnv, QubeVectorEnv, QubeDeviceEnv)):
         # A wrapper holds one environment, and a vector of environments several alike.
@@ -415,15 +427,15 @@ def _with_conventions_of(model: Any, named: dict[str, Any]) -> dict[str, Any]:
         holders = ("venv", "_envs", "env")
         inside = next((getattr(env, name) for name in holders if hasattr(env, name)), None)
         env = several[0] if several else inside
-    if env is None:
+    return env
+
+
+def _with_history_of(env: QubeEnv | QubeVectorEnv | QubeDeviceEnv | None, named: dict[str, Any]) -> dict[str, Any]:
+    """The arguments of `Policy.from_layers`, with the history of an environment if they do not name the observation."""
+    if env is None or named.get("observation") is not None or named.get("history") is not None:
         return named
-    conventions: dict[str, Any] = {}
-    if named.get("observation") is None and named.get("history") is None:
-        space: Any = env.single_observation_space if isinstance(env, QubeVectorEnv) else env.observation_space
-        conventions["history"] = space.shape[0] - 6
-    if named.get("filter_rad_s") is None and not isinstance(env, QubeDeviceEnv):
-        conventions["filter_rad_s"] = env._simulation.filter_rad_s
-    return {**named, **conventions}
+    space: Any = env.single_observation_space if isinstance(env, QubeVectorEnv) else env.observation_space
+    return {**named, "history": space.shape[0] - 6}
 
 
 def _listed(given: Any, wanted: str) -> list[Any]:

@@ -22,6 +22,7 @@ use qube_hil::qube::{
 use qube_hil::storage::{MachineDisk, read_bounded, write_new, write_whole};
 
 use crate::errors::{ActionError, bad_policy, shown};
+use crate::simulation::Simulation;
 
 /// A policy: a network, the classical controller, an excitation, or the name of a controller
 /// outside of this program.
@@ -140,6 +141,15 @@ impl Policy {
             .policy(&foreign)
             .map_err(|error| bad_policy(format!("the policy {error}")))?;
         Ok(Kind::Network(policy).into())
+    }
+
+    /// The same policy, recorded as one that was trained with the sensors of a simulation.
+    fn seen_through(&self, py: Python<'_>, simulation: &Simulation) -> Self {
+        let mut policy = self.turn(py).clone();
+        if let Kind::Network(policy) = &mut policy {
+            policy.training.sensors = simulation.sensors();
+        }
+        policy.into()
     }
 
     /// The bytes of the policy's file.

@@ -7,10 +7,11 @@ use numpy::{
     PyReadwriteArray, PyReadwriteArray2, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
+use qube_hil::learning::simulated_sensors;
+use qube_hil::policy::SimulatedSensors;
 use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity};
 use qube_hil::simulation::{
-    DomainDistribution, LANES_MULTIPLE, LaneStatus, Pendulums, SensorModel, SimulationSettings,
-    Trajectory,
+    DomainDistribution, LANES_MULTIPLE, LaneStatus, Pendulums, SimulationSettings, Trajectory,
 };
 
 use crate::distribution::{Around, Qubes, read_qubes};
@@ -33,9 +34,8 @@ const LONGEST: usize = OBSERVATION_SIZE + MAX_HISTORY;
 pub struct Simulation {
     num_envs: usize,
     observation_size: usize,
-    /// Corner of the velocity filter through which policies see the state, rad/s; `None` with true
-    /// states or an observer.
-    filter_rad_s: Option<f64>,
+    /// Sensors through which policies see the state.
+    sensors: SimulatedSensors,
     episodes: Mutex<Episodes>,
 }
 
@@ -97,20 +97,8 @@ impl Simulation {
         let observation_size = lanes.pendulums.observation_size();
         let episodes =
             Episodes { lanes, guard, distribution, seed: 0, next: 0, numbers: vec![0; num_envs] };
-        let filter_rad_s = match settings.sensors {
-            SensorModel::Encoders { estimator } if estimator.observer.is_none() => {
-                Some(estimator.corner_rad_s)
-            }
-            SensorModel::Encoders { .. } | SensorModel::TrueState => None,
-        };
-        Ok(Self { num_envs, observation_size, filter_rad_s, episodes: Mutex::new(episodes) })
-    }
-
-    /// Corner of the velocity filter through which policies see the state, rad/s; `None` with true
-    /// states or an observer.
-    #[getter]
-    fn filter_rad_s(&self) -> Option<f64> {
-        self.filter_rad_s
+        let sensors = simulated_sensors(&settings.sensors, &settings.plant);
+        Ok(Self { num_envs, observation_size, sensors, episodes: Mutex::new(episodes) })
     }
 
     /// Length of an observation.
@@ -281,6 +269,11 @@ impl Simulation {
 }
 
 impl Simulation {
+    /// Sensors through which policies see the state, as policy files record them.
+    pub(crate) fn sensors(&self) -> SimulatedSensors {
+        self.sensors
+    }
+
     /// Locks the episodes for one call; an error while another call is under way.
     fn turn(&self) -> PyResult<MutexGuard<'_, Episodes>> {
         match self.episodes.try_lock() {
@@ -384,8 +377,9 @@ impl Lanes {
 
     /// The error for actions that contain a number that is not finite. The simulation has not
     /// advanced.
-    fn not_finite(mut actions: impl Iterator<Item = f32>) -> PyErr {
-        let index = actions.position(|action| !action.is_finite());
+    fn not_finite(mut actions: impl Iterator<Item = f32> + Clone) -> PyErr {
+        let is_alone = actions.clone().nth(1).is_none();
+        let index = actions.position(|action| !action.is_finite()).filter(|_| !is_alone);
         let place = index.map_or(String::new(), |index| format!(" of environment {index}"));
         ActionError::new_err(format!("the action{place} is not a finite number: give -1 to 1"))
     }

@@ -57,7 +57,7 @@ pub use physics_inputs::PhysicsInputs;
 pub use preset::Preset;
 pub use settings::TrainSettings;
 pub use train::{train, train_from};
-pub use trained::{Origin, Trained};
+pub use trained::{Origin, Trained, simulated_sensors};
 pub use trained_file::TrainedBytesError;
 pub use universal::{UniversalPolicy, train_universal};
 pub use workbench::Workbench;

@@ -54,23 +54,7 @@ impl Trained {
     #[must_use]
     pub fn into_policy(self, origin: Origin) -> Policy {
         let last = self.curve.last();
-        let sensors = match self.sensors {
-            SensorModel::TrueState => SimulatedSensors::TrueState,
-            SensorModel::Encoders { estimator: EstimatorSettings { corner_rad_s, observer } } => {
-                SimulatedSensors::Encoders {
-                    corner_rad_s,
-                    // This is the arm's encoder. If the pendulum's differs, the record's plant
-                    // names both.
-                    counts_per_revolution: self.plant.encoders.theta.counts_per_revolution(),
-                    observer: observer.map(|observer| SimulatedObserver {
-                        model: observer.model,
-                        theta_noise_rad_s2: observer.theta_noise_rad_s2,
-                        alpha_noise_rad_s2: observer.alpha_noise_rad_s2,
-                        reset_error_rad: observer.reset_error_rad,
-                    }),
-                }
-            }
-        };
+        let sensors = simulated_sensors(&self.sensors, &self.plant);
         Policy::Network(NetworkPolicy {
             network: self.network,
             training: TrainingRecord {
@@ -89,5 +73,25 @@ impl Trained {
                 program_version: env!("CARGO_PKG_VERSION").to_owned(),
             },
         })
+    }
+}
+
+/// Converts the sensors of a simulation to the form in which a policy file records them.
+#[must_use]
+pub fn simulated_sensors(sensors: &SensorModel, plant: &PlantModel) -> SimulatedSensors {
+    let SensorModel::Encoders { estimator: EstimatorSettings { corner_rad_s, observer } } = sensors
+    else {
+        return SimulatedSensors::TrueState;
+    };
+    SimulatedSensors::Encoders {
+        corner_rad_s: *corner_rad_s,
+        // This is the arm's encoder. If the pendulum's differs, the record's plant names both.
+        counts_per_revolution: plant.encoders.theta.counts_per_revolution(),
+        observer: observer.map(|observer| SimulatedObserver {
+            model: observer.model,
+            theta_noise_rad_s2: observer.theta_noise_rad_s2,
+            alpha_noise_rad_s2: observer.alpha_noise_rad_s2,
+            reset_error_rad: observer.reset_error_rad,
+        }),
     }
 }
