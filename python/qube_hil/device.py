@@ -119,18 +119,17 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
         try:
             refuse_options(options, "Give the options of the Qube to the constructor")
             given = as_seed(seed)
-            super().reset(seed=given)
-            if given is not None:
-                self._seed, self._number = given, -1
-            self._number += 1
+            episode = (self._seed, self._number + 1) if given is None else (given, 0)
             _make(self._folder)
             taken = {path.name for path in self._folder.iterdir()}
             number = 0
             while (name := f"episode-{number:04}.mcap") in taken:
                 number += 1
             path = self._folder / name
-            observation = self._device.reset(str(path), self._seed, self._number)
-            self._recording = path
+            observation = self._device.reset(str(path), *episode)
+            # A call that is refused has no effect.
+            super().reset(seed=given)
+            (self._seed, self._number), self._recording = episode, path
             return observation, {"late_answers": 0}
         except BaseException as error:
             self._brake(error)
@@ -150,7 +149,8 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
             raise
 
     def _brake(self, error: BaseException) -> None:
-        """Brakes the arm before an exception leaves a call. A handler of a signal may raise one at any place."""
+        """Brakes the arm before an exception leaves a call, unless a call of another thread is under way. A handler of a
+        signal may raise one at any place."""
         if isinstance(error, BusyError):
             # The episode of another thread goes on.
             return

@@ -203,10 +203,10 @@ class QubeEnv(Uncopied, gymnasium.Env[Any, Any]):
         if self._is_closed:
             raise _closed()
         named = as_seed(seed)
+        self._simulation.reset(self._first_seed if named is None else named, self._observations)
+        # A call that is refused has no effect.
         super().reset(seed=named)
-        given = self._first_seed if named is None else named
         self._first_seed = None
-        self._simulation.reset(given, self._observations)
         self._was_reset = self._is_running = True
         return self._observations[0].copy(), {"episode_number": int(self._simulation.episodes[0])}
 
@@ -306,8 +306,8 @@ class QubeVectorEnv(Uncopied, VectorEnv[Any, Any, Any]):
         if self.closed:
             raise _closed()
         given = self._first_seed if seed is None else as_seed(seed)
-        self._first_seed = None
         self._simulation.reset(given, self._observations)
+        self._first_seed = None
         self._was_reset = self._has_begun = True
         return self._handed(self._observations), {"episode_number": self._simulation.episodes}
 

@@ -228,16 +228,24 @@ impl Device {
     }
 
     /// Brakes the arm and ends the running episode, if there is one. An episode that ends by a fault
-    /// or another error raises it. A forked process does nothing.
+    /// or another error raises it. While a call of another thread is under way, and in a forked
+    /// process, it does nothing.
     fn halt(&self, py: Python<'_>) -> PyResult<()> {
         if self.is_forked() {
             return Ok(());
         }
-        self.requests.request_stop();
-        match self.turn_after_others(py) {
-            Some(mut turn) => self.brake(py, &mut turn.state),
-            None => Ok(()),
-        }
+        let state = match self.state.try_lock() {
+            Ok(state) => state,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => {
+                // A handler of a signal has interrupted a call of this very thread, which brakes.
+                if *lock(&self.caller) == Some(std::thread::current().id()) {
+                    self.requests.request_stop();
+                }
+                return Ok(());
+            }
+        };
+        self.brake(py, &mut Turn::begin(state, &self.caller).state)
     }
 
     /// Brakes the arm, switches the motor off and closes the Qube, whichever thread is using it.

@@ -106,6 +106,16 @@ struct Server {
     is_homed: bool,
 }
 
+/// Ends the exchange's episode when it is dropped, also by a panic, after which Python would wait
+/// for the thread for ever.
+struct Ender(Arc<Exchange>);
+
+impl Drop for Ender {
+    fn drop(&mut self) {
+        self.0.end();
+    }
+}
+
 impl Server {
     fn run(
         mut self,
@@ -128,8 +138,10 @@ impl Server {
             return;
         }
         for order in inbox {
-            let ended = self.episode(&mut rig, &order);
-            self.exchange.end();
+            let ended = {
+                let _ending = Ender(Arc::clone(&self.exchange));
+                self.episode(&mut rig, &order)
+            };
             let reply = match ended {
                 Ok(episode) => Reply::Episode(Box::new(episode)),
                 Err(error) => Reply::Failed(error.to_string()),

@@ -1,5 +1,6 @@
 """A Qube that Python drives: the emulated one, mostly in virtual time."""
 
+import contextlib
 import copy
 import gc
 import json
@@ -221,6 +222,44 @@ def test_a_second_thread_that_drives_is_refused_and_disturbs_nothing(virtual):
     thread.join(120.0)
     assert refused == 5
     assert [type(error) for error in ended] <= [qube_hil.ClosedError]
+
+
+def test_a_bad_argument_of_a_second_thread_leaves_the_call_of_the_first_alone(virtual):
+    env, resets, ended = virtual(), [], []
+
+    def reset():
+        try:
+            while len(resets) < 5:
+                with contextlib.suppress(qube_hil.BusyError):
+                    resets.append(env.reset())
+        except qube_hil.QubeHilError as error:
+            ended.append(error)
+
+    thread = threading.Thread(target=reset, daemon=True)
+    thread.start()
+    while thread.is_alive():
+        with pytest.raises(qube_hil.ActionError):
+            env.step(np.zeros(2, np.float32))
+    assert ended == [] and len(resets) == 5
+
+
+class Busy:
+    """A device in a call of another thread."""
+
+    def reset(self, *_):
+        raise qube_hil.BusyError("busy")
+
+
+def test_a_reset_that_is_refused_has_no_effect(virtual):
+    env = virtual()
+    env.reset(seed=4)
+    begun = (env._seed, env._number, env._recording)
+    device, env._device = env._device, Busy()
+    for seed in [None, 9]:
+        with pytest.raises(qube_hil.BusyError):
+            env.reset(seed=seed)
+    env._device = device
+    assert (env._seed, env._number, env._recording) == begun
 
 
 @pytest.fixture
