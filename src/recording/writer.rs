@@ -83,7 +83,8 @@ impl RolloutWriter<Box<dyn DiskFile>> {
         header: RolloutHeader,
         policy: &[u8],
     ) -> Result<Self, RecordingError> {
-        // A header that cannot be written leaves no file, which would be in the way of the next one.
+        // A header that cannot be written leaves no file, which would be in the way of the next
+        // one.
         let fields = header_fields(path, &header)?;
         let file = disk
             .create(path, false)

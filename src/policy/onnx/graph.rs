@@ -169,8 +169,8 @@ impl<'g, 'a> Operator<'g, 'a> {
         Ok((Some(step), other))
     }
 
-    /// Clipping between two bounds. Since version 11 of the operators the bounds are inputs; before,
-    /// they are attributes.
+    /// Clipping between two bounds. Since version 11 of the operators the bounds are inputs;
+    /// before, they are attributes.
     fn clip(&self) -> Result<Step, ImportError> {
         let bound = |index: usize, name: &str, open: f32| match self.node.inputs.get(index) {
             Some(input) if !input.is_empty() => self
@@ -263,8 +263,8 @@ fn silu<'a>(graph: &Graph<'a>, first: &'a str, second: &'a str) -> Option<&'a st
     }
 }
 
-/// Returns weights as `[outputs][inputs]`, with the number of inputs; `None` if the shape is that of
-/// no matrix. Values that are `is_transposed` have this layout already.
+/// Returns weights as `[outputs][inputs]`, with the number of inputs; `None` if the shape is that
+/// of no matrix. Values that are `is_transposed` have this layout already.
 fn matrix(shape: &[usize], values: &[f32], is_transposed: bool) -> Option<(Vec<f32>, usize)> {
     let &[rows, columns] = shape else { return None };
     if rows == 0 || columns == 0 || values.len() != rows.checked_mul(columns)? {
@@ -325,8 +325,8 @@ fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
             constant if layers.is_empty() => before.push(constant),
             Step::Shaped { operator, last } => {
                 let outputs = layers.last().map_or(0, |layer| layer.bias.len());
-                // A computed shape that changes the number of values is refused with the next layer,
-                // whose inputs have another number.
+                // A computed shape that changes the number of values is refused with the next
+                // layer, whose inputs have another number.
                 if last.is_some_and(|last| !keeps(&operator, last, outputs)) {
                     return Err(refused(&operator, CHANGES_ENTRIES));
                 }
