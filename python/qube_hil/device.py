@@ -149,8 +149,8 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
             raise
 
     def _brake(self, error: BaseException) -> None:
-        """Brakes the arm before an exception leaves a call, unless a call of another thread is under way. A handler of a
-        signal may raise one at any place."""
+        """Brakes the arm before an exception leaves a call, unless a call of another thread is under way. A handler of
+        a signal may raise one at any place."""
         if isinstance(error, BusyError):
             # The episode of another thread goes on.
             return

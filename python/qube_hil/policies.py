@@ -151,8 +151,8 @@ class Policy:
 
         Raises:
             PolicyError: ``VecNormalize`` scales the observations of the model's environment, or ``normalised`` is true; the
-                features extractor is not the default one; PPO or A2C has ``squash_output``; the policy has an LSTM; or as
-                for `from_layers`.
+                features extractor is not the default one; PPO or A2C has ``squash_output``; the policy has an LSTM; or
+                as for `from_layers`.
         """
         normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
         if normalised or (normaliser is not None and getattr(normaliser, "norm_obs", True)):
@@ -171,8 +171,8 @@ class Policy:
             )
         if hasattr(policy, "lstm_actor"):
             raise PolicyError(
-                f"the policy {type(policy).__name__} has an LSTM before the actor, and a policy here has no memory: train the "
-                "model without one"
+                f"the policy {type(policy).__name__} has an LSTM before the actor, and a policy here has no memory: train "
+                "the model without one"
             )
         if hasattr(policy, "mlp_extractor"):
             if getattr(policy, "squash_output", False):
