@@ -425,8 +425,7 @@ impl Motion for Homing {
 
         // The arm is slow here, so that the amplifier can go off at once, even after a fault that
         // would brake a rollout.
-        self.voltage.remember_sent(self.device_mv(self.voltage_mv), input.skipped_periods);
-        let differs = input.measurement.as_ref().and_then(|sample| self.voltage.check(sample));
+        let differs = self.voltage.watch(self.device_mv(self.voltage_mv), input);
         let watched = self.watch.check(input).or(differs);
         let watched = watched.map(|(Alarm::SwitchOff(fault) | Alarm::Brake(fault))| fault);
         let fault = watched

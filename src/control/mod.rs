@@ -103,6 +103,7 @@ pub use sign_probe::{AT_REST_COUNTS, ArmResponse, ProbeSample, ProbeStage, Probe
 pub use stop_press::{PressKind, PressOutcome, StopPress};
 pub use thread::{ControlThread, Homed, Scheduling};
 pub use tick::Tick;
+pub use voltage_watch::VOLTAGE_TOLERANCE_MV;
 pub use watch::Alarm;
 
 /// Capacity of the ring from the tick to the recorder, in records. It holds the longest rollout

@@ -30,6 +30,8 @@ pub struct PlantDevice {
     /// Counts that both encoders show at zero angle.
     pub offset_counts: i32,
     pub armed: bool,
+    /// Voltage that the armed motor has whatever it is sent, mV; `None` if it follows the acts.
+    pub stuck_mv: Option<i16>,
     /// Voltages of all acts, mV.
     pub voltages_mv: Vec<i16>,
     /// Largest distance of the arm from the middle so far, rad.
@@ -52,6 +54,7 @@ impl PlantDevice {
             disturbance: Box::new(|_| None),
             offset_counts: 0,
             armed: false,
+            stuck_mv: None,
             voltages_mv: Vec::new(),
             furthest_rad: 0.0,
             deaf_until_ns: 0,
@@ -106,6 +109,7 @@ impl Device for PlantDevice {
 
     fn arm(&mut self) -> Result<(), DeviceError> {
         self.armed = true;
+        self.voltage_mv = self.stuck_mv.unwrap_or(0);
         Ok(())
     }
 
@@ -138,7 +142,7 @@ impl Device for PlantDevice {
 
     fn act(&mut self, voltage_mv: i16, _sampled_at_us: u64) -> Result<(), LinkFault> {
         self.catch_up();
-        self.voltage_mv = voltage_mv;
+        self.voltage_mv = self.stuck_mv.unwrap_or(voltage_mv);
         self.voltages_mv.push(voltage_mv);
         Ok(())
     }

@@ -1,4 +1,5 @@
 use super::rest::STOPPED_RAD_S;
+use super::voltage_watch::VoltageWatch;
 use super::watch::{Alarm, Watch};
 use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
@@ -57,6 +58,7 @@ pub struct SignProbe {
     push_v: f64,
     estimator: Estimator,
     watch: Watch,
+    voltage: VoltageWatch,
     stage: ProbeStage,
     /// Ticks of the current stage, and of the whole probe.
     ticks: u32,
@@ -220,6 +222,7 @@ impl SignProbe {
             push_v,
             estimator: Estimator::new(EstimatorSettings::default(), signs),
             watch: Watch::default(),
+            voltage: VoltageWatch::default(),
             stage: ProbeStage::Listen,
             ticks: 0,
             all_ticks: 0,
@@ -296,7 +299,9 @@ impl SignProbe {
 
 impl Motion for SignProbe {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
-        if let Some(Alarm::SwitchOff(fault) | Alarm::Brake(fault)) = self.watch.check(input) {
+        let differs = self.voltage.watch(self.device_mv(self.voltage_mv), input);
+        let alarm = self.watch.check(input).or(differs);
+        if let Some(Alarm::SwitchOff(fault) | Alarm::Brake(fault)) = alarm {
             return self.off(Ending::Fault(fault));
         }
         self.ticks += input.skipped_periods;
@@ -349,6 +354,7 @@ mod tests {
     use super::super::plant_device::PlantDevice;
     use super::*;
     use crate::qube::{HARD_STOP_RAD, RAD_PER_COUNT};
+    use crate::telemetry::Fault;
 
     fn probed(device: &mut PlantDevice, signs: Calibration) -> ProbeTrace {
         let clock = device.clock.clone();
@@ -370,6 +376,18 @@ mod tests {
         assert!(seen.voltage_v > 0.0 && seen.theta_rad > 0.05, "{seen:?}");
         assert!(device.state.theta.abs() < 0.4 && device.furthest_rad < 0.4, "{:?}", device.state);
         assert_eq!(trace.samples().len(), PROBE_TICKS as usize);
+    }
+
+    #[test]
+    fn a_motor_with_a_voltage_of_its_own_is_switched_off_before_the_push() {
+        let mut device = PlantDevice::new(State::default());
+        device.stuck_mv = Some(3000);
+        let clock = device.clock.clone();
+        let mut probe = SignProbe::new(&PlantModel::QUBE, Calibration::IDENTITY, 0.25);
+        let report = drive(&mut device, &clock, &mut probe, None, &AtomicBool::new(false)).unwrap();
+        assert_eq!(report.outcome.ending, Ending::Fault(Fault::VoltageDiffers));
+        assert!(!device.armed && device.voltages_mv.len() < 10, "{:?}", device.voltages_mv);
+        assert!(device.furthest_rad < 0.5, "{} rad", device.furthest_rad);
     }
 
     #[test]

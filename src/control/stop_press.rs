@@ -1,3 +1,4 @@
+use super::voltage_watch::VoltageWatch;
 use super::watch::{Alarm, Watch};
 use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
@@ -39,6 +40,7 @@ pub struct StopPress {
     kind: PressKind,
     estimator: Estimator,
     watch: Watch,
+    voltage: VoltageWatch,
     ticks: u32,
     /// Direction of the stop, 1 or -1; 0 before the first sample.
     outward: f64,
@@ -96,6 +98,7 @@ impl StopPress {
             kind,
             estimator: Estimator::new(EstimatorSettings::default(), calibration),
             watch: Watch::default(),
+            voltage: VoltageWatch::default(),
             ticks: 0,
             outward: 0.0,
             first_rad: 0.0,
@@ -163,7 +166,9 @@ impl StopPress {
 impl Motion for StopPress {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.ticks += 1 + input.skipped_periods;
-        if let Some(Alarm::SwitchOff(fault) | Alarm::Brake(fault)) = self.watch.check(input) {
+        let differs = self.voltage.watch(self.device_mv(self.voltage_mv), input);
+        let alarm = self.watch.check(input).or(differs);
+        if let Some(Alarm::SwitchOff(fault) | Alarm::Brake(fault)) = alarm {
             return self.off(Ending::Fault(fault));
         }
         if input.stop_requested {
@@ -200,6 +205,7 @@ mod tests {
     use super::super::plant_device::PlantDevice;
     use super::*;
     use crate::qube::HARD_STOP_RAD;
+    use crate::telemetry::Fault;
 
     fn pressed(theta: f64, push_v: f64) -> (PressOutcome, PlantDevice) {
         let mut device = PlantDevice::new(State { theta, ..State::default() });
@@ -229,6 +235,18 @@ mod tests {
     }
 
     #[test]
+    fn a_motor_with_a_voltage_of_its_own_is_switched_off() {
+        let mut device = PlantDevice::new(State { theta: HARD_STOP_RAD, ..State::default() });
+        device.stuck_mv = Some(3000);
+        let clock = device.clock.clone();
+        let signs = Calibration::IDENTITY;
+        let mut press = StopPress::new(&PlantModel::QUBE, signs, 0.5, 200, PressKind::Test);
+        let report = drive(&mut device, &clock, &mut press, None, &AtomicBool::new(false)).unwrap();
+        assert_eq!(report.outcome.ending, Ending::Fault(Fault::VoltageDiffers));
+        assert!(!device.armed && device.voltages_mv.len() < 10, "{:?}", device.voltages_mv);
+    }
+
+    #[test]
     fn an_arm_in_the_middle_is_left_alone() {
         let (outcome, device) = pressed(0.4, 0.5);
         assert_eq!(outcome, PressOutcome::NotAtStop);
@@ -250,6 +268,7 @@ mod tests {
             let measurement = crate::qube::Measurement {
                 device_time_us: u64::from(tick) * 10_000,
                 theta_counts: crate::qube::counts(theta),
+                applied_mv: press.voltage_mv,
                 status: crate::qube::Status { armed: true, ..Default::default() },
                 ..Default::default()
             };

@@ -358,8 +358,7 @@ impl<C: Controller> Tick<C> {
 
     /// The alarm for a motor that has another voltage than it was sent, if there is one.
     fn voltage_differs(&mut self, input: &TickInput) -> Option<Alarm> {
-        self.voltage.remember_sent(self.device_mv(self.voltage_mv), input.skipped_periods);
-        let differs = self.voltage.check(input.measurement.as_ref()?);
+        let differs = self.voltage.watch(self.device_mv(self.voltage_mv), input);
         differs.filter(|_| self.settings.rules >= TickRules::VoltageCompared)
     }
 

@@ -1,6 +1,7 @@
 //! A motor that does not have the voltage that the program sends: each sample says which voltage the
 //! motor had, and a device whose reports contradict what it was sent cannot be braked with.
 
+use super::TickInput;
 use super::watch::Alarm;
 use crate::qube::{Measurement, applied_voltage_mv};
 use crate::telemetry::Fault;
@@ -10,7 +11,7 @@ use crate::telemetry::Fault;
 const PERIODS: usize = 7;
 
 /// Largest difference that rounding explains, mV: two steps of a Qube's motor driver.
-const TOLERANCE_MV: i32 = 48;
+pub const VOLTAGE_TOLERANCE_MV: i32 = 48;
 
 /// Consecutive samples that must contradict every voltage sent.
 const STREAK: u32 = 3;
@@ -25,9 +26,16 @@ pub(super) struct VoltageWatch {
 }
 
 impl VoltageWatch {
+    /// Takes the voltage that the device has been sent since the last tick, mV, and checks the
+    /// sample of this tick, if there is one.
+    pub fn watch(&mut self, device_mv: i16, input: &TickInput) -> Option<Alarm> {
+        self.remember_sent(device_mv, input.skipped_periods);
+        self.check(input.measurement.as_ref()?)
+    }
+
     /// Remembers the voltage that the device was sent for this period and for `more_periods` skipped
     /// ones, mV.
-    pub fn remember_sent(&mut self, device_mv: i16, more_periods: u32) {
+    fn remember_sent(&mut self, device_mv: i16, more_periods: u32) {
         for _ in 0..=more_periods.min(PERIODS as u32) {
             self.sent_mv.rotate_right(1);
             self.sent_mv[0] = applied_voltage_mv(device_mv);
@@ -35,9 +43,10 @@ impl VoltageWatch {
     }
 
     /// Checks the voltage that a sample reports.
-    pub fn check(&mut self, sample: &Measurement) -> Option<Alarm> {
+    fn check(&mut self, sample: &Measurement) -> Option<Alarm> {
         let applied_mv = i32::from(sample.applied_mv);
-        let explains = |sent_mv: &i16| (applied_mv - i32::from(*sent_mv)).abs() <= TOLERANCE_MV;
+        let explains =
+            |sent_mv: &i16| (applied_mv - i32::from(*sent_mv)).abs() <= VOLTAGE_TOLERANCE_MV;
         let is_explained = self.sent_mv.iter().any(explains);
         self.contradictions = if is_explained { 0 } else { self.contradictions + 1 };
         (self.contradictions >= STREAK).then_some(Alarm::SwitchOff(Fault::VoltageDiffers))

@@ -105,6 +105,8 @@ fn a_defect_is_named_with_a_remedy_and_the_arm_is_not_homed() {
         ("dead-motor@0", &["motor"]),
         ("blocked-arm@0", &["stall"]),
         ("amplifier@0", &["watchdog"]),
+        ("stuck-output@0:3", &["watchdog"]),
+        ("stuck-output@3.3:3", &["stall"]),
         // At 3.6 s the arm is pushed, after 2 s of samples and 1.2 s of rest.
         ("stall@3.6", &["stall"]),
         // Every seventh reply has a wrong bit.

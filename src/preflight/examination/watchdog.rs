@@ -5,12 +5,13 @@ use firmware_protocol::{RefusalReason, WATCHDOG_MS, WATCHDOG_POLL_MS};
 use super::link::gone;
 use super::{Interruption, ensure_going};
 use crate::clock::{Clock, Nanoseconds};
+use crate::control::VOLTAGE_TOLERANCE_MV;
 use crate::device::{Device, DeviceError, LinkFault};
-use crate::qube::Measurement;
+use crate::qube::{Measurement, applied_voltage_mv};
 use crate::safety::clamp_to_mv;
 use crate::telemetry::CheckResult;
 
-const NAME: &str = "watchdog";
+pub(super) const NAME: &str = "watchdog";
 
 /// Voltage of the test, V: two steps of the amplifier. The device's report shows it, and it hardly
 /// moves the arm.
@@ -115,9 +116,13 @@ fn try_once(
     let Some(sample_to_act_us) = on.sample_to_act_us.filter(|_| on.status.armed) else {
         return Ok(None);
     };
-    if on.applied_mv == 0 {
+    let sent_mv = i32::from(applied_voltage_mv(voltage_mv));
+    let off_mv = (i32::from(on.applied_mv) - sent_mv).abs();
+    // Rounding alone might explain 0 mV.
+    if on.applied_mv == 0 || off_mv > VOLTAGE_TOLERANCE_MV {
         return failed(format!(
-            "{voltage_mv} mV were sent and the device reports 0 mV at the motor"
+            "{voltage_mv} mV were sent and the device reports {} mV at the motor",
+            on.applied_mv
         ));
     }
     let acted_us = before.device_time_us + u64::from(sample_to_act_us);
