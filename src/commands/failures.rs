@@ -15,6 +15,7 @@ use crate::experiment::{ExperimentError, ExperimentFolder};
 use crate::jobs::starter::{StartError, quoted};
 use crate::jobs::{JobError, JobFolderError};
 use crate::policy::PolicyError;
+use crate::preflight::watchdog_failed;
 use crate::recording::RecordingError;
 use crate::rig::RigError;
 use crate::session::{FolderError, LedgerError, RigSessions, SessionError, SessionPaths};
@@ -49,9 +50,18 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::Recording(error) => recording(&error),
         RigError::Emulator(_) | RigError::Thread(_) => Failure::failed(error),
         RigError::TooSlow(_) => Failure::failed(format!("{error}; see qube-hil doctor")),
-        RigError::CheckFailed { .. } => Failure::failed(format!(
-            "{error}\nqube-hil check shows the whole table; --skip-check continues without the check"
-        )),
+        RigError::CheckFailed { fault: Some(_), ref doubt, .. } => {
+            let then = doubt.as_ref().map_or(String::new(), |_| format!("\n{THEN_ACKNOWLEDGE}"));
+            Failure::fault(format!("{error}{then}"))
+        }
+        RigError::CheckFailed { ref results, .. } => {
+            // Nobody drives a Qube whose motor stays on if the program dies.
+            let or_skip = match watchdog_failed(results) {
+                true => "",
+                false => "; --skip-check continues without the check",
+            };
+            Failure::failed(format!("{error}\nqube-hil check shows the whole table{or_skip}"))
+        }
         RigError::VirtualPort { .. } => virtual_port(&error),
         RigError::WrongBoard { .. } => {
             Failure::usage(format!("{error}, which qube-hil check --write writes"))

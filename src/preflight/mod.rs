@@ -15,6 +15,6 @@ mod latency_timer;
 
 pub use examination::{
     Examination, ExaminationSettings, OtherSigns, examine, homed, homing_left_out, measure_link,
-    not_homed,
+    not_homed, watchdog_failed,
 };
 pub use foresight_time::{SLOW_US, TOO_SLOW_US, TooSlow, admit_processor, foresight_time_us};

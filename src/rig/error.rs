@@ -147,6 +147,10 @@ pub enum RigError {
     CheckFailed {
         /// Results of all checks; at least one failed.
         results: Vec<CheckResult>,
+        /// Fault that ended a push of the check, if one did.
+        fault: Option<Fault>,
+        /// Doubt about the Qube that the fault leaves, if it leaves one.
+        doubt: Option<Box<Doubt>>,
     },
     /// The settings, or the recordings of the session, are of another board.
     #[error(
@@ -243,6 +247,7 @@ impl RigError {
             // Whatever ended the link, by now it is gone.
             Self::LinkLost { .. } => Some(Fault::LinkGone),
             Self::Device(error) => link_fault(error),
+            Self::CheckFailed { fault, .. } => *fault,
             Self::InDoubt(doubt) => doubt.fault,
             Self::Travel { .. } => Some(Fault::TravelWrong),
             _ => None,
@@ -254,7 +259,7 @@ impl RigError {
     pub fn doubt(&self) -> Option<&Doubt> {
         match self {
             Self::InDoubt(doubt) => Some(doubt),
-            Self::Homing { doubt, .. } => doubt.as_deref(),
+            Self::Homing { doubt, .. } | Self::CheckFailed { doubt, .. } => doubt.as_deref(),
             _ => None,
         }
     }

@@ -109,9 +109,11 @@ impl Rig {
         let is_examined = doubt.is_some() || (is_hardware && !settings.skip_check);
         before_motion(is_examined);
         if is_examined {
-            let mut results = rig.examine(OtherSigns::Fail)?.results;
+            let Examination { mut results, fault, .. } = rig.examine(OtherSigns::Fail)?;
             if results.iter().any(CheckResult::failed) {
-                return Err(RigError::CheckFailed { results });
+                let doubt = fault.filter(|fault| fault.leaves_doubt());
+                let doubt = doubt.map(|fault| Box::new(rig.doubt(fault)));
+                return Err(RigError::CheckFailed { results, fault, doubt });
             }
             rig.home()?;
             results.push(homed(&rig.measured.calibration));
@@ -310,7 +312,8 @@ impl Rig {
         }
     }
 
-    /// Performs all checks of the examination except homing.
+    /// Performs all checks of the examination except homing, and latches the fault of a push as
+    /// that of any motion.
     fn examine(&mut self, other_signs: OtherSigns) -> Result<Examination, RigError> {
         let settings = ExaminationSettings {
             signs: self.homing.get().signs,
@@ -329,6 +332,9 @@ impl Rig {
             ..self.homing.get()
         });
         self.link = examination.link;
+        if let Some(fault) = examination.fault {
+            self.latch(fault);
+        }
         if examination.passed() {
             // The examination goes on after a restart of the board.
             let identity = self.control.hello()?;

@@ -12,8 +12,8 @@ use crate::estimation::{EstimatorSettings, ObserverSettings};
 use crate::policy::{Policy, SimulatedObserver, SimulatedSensors};
 use crate::qube::QubeModel;
 use crate::recording::read;
-use crate::rig::{DoubtStore, Recovery};
-use crate::telemetry::Preflight;
+use crate::rig::{Doubt, DoubtStore, Recovery};
+use crate::telemetry::{Fault, Preflight};
 
 /// An emulated Qube that is homed by hand and has this fault, if any.
 fn settings(fault: Option<&str>) -> RigSettings {
@@ -119,6 +119,41 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     ended.unwrap();
     let preflight = read(&directory.join("four/rollout-0.mcap")).unwrap().header.preflight;
     assert!(!matches!(preflight, Preflight::Done(_)), "{preflight:?}");
+}
+
+#[test]
+fn a_fault_in_the_check_leaves_its_doubt_and_no_failed_watchdog_is_driven_unexamined() {
+    let directory = tempfile::tempdir().unwrap();
+    let memory = DoubtStore::new(directory.path().join("state"));
+    let board = format!("{:016x}", 5);
+    let failed = |fault: &str| {
+        // An emulated Qube is examined after an acknowledged doubt alone.
+        memory.store(&Doubt {
+            fault: Some(Fault::EncoderJump),
+            board: board.clone(),
+            unix_s: None,
+        });
+        let memory = Some(memory.clone());
+        let recovery = Recovery { memory, acknowledged: true, ..Recovery::default() };
+        let settings = RigSettings { recovery, ..settings(Some(fault)) };
+        run(settings, &directory.path().join("rollouts"), 1).0.unwrap_err().ended_by()
+    };
+    let cause = |ended_by: &serde_json::Value| ended_by["cause"].as_str().unwrap().to_owned();
+
+    // In a push of the check.
+    let ended_by = failed("stall@3.6");
+    assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!("stall_error"), &json!(4)));
+    let told = cause(&ended_by);
+    assert!(told.contains("--acknowledge") && !told.contains("--skip-check"), "{told}");
+    assert_eq!(memory.load(&board).unwrap().fault, Some(Fault::StallError));
+
+    for (fault, may_be_skipped) in [("stuck-output@0:3", false), ("dead-motor@0", true)] {
+        let ended_by = failed(fault);
+        assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!(null), &json!(1)));
+        let told = cause(&ended_by);
+        assert_eq!(told.contains("--skip-check"), may_be_skipped, "{told}");
+        assert_eq!(memory.load(&board).unwrap().fault, Some(Fault::EncoderJump));
+    }
 }
 
 #[test]

@@ -57,6 +57,8 @@ pub enum OtherSigns {
 pub struct Examination {
     /// Result of each check, in order.
     pub results: Vec<CheckResult>,
+    /// Fault that ended a push, if one did. Nothing latches it before the caller does.
+    pub fault: Option<Fault>,
     /// Signs that the examination found, if it was to adopt them, arm and pendulum moved, and no
     /// fault ended a push; otherwise the assumed ones.
     pub signs: Calibration,
@@ -109,6 +111,7 @@ pub fn examine(
 ) -> Result<Option<Examination>, DeviceError> {
     let mut found = Examination {
         results: Vec::new(),
+        fault: None,
         signs: settings.signs,
         start_theta_counts: None,
         link: None,
@@ -194,6 +197,13 @@ fn taken_on(device: &mut dyn Device, round_trips: &link::RoundTrips) -> Measured
 
 fn ensure_going(stop: &AtomicBool) -> Result<(), Interruption> {
     if stop.load(Ordering::Relaxed) { Err(Interruption::Stopped) } else { Ok(()) }
+}
+
+/// Whether the test of the watchdog failed, so that nothing may be run with this device.
+#[must_use]
+pub fn watchdog_failed(results: &[CheckResult]) -> bool {
+    let is_of_watchdog = |name: &str| [watchdog::NAME, silent_push::NAME].contains(&name);
+    results.iter().any(|result| result.failed() && is_of_watchdog(&result.name))
 }
 
 /// The result of the check of homing that passed and found these zeros.

@@ -49,8 +49,8 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
     found.results.extend(names.iter().map(|name| CheckResult::skipped(name, why)));
 }
 
-/// Reports the fault that ended a push as the failure of one check, and the other checks that move
-/// the arm as skipped.
+/// Reports the fault that ended a push, as the failure of one check too, and the other checks that
+/// move the arm as skipped.
 fn give_up(found: &mut Examination, fault: Fault) {
     let value = format!("a fault ended the push: {fault}");
     let remedy = format!("{} Then check again", fault.operator_step());
@@ -62,6 +62,7 @@ fn give_up(found: &mut Examination, fault: Fault) {
             CheckResult::skipped(each, "not after a fault")
         });
     }
+    found.fault = Some(fault);
 }
 
 /// Pushes the arm a little, and adds the verdicts on motor, encoders and signs.

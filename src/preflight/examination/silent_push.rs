@@ -16,7 +16,7 @@ use crate::qube::{CONTROL_PERIOD_NS, Encoder};
 use crate::safety::clamp_to_mv;
 use crate::telemetry::CheckResult;
 
-const NAME: &str = "watchdog-motor";
+pub(super) const NAME: &str = "watchdog-motor";
 
 /// Increment of the push, V, as in the pushes that find the signs.
 const STEP_V: f64 = 0.25;
