@@ -8,8 +8,10 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+use qube_hil::clock::VirtualClock;
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
-use qube_hil::rig::{DeviceChoice, RigSettings};
+use qube_hil::device::{DeviceError, SerialLink};
+use qube_hil::rig::{Connect, DeviceChoice, Doubt, DoubtStore, Recovery, RigSettings, TimedDevice};
 use qube_hil::session::{
     Entry, Extent, Session, SessionError, SessionEvent, SessionFolder, SessionSettings,
     TakenOutRig, run_side_by_side,
@@ -426,6 +428,48 @@ fn the_fault_of_the_last_rig_ends_a_shared_session_until_it_is_mended() {
     session.acknowledge();
     session.run(&mut |_| ()).unwrap();
     assert!(attempts(session.entries())[3..].iter().all(|it| it.ends_with("on 2")));
+}
+
+/// A Qube with a board of its own in virtual time, which counts as hardware.
+#[derive(Debug)]
+struct OwnBoard(u64);
+
+impl Connect for OwnBoard {
+    fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError> {
+        let clock = VirtualClock::default();
+        let emulator = EmulatorSettings { seed: self.0, ..*emulator };
+        let link = SerialLink::in_process(emulator, clock.clone());
+        Ok((Box::new(link), Arc::new(clock)))
+    }
+}
+
+#[test]
+fn an_acknowledgement_is_for_the_doubt_about_one_of_several_qubes() {
+    let directory = tempfile::tempdir().unwrap();
+    let memory = DoubtStore::new(directory.path().join("doubts"));
+    let boards = [7, 8].map(|board| format!("{board:016x}"));
+    for board in boards.clone() {
+        memory.store(&Doubt { fault: Some(Fault::Stall), board, unix_s: None });
+    }
+    let settings = settings();
+    let [first, second] = [7, 8].map(|board| RigSettings {
+        device: DeviceChoice::Other(Arc::new(OwnBoard(board))),
+        recovery: Recovery { memory: Some(memory.clone()), ..Recovery::default() },
+        ..emulated(&settings, None)
+    });
+    let root = directory.path().join("session");
+    let folder = SessionFolder::create(&root, &settings.to_toml().unwrap()).unwrap();
+    let mut session = Session::open(folder, settings, first, Arc::default())
+        .unwrap()
+        .spread_over([(second, None)]);
+    let mut doubted = || {
+        let error = session.run(&mut |_| ()).unwrap_err();
+        session.acknowledge();
+        error.doubt().unwrap_or_else(|| panic!("{error}")).board.clone()
+    };
+    assert_eq!(doubted(), boards[0]);
+    assert_eq!(doubted(), boards[1]);
+    assert_eq!(boards.map(|board| memory.load(&board).is_some()), [false, true]);
 }
 
 #[test]

@@ -14,7 +14,6 @@ use crate::commands::output::Output;
 use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
 use crate::commands::{report, service_manager};
-use crate::control::HomingMethod;
 use crate::rig::RigSettings;
 use crate::safety::GuardConsent;
 use crate::session::{
@@ -47,7 +46,6 @@ pub fn settings_of_rig(
 pub fn run_attended(
     session: &mut Session,
     keyboard: &Keyboard,
-    homing: HomingMethod,
     stop: &Stop,
     show: &mut dyn FnMut(SessionEvent),
 ) -> Result<(), SessionError> {
@@ -57,7 +55,9 @@ pub fn run_attended(
             show(event);
         });
         match ended.as_ref().err().and_then(SessionError::doubt) {
-            Some(doubt) if keyboard.acknowledges(doubt, homing, stop) => session.acknowledge(),
+            Some(doubt) if keyboard.acknowledges(doubt, session.homing_after_doubt(), stop) => {
+                session.acknowledge();
+            }
             _ => return ended,
         }
     }

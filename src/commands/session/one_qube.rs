@@ -75,7 +75,6 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let resume = resume_command(&root, std::slice::from_ref(&device));
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
-    let homing = settings.homing.method;
     let mut session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
         .and_then(Session::on_the_same_boards)
         .map_err(failed)?
@@ -84,7 +83,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         session = session.trained_by(executor);
     }
     service_manager::ready();
-    let ended = run_attended(&mut session, &keyboard, homing, &stop, &mut |event| {
+    let ended = run_attended(&mut session, &keyboard, &stop, &mut |event| {
         progress.update(&event);
         live.update(&event, progress.time_left());
     });

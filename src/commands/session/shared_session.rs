@@ -21,7 +21,7 @@ use crate::commands::rig_arguments::name_of;
 use crate::commands::screen::Screen;
 use crate::commands::service_manager;
 use crate::commands::stop::Stop;
-use crate::control::{HomingMethod, HomingSettings};
+use crate::control::HomingSettings;
 use crate::qube::{Profile, QubeModel};
 use crate::rig::RigSettings;
 use crate::safety::GuardConsent;
@@ -82,9 +82,6 @@ pub fn run(
 
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
-    // After an acknowledgement all Qubes are homed again, also those that a hand has centred.
-    let by_hand = |(settings, _): &RigWithProfile| settings.homing.method == HomingMethod::Hand;
-    let homing = if rigs.iter().any(by_hand) { HomingMethod::Hand } else { HomingMethod::Stops };
     let (first, profile) = rigs.remove(0);
     let mut session = Session::open(folder, settings, first, Arc::clone(&stop.flag))
         .map_err(failed)?
@@ -96,7 +93,7 @@ pub fn run(
         session = session.trained_by(executor);
     }
     service_manager::ready();
-    let ended = run_attended(&mut session, &keyboard, homing, &stop, &mut |event| {
+    let ended = run_attended(&mut session, &keyboard, &stop, &mut |event| {
         progress.update(&event);
         for (number, live) in (1..).zip(&mut lives) {
             if rig_of(&event).is_none_or(|rig| rig == number) {

@@ -27,6 +27,7 @@ use super::{
     SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState, Step, file_checksum,
     finished_rollout, next_step,
 };
+use crate::control::HomingMethod;
 use crate::jobs::{Executor, LocalExecutor};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, read_on};
@@ -62,6 +63,8 @@ pub struct Session {
     told_left_out: HashSet<(u32, u32)>,
     /// Rollout that an earlier process gave up; `None` if there is none.
     given_up_before: Option<GivenUpBefore>,
+    /// Index of the rig whose error ended the last run, if its error did.
+    ended_by: Option<usize>,
 }
 
 /// A rollout that was given up before this process opened the session.
@@ -123,6 +126,7 @@ impl Session {
             last_fit: 0,
             told_left_out: HashSet::new(),
             given_up_before: None,
+            ended_by: None,
         };
         session.guard_as_unknown();
         session.search_around_identified()?;
@@ -222,6 +226,7 @@ impl Session {
         goes_on: impl Fn(&SessionState) -> bool,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
+        self.ended_by = None;
         self.ledger.check_rigs(self.rigs.len() as u32)?;
         self.pass_doubt_to_rig(on_event)?;
         // Reads every recording before anything moves or is trained, because the search needs every
@@ -270,13 +275,28 @@ impl Session {
         next_step(self.ledger.state(), extent, identification.as_ref())
     }
 
-    /// Acknowledges the session's doubt for the operator; the Qube is examined when its rig is next
-    /// opened.
+    /// Acknowledges for the operator the doubt that ended the last run, or that the ledger ends
+    /// with; the Qube is examined when its rig is next opened. A doubt about another rig remains.
     pub fn acknowledge(&mut self) {
-        for rig in &mut self.rigs {
-            rig.opened = None;
-            rig.settings.recovery.acknowledged = true;
-        }
+        let index = self.rig_in_doubt();
+        let rig = &mut self.rigs[index];
+        rig.opened = None;
+        rig.settings.recovery.acknowledged = true;
+    }
+
+    /// How the Qube is homed whose doubt [`acknowledge`](Self::acknowledge) acknowledges.
+    #[must_use]
+    pub fn homing_after_doubt(&self) -> HomingMethod {
+        self.rigs[self.rig_in_doubt()].settings.homing.method
+    }
+
+    /// Index of the rig whose error ended the last run, or whose void rollout the ledger ends with.
+    fn rig_in_doubt(&self) -> usize {
+        let void = match self.ledger.entries().last() {
+            Some(Entry::RolloutVoid { rig, .. }) => rig.map(|rig| rig as usize - 1),
+            _ => None,
+        };
+        self.ended_by.or(void).unwrap_or(0)
     }
 
     /// Reacts to a doubt that the last entry of the ledger left, even if the session continues on
@@ -316,7 +336,10 @@ impl Session {
         for index in 0..self.rigs.len() {
             if !is_over && !self.is_out(index) && self.rigs[index].settings.is_hardware() {
                 let first = SeedFor::Emulator { candidate: 0, rollout: 0, attempt: 0 };
-                self.ready_rig(index, first, on_event)?;
+                if let Err(error) = self.ready_rig(index, first, on_event) {
+                    self.ended_by = Some(index);
+                    return Err(error);
+                }
             }
         }
         Ok(())

@@ -88,6 +88,7 @@ impl Session {
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         if self.rigs_left() < 2 || !fault.is_of_rig() || self.stop.load(Ordering::Relaxed) {
+            self.ended_by = Some(index);
             return Err(fault);
         }
         let (rig, reason) = (index as u32 + 1, fault.to_string());
