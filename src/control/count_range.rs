@@ -2,7 +2,7 @@
 
 /// Range of some counts, relative to the first count.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct CountRange {
+pub struct CountRange {
     /// The first count, or the one that begins the range anew.
     pub(super) origin: i32,
     lowest: i32,
@@ -10,17 +10,30 @@ pub(super) struct CountRange {
 }
 
 impl CountRange {
-    pub(super) fn at(counts: i32) -> Self {
+    /// The range of this count alone.
+    #[must_use]
+    pub fn at(counts: i32) -> Self {
         Self { origin: counts, lowest: 0, highest: 0 }
     }
 
-    pub(super) fn with(self, counts: i32) -> Self {
+    /// The range with this count too.
+    #[must_use]
+    pub fn with(self, counts: i32) -> Self {
         let off = counts.wrapping_sub(self.origin);
         Self { lowest: self.lowest.min(off), highest: self.highest.max(off), ..self }
     }
 
-    pub(super) fn width(self) -> i32 {
+    /// The largest count minus the smallest.
+    #[must_use]
+    pub fn width(self) -> i32 {
         self.highest.saturating_sub(self.lowest)
+    }
+
+    /// Difference between the middles of this range and an earlier one, counts.
+    #[must_use]
+    pub fn shift_from(self, earlier: Self) -> f64 {
+        let middle = |range: Self| 0.5 * (f64::from(range.lowest) + f64::from(range.highest));
+        f64::from(self.origin.wrapping_sub(earlier.origin)) + middle(self) - middle(earlier)
     }
 
     pub(super) fn middle(self) -> i32 {

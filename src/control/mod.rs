@@ -84,6 +84,7 @@ mod voltage_watch;
 mod watch;
 
 pub use after_motion::fault_after;
+pub use count_range::CountRange;
 pub use current_watch::WEAK_A_V;
 pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive, drive_warm};
 pub use error::{ControlError, ThreadGone};

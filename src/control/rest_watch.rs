@@ -4,7 +4,7 @@
 use thiserror::Error;
 
 use super::count_range::CountRange;
-use crate::qube::{CONTROL_PERIOD_S, Encoder, Encoders, Measurement};
+use crate::qube::{CONTROL_PERIOD_S, Encoders, Measurement};
 
 /// Number of consecutive samples within the widths below that count as rest: 0.6 s, longer than a
 /// swing of the pendulum, so that the samples of a swing show its full width.
@@ -39,11 +39,6 @@ const TOLERANCE: f64 = 16.0;
 /// Largest change of an undriven arm's velocity within a tick, counts a tick: 5 rad/s. A larger
 /// change is a jump of the count, or a blow.
 const LARGEST_KICK: f64 = 16.0;
-
-/// Converts counts of a Qube to counts of `encoder` for the same angle, rounded up.
-fn of_qube(counts: f64, encoder: Encoder) -> i32 {
-    (counts * encoder.counts_per_qube_count()).ceil() as i32
-}
 
 /// Counts at which arm and pendulum are at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,7 +79,7 @@ impl RestingCounts {
         encoders: Encoders,
     ) -> Result<(), Moved> {
         let arm = self.theta.wrapping_sub(before.theta);
-        if arm.unsigned_abs() > of_qube(TOLERANCE, encoders.theta).unsigned_abs() {
+        if arm.unsigned_abs() > encoders.theta.covering_qube_counts(TOLERANCE).unsigned_abs() {
             return Err(Moved::Arm(encoders.theta.angle_rad(arm)));
         }
         let whole_turn = encoders.alpha.counts_per_revolution();
@@ -94,7 +89,7 @@ impl RestingCounts {
         // again.
         let pendulum = self.alpha.wrapping_sub(alpha_zero_counts).wrapping_add(half_turn);
         let pendulum = pendulum.rem_euclid(whole_turn) - half_turn;
-        if pendulum.abs() > of_qube(TOLERANCE, encoders.alpha) {
+        if pendulum.abs() > encoders.alpha.covering_qube_counts(TOLERANCE) {
             return Err(Moved::Pendulum(encoders.alpha.angle_rad(pendulum)));
         }
         Ok(())
@@ -159,8 +154,8 @@ impl RestWatch {
         self.follow(sample);
         let theta = self.theta.with(sample.theta_counts);
         let alpha = self.alpha.with(sample.alpha_counts);
-        let arm_width = of_qube(ARM_WIDTH, self.encoders.theta);
-        let pendulum_width = of_qube(PENDULUM_WIDTH, self.encoders.alpha);
+        let arm_width = self.encoders.theta.covering_qube_counts(ARM_WIDTH);
+        let pendulum_width = self.encoders.alpha.covering_qube_counts(PENDULUM_WIDTH);
         let is_within = theta.width() <= arm_width && alpha.width() <= pendulum_width;
         if self.samples > 0 && is_within {
             (self.theta, self.alpha) = (theta, alpha);
@@ -171,7 +166,7 @@ impl RestWatch {
             }
             if self.samples == REST_SAMPLES {
                 let bend = (gone - 2 * self.half_way).abs();
-                if bend > of_qube(LARGEST_BEND, self.encoders.theta) {
+                if bend > self.encoders.theta.covering_qube_counts(LARGEST_BEND) {
                     self.needed_samples = LONG_REST_SAMPLES;
                 }
             }
@@ -220,6 +215,7 @@ impl RestWatch {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::Encoder;
 
     fn sample(tick: u64, theta_counts: i32, alpha_counts: i32) -> Measurement {
         let device_time_us = 5_000 + tick * 10_000;

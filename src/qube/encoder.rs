@@ -68,6 +68,13 @@ impl Encoder {
         f64::from(self.counts_per_revolution) / f64::from(COUNTS_PER_REVOLUTION)
     }
 
+    /// The smallest number of counts of this encoder that covers the angle of so many counts of a
+    /// Qube's encoder.
+    #[must_use]
+    pub fn covering_qube_counts(self, qube_counts: f64) -> i32 {
+        (qube_counts * self.counts_per_qube_count()).ceil() as i32
+    }
+
     /// The count at an angle: the index of the last edge passed, rounded towards minus infinity.
     #[must_use]
     pub fn counts(self, angle_rad: f64) -> i32 {

@@ -88,8 +88,10 @@ pub(super) fn measure(
                 theta_counts = theta_counts.or(Some(sample.theta_counts));
                 has_stop_switch = sample.status.stop_switch_fitted;
             }
-            Err(LinkFault::Gone) => return Err(gone(port)),
-            Err(_) => lost += 1,
+            Err(fault) => {
+                self::lost(port, fault)?;
+                lost += 1;
+            }
         }
         round_trips.record(clock.now_ns() - asked_ns);
     }
@@ -116,6 +118,24 @@ impl RoundTrips {
     fn is_fast_enough(&self) -> bool {
         let most_us = LONGEST_SAMPLE_TIMEOUT_NS as f64 * 1e-3;
         self.summary_us.p99 <= most_us && self.lost * 100 <= self.asked
+    }
+}
+
+/// Takes note of a fault that may have cost a sample or an act alone.
+///
+/// # Errors
+/// Waiting does not cure the fault: the port is gone, the Qube is off, or it or the board has
+/// restarted, after which no sample comes before the next hello.
+pub(super) fn lost(port: &str, fault: LinkFault) -> Result<(), Interruption> {
+    let port = port.to_owned();
+    match fault {
+        LinkFault::Restarted => Err(DeviceError::Restarted { port }.into()),
+        LinkFault::Gone | LinkFault::QubeOff => Err(DeviceError::Link { port, fault }.into()),
+        LinkFault::Timeout
+        | LinkFault::Full
+        | LinkFault::NotArmed
+        | LinkFault::WatchdogTripped
+        | LinkFault::StaleSample => Ok(()),
     }
 }
 

@@ -1,9 +1,10 @@
 use std::sync::atomic::AtomicBool;
 
-use super::link::gone;
+use super::link::lost;
 use super::{Interruption, ensure_going};
 use crate::clock::{Clock, Nanoseconds};
-use crate::device::{Device, LinkFault};
+use crate::control::CountRange;
+use crate::device::Device;
 use crate::qube::{CONTROL_PERIOD_NS, Encoder, Encoders, wrap_angle};
 use crate::telemetry::CheckResult;
 
@@ -15,53 +16,23 @@ const WINDOW_SAMPLES: u32 = 60;
 
 /// Largest motion of the arm in a window at rest, counts of a Qube: small compared with the effect
 /// of a push.
-const ARM_COUNTS: u32 = 8;
+const ARM_COUNTS: f64 = 8.0;
 /// Largest motion of the pendulum in a window at rest, counts of a Qube: small compared with the
 /// effect of a push.
-const PENDULUM_COUNTS: u32 = 6;
+const PENDULUM_COUNTS: f64 = 6.0;
 
 /// Largest swing of a pendulum that is accepted after [`PATIENCE_NS`] although it does not come to
 /// rest, counts of a Qube. On an arm that friction holds, a pendulum with hardly any friction
 /// swings for very long; the effect of a push can still be told from so small a swing.
-const SWINGING_COUNTS: u32 = 30;
+const SWINGING_COUNTS: f64 = 30.0;
 /// Time after which a small swing of the pendulum is accepted, ns: 5 s.
 const PATIENCE_NS: Nanoseconds = 5_000_000_000;
 
 /// Largest motion of an arm at rest, in a window between two pushes, counts of a Qube.
-const STILL_ARM_COUNTS: u32 = 3;
+const STILL_ARM_COUNTS: f64 = 3.0;
 
 /// Longest wait, ns: 20 s. A pendulum that was touched needs up to 10 s with the motor off.
 const LONGEST_NS: Nanoseconds = 20_000_000_000;
-
-/// Converts counts of a Qube to counts of `encoder` for the same angle, rounded up.
-fn of_qube(counts: u32, encoder: Encoder) -> u32 {
-    (f64::from(counts) * encoder.counts_per_qube_count()).ceil() as u32
-}
-
-/// The range of an encoder's count within a window.
-#[derive(Clone, Copy)]
-struct Span {
-    lowest: i32,
-    highest: i32,
-}
-
-impl Span {
-    fn of(count: i32) -> Self {
-        Self { lowest: count, highest: count }
-    }
-
-    fn with(self, count: i32) -> Self {
-        Self { lowest: self.lowest.min(count), highest: self.highest.max(count) }
-    }
-
-    fn width(self) -> u32 {
-        self.highest.abs_diff(self.lowest)
-    }
-
-    fn middle(self) -> f64 {
-        0.5 * (f64::from(self.lowest) + f64::from(self.highest))
-    }
-}
 
 /// The shift of an encoder's angle between two windows.
 #[derive(Clone, Copy, Debug)]
@@ -76,8 +47,8 @@ pub(super) struct Shift {
 /// The ranges of both counts within a window.
 #[derive(Clone, Copy)]
 pub(super) struct Window {
-    arm: Span,
-    pendulum: Span,
+    arm: CountRange,
+    pendulum: CountRange,
 }
 
 impl Window {
@@ -103,9 +74,10 @@ impl Window {
                 Ok(sample) => {
                     let (theta_counts, alpha_counts) = (sample.theta_counts, sample.alpha_counts);
                     window = Some(match window {
-                        None => {
-                            Self { arm: Span::of(theta_counts), pendulum: Span::of(alpha_counts) }
-                        }
+                        None => Self {
+                            arm: CountRange::at(theta_counts),
+                            pendulum: CountRange::at(alpha_counts),
+                        },
                         Some(Self { arm, pendulum }) => Self {
                             arm: arm.with(theta_counts),
                             pendulum: pendulum.with(alpha_counts),
@@ -113,8 +85,7 @@ impl Window {
                     });
                     samples += 1;
                 }
-                Err(LinkFault::Gone) => return Err(gone(port)),
-                Err(_) => {}
+                Err(fault) => lost(port, fault)?,
             }
         }
         Ok(window)
@@ -122,8 +93,8 @@ impl Window {
 
     /// Shifts of arm and pendulum from an earlier window to this one.
     pub(super) fn shifts_from(&self, earlier: &Self, encoders: Encoders) -> (Shift, Shift) {
-        let shift = |now: Span, then: Span, encoder: Encoder| Shift {
-            by_rad: wrap_angle((now.middle() - then.middle()) * encoder.rad_per_count()),
+        let shift = |now: CountRange, then: CountRange, encoder: Encoder| Shift {
+            by_rad: wrap_angle(now.shift_from(then) * encoder.rad_per_count()),
             width_rad: f64::from(now.width()) * encoder.rad_per_count(),
         };
         (
@@ -154,7 +125,7 @@ pub(super) fn wait_for_the_arm(
     port: &str,
     encoder: Encoder,
 ) -> Result<(), Interruption> {
-    let still_counts = of_qube(STILL_ARM_COUNTS, encoder);
+    let still_counts = encoder.covering_qube_counts(STILL_ARM_COUNTS);
     let end_ns = clock.now_ns() + LONGEST_NS;
     while let Some(Window { arm, .. }) = Window::sample(device, clock, stop, port, end_ns)? {
         if arm.width() <= still_counts {
@@ -174,9 +145,9 @@ pub(super) fn wait(
     port: &str,
     encoders: Encoders,
 ) -> Result<CheckResult, Interruption> {
-    let arm_counts = of_qube(ARM_COUNTS, encoders.theta);
-    let [pendulum_counts, swinging_counts] =
-        [PENDULUM_COUNTS, SWINGING_COUNTS].map(|counts| of_qube(counts, encoders.alpha));
+    let arm_counts = encoders.theta.covering_qube_counts(ARM_COUNTS);
+    let [pendulum_counts, swinging_counts] = [PENDULUM_COUNTS, SWINGING_COUNTS]
+        .map(|counts| encoders.alpha.covering_qube_counts(counts));
     let start_ns = clock.now_ns();
     let end_ns = start_ns + LONGEST_NS;
     let mut width_rad = None;
@@ -194,23 +165,28 @@ pub(super) fn wait(
         }
         width_rad = Some(f64::from(pendulum.width()) * encoders.alpha.rad_per_count());
     }
-    let value = match width_rad {
-        Some(width_rad) => {
-            format!("arm or pendulum still moves, the pendulum by {width_rad:.2} rad")
-        }
-        None => "hardly any sample came".to_owned(),
-    };
-    let remedy = "hold the pendulum until it hangs still, then check again";
-    Ok(CheckResult::fail(NAME, value, remedy))
+    Ok(match width_rad {
+        Some(width_rad) => CheckResult::fail(
+            NAME,
+            format!("arm or pendulum still moves, the pendulum by {width_rad:.2} rad"),
+            "hold the pendulum until it hangs still, then check again",
+        ),
+        None => CheckResult::fail(
+            NAME,
+            "hardly any sample came",
+            "close other programs that keep this computer busy, try another cable or USB port \
+             without a hub, then check again",
+        ),
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::clock::VirtualClock;
-    use crate::device::SerialLink;
     use crate::device::emulator::EmulatorSettings;
-    use crate::qube::State;
+    use crate::device::{DeviceError, Identity, LinkFault, SerialLink};
+    use crate::qube::{Measurement, State};
 
     #[test]
     fn rest_is_the_same_swing_for_every_encoder() {
@@ -229,5 +205,75 @@ mod tests {
                 assert_eq!(at_once, hangs_still, "{counts} counts, {alpha} rad: {result:?}");
             }
         }
+    }
+
+    /// A Qube at rest whose samples are those of the function of their number.
+    struct Sampled<F>(VirtualClock, u32, F);
+
+    impl<F: Fn(u32) -> Result<Measurement, LinkFault> + Send> Device for Sampled<F> {
+        fn hello(&mut self) -> Result<Identity, DeviceError> {
+            unreachable!("nothing greets it")
+        }
+
+        fn arm(&mut self) -> Result<(), DeviceError> {
+            unreachable!("nothing arms it")
+        }
+
+        fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+            self.1 += 1;
+            let answer = (self.2)(self.1);
+            if answer == Err(LinkFault::Timeout) {
+                self.0.sleep_until(deadline_ns);
+            }
+            answer
+        }
+
+        fn act(&mut self, _voltage_mv: i16, _sampled_at_us: u64) -> Result<(), LinkFault> {
+            unreachable!("nothing drives it")
+        }
+
+        fn disarm(&mut self) -> Result<(), DeviceError> {
+            Ok(())
+        }
+    }
+
+    /// The result of the wait for such a Qube, and how long it took, s.
+    fn waited(
+        samples: impl Fn(u32) -> Result<Measurement, LinkFault> + Send,
+    ) -> (Result<CheckResult, Interruption>, f64) {
+        let clock = VirtualClock::default();
+        let mut device = Sampled(clock.clone(), 0, samples);
+        let stop = AtomicBool::new(false);
+        let result = wait(&mut device, &clock, &stop, "here", Encoders::QUBE);
+        (result, clock.now_ns() as f64 * 1e-9)
+    }
+
+    #[test]
+    fn a_board_that_restarts_and_a_qube_that_goes_off_end_the_wait_at_once() {
+        for fault in [LinkFault::Gone, LinkFault::Restarted, LinkFault::QubeOff] {
+            let (ended, after_s) =
+                waited(|number| if number < 5 { Ok(Measurement::default()) } else { Err(fault) });
+            assert!(matches!(ended, Err(Interruption::Device(_))), "{fault}: {ended:?}");
+            assert!(after_s < 0.1, "{fault}: {after_s} s");
+        }
+        let (silent, after_s) = waited(|_| Err(LinkFault::Timeout));
+        let remedy = silent.unwrap().remedy.unwrap();
+        assert!(after_s > 19.0 && remedy.contains("cable"), "{remedy}");
+    }
+
+    #[test]
+    fn a_count_that_passes_its_largest_value_is_at_rest() {
+        let flicker = |number: u32| i32::MAX.wrapping_add((number % 2) as i32);
+        let (rested, _) = waited(|number| {
+            let (theta_counts, alpha_counts) = (flicker(number), flicker(number));
+            Ok(Measurement { theta_counts, alpha_counts, ..Measurement::default() })
+        });
+        assert!(!rested.unwrap().failed());
+        let window = |counts: i32| {
+            let range = CountRange::at(counts).with(counts.wrapping_add(2));
+            Window { arm: range, pendulum: range }
+        };
+        let (arm, _) = window(i32::MIN).shifts_from(&window(i32::MAX - 9), Encoders::QUBE);
+        assert!((arm.by_rad - 10.0 * Encoder::QUBE.rad_per_count()).abs() < 1e-12, "{arm:?}");
     }
 }

@@ -2,11 +2,11 @@ use std::sync::atomic::AtomicBool;
 
 use firmware_protocol::{RefusalReason, WATCHDOG_MS, WATCHDOG_POLL_MS};
 
-use super::link::gone;
+use super::link::lost;
 use super::{Interruption, ensure_going};
 use crate::clock::{Clock, Nanoseconds};
 use crate::control::VOLTAGE_TOLERANCE_MV;
-use crate::device::{Device, DeviceError, LinkFault};
+use crate::device::{Device, DeviceError};
 use crate::qube::{Measurement, applied_voltage_mv};
 use crate::safety::clamp_to_mv;
 use crate::telemetry::CheckResult;
@@ -109,8 +109,10 @@ fn try_once(
     let voltage_mv = clamp_to_mv(VOLTAGE_V, VOLTAGE_V).unwrap_or(0);
     match device.act(voltage_mv, before.device_time_us) {
         Ok(()) => {}
-        Err(LinkFault::Gone) => return Err(gone(port)),
-        Err(_) => return Ok(None),
+        Err(fault) => {
+            lost(port, fault)?;
+            return Ok(None);
+        }
     }
     let Some(on) = sampled(device, clock, port)? else { return Ok(None) };
     let Some(sample_to_act_us) = on.sample_to_act_us.filter(|_| on.status.armed) else {
@@ -163,7 +165,6 @@ fn sampled(
 ) -> Result<Option<Measurement>, Interruption> {
     match device.sample(clock.now_ns() + PATIENCE_NS) {
         Ok(sample) => Ok(Some(sample)),
-        Err(LinkFault::Gone) => Err(gone(port)),
-        Err(_) => Ok(None),
+        Err(fault) => lost(port, fault).map(|()| None),
     }
 }
