@@ -3,11 +3,12 @@ use thiserror::Error;
 use super::{ControlEvent, ControlState, Moved};
 use crate::device::DeviceError;
 
-/// Error: the control thread has panicked.
+/// Error: the control thread has panicked. It switches the motor off where it still can, else the
+/// device's watchdog does, but nobody hears whether it is off.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 #[error(
-    "the control thread has ended unexpectedly, and the device's watchdog has switched the motor \
-     off: start the program again"
+    "the control thread has ended unexpectedly. The motor should be off, but nobody has confirmed it: \
+     switch the Qube off before you reach in, then start the program again"
 )]
 pub struct ThreadGone;
 

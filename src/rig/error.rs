@@ -246,6 +246,7 @@ impl RigError {
             | Self::Ended { fault } => Some(*fault),
             // Whatever ended the link, by now it is gone.
             Self::LinkLost { .. } => Some(Fault::LinkGone),
+            Self::ThreadGone(_) => Some(Fault::OffUnconfirmed),
             Self::Device(error) => link_fault(error),
             Self::CheckFailed { fault, .. } => *fault,
             Self::InDoubt(doubt) => doubt.fault,
@@ -349,6 +350,13 @@ pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn after_a_panic_of_the_control_thread_nobody_knows_that_the_motor_is_off() {
+        let gone = RigError::ThreadGone(ThreadGone);
+        assert_eq!(gone.fault(), Some(Fault::OffUnconfirmed));
+        assert!(gone.to_string().contains("switch the Qube off before you reach in"), "{gone}");
+    }
 
     #[test]
     fn a_device_that_stayed_silent_is_a_lost_link_and_switched_off_once() {
