@@ -20,19 +20,23 @@ pub struct Doubt {
     pub unix_s: Option<u64>,
 }
 
-impl fmt::Display for Doubt {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl Doubt {
+    /// The reason of the doubt and the operator's step, in whole sentences.
+    #[must_use]
+    pub fn reason(&self) -> String {
         let Self { fault, board, .. } = self;
         match fault {
-            Some(fault) => {
-                write!(formatter, "board {board} is in doubt: {fault}. {}", fault.operator_step())?
+            Some(fault) => format!("board {board} is in doubt: {fault}. {}", fault.operator_step()),
+            None => {
+                format!("board {board} is in doubt, and the record of the reason cannot be read.")
             }
-            None => write!(
-                formatter,
-                "board {board} is in doubt, and the record of the reason cannot be read."
-            )?,
         }
-        write!(formatter, " Nothing moves until somebody has checked the Qube")
+    }
+}
+
+impl fmt::Display for Doubt {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{} Nothing moves until somebody has checked the Qube", self.reason())
     }
 }
 

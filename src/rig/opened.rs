@@ -143,8 +143,7 @@ impl Rig {
         stop: &Arc<AtomicBool>,
     ) -> Result<(Self, Option<Doubt>), RigError> {
         let rig = Self::connect(settings, stop)?;
-        let remembered = rig.memory.as_ref().and_then(|memory| memory.load(&rig.identity.serial));
-        let doubt = remembered.or_else(|| settings.recovery.doubt.clone());
+        let doubt = rig.remembered_doubt().or_else(|| settings.recovery.doubt.clone());
         if let Some(doubt) = doubt.clone().filter(|_| !settings.recovery.acknowledged) {
             return Err(RigError::InDoubt(Box::new(doubt)));
         }
@@ -213,6 +212,12 @@ impl Rig {
             motor: Cell::new(MotorState::Off),
             _emulator: emulator,
         })
+    }
+
+    /// The doubt about this Qube that outlived an earlier program, if there is one.
+    #[must_use]
+    pub fn remembered_doubt(&self) -> Option<Doubt> {
+        self.memory.as_ref()?.load(&self.identity.serial)
     }
 
     /// Lets the guard use the identified model of these settings from the next rollout on.

@@ -10,7 +10,9 @@ use assert_cmd::Command;
 use qube_hil::clock::MonotonicClock;
 use qube_hil::device::SerialLink;
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
+use qube_hil::rig::{Doubt, DoubtStore};
 use qube_hil::session::{Entry, Ledger, SessionFolder};
+use qube_hil::telemetry::Fault;
 use serde_json::Value;
 
 use crate::busy_computer::in_real_time;
@@ -168,6 +170,23 @@ fn a_session_on_a_qube_that_is_not_fit_stops_before_anything_is_trained() {
         let ledger =
             Ledger::open(&qube_hil::storage::MachineDisk, &folder.paths().ledger()).unwrap();
         assert!(matches!(ledger.entries(), [Entry::Begun { .. }]), "{:?}", ledger.entries());
+    });
+}
+
+#[test]
+fn a_check_names_the_doubt_about_its_qube_before_it_moves_the_arm() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let qube = with_fault("amplifier@0");
+        let board = format!("{:016x}", EmulatorSettings::default().seed);
+        let doubts = DoubtStore::new(directory.path().join("qube-hil"));
+        doubts.store(&Doubt { fault: Some(Fault::Stall), board: board.clone(), unix_s: None });
+        let output = qube_hil(directory.path(), &["check", "--device", port(&qube)]);
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        let told = stderr(&output);
+        let places = ["is in doubt: the arm hardly turned", "checking "].map(|it| told.find(it));
+        assert!(places.is_sorted() && places[0].is_some(), "{told}");
+        assert!(doubts.load(&board).is_some(), "a check ends no doubt");
     });
 }
 

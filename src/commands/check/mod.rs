@@ -78,6 +78,13 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     device.check_port_exists()?;
     let failed = |error| failures::rig(error, &stop);
     let mut rig = Rig::connect(&settings, &stop.flag).map_err(failed)?;
+    if let Some(doubt) = rig.remembered_doubt() {
+        print_message(&format!(
+            "warning: {} The check moves the arm all the same and does not end the doubt: run or session with \
+             --acknowledge does",
+            doubt.reason()
+        ));
+    }
     print_message(&format!(
         "checking {}: the arm is pushed a little, then homed",
         device.described()
