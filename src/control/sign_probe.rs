@@ -50,7 +50,8 @@ const CURRENT_ERROR_A: f64 = 0.005;
 /// The probe waits at 0 V, pushes until arm or pendulum has moved a little but for at most 0.1 s,
 /// pushes for as long the other way, brakes an arm whose motion it has measured, and waits at 0 V
 /// again. It only records; the examination evaluates the samples. A requested stop ends the probe
-/// only in a stage at 0 V; a fault ends it at once.
+/// in a stage at 0 V, and the push early; the opposite voltage and the brake follow even so, for at
+/// most 0.25 s, because 0 V alone would let the arm coast on. A fault ends the probe at once.
 #[derive(Debug)]
 pub struct SignProbe {
     plant: PlantModel,
@@ -254,8 +255,13 @@ impl SignProbe {
         }
     }
 
-    /// Enters the next stage at the end of the current one.
-    fn advance(&mut self) {
+    /// Whether the stage has no voltage.
+    fn is_quiet(&self) -> bool {
+        matches!(self.stage, ProbeStage::Listen | ProbeStage::Coast)
+    }
+
+    /// Enters the next stage at the end of the current one. A requested stop ends a push.
+    fn advance(&mut self, stop_requested: bool) {
         let theta_rad = self.state.theta - self.push_start.theta;
         let alpha_rad = self.state.alpha - self.push_start.alpha;
         let next = match self.stage {
@@ -264,7 +270,8 @@ impl SignProbe {
                 ProbeStage::Push
             }
             ProbeStage::Push
-                if self.ticks >= PUSH_TICKS
+                if stop_requested
+                    || self.ticks >= PUSH_TICKS
                     || theta_rad.abs().max(alpha_rad.abs()) >= REACH_RAD =>
             {
                 (self.pushed_ticks, self.pushed_rad) = (self.ticks, theta_rad);
@@ -320,9 +327,11 @@ impl Motion for SignProbe {
             applied_v: f64::from(measurement.applied_mv).abs() * 1e-3,
             stage: self.stage,
         });
-        self.advance();
-        let is_quiet = matches!(self.stage, ProbeStage::Listen | ProbeStage::Coast);
-        if input.stop_requested && is_quiet {
+        // A stop lets no push begin.
+        if !(input.stop_requested && self.is_quiet()) {
+            self.advance(input.stop_requested);
+        }
+        if input.stop_requested && self.is_quiet() {
             return self.off(Ending::Stopped);
         }
         if self.all_ticks + 1 >= PROBE_TICKS {
@@ -348,7 +357,8 @@ impl Motion for SignProbe {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::AtomicBool;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
 
     use super::super::drive;
     use super::super::plant_device::PlantDevice;
@@ -388,6 +398,27 @@ mod tests {
         assert_eq!(report.outcome.ending, Ending::Fault(Fault::VoltageDiffers));
         assert!(!device.armed && device.voltages_mv.len() < 10, "{:?}", device.voltages_mv);
         assert!(device.furthest_rad < 0.5, "{} rad", device.furthest_rad);
+    }
+
+    #[test]
+    fn a_stop_ends_a_push_with_its_opposite_voltage_and_lets_none_begin() {
+        // The first acts of a push, its middle, and a tick before it.
+        for (stopped_at, driven_ticks) in [(21, 2..=4), (25, 8..=26), (19, 0..=0)] {
+            let stop = Arc::new(AtomicBool::new(false));
+            let mut device = PlantDevice::new(State::default());
+            let requested = Arc::clone(&stop);
+            device.disturbance = Box::new(move |sample| {
+                requested.store(sample >= stopped_at, Ordering::Relaxed);
+                None
+            });
+            let clock = device.clock.clone();
+            let mut probe = SignProbe::new(&PlantModel::QUBE, Calibration::IDENTITY, 0.25);
+            let report = drive(&mut device, &clock, &mut probe, None, &stop).unwrap();
+            assert_eq!(report.outcome.ending, Ending::Stopped);
+            let driven = device.voltages_mv.iter().filter(|voltage_mv| **voltage_mv != 0).count();
+            assert!(driven_ticks.contains(&driven), "{stopped_at}: {:?}", device.voltages_mv);
+            assert!(device.state.theta_dot.abs() < 2.0, "{stopped_at}: {:?}", device.state);
+        }
     }
 
     #[test]
