@@ -110,6 +110,13 @@ pub(super) struct Channels {
     pub tachometer_counts_s: f64,
 }
 
+impl Channels {
+    /// Whether current and velocity are finite numbers.
+    pub(super) fn are_numbers(&self) -> bool {
+        self.current_a.is_finite() && self.tachometer_counts_s.is_finite()
+    }
+}
+
 /// The texts of a card that are read, with their numbers in `t_hil_string_property`.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum TextProperty {
@@ -363,6 +370,19 @@ fn find_message(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_reading_that_is_no_number_is_no_reading() {
+        let with = |current_a, tachometer_counts_s| Channels {
+            current_a,
+            tachometer_counts_s,
+            ..Channels::default()
+        };
+        assert!(with(0.2, -300.0).are_numbers());
+        for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            assert!(!with(wrong, 0.0).are_numbers() && !with(0.0, wrong).are_numbers());
+        }
+    }
 
     #[test]
     fn a_text_of_the_library_becomes_one_printable_line() {

@@ -27,7 +27,7 @@ const MAX_FAILED_ACTS: u32 = 2;
 pub(super) enum NoSample {
     /// The card is not open, or the library no longer knows it.
     Gone,
-    /// The read failed.
+    /// The read failed, or gave a reading that is no number.
     Failed,
 }
 
@@ -190,13 +190,14 @@ impl Panel {
         }
         let asked_ns = self.clock.now_ns();
         match card.read() {
-            Ok(channels) => self.store(&channels),
-            Err(_) if self.amplifier == AmplifierState::Armed && card.watchdog_is_expired() => {
+            // A velocity or a current that is no number would count as none and weaken the watches.
+            Ok(channels) if channels.are_numbers() => self.store(&channels),
+            _ if self.amplifier == AmplifierState::Armed && card.watchdog_is_expired() => {
                 self.amplifier = AmplifierState::Tripped;
             }
-            Err(_) if self.amplifier == AmplifierState::Tripped => {}
-            Err(_) if !card.is_valid() => return Err(NoSample::Gone),
-            Err(_) => return Err(NoSample::Failed),
+            _ if self.amplifier == AmplifierState::Tripped => {}
+            _ if !card.is_valid() => return Err(NoSample::Gone),
+            _ => return Err(NoSample::Failed),
         }
         if self.amplifier != AmplifierState::Armed {
             self.applied_mv = 0;
