@@ -64,6 +64,15 @@ impl MotorCooling {
     }
 }
 
+/// The state that ends a watch of arm and pendulum.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum WaitsFor {
+    /// Both are at rest.
+    Rest,
+    /// Both are at rest, and the arm is [still](RestWatch::is_still).
+    Stillness,
+}
+
 /// Knowledge about the encoder counts between motions.
 #[derive(Debug)]
 pub(super) struct RestMonitor {
@@ -76,18 +85,18 @@ pub(super) struct RestMonitor {
     pub encoders: Encoders,
     /// Time at which `left_at` was determined, ns.
     pub left_ns: Nanoseconds,
-    /// Whether the monitor waits after each motion until the arm is still, not only at rest. It
-    /// becomes true for the rest of the program once the arm has moved within a pause shorter than
-    /// [`SHORT_PAUSE_NS`], because a cable may pull the arm away after each motion. In a longer
-    /// pause, such as a training, an arm that was at rest may creep away; to home it then costs
-    /// less time than to wait after each motion.
-    pub waits_until_still: bool,
+    /// The state that the arm must reach after each motion. It becomes still for the rest of the
+    /// program once the arm has moved within a pause shorter than [`SHORT_PAUSE_NS`], because a
+    /// cable may pull the arm away after each motion. In a longer pause, such as a training, an arm
+    /// that was at rest may creep away; to home it then costs less time than to wait after each
+    /// motion.
+    pub waits_for: WaitsFor,
 }
 
 impl Default for RestMonitor {
     fn default() -> Self {
         let (port, encoders) = (String::new(), Encoders::default());
-        Self { port, left_at: Err(Moved::Unseen), encoders, left_ns: 0, waits_until_still: false }
+        Self { port, left_at: Err(Moved::Unseen), encoders, left_ns: 0, waits_for: WaitsFor::Rest }
     }
 }
 
@@ -106,7 +115,7 @@ impl RestMonitor {
         stop: &AtomicBool,
     ) -> Result<(), DeviceError> {
         let mut watch = RestWatch::after(last, self.encoders);
-        let watched = watch_rest(&mut watch, self.waits_until_still, device, clock, stop);
+        let watched = watch_rest(&mut watch, self.waits_for, device, clock, stop);
         if matches!(watched, Err(NoRest::Armed)) {
             return Err(DeviceError::StaysArmed { port: self.port.clone() });
         }
@@ -138,7 +147,7 @@ impl RestMonitor {
         };
         let just_left = clock.now_ns().saturating_sub(self.left_ns) < SHORT_PAUSE_NS;
         let mut watch = RestWatch::new(self.encoders);
-        let rest = watch_rest(&mut watch, false, device, clock, stop).map_err(failed)?;
+        let rest = watch_rest(&mut watch, WaitsFor::Rest, device, clock, stop).map_err(failed)?;
         let Some(rest) = rest else {
             let stopped = stop.load(Ordering::Relaxed);
             return Err(if stopped { ControlError::Stopped } else { Moved::Unseen.into() });
@@ -146,7 +155,9 @@ impl RestMonitor {
         let left_at = self.left_at?;
         let zero_counts = settings.calibration.alpha_zero_counts;
         let compared = rest.compare(left_at, zero_counts, self.encoders);
-        self.waits_until_still |= just_left && matches!(compared, Err(Moved::Arm(_)));
+        if just_left && matches!(compared, Err(Moved::Arm(_))) {
+            self.waits_for = WaitsFor::Stillness;
+        }
         Ok(compared?)
     }
 }
@@ -161,14 +172,14 @@ enum NoRest {
 }
 
 /// Samples at 100 Hz until arm and pendulum are at rest, for at most [`REST_TIME_NS`] and until
-/// `stop` is set; returns `None` if they are not at rest by then. With `until_still`, sampling goes
-/// on until the arm is still; an arm that is only at rest at the end counts as at rest.
+/// `stop` is set; returns `None` if they are not at rest by then. If the arm is to be still,
+/// sampling goes on until it is; an arm that is only at rest at the end counts as at rest.
 ///
 /// # Errors
 /// The device is armed or gone ([`NoRest`]). Lost samples are tolerated.
 fn watch_rest(
     watch: &mut RestWatch,
-    until_still: bool,
+    waits_for: WaitsFor,
     device: &mut dyn Device,
     clock: &dyn Clock,
     stop: &AtomicBool,
@@ -182,7 +193,7 @@ fn watch_rest(
             Ok(sample) if sample.status.armed => return Err(NoRest::Armed),
             Ok(sample) => {
                 rest = watch.update(&sample);
-                if rest.is_some() && (!until_still || watch.is_still()) {
+                if rest.is_some() && (waits_for == WaitsFor::Rest || watch.is_still()) {
                     return Ok(rest);
                 }
             }

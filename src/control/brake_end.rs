@@ -39,6 +39,15 @@ pub(super) enum ArmAfterBrake {
     Disobeys,
 }
 
+/// How a brake works against the arm's motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum BrakeKind {
+    /// It follows the guard's rule.
+    Guarded,
+    /// It brakes the arm's velocity alone, because the arm's count is doubted.
+    Damping,
+}
+
 /// The rule by which the brake of a rollout ends.
 #[derive(Debug)]
 pub(super) struct BrakeEnd {
@@ -64,13 +73,15 @@ impl BrakeEnd {
     }
 
     /// The arm's state if the brake ends in this tick, after so many periods of braking; `None` if
-    /// it goes on. `damps` is whether the arm's count is doubted and its velocity alone is braked.
-    pub fn check(&mut self, arm: &State, periods: u32, damps: bool) -> Option<ArmAfterBrake> {
+    /// it goes on.
+    pub fn check(&mut self, arm: &State, periods: u32, kind: BrakeKind) -> Option<ArmAfterBrake> {
         let speed_rad_s = arm.theta_dot.abs();
         let (is_at_rest, most_ticks) = match self.guard {
             // A frozen count looks stopped at once although the arm may move, so the count must
             // stay in place for the longer time of the detector.
-            _ if damps => (self.centred.is_centred(arm.theta), MAX_RETURN_TICKS),
+            _ if kind == BrakeKind::Damping => {
+                (self.centred.is_centred(arm.theta), MAX_RETURN_TICKS)
+            }
             Guard::Box => {
                 let slow = speed_rad_s < STOPPED_RAD_S;
                 self.stopped_ticks = if slow { self.stopped_ticks + 1 } else { 0 };
@@ -101,7 +112,7 @@ mod tests {
         let guard = Guard::Foresight;
         let centred = CentredDetector::default();
         let mut rule = BrakeEnd { guard, rules, centred, stopped_ticks: 0 };
-        rule.check(&State { theta_dot, ..State::default() }, periods, false)
+        rule.check(&State { theta_dot, ..State::default() }, periods, BrakeKind::Guarded)
     }
 
     #[test]

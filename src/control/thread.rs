@@ -291,8 +291,8 @@ fn execute(
             let identified = greet_until_answered(device, clock, stop, retries);
             let answered = identified.is_ok();
             // The cable is the same after a hello.
-            let waits_until_still = rest_monitor.waits_until_still;
-            *rest_monitor = RestMonitor { waits_until_still, ..RestMonitor::default() };
+            let waits_for = rest_monitor.waits_for;
+            *rest_monitor = RestMonitor { waits_for, ..RestMonitor::default() };
             if let Ok(identity) = &identified {
                 rest_monitor.port.clone_from(&identity.port);
             }

@@ -1,5 +1,5 @@
 use super::asking_push::AskingPush;
-use super::brake_end::{ArmAfterBrake, BrakeEnd};
+use super::brake_end::{ArmAfterBrake, BrakeEnd, BrakeKind};
 use super::push::ArmInput;
 use super::rest::RestDetector;
 use super::sensor_watch::SensorWatch;
@@ -295,7 +295,8 @@ impl<C: Controller> Tick<C> {
     /// The event that ends braking, once the arm has stopped, or when it does not obey the motor.
     fn braking_end(&mut self) -> Option<(ControlEvent, Ending)> {
         let arm = &self.estimates.guarded;
-        let ended = self.brake_end.check(arm, self.periods_in_phase, self.damps)?;
+        let kind = if self.damps { BrakeKind::Damping } else { BrakeKind::Guarded };
+        let ended = self.brake_end.check(arm, self.periods_in_phase, kind)?;
         Some(match ended {
             ArmAfterBrake::Stopped => (ControlEvent::BrakingEnded, self.reason),
             ArmAfterBrake::Disobeys => {
