@@ -293,10 +293,11 @@ impl Session {
     /// Index of the rig whose error ended the last run, or whose void rollout the ledger ends with.
     fn rig_in_doubt(&self) -> usize {
         let void = match self.ledger.entries().last() {
-            Some(Entry::RolloutVoid { rig, .. }) => rig.map(|rig| rig as usize - 1),
+            Some(Entry::RolloutVoid { rig, .. }) => rig.map(|rig| (rig as usize).saturating_sub(1)),
             _ => None,
         };
-        self.ended_by.or(void).unwrap_or(0)
+        // The ledger may be of a session of more rigs, which a run then refuses.
+        self.ended_by.or(void).filter(|index| *index < self.rigs.len()).unwrap_or(0)
     }
 
     /// Reacts to a doubt that the last entry of the ledger left, even if the session continues on
