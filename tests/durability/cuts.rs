@@ -243,6 +243,6 @@ fn a_session_that_is_withdrawn_leaves_nothing_on_its_disk() {
     let (disk, root) = (SimulatedDisk::default(), Path::new("/withdrawn"));
     let folder = SessionFolder::create_on(Arc::new(disk.clone()), root, "seed = 1").unwrap();
     assert!(disk.exists(&folder.paths().candidates()));
-    folder.withdraw();
+    folder.withdraw_if_new();
     assert!(disk.names(root).unwrap().is_empty());
 }
