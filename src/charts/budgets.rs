@@ -1,7 +1,7 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::style::{FAINT, FONT, INK, Key, TEXT, TITLE, colour, with_key};
+use super::style::{FAINT, FONT, INK, Key, TEXT, TITLE, colour, widest, with_key};
 use super::{DrawingError, PlotError};
 
 /// The share of a method's repetitions that succeed on a plant.
@@ -19,8 +19,12 @@ pub struct ShareOfPlant {
     pub interval: [f64; 2],
 }
 
-/// Width of the rows' names, pixels.
+/// Smallest width of the column with the rows' names, pixels.
 const NAMES: u32 = 120;
+/// Place of a name in its column, pixels from the left.
+const NAME_X: i32 = 14;
+/// Width of all panels together, pixels.
+const PANELS: u32 = 880;
 
 /// Draws the share of repetitions that succeed, with its interval, for each method on each plant,
 /// in a panel for each budget of real rollouts. Rows are the plants and colours the methods; with
@@ -62,7 +66,8 @@ fn draw(svg: &mut String, title: &str, shares: &[ShareOfPlant]) -> Result<(), Pl
     };
     let row_height = 14 + 9 * colours.len() as u32;
     let height = 160 + row_height * rows.len() as u32;
-    let root = SVGBackend::with_string(svg, (1000, height)).into_drawing_area();
+    let names_width = (NAME_X as u32 + widest(rows.iter().copied()) + 10).max(NAMES);
+    let root = SVGBackend::with_string(svg, (names_width + PANELS, height)).into_drawing_area();
     root.fill(&WHITE)?;
     let root = root.titled(title, (FONT, TITLE))?;
     let key: Vec<(String, Key)> = colours
@@ -74,9 +79,9 @@ fn draw(svg: &mut String, title: &str, shares: &[ShareOfPlant]) -> Result<(), Pl
     let (below, foot) = below.split_vertically(below.dim_in_pixel().1 - 24);
     let centred = (FONT, TEXT - 2).into_font().color(&INK).pos(Pos::new(HPos::Center, VPos::Top));
     let words = "share of repetitions that succeed, with its 95 % interval";
-    let centre = (NAMES as i32 + foot.dim_in_pixel().0 as i32) / 2;
+    let centre = (names_width as i32 + foot.dim_in_pixel().0 as i32) / 2;
     foot.draw(&Text::new(words, (centre, 2), centred))?;
-    let (names, panels) = below.split_horizontally(NAMES);
+    let (names, panels) = below.split_horizontally(names_width);
     let columns = panels.split_evenly((1, budgets.len().max(1)));
     for (column, (panel, budget)) in columns.iter().zip(&budgets).enumerate() {
         let mut chart = ChartBuilder::on(panel)
@@ -101,7 +106,7 @@ fn draw(svg: &mut String, title: &str, shares: &[ShareOfPlant]) -> Result<(), Pl
                 let (_, y) = chart.backend_coord(&(0.0, top - 0.5));
                 let y = y - names.get_pixel_range().1.start;
                 let style = (FONT, TEXT).into_font().color(&INK);
-                names.draw(&Text::new((*name).to_owned(), (14, y - 8), style))?;
+                names.draw(&Text::new((*name).to_owned(), (NAME_X, y - 8), style))?;
             }
         }
         for it in shares.iter().filter(|it| it.budget == *budget) {
@@ -145,5 +150,9 @@ mod tests {
         let methods = ["robust", "posterior", "simopt"].map(|method| share("lab", method, 0));
         let svg = budgets_svg("success by plant", &methods).unwrap();
         assert_eq!(svg.matches("<circle").count(), 4);
+        assert!(svg.contains("viewBox=\"0 0 1000 "), "{svg}");
+        // A long name has a wider column, so that it is not drawn across the first panel.
+        let svg = budgets_svg("long", &[share("mine-2026+gap1.5+vary5%", "robust", 0)]).unwrap();
+        assert!(svg.contains("viewBox=\"0 0 1111 "), "{svg}");
     }
 }

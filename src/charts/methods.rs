@@ -1,6 +1,6 @@
 use plotters::prelude::*;
 
-use super::style::{FAINT, FONT, INK, TEXT, TITLE, colour};
+use super::style::{FAINT, FONT, INK, TEXT, TITLE, colour, widest};
 use super::{DrawingError, PlotError};
 
 /// A step line of the figure, with its name.
@@ -16,6 +16,19 @@ pub struct StepLine {
 /// lines from hiding each other.
 const APART: f64 = 0.012;
 
+/// Width of the lines' panel, pixels.
+const PANEL: u32 = 860;
+/// Smallest width of the names' column, pixels.
+const NAMES: u32 = 140;
+/// Place of a name in its column, pixels from the left.
+const NAME_X: i32 = 38;
+/// Place of the first name, pixels from the top.
+const NAME_Y: i32 = 60;
+/// Distance of the names, pixels.
+const NAME_STEP: i32 = 24;
+/// Height of the note below the panel, pixels.
+const NOTE: u32 = 24;
+
 /// Draws, for each method, the share of repetitions whose recommendation has succeeded, as a step
 /// line over the number of real rollouts. A line that ends below 1 has repetitions that never
 /// succeeded. `last` is the number of rollouts at the right end of the axis, above 1.
@@ -29,13 +42,24 @@ pub fn methods_svg(title: &str, lines: &[StepLine], last: f64) -> Result<String,
 }
 
 fn draw(svg: &mut String, title: &str, steps: &[StepLine], last: f64) -> Result<(), PlotError> {
-    let root = SVGBackend::with_string(svg, (1000, 500)).into_drawing_area();
+    let names: Vec<String> = steps
+        .iter()
+        .map(|line| {
+            let never = line.corners.iter().all(|corner| corner.1 == 0.0);
+            if never { format!("{}: never", line.name) } else { line.name.clone() }
+        })
+        .collect();
+    let column = NAME_X as u32 + widest(names.iter().map(String::as_str)) + 10;
+    let width = PANEL + column.max(NAMES);
+    let height = (NAME_Y + NAME_STEP * steps.len() as i32) as u32;
+    let height = height.max(476);
+    let root = SVGBackend::with_string(svg, (width, height + NOTE)).into_drawing_area();
     root.fill(&WHITE)?;
-    let (root, note) = root.split_vertically(476);
+    let (root, note) = root.split_vertically(height);
     let words = "Lines are drawn a little apart, so that equal ones can be told apart. A line that ends below 1 has repetitions that never succeeded.";
     note.draw(&Text::new(words, (60, 2), (FONT, TEXT - 2).into_font().color(&INK)))?;
     // The names have a column of their own, because the lines end at any height.
-    let (lines, names) = root.split_horizontally(860);
+    let (lines, column) = root.split_horizontally(PANEL);
     let below = APART * steps.len() as f64 + 0.02;
     let mut chart = ChartBuilder::on(&lines)
         .margin(10)
@@ -57,16 +81,15 @@ fn draw(svg: &mut String, title: &str, steps: &[StepLine], last: f64) -> Result<
         .label_style((FONT, TEXT - 2))
         .axis_desc_style((FONT, TEXT))
         .draw()?;
-    for (index, line) in steps.iter().enumerate() {
+    for (index, (line, name)) in steps.iter().zip(names).enumerate() {
         let style = colour(index).stroke_width(3);
         let lower = APART * index as f64;
         let corners = line.corners.iter().map(|(rollouts, share)| (*rollouts, share - lower));
         chart.draw_series(LineSeries::new(corners, style))?;
-        let below = 60 + 24 * index as i32;
-        names.draw(&PathElement::new([(8, below), (32, below)], style))?;
-        let never = line.corners.iter().all(|corner| corner.1 == 0.0);
-        let name = if never { format!("{}: never", line.name) } else { line.name.clone() };
-        names.draw(&Text::new(name, (38, below - 8), (FONT, TEXT).into_font().color(&INK)))?;
+        let below = NAME_Y + NAME_STEP * index as i32;
+        column.draw(&PathElement::new([(8, below), (32, below)], style))?;
+        let place = (NAME_X, below - 8);
+        column.draw(&Text::new(name, place, (FONT, TEXT).into_font().color(&INK)))?;
     }
     root.present()
 }
@@ -93,5 +116,16 @@ mod tests {
             .filter_map(|it| it.split("points=\"").nth(1)?.split([',', ' ']).nth(1))
             .collect();
         assert!(heights.len() >= 3, "{flat:?}");
+    }
+
+    #[test]
+    fn the_figure_has_room_for_long_names_and_many_lines() {
+        let line = |name: &str| StepLine { name: name.into(), corners: vec![(1.0, 0.0)] };
+        let few = methods_svg("few", &[line("cem")], 125.0).unwrap();
+        assert!(few.contains("viewBox=\"0 0 1000 500\""), "{few}");
+        let lines = vec![line("identify-mean"); 20];
+        let many = methods_svg("many", &lines, 125.0).unwrap();
+        // The longest name is `identify-mean: never`, and the twentieth stands at 60 + 24 * 19.
+        assert!(many.contains("viewBox=\"0 0 1088 564\""), "{many}");
     }
 }

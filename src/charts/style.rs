@@ -61,10 +61,19 @@ const DARK_PAGE: PageColours = PageColours {
 pub const FONT: &str = "sans-serif";
 /// Size of the texts at axes and in keys, pixels.
 pub const TEXT: u32 = 15;
+/// Estimated width of a letter at the size [`TEXT`], pixels; wide letters are wider, but few names
+/// have many of them.
+const LETTER: u32 = 9;
 /// Size of titles, pixels.
 pub const TITLE: u32 = 18;
 /// Width of a line, pixels.
 pub const LINE: u32 = 2;
+
+/// Estimated width of the widest of these texts at the size [`TEXT`], pixels.
+pub fn widest<'a>(texts: impl IntoIterator<Item = &'a str>) -> u32 {
+    let letters = texts.into_iter().map(|text| text.chars().count() as u32);
+    LETTER * letters.max().unwrap_or(0)
+}
 
 /// The colour of the line with this index; after seven lines the colours repeat.
 pub fn colour(index: usize) -> RGBColor {

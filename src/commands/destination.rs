@@ -12,7 +12,7 @@ use super::failures;
 use super::printable::print_message;
 use crate::experiment::{ExperimentFolder, is_irreplaceable};
 use crate::session::{FolderError, SessionPaths};
-use crate::storage::{Disk, FolderLock, MachineDisk, write_whole};
+use crate::storage::{Disk, FolderLock, MachineDisk, write_new, write_whole};
 
 /// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
 const ROOM_BYTES: usize = 1 << 18;
@@ -69,16 +69,16 @@ impl OutputFile {
     }
 
     fn write_or_keep_in(&self, shelter: &Path, bytes: &[u8]) -> Result<(), Failure> {
-        let failure = if self.replace || self.path.symlink_metadata().is_err() {
-            match write_whole(&MachineDisk, &self.path, bytes) {
-                Ok(()) => return Ok(()),
-                Err(error) => failures::folder(&error.into()),
-            }
-        } else {
-            Failure::usage(format!(
-                "{} was created by another process meanwhile",
-                self.path.display()
-            ))
+        let written = match self.replace {
+            true => write_whole(&MachineDisk, &self.path, bytes),
+            false => write_new(&MachineDisk, &self.path, bytes),
+        };
+        let failure = match written {
+            Ok(()) => return Ok(()),
+            Err(error) if error.source.kind() == ErrorKind::AlreadyExists => Failure::usage(
+                format!("{} was created by another process meanwhile", self.path.display()),
+            ),
+            Err(error) => failures::folder(&error.into()),
         };
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let name = self.path.file_name().unwrap_or(OsStr::new("result")).to_string_lossy();

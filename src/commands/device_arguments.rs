@@ -185,6 +185,12 @@ impl QubeArguments {
             ..self.choose_specimen(&given.unwrap_or_default())?
         };
         chosen.check_plant(&chosen.plant)?;
+        if let (true, Some(port)) = (self.treatment.unidentified, chosen.choice.name()) {
+            return Err(Failure::usage(format!(
+                "--unidentified is for the emulated Qube, and {port} is a real one: to have it guarded as an unidentified \
+                 one, leave the profile out of its {QUBE_FILE}"
+            )));
+        }
         Ok(chosen)
     }
 

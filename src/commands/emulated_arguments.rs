@@ -193,6 +193,11 @@ impl EmulatedArguments {
             *model = profile::named(name, plant)?;
         }
         if let Some(factor) = self.gap {
+            if *model == plant.nominal() {
+                return Err(Failure::usage(
+                    "--gap has no effect on the nominal Qube, which has no gap: give a --profile with it, such as lab",
+                ));
+            }
             *model = model.scaled_from(&plant.parameters, factor);
         }
         if let Some(milliseconds) = self.delay_ms {

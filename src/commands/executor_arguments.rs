@@ -16,6 +16,13 @@ use crate::jobs::starter::{
 use crate::jobs::{AtEnd, Executor, FolderExecutor};
 use crate::storage::MachineDisk;
 
+/// Default number of workers.
+const WORKERS: u32 = 8;
+/// Default number of failed tries after which a training is given up.
+const TRIES: u32 = 3;
+/// Default time without a sign of life after which a worker counts as dead, s.
+const STALE_S: f64 = 60.0;
+
 /// The arguments that select the computers on which a command trains its policies.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Where policies are trained")]
@@ -27,9 +34,9 @@ pub struct ExecutorArguments {
     #[arg(long, value_name = "local|slurm|folder|COMMAND", default_value = "local")]
     executor: ExecutorChoice,
 
-    /// Number of workers, a core each
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    workers: u32,
+    /// Number of workers, a core each [default: 8]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    workers: Option<u32>,
 
     /// Folder of jobs, on a file system that all computers share [default: jobs/ in the folder of results]
     #[arg(long, value_name = "DIR")]
@@ -39,13 +46,13 @@ pub struct ExecutorArguments {
     #[arg(long, value_name = "PATH")]
     worker_program: Option<PathBuf>,
 
-    /// Failed tries after which a training is given up
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    tries: u32,
+    /// Failed tries after which a training is given up [default: 3]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    tries: Option<u32>,
 
-    /// Time without a sign of life after which a worker counts as dead, s; 1 to 86400
-    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = stale_seconds)]
-    stale: f64,
+    /// Time without a sign of life after which a worker counts as dead, s; 1 to 86400 [default: 60]
+    #[arg(long, value_name = "S", value_parser = stale_seconds)]
+    stale: Option<f64>,
 
     /// At Ctrl-C leave the workers running and their trainings in the folder; --resume finds them again
     #[arg(long)]
@@ -84,6 +91,18 @@ enum ExecutorChoice {
     Folder,
     /// Workers that this command starts.
     Command(String),
+}
+
+impl ExecutorChoice {
+    /// The choice as the command line has it.
+    fn text(&self) -> &str {
+        match self {
+            Self::Local => "local",
+            Self::Slurm => "slurm",
+            Self::Folder => "folder",
+            Self::Command(template) => template,
+        }
+    }
 }
 
 impl FromStr for ExecutorChoice {
@@ -131,12 +150,61 @@ impl ExecutorArguments {
     /// Checks, before a folder is made, that the executor can start workers: that the command is
     /// one, or that Slurm is on this computer.
     pub fn check(&self) -> Result<(), Failure> {
+        if let Some(option) = self.unused_option() {
+            return Err(Failure::usage(format!(
+                "{option} has no effect with --executor {}: leave it out, or give another --executor",
+                self.executor.text()
+            )));
+        }
         match &self.executor {
             ExecutorChoice::Local | ExecutorChoice::Folder => Ok(()),
             ExecutorChoice::Slurm => SlurmStarter::check_installed()
                 .map_err(|error| Failure::usage(format!("--executor slurm: {error}"))),
             ExecutorChoice::Command(template) => command_starter(template, String::new()).map(drop),
         }
+    }
+
+    /// The options beside `--executor` that are given, with their values; a switch has none.
+    fn given(&self) -> Vec<(&'static str, Option<String>)> {
+        let path = |path: &PathBuf| path.to_string_lossy().into_owned();
+        let values = [
+            ("--workers", self.workers.map(|workers| workers.to_string())),
+            ("--jobs", self.jobs.as_ref().map(path)),
+            ("--worker-program", self.worker_program.as_ref().map(path)),
+            ("--tries", self.tries.map(|tries| tries.to_string())),
+            ("--stale", self.stale.map(|stale| stale.to_string())),
+            ("--slurm-partition", self.slurm_partition.clone()),
+            ("--slurm-account", self.slurm_account.clone()),
+            ("--slurm-time", self.slurm_time.clone()),
+            ("--slurm-memory", self.slurm_memory.clone()),
+        ];
+        let values = values.into_iter().filter(|(_, value)| value.is_some());
+        let switches = self.leave_workers.then_some(("--leave-workers", None));
+        values.chain(switches).collect()
+    }
+
+    /// The first option that is given and that this executor does not use.
+    fn unused_option(&self) -> Option<&'static str> {
+        let is_unused = |option: &str| match self.executor {
+            ExecutorChoice::Local => true,
+            ExecutorChoice::Slurm => false,
+            ExecutorChoice::Folder | ExecutorChoice::Command(_) => option.starts_with("--slurm-"),
+        };
+        self.given().into_iter().map(|(option, _)| option).find(|option| is_unused(option))
+    }
+
+    /// The options that select the same executor in the command that resumes the work, each after a
+    /// blank; empty for this computer's cores.
+    pub fn options(&self) -> String {
+        if let ExecutorChoice::Local = self.executor {
+            return String::new();
+        }
+        let executor = ("--executor", Some(self.executor.text().to_owned()));
+        let word = |(option, value): (&str, Option<String>)| match value {
+            Some(value) => format!(" {option} {}", quoted(&value)),
+            None => format!(" {option}"),
+        };
+        std::iter::once(executor).chain(self.given()).map(word).collect()
     }
 
     /// The executor of the trainings, or `None` for this computer's cores. The executor becomes the
@@ -156,7 +224,8 @@ impl ExecutorArguments {
             check_words(&program, &root)?;
         }
         let work = worker_command(&program, &root);
-        let terms = Terms::new(Duration::from_secs_f64(self.stale), self.tries);
+        let stale = Duration::from_secs_f64(self.stale.unwrap_or(STALE_S));
+        let terms = Terms::new(stale, self.tries.unwrap_or(TRIES));
         let failed = |error| failures::job_folder(&error, stop);
         let folder = JobFolder::create(Arc::new(MachineDisk), &root, terms).map_err(failed)?;
         let starter: Option<Box<dyn Starter>> = match &self.executor {
@@ -171,7 +240,8 @@ impl ExecutorArguments {
             ExecutorChoice::Command(template) => Some(Box::new(command_starter(template, work)?)),
         };
         let at_end = if self.leave_workers { AtEnd::Leave } else { AtEnd::Withdraw };
-        let executor = FolderExecutor::new(folder, starter, self.workers, at_end, &stop.flag);
+        let workers = self.workers.unwrap_or(WORKERS);
+        let executor = FolderExecutor::new(folder, starter, workers, at_end, &stop.flag);
         Ok(Some(Arc::new(executor.map_err(failed)?.while_waiting(service_manager::alive))))
     }
 
@@ -190,5 +260,42 @@ impl ExecutorArguments {
             time: self.slurm_time.clone(),
             memory: self.slurm_memory.clone(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::{Args as _, FromArgMatches as _};
+
+    use super::*;
+
+    fn parsed(options: &str) -> ExecutorArguments {
+        let command = ExecutorArguments::augment_args(clap::Command::new("test"));
+        let words = ["test"].into_iter().chain(options.split_whitespace());
+        let matches = command.try_get_matches_from(words).unwrap();
+        ExecutorArguments::from_arg_matches(&matches).unwrap()
+    }
+
+    #[test]
+    fn an_option_that_the_executor_does_not_use_is_refused() {
+        for (options, unused) in [
+            ("--workers 64", Some("--workers")),
+            ("--leave-workers", Some("--leave-workers")),
+            ("--executor folder --slurm-time 10", Some("--slurm-time")),
+            ("--executor folder --workers 2 --jobs there --stale 5", None),
+            ("--executor slurm --slurm-time 10 --tries 2", None),
+            ("", None),
+        ] {
+            assert_eq!(parsed(options).unused_option(), unused, "{options}");
+        }
+        let refused = parsed("--workers 64").check().unwrap_err();
+        assert!(refused.cause().starts_with("--workers has no effect with --executor local"));
+    }
+
+    #[test]
+    fn work_is_resumed_with_the_same_executor() {
+        assert_eq!(parsed("").options(), "");
+        let options = "--executor slurm --workers 4 --jobs /there --slurm-time 10 --leave-workers";
+        assert_eq!(parsed(options).options(), format!(" {options}"));
     }
 }

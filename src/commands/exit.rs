@@ -45,10 +45,12 @@ impl Failure {
     }
 
     /// The failure of work that consists of several named parts, some of which failed; `None` if
-    /// none failed. The exit code is the largest of the parts: a stop by a signal comes before a
-    /// fault, and a fault before other failures. The fault is the first part's that has one.
+    /// none failed. The exit code is that of the gravest part: a fault, after which the motor may be
+    /// on, comes before a stop by a signal, and a stop before all other failures, of which the
+    /// largest code counts. The fault is the first part's that has one.
     pub fn of_parts(parts: &[(String, Self)]) -> Option<Self> {
-        let code = parts.iter().map(|(_, failure)| failure.code).max()?;
+        let gravity = |code: &u8| (*code == 4, *code);
+        let code = parts.iter().map(|(_, failure)| failure.code).max_by_key(gravity)?;
         let causes: Vec<String> =
             parts.iter().map(|(name, failure)| format!("{name}: {}", failure.message)).collect();
         let fault = parts.iter().find_map(|(_, failure)| failure.fault);
@@ -113,5 +115,23 @@ impl Failure {
 impl std::fmt::Display for Failure {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(&with_short_numbers(&self.message))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_of_one_part_is_not_hidden_by_the_stop_of_another() {
+        let parts = |failures: Vec<Failure>| -> Vec<(String, Failure)> {
+            failures.into_iter().map(|failure| ("rig".to_owned(), failure)).collect()
+        };
+        let code = |failures| Failure::of_parts(&parts(failures)).map(|failure| failure.code);
+        let stopped = || Failure::interrupted(2, "stopped");
+        assert_eq!(code(vec![stopped(), Failure::fault("the motor may be on")]), Some(4));
+        assert_eq!(code(vec![Failure::failed("a"), stopped(), Failure::data_lost("b")]), Some(130));
+        assert_eq!(code(vec![Failure::failed("a"), Failure::data_lost("b")]), Some(3));
+        assert_eq!(code(Vec::new()), None);
     }
 }

@@ -213,7 +213,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     }
     let consent = arguments.consent.with_guard(arguments.guard)?;
     arguments.executor.check()?;
-    let Opened { folder, mut settings, csv } = match &arguments.resume {
+    let Opened { folder, mut settings, csv, place: _place } = match &arguments.resume {
         Some(directory) => resumed(directory, &arguments, &device)?,
         None => begun(&arguments, consent, &device)?,
     };
@@ -226,7 +226,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let stop = Stop::on_signals()?;
     let root = quoted(&folder.root().to_string_lossy());
     let (options, home) = (device.options(), device.home_option());
-    let resume = format!("qube-hil experiment --resume {root}{options}{home}");
+    let executor = arguments.executor.options();
+    let resume = format!("qube-hil experiment --resume {root}{options}{home}{executor}");
     print_message(&format!("experiment in {}", folder.root().display()));
 
     let first = &settings.recipes[0].settings;
@@ -299,7 +300,6 @@ impl Attached {
         output: &Output,
     ) -> Result<Self, Failure> {
         let live = arguments.live.serve("experiment", stop)?;
-        let executor = arguments.executor.executor(root, stop)?;
         let title = format!("qube-hil experiment in {}", root.display());
         let screen = arguments.screen.open(&title, output, stop);
         // Rollouts of emulated Qubes run at the same time, so the screen shows none of them.
@@ -323,6 +323,8 @@ impl Attached {
         if is_hardware {
             Rig::reach(&rig, &stop.flag).map_err(|error| failures::rig(error, stop))?;
         }
+        // The executor makes its folder of jobs, and a refused experiment must leave none.
+        let executor = arguments.executor.executor(root, stop)?;
         let all_cores = std::thread::available_parallelism().map_or(1, usize::from);
         let threads = arguments.threads.map_or(all_cores, usize::from);
         Ok(Self { rig, threads, executor, live, screen, keyboard })

@@ -4,6 +4,7 @@ mod predictions;
 mod text;
 
 use std::fmt::Write;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -76,7 +77,11 @@ pub struct Arguments {
     plot: Option<PathBuf>,
 }
 
-/// Fits, verifies, and writes the profile.
+/// Voltages that `run --volts` accepts, V.
+const RUN_VOLTS: RangeInclusive<f64> = 0.1..=3.0;
+
+/// Fits, verifies, writes the profile and prints the result. A picture that cannot be written is a
+/// failure after that.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
     let out = OutputFile::prepare(&arguments.out, arguments.force)?;
@@ -107,13 +112,15 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let correlations = profile.correlations.as_ref();
     let drawn = plots
         .map(|folder| pictures::draw(folder.path(), &recordings, &predictions, correlations))
-        .transpose()?;
+        .transpose();
 
-    let largest_v = recordings.plant.volts_like(IdentificationSettings::DEFAULT.excitation_v);
-    let next = next_excitations(&profile, &recordings.plant, largest_v);
-    let mut text = text::text(&identified, fitted_files, &predictions, &next);
+    let plant = &recordings.plant;
+    let like_a_qube_v = plant.volts_like(IdentificationSettings::DEFAULT.excitation_v);
+    let mut next = next_excitations(&profile, plant, like_a_qube_v.min(*RUN_VOLTS.end()));
+    next.retain(|excitation| RUN_VOLTS.contains(&excitation.voltage_v));
+    let mut text = text::text(&identified, fitted_files, &predictions, &next, plant);
     let _ = write!(text, "\nwrote {} after a fit of {seconds:.1} s", arguments.out.display());
-    if let Some(drawn) = drawn {
+    if let Ok(Some(drawn)) = &drawn {
         let _ = write!(text, "\n{drawn}");
     }
     let mut result = json::result(&identified, &recordings, &predictions, &next);
@@ -121,7 +128,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     result["profile"] = json!(arguments.out.to_string_lossy());
     result["held_out_noise_ratio"] = json!(held_out_noise_ratio);
     output.print(&text, &result);
-    Ok(())
+    drawn.map(|_| ())
 }
 
 /// Prints a warning for recordings that are not used, or only in part.

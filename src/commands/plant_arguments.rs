@@ -2,6 +2,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::chosen_device::ChosenDevice;
 use super::emulated_arguments::{EmulatedArguments, PlantEntry};
 use super::exit::Failure;
 use super::number_arguments::between;
@@ -42,6 +43,19 @@ impl PlantArguments {
     /// Whether an option other than `--vary` and `--plants` describes an emulated Qube.
     pub fn describe_qube(&self) -> bool {
         self.emulated.are_given()
+    }
+
+    /// Refuses arguments of emulated Qubes for a real one, which would not follow them.
+    pub fn check_device(&self, device: &ChosenDevice) -> Result<(), Failure> {
+        self.emulated.check_device(device)?;
+        let option = if self.plants.is_some() { Some("--plants") } else { None };
+        let option = option.or((self.vary > 0.0).then_some("--vary"));
+        match (option, device.choice.name()) {
+            (Some(option), Some(port)) => Err(Failure::usage(format!(
+                "{option} describes emulated Qubes, and {port} is a real one: leave {option} out"
+            ))),
+            _ => Ok(()),
+        }
     }
 
     /// The emulated specimens of a plant on which policies run: those in the file of `--plants`, or

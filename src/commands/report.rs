@@ -14,6 +14,7 @@ use super::replay::recording_failure;
 use crate::device::emulator::EmulatorSettings;
 use crate::experiment::{Experiment, ExperimentError, ExperimentFolder, ExperimentSettings};
 use crate::jobs::starter::quoted;
+use crate::qube::PlantModel;
 use crate::recording::{Recording, read};
 use crate::replay::SimulatedSpecimen;
 use crate::report::{ReportError, SessionSource, is_report, recordings_page, session_page};
@@ -56,13 +57,25 @@ pub struct Arguments {
 
 /// Writes the page and prints its path.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-    let asked = match &arguments.out {
-        Some(path) => Some((path.clone(), OutputFile::prepare(path, arguments.force)?)),
-        None => None,
+    let folder = folder_asked(arguments)?;
+    let (path, file) = place(arguments, folder)?;
+    let (page, lost) = match folder {
+        Some(folder) if ExperimentFolder::is_in(folder) => (of_experiment(folder)?, None),
+        Some(folder) => of_session(folder)?,
+        None => of_recordings(&arguments.paths, arguments.profile.as_deref())?,
     };
+    file.write(page.as_bytes())?;
+    let shown = path.display().to_string();
+    let kilobytes = page.len().div_ceil(1000);
+    let text = format!("report in {shown} ({kilobytes} kB); open it in a browser");
+    output.print(&text, &json!({ "report": shown, "bytes": page.len() }));
+    lost.map_or(Ok(()), Err)
+}
+
+/// The folder of the session or experiment that the page is about; `None` for recordings.
+fn folder_asked(arguments: &Arguments) -> Result<Option<&Path>, Failure> {
     let folders = arguments.paths.iter().filter(|path| path.is_dir()).count();
-    let mut lost = None;
-    let (page, default) = match &arguments.paths[..] {
+    match &arguments.paths[..] {
         [folder] if folders == 1 => {
             if arguments.profile.is_some() {
                 return Err(Failure::usage(
@@ -76,43 +89,32 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                     RigSessions::folder(folder, 1).display()
                 )));
             }
-            let page = match ExperimentFolder::is_in(folder) {
-                true => of_experiment(folder)?,
-                false => {
-                    let (page, incomplete) = of_session(folder)?;
-                    lost = incomplete;
-                    page
-                }
-            };
-            (page, folder.join(REPORT))
+            Ok(Some(folder))
         }
-        _ if folders > 0 => {
-            return Err(Failure::usage("give either one folder, or recordings"));
-        }
-        files => {
-            let (page, incomplete) = of_recordings(files, arguments.profile.as_deref())?;
-            lost = incomplete;
-            (page, files[0].with_extension("html"))
-        }
+        _ if folders > 0 => Err(Failure::usage("give either one folder, or recordings")),
+        _ => Ok(None),
+    }
+}
+
+/// The place of the page, checked before the work: that of `--out`, else one that follows from the
+/// folder or from the first recording, where only a report is replaced.
+fn place(arguments: &Arguments, folder: Option<&Path>) -> Result<(PathBuf, OutputFile), Failure> {
+    if let Some(path) = &arguments.out {
+        return Ok((path.clone(), OutputFile::prepare(path, arguments.force)?));
+    }
+    // A missing recording is named before the folder that it would give its page.
+    if let Some(missing) = arguments.paths.iter().find(|path| !path.exists()) {
+        read(missing).map_err(|error| recording_failure(&error))?;
+    }
+    let path = match folder {
+        Some(folder) => folder.join(REPORT),
+        None => arguments.paths[0].with_extension("html"),
     };
-    let path = match asked {
-        Some((path, file)) => {
-            file.write(page.as_bytes())?;
-            path
-        }
-        None => {
-            check_replaceable(&default).map_err(|why| {
-                Failure::usage(format!("{why}: name another file by --out, or move this one away"))
-            })?;
-            OutputFile::prepare(&default, true)?.write(page.as_bytes())?;
-            default
-        }
-    };
-    let shown = path.display().to_string();
-    let kilobytes = page.len().div_ceil(1000);
-    let text = format!("report in {shown} ({kilobytes} kB); open it in a browser");
-    output.print(&text, &json!({ "report": shown, "bytes": page.len() }));
-    lost.map_or(Ok(()), Err)
+    check_replaceable(&path).map_err(|why| {
+        Failure::usage(format!("{why}: name another file by --out, or move this one away"))
+    })?;
+    let file = OutputFile::prepare(&path, true)?;
+    Ok((path, file))
 }
 
 /// Checks that a page at this path would replace nothing but a report.
@@ -251,7 +253,8 @@ fn of_recordings(
 }
 
 /// The commands that use and repeat a session, each with its purpose. Those that need a lost policy
-/// or changed settings are left out.
+/// or changed settings are left out, and so is the repetition of a session that several rigs share,
+/// because its settings alone do not begin another.
 fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, String)> {
     let paths = SessionPaths::new(folder);
     let root = path_word(folder);
@@ -267,17 +270,11 @@ fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, Strin
         && source.policy_lost().is_none()
     {
         let number = source.candidates()[best].candidate.number;
-        let policy = path_word(&paths.candidate(number).policy());
-        let run = format!("qube-hil run --policy {policy}");
-        commands.push((
-            "Run the best policy, here on the emulated Qube; add --device PORT for a real one:"
-                .into(),
-            run,
-        ));
+        commands.push(run_command(&paths.candidate(number).policy(), source.plant()));
     }
     let recordings = format!("qube-hil replay {root}/candidates/*/*.mcap");
     commands.push(("Check that the replay reproduces every recorded voltage:".into(), recordings));
-    if source.settings_changed() {
+    if source.settings_changed() || source.is_shared() {
         return commands;
     }
     let settings = path_word(&paths.configuration());
@@ -294,6 +291,24 @@ fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, Strin
     let repeat = format!("qube-hil session --config {settings}{clock} --out {again}");
     commands.push((same.into(), repeat));
     commands
+}
+
+/// The command that runs a policy on an emulated plant, with its purpose.
+fn run_command(policy: &Path, plant: &PlantModel) -> (String, String) {
+    let run = format!("qube-hil run --policy {}", path_word(policy));
+    if plant.is_qube() {
+        return (
+            "Run the best policy, here on the emulated Qube; add --device PORT for a real one:"
+                .into(),
+            run,
+        );
+    }
+    let purpose = format!(
+        "Run the best policy, here on the emulated plant; FILE is the file that describes the plant {}; add --device \
+         PORT for the real one:",
+        plant.name
+    );
+    (purpose, format!("{run} --plant FILE"))
 }
 
 /// A folder beside a session's for its repetition: the session's with `-again` after its name,
@@ -326,6 +341,7 @@ fn failure(error: ReportError) -> Failure {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::session::{SessionSettings, SharedRig};
 
     #[test]
     fn a_page_of_another_origin_keeps_its_place_in_a_folder() {
@@ -334,6 +350,58 @@ mod tests {
         let why = write_into(folder.path(), "<p>new</p>").unwrap_err();
         assert!(why.ends_with("report.html exists already and is not a report of this program"));
         assert_eq!(std::fs::read(folder.path().join(REPORT)).unwrap(), b"my own page");
+    }
+
+    #[test]
+    fn a_place_that_is_taken_is_refused_before_the_recording_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let recording = folder.path().join("rollout-0.mcap");
+        std::fs::write(&recording, "no recording").unwrap();
+        std::fs::write(folder.path().join("rollout-0.html"), "my own page").unwrap();
+        let arguments = |path: &Path| Arguments {
+            paths: vec![path.to_owned()],
+            out: None,
+            force: false,
+            profile: None,
+        };
+        let why = run(&arguments(&recording), &Output::new(false)).unwrap_err();
+        assert!(why.cause().contains("name another file by --out"), "{why}");
+        let missing = folder.path().join("nowhere/rollout-0.mcap");
+        let why = run(&arguments(&missing), &Output::new(false)).unwrap_err();
+        assert!(why.cause().contains("rollout-0.mcap"), "{why}");
+    }
+
+    #[test]
+    fn a_shared_session_has_no_command_that_repeats_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let commands = |rigs: Vec<SharedRig>| {
+            let settings = SessionSettings { rigs, ..SessionSettings::thesis() };
+            let path = SessionPaths::new(folder.path()).configuration();
+            std::fs::write(path, settings.to_toml().unwrap()).unwrap();
+            let source = SessionSource::read(&MachineDisk, folder.path()).unwrap();
+            let lines = session_commands(&source, folder.path()).into_iter();
+            lines.map(|(_, command)| command).collect::<Vec<_>>().join("\n")
+        };
+        assert!(commands(Vec::new()).contains("session --config"));
+        let rig = SharedRig {
+            device: "emulated".into(),
+            emulated: Default::default(),
+            homing_method: None,
+        };
+        let shared = commands(vec![rig]);
+        assert!(shared.contains("session --resume") && !shared.contains("--config"), "{shared}");
+    }
+
+    #[test]
+    fn a_policy_of_another_plant_runs_with_the_file_of_the_plant() {
+        let policy = Path::new("s/policy.safetensors");
+        let (_, of_qube) = run_command(policy, &PlantModel::QUBE);
+        assert_eq!(of_qube, "qube-hil run --policy s/policy.safetensors");
+        let mut other = PlantModel::QUBE;
+        other.limits.largest_voltage_v = 4.0;
+        let (purpose, of_other) = run_command(policy, &other);
+        assert_eq!(of_other, "qube-hil run --policy s/policy.safetensors --plant FILE");
+        assert!(purpose.contains("FILE is the file that describes the plant"), "{purpose}");
     }
 
     #[test]

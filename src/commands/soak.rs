@@ -92,7 +92,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         let told = "stopped before the hours were over";
         ended = Err(match ended {
             Err(failure) if !failure.is_stop() => failure.preceded_by(&format!("{told}; but")),
-            Err(_) | Ok(()) => stop.failure(told),
+            Err(_) | Ok(()) => match soaked.verdict() {
+                Err(failure) => failure.preceded_by(&format!("{told}; but")),
+                Ok(()) => stop.failure(told),
+            },
         });
     }
     let ended = ended.and_then(|()| soaked.verdict());

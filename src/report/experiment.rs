@@ -4,7 +4,7 @@ use super::ReportError;
 use super::chart::{Axis, Chart, Mark, Series, Style};
 use super::densities::{density_chart, words};
 use super::draws::{DRAWS_IN_WORDS, QuantityDraws};
-use super::headline::{compared, headlines};
+use super::headline::{compared, headlines, methods_headline};
 use super::page::{Cell, Page};
 use super::provenance::add_provenance;
 use super::returns::{CandidateReturns, returns_chart};
@@ -66,9 +66,10 @@ pub fn recipes_page(
     }
     add_distributions(&mut page, distributions, settings.plant());
     add_searches(&mut page, searches);
-    let header = rollouts.first().map(|(_, view)| view.header.clone());
+    let first = rollouts.first().map(|(name, view)| (name.clone(), view.header.clone()));
     add_examples(&mut page, what, rollouts);
-    add_provenance(&mut page, header.as_ref(), commands);
+    let first = first.as_ref().map(|(name, header)| (name.as_str(), header));
+    add_provenance(&mut page, first, commands);
     Ok(page.finish()?)
 }
 
@@ -83,19 +84,7 @@ pub fn methods_page(
     commands: &[(String, String)],
 ) -> Result<String, ReportError> {
     let mut page = Page::new(format!("Experiment {name}"));
-    let needed = |it: &MethodResult| it.rollouts_within_which(0.9);
-    let best = results
-        .methods
-        .iter()
-        .filter_map(|it| Some((needed(it)?, it)))
-        .min_by_key(|(rollouts, _)| *rollouts);
-    page.outcome(&match best {
-        Some((rollouts, best)) => format!(
-            "{} needs the fewest real rollouts: within {rollouts} of them, nine of ten repetitions recommend simulations whose policies succeed.",
-            first_upper(best.method.name())
-        ),
-        None => "No method has recommended simulations whose policies succeed in nine of ten repetitions.".into(),
-    });
+    page.outcome(&methods_headline(&results.methods));
     page.section(&format!("{} on {}", results.recipe, results.plant));
     add_methods(&mut page, results);
     page.chart(
@@ -197,7 +186,11 @@ fn add_returns(page: &mut Page, what: &str, recipes: &[&RecipeResult]) {
                 Cell::Number(recipe.policies.len().to_string()),
                 spread(simulated),
                 spread(real),
-                some(format!("{:.0} to {:.0}", returns.lower, returns.upper)),
+                match returns.lower.is_finite() && returns.upper.is_finite() {
+                    true => some(format!("{:.0} to {:.0}", returns.lower, returns.upper)),
+                    // Void rollouts have no return.
+                    false => Cell::Number("–".into()),
+                },
                 some(format!("{} of {}", recipe.successes(), recipe.policies.len())),
                 some(format!("{:.0} to {:.0} %", 100.0 * success.lower, 100.0 * success.upper)),
                 Cell::number(quietness.as_ref().map(|it| it.change_v), 2),
@@ -418,7 +411,35 @@ fn add_examples(page: &mut Page, what: &str, rollouts: NamedRollouts) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::experiment::{PolicyResult, RolloutResult};
+    use crate::scoring::Quietness;
     use crate::simulation::Direction;
+
+    #[test]
+    fn a_recipe_whose_rollouts_are_all_void_has_no_interval() {
+        let policy = PolicyResult {
+            number: 0,
+            simulated_return: 500.0,
+            rollouts: vec![RolloutResult {
+                return_: None,
+                behaviour: Behaviour::Balanced,
+                quietness: Quietness::NONE,
+            }],
+            recordings: Default::default(),
+        };
+        let recipe = RecipeResult {
+            recipe: "nominal".into(),
+            budget: None,
+            plant: "lab".into(),
+            psi: Default::default(),
+            policies: vec![policy],
+        };
+        let mut page = Page::new("void");
+        add_returns(&mut page, "recipe", &[&recipe]);
+        let page = page.finish().unwrap();
+        assert!(!page.contains("NaN to NaN"));
+        assert!(page.contains(&format!("0 of {}", recipe.policies.len())));
+    }
 
     #[test]
     fn the_density_of_a_quantity_includes_what_joint_deviations_add() {

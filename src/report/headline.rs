@@ -1,8 +1,9 @@
 //! The sentences at the top of an experiment's page: which recipe or method has the largest mean
-//! return.
+//! return, or which method needs the fewest real rollouts.
 
 use crate::experiment::{
-    ALL_PLANTS, ExperimentSettings, MethodSettings, RecipeResult, RepetitionSeeds, Results,
+    ALL_PLANTS, ExperimentSettings, MethodResult, MethodSettings, RecipeResult, RepetitionSeeds,
+    Results,
 };
 use crate::qube::MAX_STEPS;
 
@@ -85,10 +86,59 @@ fn headline(settings: &ExperimentSettings, results: &Results, plant: &str) -> St
     sentence
 }
 
+/// The sentence about the methods that need the fewest real rollouts until their recommendations
+/// succeed. Methods are compared only after equally many repetitions of each.
+pub fn methods_headline(methods: &[MethodResult]) -> String {
+    let counts = || methods.iter().map(|it| it.repetitions.len());
+    let (fewest, most) = (counts().min().unwrap_or(0), counts().max().unwrap_or(0));
+    if most == 0 {
+        return "No repetition is over yet.".into();
+    }
+    if fewest < most {
+        return format!(
+            "The methods cannot be compared yet: between {fewest} and {most} repetitions of each are over."
+        );
+    }
+    let after = match most {
+        1 => "After 1 repetition".to_owned(),
+        count => format!("After {count} repetitions"),
+    };
+    let needed = || methods.iter().filter_map(|it| Some((it.rollouts_within_which(0.9)?, it)));
+    let Some(rollouts) = needed().map(|(rollouts, _)| rollouts).min() else {
+        return format!(
+            "{after} of each method, none has recommended simulations whose policies succeed in nine of ten \
+             repetitions."
+        );
+    };
+    let best = needed().filter(|it| it.0 == rollouts).map(|(_, it)| it.method.name());
+    let best: Vec<&str> = best.collect();
+    let succeed = "nine of ten repetitions recommend simulations whose policies succeed";
+    let count = methods.len();
+    match &best[..] {
+        [only] if count == 1 => {
+            format!(
+                "{after} of the only method, {only}: within {rollouts} real rollouts, {succeed}."
+            )
+        }
+        [best] => format!(
+            "{after} of each of {count} methods, {best} needs the fewest real rollouts: within {rollouts} of them, \
+             {succeed}."
+        ),
+        tied => format!(
+            "{after} of each of {count} methods, these need equally many real rollouts, and no other needs fewer: \
+             {}; within {rollouts} of them, {succeed}.",
+            tied.join(", ")
+        ),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::{Method, Plant, PolicyResult, Recipe, RolloutResult};
+    use crate::experiment::{
+        Method, Plant, PolicyResult, Recipe, RecommendationOutcome, RecommendationResult,
+        RecommendationScore, Repetition, RolloutResult,
+    };
     use crate::scoring::{Behaviour, Quietness};
     use crate::session::SessionSettings;
     use crate::simulation::Model;
@@ -130,6 +180,43 @@ mod tests {
             psi: Default::default(),
             policies: (0..).zip(returns).map(policy).collect(),
         }
+    }
+
+    /// The result of a method whose repetitions succeed after these numbers of rollouts, or never.
+    fn method(method: Method, needed: &[Option<u32>]) -> MethodResult {
+        let recommendation = |real_rollouts: u32| RecommendationResult {
+            real_rollouts,
+            outcome: RecommendationOutcome::Scored(RecommendationScore { balanced: 2, ran: 2 }),
+            succeeds: true,
+        };
+        let repetition = |(number, needed): (u32, &Option<u32>)| Repetition {
+            method,
+            number,
+            recommendations: needed.iter().map(|needed| recommendation(*needed)).collect(),
+            is_over: true,
+            budget: 125,
+        };
+        MethodResult { method, repetitions: (0..).zip(needed).map(repetition).collect() }
+    }
+
+    #[test]
+    fn methods_are_compared_after_equally_many_repetitions_of_each() {
+        let robust = |needed: &[Option<u32>]| method(Method::Robust, needed);
+        let identify = |needed: &[Option<u32>]| method(Method::Identify, needed);
+        let told = methods_headline;
+        assert_eq!(told(&[robust(&[]), identify(&[])]), "No repetition is over yet.");
+        let early = told(&[robust(&[Some(5)]), identify(&[])]);
+        assert!(early.ends_with("between 0 and 1 repetitions of each are over."), "{early}");
+        let never = told(&[robust(&[None]), identify(&[None])]);
+        assert!(never.starts_with("After 1 repetition of each method, none has"), "{never}");
+        let only = told(&[robust(&[Some(5), Some(7)])]);
+        let words = "After 2 repetitions of the only method, robust: within 7 real rollouts, nine";
+        assert!(only.starts_with(words), "{only}");
+        let best = told(&[robust(&[Some(5)]), identify(&[Some(3)])]);
+        let words = "After 1 repetition of each of 2 methods, identify needs the fewest";
+        assert!(best.starts_with(words) && best.contains("within 3 of them"), "{best}");
+        let tied = told(&[robust(&[Some(5)]), identify(&[Some(5)])]);
+        assert!(tied.contains("fewer: robust, identify; within 5 of them"), "{tied}");
     }
 
     #[test]

@@ -1,15 +1,17 @@
 use super::page::{Cell, Page, significant};
 use crate::telemetry::{CheckVerdict, Preflight, RolloutHeader};
 
-/// Adds the section on the origin of the data: the facts of one recording's header, if there is one,
-/// and `commands`, pairs of a purpose and a command that repeats a part of the work.
+/// Adds the section on the origin of the data: the facts of the header of `recording`, which is one
+/// of the page's recordings with its name, if there is any, and `commands`, pairs of a purpose and
+/// a command that repeats a part of the work.
 pub fn add_provenance(
     page: &mut Page,
-    header: Option<&RolloutHeader>,
+    recording: Option<(&str, &RolloutHeader)>,
     commands: &[(String, String)],
 ) {
     page.section("Provenance");
-    if let Some(header) = header {
+    if let Some((name, header)) = recording {
+        page.paragraph(&format!("These facts are of one recording: {name}."));
         let rows: Vec<Vec<Cell>> = facts(header)
             .into_iter()
             .map(|(name, value)| vec![name.into(), value.into()])

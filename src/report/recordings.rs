@@ -92,6 +92,6 @@ pub fn recordings_page(
         );
     }
     add_timing(&mut page, &latencies);
-    add_provenance(&mut page, views.last().map(|(_, view)| &view.header), commands);
+    add_provenance(&mut page, views.last().map(|(name, view)| (*name, &view.header)), commands);
     Ok(page.finish()?)
 }

@@ -7,10 +7,13 @@ use crate::telemetry::LatencySummary;
 const PER_DECADE: i32 = 6;
 
 /// Adds the timing of all ticks: missed deadlines, percentiles, and, unless no tick was late, a
-/// histogram of the lateness.
+/// histogram of the lateness. Without any tick it says so instead.
 pub fn add_timing(page: &mut Page, latencies: &Latencies) {
     page.section("Timing");
     let (missed, ticks) = (latencies.missed_deadlines(), latencies.ticks());
+    if ticks == 0 {
+        return page.paragraph("No tick is recorded so far.");
+    }
     page.paragraph(&format!(
         "{ticks} ticks of 10 ms each; missed deadlines: {missed} (ticks that were skipped, late by more than a \
          period, or without a valid sample)."
@@ -70,4 +73,26 @@ pub fn add_timing(page: &mut Page, latencies: &Latencies) {
         "Each bar is a sixth of a decade wide; both axes are logarithmic, so that a single late tick shows.",
         chart,
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::telemetry::TickRecord;
+
+    #[test]
+    fn virtual_time_is_told_of_only_where_there_are_ticks() {
+        let told = |ticks: &[TickRecord]| {
+            let mut latencies = Latencies::default();
+            latencies.add(ticks);
+            let mut page = Page::new("timing");
+            add_timing(&mut page, &latencies);
+            page.finish().unwrap()
+        };
+        let none = told(&[]);
+        assert!(none.contains("No tick is recorded so far.") && !none.contains("virtual time"));
+        assert!(told(&[TickRecord::default()]).contains("ran in virtual time"));
+        let late = TickRecord { lateness_ns: 5_000, ..TickRecord::default() };
+        assert!(!told(&[late]).contains("virtual time"));
+    }
 }

@@ -257,7 +257,8 @@ fn simulations_that_cannot_be() {
 #[test]
 fn emulated_qubes_that_cannot_be() {
     let directory = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &[&str]); 6] = [
+    let cases: [(&[&str], &[&str]); 7] = [
+        (&["--gap", "1.5"], &["--gap has no effect", "--profile"]),
         (&["--effect", "slack=0.5"], &["slack=0.5 changes nothing", "no cable"]),
         (&["--effect", "stribeck=0.5"], &["stribeck=0.5 changes nothing", "no dry friction"]),
         (&["--effect", "presliding_rad=0.02"], &["changes nothing", "no dry friction"]),

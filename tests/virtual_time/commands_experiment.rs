@@ -121,6 +121,18 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let refused = ["--out", "two", "--models", "nominal", "--csv", "foreign.csv"];
     assert_eq!(experiment(whole.path(), &refused).output().unwrap().status.code(), Some(2));
     assert!(!whole.path().join("two").exists(), "an experiment was begun");
+    // A real Qube would not follow what describes an emulated one.
+    for (option, value) in
+        [("--profile", "lab"), ("--gap", "1.5"), ("--vary", "0.1"), ("--plants", "plants.toml")]
+    {
+        let refused =
+            ["--device", "/dev/none", "--out", "two", "--models", "nominal", option, value];
+        let output = experiment(whole.path(), &refused).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{told}");
+        assert!(told.contains(&format!("leave {option} out")), "{told}");
+    }
+    assert!(!whole.path().join("two").exists(), "an experiment was begun");
     // A command whose executor is refused leaves no folder that stops the corrected command.
     let refused = ["--out", "two", "--models", "nominal", "--executor", "no-such-executor"];
     for _ in 0..2 {

@@ -38,7 +38,7 @@ pub fn draw(samples: usize, seed: u64) -> anyhow::Result<String> {
         let (panels, _) = rest.split_horizontally(1140);
         let cells = panels.split_evenly((2, COLUMNS as usize));
         for column in 0..COLUMNS {
-            let drawn = Samples::draw(samples, seed + 100 * column + 1);
+            let drawn = Samples::draw(samples, seed.wrapping_add(100 * column + 1));
             let data = drawn.dataset()?;
             let surface = Surface::new(&data)?;
             let process = GaussianProcess::new(data, Kernel::Matern52, surface.best.clone())?;

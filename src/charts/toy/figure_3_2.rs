@@ -49,7 +49,7 @@ fn column<C: Criterion>(
     name: &str,
     criterion: impl Fn(f64) -> C,
 ) -> anyhow::Result<()> {
-    let mut samples = Samples::draw(FIRST, seed + 5);
+    let mut samples = Samples::draw(FIRST, seed.wrapping_add(5));
     for row in 0..ROWS {
         let data = samples.dataset()?;
         let search_box = data.search_box().clone();

@@ -6,7 +6,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::destination::OutputFolder;
 use super::exit::Failure;
@@ -93,6 +93,22 @@ impl Arguments {
         print_message(&format!("wrote {}", path.display()));
         Ok(())
     }
+
+    /// Prints the results of a suite, then writes them beside its picture. `pictured` says whether
+    /// the whole picture is written. The first failure is returned after every file was tried.
+    fn finish(
+        &self,
+        suite: &str,
+        pictured: Result<(), Failure>,
+        text: &str,
+        value: &Value,
+        output: &Output,
+    ) -> Result<(), Failure> {
+        output.print(text, value);
+        let numbers = self.write(&format!("{suite}.json"), &value.to_string());
+        let table = self.write(&format!("{suite}.txt"), text);
+        pictured.and(numbers).and(table)
+    }
 }
 
 fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
@@ -107,6 +123,7 @@ fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         );
     }
     let mut curves: Vec<RegretCurve> = Vec::new();
+    let mut pictured = Ok(());
     for objective in Objective::ALL {
         text += &format!("\n{} ({} dimensions)\n", objective.name(), objective.dimensions());
         for strategy in StrategyKind::ALL {
@@ -130,14 +147,11 @@ fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             curves.push(curve);
         }
         // The picture shows the results so far, so that a long run can be watched.
-        let svg = regret_svg(&curves).map_err(Failure::failed)?;
-        arguments.write("regret.svg", &svg)?;
+        let svg = regret_svg(&curves).map_err(Failure::failed);
+        pictured = svg.and_then(|svg| arguments.write("regret.svg", &svg));
     }
     let value = json!({ "regret": curves });
-    arguments.write("regret.json", &value.to_string())?;
-    arguments.write("regret.txt", &text)?;
-    output.print(&text, &value);
-    Ok(())
+    arguments.finish("regret", pictured, &text, &value, output)
 }
 
 fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
@@ -148,7 +162,8 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut text = format!(
         "expected return of the point found, {repetitions} repetitions: mean ± 95 % interval\n"
     );
-    let (mut results, mut pictured) = (Vec::new(), Vec::new());
+    let (mut results, mut tables) = (Vec::new(), Vec::new());
+    let mut pictured = Ok(());
     let alike = [TwoHumped::THESIS, TwoHumped::NOISY];
     let problems = alike.into_iter().chain(alike.map(TwoHumped::with_differing_trainings));
     for problem in problems {
@@ -178,16 +193,13 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             problem.rollouts,
             trainings_of(problem)
         );
-        pictured.push((title, table));
+        tables.push((title, table));
         // The picture shows the results so far, so that a long run can be watched.
-        let svg = noise_svg(&pictured).map_err(Failure::failed)?;
-        arguments.write("noise.svg", &svg)?;
+        let svg = noise_svg(&tables).map_err(Failure::failed);
+        pictured = svg.and_then(|svg| arguments.write("noise.svg", &svg));
     }
     let value = json!({ "repetitions": repetitions, "noise": results });
-    arguments.write("noise.json", &value.to_string())?;
-    arguments.write("noise.txt", &text)?;
-    output.print(&text, &value);
-    Ok(())
+    arguments.finish("noise", pictured, &text, &value, output)
 }
 
 /// The part of a problem's title that describes its trainings; empty if the trainings do not
@@ -213,4 +225,32 @@ fn noise_table(
         found.push(returns.into_iter().collect::<Result<Vec<f64>, _>>().map_err(Failure::failed)?);
     }
     Ok(VariantResult::table(&found))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_cannot_be_written_keeps_no_other_from_being_written() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("regret.json")).unwrap();
+        let arguments = Arguments {
+            suite: Suite::Regret,
+            repetitions: None,
+            evaluations: NonZeroUsize::MIN,
+            pending: 0,
+            seed: 0,
+            threads: None,
+            out: folder.path().to_owned(),
+        };
+        let finish = |pictured| {
+            let output = Output::new(true);
+            arguments.finish("regret", pictured, "a table", &json!({}), &output).unwrap_err()
+        };
+        assert!(finish(Ok(())).cause().contains("regret.json"));
+        let table = std::fs::read_to_string(folder.path().join("regret.txt")).unwrap();
+        assert_eq!(table, "a table");
+        assert_eq!(finish(Err(Failure::failed("no picture"))).cause(), "no picture");
+    }
 }

@@ -29,7 +29,8 @@ pub fn map<T: Send>(
         }
     };
     let mut results: Vec<(usize, T)> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (1..threads.max(1)).map(|_| scope.spawn(worker_loop)).collect();
+        let workers: Vec<_> =
+            (1..threads.clamp(1, count.max(1))).map(|_| scope.spawn(worker_loop)).collect();
         let mut all = worker_loop();
         for worker in workers {
             match worker.join() {

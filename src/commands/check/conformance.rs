@@ -13,7 +13,7 @@ use crate::device::emulator::{EmulatedQube, EmulatorSettings};
 use crate::device::{DeviceError, InProcessWire, LinkFault, Transport, Tty};
 use crate::preflight::conformance::{CHECKS, Deviation, TestHost};
 use crate::rig::{ClockChoice, DeviceChoice, RigError};
-use crate::telemetry::CheckResult;
+use crate::telemetry::{CheckResult, Fault};
 
 /// A connection that carries raw bytes, because the checks write and read the frames of the
 /// protocol themselves.
@@ -46,8 +46,12 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
             }));
         }
         if result == Err(Deviation::Link(LinkFault::Gone)) {
-            let fault = LinkFault::Gone;
-            return Err(Failure::usage(DeviceError::Link { port, fault }));
+            let gone = DeviceError::Link { port, fault: LinkFault::Gone };
+            // The checks before this one had the motor on.
+            return Err(match results.is_empty() {
+                true => Failure::usage(gone),
+                false => Failure::fault(gone).caused_by(Some(Fault::LinkGone)),
+            });
         }
         results.push(match result {
             Ok(()) => CheckResult::pass(check.name, ""),

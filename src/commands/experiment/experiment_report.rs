@@ -1,5 +1,3 @@
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 use serde_json::Value;
@@ -68,12 +66,13 @@ impl ExperimentReport {
         }
     }
 
-    /// Whether a file begins as the CSV file of an experiment, this one or another.
+    /// Whether this is a regular file that begins as the CSV file of an experiment, this one or
+    /// another.
     pub fn is_csv(path: &Path) -> bool {
-        let mut begins = String::new();
-        let read = File::open(path).and_then(|file| file.take(64).read_to_string(&mut begins));
         let known = [recipe_table::CSV_BEGINS, method_table::CSV_BEGINS];
-        read.is_ok() && known.iter().any(|columns| begins.starts_with(columns))
+        MachineDisk
+            .read_beginning(path, 64)
+            .is_ok_and(|bytes| known.iter().any(|columns| bytes.starts_with(columns.as_bytes())))
     }
 
     /// The page for a browser, with the commands that repeat the experiment.
@@ -228,5 +227,24 @@ impl Figures<'_> {
                 })
             })
             .map_err(|error| failures::folder(&error))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_is_known_by_its_columns_and_a_pipe_is_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let table = folder.path().join("table.csv");
+        std::fs::write(&table, format!("{}\n1,2\n", recipe_table::CSV_BEGINS)).unwrap();
+        assert!(ExperimentReport::is_csv(&table));
+        std::fs::write(&table, "time_s,theta_rad\n").unwrap();
+        assert!(!ExperimentReport::is_csv(&table));
+        let pipe = folder.path().join("pipe.csv");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status().unwrap();
+        assert!(made.success());
+        assert!(!ExperimentReport::is_csv(&pipe));
     }
 }

@@ -28,6 +28,8 @@ pub struct Opened {
     pub settings: ExperimentSettings,
     /// File of `--csv`, if it is given.
     pub csv: Option<OutputFile>,
+    /// Folder of a new experiment, which is removed in the end if it is empty then.
+    pub place: Option<OutputFolder>,
 }
 
 /// Checks before any work that figures and CSV table can be written; returns the file of `--csv`, if it is given.
@@ -99,6 +101,7 @@ pub fn begun(
     consent: Option<GuardConsent>,
     device: &ChosenDevice,
 ) -> Result<Opened, Failure> {
+    arguments.plants.check_device(device)?;
     let is_emulated = !device.choice.is_hardware();
     let base = base(arguments, device)?;
     let mut recipes = Vec::new();
@@ -154,7 +157,7 @@ pub fn begun(
     }
     let toml = settings.to_toml().map_err(Failure::failed)?;
     let folder = ExperimentFolder::create(place.path(), &toml).map_err(folder_failure)?;
-    Ok(Opened { folder, settings, csv })
+    Ok(Opened { folder, settings, csv, place: Some(place) })
 }
 
 /// Removes the settings of an experiment that has done no work, so that its folder is empty again.
@@ -270,5 +273,5 @@ pub fn resumed(
     {
         device.check_resumed("an experiment", unidentified, *homing)?;
     }
-    Ok(Opened { folder, settings, csv: check_places(arguments)? })
+    Ok(Opened { folder, settings, csv: check_places(arguments)?, place: None })
 }

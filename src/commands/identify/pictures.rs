@@ -5,9 +5,10 @@ use crate::charts::{correlations_svg, motion_svg};
 use crate::commands::destination::OutputFolder;
 use crate::commands::exit::Failure;
 use crate::commands::picture_names::picture_names;
+use crate::commands::printable::print_message;
 use crate::identification::{Recordings, start_state};
-use crate::qube::{Correlations, QubeModel};
-use crate::replay::{MotionLog, simulate_from};
+use crate::qube::Correlations;
+use crate::replay::simulate_from;
 use crate::storage::{MachineDisk, write_whole};
 
 /// Endings of file names that a folder of pictures does not have.
@@ -25,8 +26,9 @@ pub fn plot_folder(folder: &Path) -> Result<OutputFolder, Failure> {
     OutputFolder::of_option("--plot", folder)
 }
 
-/// Draws each recording with its simulation, and the correlations of the profile, into a folder.
-/// Returns a line that says what was drawn.
+/// Draws each recording with its open-loop simulation, and the correlations of the profile, into a
+/// folder. A recording that cannot be simulated is left out with a warning. Returns a line that
+/// says what was drawn.
 pub fn draw(
     folder: &Path,
     recordings: &Recordings<2>,
@@ -36,16 +38,27 @@ pub fn draw(
     let files: Vec<&Path> = recordings.files.iter().flatten().map(PathBuf::as_path).collect();
     let models = predictions.fitted_models.iter().chain(&predictions.held_out_models);
     let pictures = files.iter().zip(picture_names(&files));
+    let mut drawn = 0;
     for (((path, name), log), model) in pictures.zip(recordings.groups.iter().flatten()).zip(models)
     {
-        draw_motion(folder, path, &name, log, model)?;
+        match simulate_from(log, model, start_state(log, model)) {
+            Ok(open_loop) => {
+                let svg = motion_svg(&name, log, &open_loop).map_err(Failure::failed)?;
+                write_picture(folder, &format!("{name}.svg"), &svg)?;
+                drawn += 1;
+            }
+            Err(error) => {
+                print_message(&format!("warning: not drawn: {}: {error}", path.display()));
+            }
+        }
     }
     if let Some(correlations) = correlations {
         let svg = correlations_svg(correlations).map_err(Failure::failed)?;
         write_picture(folder, CORRELATIONS, &svg)?;
     }
     let and = correlations.map_or(String::new(), |_| format!(" and {CORRELATIONS}"));
-    let count = match files.len() {
+    let count = match drawn {
+        0 => "no recording".to_owned(),
         1 => "one recording".to_owned(),
         count => format!("{count} recordings"),
     };
@@ -54,20 +67,6 @@ pub fn draw(
 
 /// File of the picture of the correlations.
 const CORRELATIONS: &str = "profile-correlations.svg";
-
-/// Draws one recording with its open-loop simulation.
-fn draw_motion(
-    folder: &Path,
-    path: &Path,
-    name: &str,
-    log: &MotionLog,
-    model: &QubeModel,
-) -> Result<(), Failure> {
-    let open_loop = simulate_from(log, model, start_state(log, model))
-        .map_err(|error| Failure::failed(format!("{}: {error}", path.display())))?;
-    let svg = motion_svg(name, log, &open_loop).map_err(Failure::failed)?;
-    write_picture(folder, &format!("{name}.svg"), &svg)
-}
 
 fn write_picture(folder: &Path, name: &str, svg: &str) -> Result<(), Failure> {
     write_whole(&MachineDisk, &folder.join(name), svg.as_bytes()).map_err(Failure::failed)

@@ -6,6 +6,7 @@ use crate::identification::{
     Estimate, ExpectedExcitation, Identified, ModelVerdict, PredictionBand,
     UndeterminedCombination, Unknown,
 };
+use crate::qube::PlantModel;
 
 /// The whole result for people: estimates, what they hide, predictions, verdict, and the next
 /// excitation.
@@ -14,6 +15,7 @@ pub fn text(
     fitted_files: &[PathBuf],
     predictions: &Predictions,
     next: &[ExpectedExcitation],
+    plant: &PlantModel,
 ) -> String {
     let mut text = estimates(identified);
     text += &strong_correlations(identified);
@@ -23,7 +25,7 @@ pub fn text(
     }
     text += &band_lines(predictions);
     let _ = write!(text, "\n{}", assessment(identified));
-    text += &next_line(next);
+    text += &next_line(next, plant);
     text
 }
 
@@ -157,11 +159,13 @@ fn assessment(identified: &Identified) -> String {
     format!("{verdict}{widened}\n")
 }
 
-/// The excitations with the most and with the least expected information; empty without any.
-fn next_line(next: &[ExpectedExcitation]) -> String {
+/// The excitations of a plant with the most and with the least expected information; empty without
+/// any.
+fn next_line(next: &[ExpectedExcitation], plant: &PlantModel) -> String {
     let (Some(most), Some(least)) = (next.first(), next.last()) else { return String::new() };
+    let option = if plant.is_qube() { "" } else { " --plant FILE" };
     format!(
-        "To learn more about it: run --excite {} --volts {:.2} (expected: {:.1} nats; from a {} of {:.2} V: {:.1}).\n",
+        "To learn more about it: run --excite {} --volts {:.2}{option} (expected: {:.1} nats; from a {} of {:.2} V: {:.1}).\n",
         most.shape.name(),
         most.voltage_v,
         most.information_nats,
@@ -169,4 +173,27 @@ fn next_line(next: &[ExpectedExcitation]) -> String {
         least.voltage_v,
         least.information_nats
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::ExcitationShape;
+
+    #[test]
+    fn the_next_excitation_of_another_plant_needs_the_file_of_the_plant() {
+        let excitation = |voltage_v, information_nats| ExpectedExcitation {
+            shape: ExcitationShape::Chirp,
+            voltage_v,
+            information_nats,
+        };
+        let next = [excitation(3.0, 2.0), excitation(1.2, 1.0)];
+        let of_qube = next_line(&next, &PlantModel::QUBE);
+        assert!(of_qube.contains("run --excite chirp --volts 3.00 (expected: 2.0"), "{of_qube}");
+        let mut other = PlantModel::QUBE;
+        other.limits.largest_voltage_v = 4.0;
+        let of_other = next_line(&next, &other);
+        assert!(of_other.contains("--volts 3.00 --plant FILE (expected: 2.0"), "{of_other}");
+        assert_eq!(next_line(&[], &other), "");
+    }
 }

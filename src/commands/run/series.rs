@@ -88,9 +88,17 @@ impl RolloutSeries<'_> {
         let unconfirmed = rig.check_off().err();
         if self.stop.requested() {
             let told = "stopped; the recordings are complete up to here";
-            return Err(match unconfirmed {
-                Some(error) => failures::rig(error, self.stop).preceded_by(&format!("{told}; but")),
-                None => self.stop.failure(told),
+            let doubt = rig.last_fault().filter(|fault| fault.leaves_doubt());
+            return Err(match (unconfirmed, doubt) {
+                (Some(error), _) => {
+                    failures::rig(error, self.stop).preceded_by(&format!("{told}; but"))
+                }
+                // The fault ended a rollout just before the stop, and the next start needs the
+                // operator's word.
+                (None, Some(fault)) => Failure::fault(fault_message(fault))
+                    .caused_by(Some(fault))
+                    .preceded_by(&format!("{told}; but")),
+                (None, None) => self.stop.failure(told),
             });
         }
         match (rig.last_fault().or(results.fault()), unconfirmed) {

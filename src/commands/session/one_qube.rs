@@ -72,7 +72,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         print_message(&format!("warning: {warning}"));
     }
 
-    let resume = resume_command(&root, std::slice::from_ref(&device));
+    let resume = resume_command(&root, std::slice::from_ref(&device), &arguments.executor);
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
     let mut session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))

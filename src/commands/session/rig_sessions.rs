@@ -69,6 +69,8 @@ pub fn run(
     let consent = arguments.consent.with_guard(arguments.guard)?;
     let begins = arguments.resume.is_none();
     let mut place = None;
+    // Held to the end: another command must not take sessions that begin for the leftovers of a kill.
+    let mut _root_lock = None;
     let (root, sessions) = match &arguments.resume {
         Some(root) => (root.clone(), resume_all(arguments, root, &devices)?),
         None => {
@@ -77,6 +79,7 @@ pub fn run(
                 device.check_port()?;
             }
             let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
+            _root_lock = Some(place.lock()?);
             let root = place.path().to_owned();
             let sessions = begin(&root, settings, &devices)?;
             (root, sessions)
@@ -86,7 +89,7 @@ pub fn run(
     if let Some((_, settings)) = sessions.first() {
         print_notes(arguments, settings);
     }
-    let resume = resume_command(&root, &devices);
+    let resume = resume_command(&root, &devices, &arguments.executor);
     if !begins {
         for (device, (folder, _)) in devices.iter_mut().zip(&sessions) {
             device.clock = resumed_clock(folder.paths(), &arguments.rigs, device);

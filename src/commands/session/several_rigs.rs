@@ -7,6 +7,7 @@ use super::Arguments;
 use super::settings::asked as asked_settings;
 use super::{rig_sessions, shared_session};
 use crate::commands::chosen_device::{ChosenDevice, EMULATED};
+use crate::commands::executor_arguments::ExecutorArguments;
 use crate::commands::exit::Failure;
 use crate::commands::failures;
 use crate::commands::output::Output;
@@ -130,9 +131,13 @@ pub fn emulated_of(
     }
 }
 
-/// The command that resumes a session on these Qubes. It names no Qube if all are emulated and no
-/// file describes them.
-pub fn resume_command(root: &Path, devices: &[ChosenDevice]) -> String {
+/// The command that resumes a session on these Qubes with the same executor. It names no Qube if all
+/// are emulated and no file describes them.
+pub fn resume_command(
+    root: &Path,
+    devices: &[ChosenDevice],
+    executor: &ExecutorArguments,
+) -> String {
     let mut options: Vec<String> = devices.iter().map(ChosenDevice::options).collect();
     if options.iter().any(|option| !option.is_empty()) {
         for option in options.iter_mut().filter(|option| option.is_empty()) {
@@ -145,5 +150,6 @@ pub fn resume_command(root: &Path, devices: &[ChosenDevice]) -> String {
     if devices.iter().any(|device| device.clock == ClockChoice::Virtual) {
         options.push(" --clock virtual".to_owned());
     }
+    options.push(executor.options());
     format!("qube-hil session --resume {}{}", quoted(&root.to_string_lossy()), options.concat())
 }

@@ -64,7 +64,7 @@ pub fn run(
     };
     print_notes(arguments, &settings);
     let root = folder.paths().root().to_owned();
-    let resume = resume_command(&root, &devices);
+    let resume = resume_command(&root, &devices, &arguments.executor);
     let stop = Stop::on_signals()?;
     let attached = opened(arguments, devices, &folder, &settings, consent, &stop)
         .and_then(|opened| Ok((opened, arguments.executor.executor(&root, &stop)?)));

@@ -34,7 +34,10 @@ pub fn session_page(
     time_line::add_time_line(&mut page, source);
     add_timing(&mut page, &source.latencies);
     add_faults(&mut page, source);
-    let last = source.rollouts.last().map(|(_, view)| &view.header);
+    let last = source.rollouts.last().map(|(number, view)| {
+        (format!("candidate {number}, rollout {}", view.header.rollout), &view.header)
+    });
+    let last = last.as_ref().map(|(name, header)| (name.as_str(), *header));
     add_provenance(&mut page, last, commands);
     Ok(page.finish()?)
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 use super::time_line::TimeLine;
 use crate::identification::check_recording;
 use crate::learning::{CURVE_BYTES, CurvePoint, parse_curve_csv};
-use crate::qube::Profile;
+use crate::qube::{PlantModel, Profile};
 use crate::recording::{Recording, read_on};
 use crate::replay::{MotionLog, SimulatedSpecimen};
 use crate::report::ReportError;
@@ -136,6 +136,19 @@ impl SessionSource {
     #[must_use]
     pub fn settings_changed(&self) -> bool {
         self.settings_changed
+    }
+
+    /// Whether several rigs share the session. The command line, and not the settings, names the
+    /// rigs of a new session.
+    #[must_use]
+    pub fn is_shared(&self) -> bool {
+        !self.settings.rigs.is_empty()
+    }
+
+    /// The plant of the session.
+    #[must_use]
+    pub fn plant(&self) -> &PlantModel {
+        self.settings.plant()
     }
 
     /// The reason why the file of the best verified policy cannot be run; `None` without a verified
