@@ -39,10 +39,8 @@ pub struct SerialLink<T: Transport> {
     clock: Arc<dyn Clock>,
     decoder: Decoder,
     sequence: u16,
-    /// Nonce for the next arm, while one is valid.
-    nonce: Option<u32>,
-    /// Reason why the device arms only after a hello, if its answer to a disarm gave one.
-    latched: Option<RefusalReason>,
+    /// Nonce for the next arm, or the reason why the device arms only after a hello.
+    arm_nonce: Result<u32, RefusalReason>,
     /// Whether the last hello was answered by an emulator; `false` if the hello failed.
     is_emulator: bool,
     /// Boot id that the caller's last hello returned.
@@ -104,8 +102,7 @@ impl<T: Transport> SerialLink<T> {
             clock,
             decoder: Decoder::new(),
             sequence: 0,
-            nonce: None,
-            latched: None,
+            arm_nonce: Err(RefusalReason::NotGreeted),
             is_emulator: false,
             boot_id: None,
             has_restarted: false,
@@ -230,8 +227,7 @@ impl<T: Transport> SerialLink<T> {
 
     /// Forgets what holds only for the start that the last hello greeted.
     fn forget_start(&mut self) {
-        self.nonce = None;
-        self.latched = None;
+        self.arm_nonce = Err(RefusalReason::NotGreeted);
         self.last_sample = None;
         self.is_emulator = false;
         self.amplifier = AmplifierState::Off;
@@ -286,7 +282,7 @@ impl<T: Transport> SerialLink<T> {
         let (reply, counts_anew) = self.greet_unless_stopped()?;
         let identity = self.accept(&reply)?;
         if self.boot_id != Some(identity.boot_id) || counts_anew {
-            self.nonce = None;
+            self.arm_nonce = Err(RefusalReason::NotGreeted);
             self.has_restarted = true;
             return Err(self.restarted());
         }
@@ -362,6 +358,26 @@ impl<T: Transport> SerialLink<T> {
         Err(self.silence(&format!("no answer to {samples} samples"), wait_ns))
     }
 
+    /// Takes the nonce for an arm: each is valid once.
+    ///
+    /// # Errors
+    /// There is none: the device has restarted or was not greeted, or a trip or fault is latched.
+    fn take_nonce(&mut self) -> Result<u32, DeviceError> {
+        match self.arm_nonce {
+            Ok(nonce) => {
+                self.arm_nonce = Err(RefusalReason::NotGreeted);
+                Ok(nonce)
+            }
+            Err(_) if self.has_restarted => Err(self.restarted()),
+            Err(RefusalReason::WatchdogTripped | RefusalReason::Faulted)
+                if self.seen.stop_opened =>
+            {
+                Err(self.refused("arm", RefusalReason::EmergencyStop))
+            }
+            Err(reason) => Err(self.refused("arm", reason)),
+        }
+    }
+
     fn see_stop(&mut self, is_open: bool) {
         self.seen.stop_closed |= !is_open;
         self.seen.stop_opened |= is_open && self.seen.stop_closed;
@@ -378,7 +394,7 @@ impl<T: Transport> SerialLink<T> {
         if reply.module_id != QUBE_MODULE_ID {
             return Err(DeviceError::QubeAbsent { port: self.name(), module_id: reply.module_id });
         }
-        self.nonce = Some(reply.nonce);
+        self.arm_nonce = Ok(reply.nonce);
         self.is_emulator = DeviceKind::from_wire(reply.kind) == Some(DeviceKind::Emulator);
         let [major, minor, patch] = reply.firmware_version;
         Ok(Identity {
@@ -436,17 +452,7 @@ impl<T: Transport> Device for SerialLink<T> {
     /// Arms the device; if the answer is lost or a frame arrives twice, sends a hello and arms
     /// again, three attempts in all.
     fn arm(&mut self) -> Result<(), DeviceError> {
-        let Some(mut nonce) = self.nonce.take() else {
-            if self.has_restarted {
-                return Err(self.restarted());
-            }
-            let reason = match self.latched {
-                Some(_) if self.seen.stop_opened => RefusalReason::EmergencyStop,
-                Some(reason) => reason,
-                None => RefusalReason::NotGreeted,
-            };
-            return Err(self.refused("arm", reason));
-        };
+        let mut nonce = self.take_nonce()?;
         for attempt in 1.. {
             match self.exchange(Request::Arm { nonce }, ANSWER_TIME_NS) {
                 Ok(Reply::Arm { .. }) => break,
@@ -463,7 +469,7 @@ impl<T: Transport> Device for SerialLink<T> {
                 }
                 Ok(_) | Err(LinkFault::Timeout | LinkFault::Full) if attempt < ATTEMPTS => {
                     self.greet_same_start()?;
-                    nonce = self.nonce.take().unwrap_or(0);
+                    nonce = self.take_nonce()?;
                 }
                 Ok(_) => return Err(self.not_a_qube("it gave an arm a wrong reply".into())),
                 Err(fault) => return Err(self.link_error(fault)),
@@ -531,11 +537,13 @@ impl<T: Transport> Device for SerialLink<T> {
                     }
                 }
                 Ok(Reply::Disarm(reply)) => {
-                    self.nonce = (reply.nonce != 0).then_some(reply.nonce);
-                    self.latched = match reply.state {
-                        DeviceState::Tripped => Some(RefusalReason::WatchdogTripped),
-                        DeviceState::Faulted => Some(RefusalReason::Faulted),
-                        DeviceState::Idle | DeviceState::Greeted | DeviceState::Armed => None,
+                    self.arm_nonce = match reply.state {
+                        _ if reply.nonce != 0 => Ok(reply.nonce),
+                        DeviceState::Tripped => Err(RefusalReason::WatchdogTripped),
+                        DeviceState::Faulted => Err(RefusalReason::Faulted),
+                        DeviceState::Idle | DeviceState::Greeted | DeviceState::Armed => {
+                            Err(RefusalReason::NotGreeted)
+                        }
                     };
                     // The watchdog tripped while this call waited for the answer to a lost disarm.
                     // That is no fault, so a hello clears it; a trip before this call is a fault
@@ -559,7 +567,7 @@ impl<T: Transport> Device for SerialLink<T> {
     fn reopen(&mut self) -> Result<(), DeviceError> {
         self.was_reopened = true;
         self.amplifier = AmplifierState::Off;
-        self.nonce = None;
+        self.arm_nonce = Err(RefusalReason::NotGreeted);
         self.last_sample = None;
         self.decoder.reset();
         self.transport.reopen()
