@@ -171,8 +171,7 @@ impl Device {
                     Ending::Fault(fault) => ended_by(fault),
                     _ if is_closed => self.closed_meanwhile(py, state, BRAKED),
                     ending => DeviceError::new_err(format!(
-                        "the episode ended while arm and pendulum came to rest: {}",
-                        ending_text(ending)
+                        "the episode ended while arm and pendulum came to rest: {ending}"
                     )),
                 },
             });
@@ -224,7 +223,7 @@ impl Device {
             Ending::Fault(fault) => return Err(ended_by(fault)),
         };
         let observed = self.observed(py, &last_state, &slot);
-        Ok((observed, reward, left, whole, slot.late, Some((ending_text(ending), return_))))
+        Ok((observed, reward, left, whole, slot.late, Some((ending.to_string(), return_))))
     }
 
     /// Brakes the arm and ends the running episode, if there is one. An episode that ends by a fault
@@ -521,13 +520,4 @@ fn ended_by(fault: Fault) -> PyErr {
     // A motor that is not confirmed to be off is a fault of its own, which comes first.
     let motor_and_step = fault.motor_and_step(MotorState::Off);
     DeviceError::new_err(format!("a fault ended the episode: {fault}. {motor_and_step}"))
-}
-
-fn ending_text(ending: Ending) -> String {
-    match ending {
-        Ending::Completed => "completed".into(),
-        Ending::LeftBox(limit) => limit.to_string(),
-        Ending::Stopped => "stopped".into(),
-        Ending::Fault(fault) => fault.to_string(),
-    }
 }

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::LiveStatus;
 use crate::recording::{Channel, Viewer, encode_ending, encode_scene, encode_tick};
-use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
+use crate::telemetry::{Phase, RolloutHeader, RolloutOutcome, TickRecord};
 
 /// Largest number of records that wait for the view's thread: ten seconds of ticks.
 pub(super) const WAITING_RECORDS: usize = 1024;
@@ -71,6 +71,8 @@ pub(super) struct RolloutShown {
     voltage_limit_v: f64,
     arm_m: f64,
     pendulum_m: f64,
+    /// Words for the phases in the order of their numbers.
+    phases: [&'static str; 3],
     #[serde(skip)]
     pub(super) time_ns: u64,
     /// Encoded message of the channel [`Channel::Scene`].
@@ -301,6 +303,7 @@ fn rollout_shown(header: &RolloutHeader, number: u64, time_ns: u64) -> RolloutSh
         voltage_limit_v: settings.plant.limits.largest_voltage_v,
         arm_m: settings.plant.parameters.rotary_length_m,
         pendulum_m: settings.plant.parameters.pendulum_length_m,
+        phases: Phase::ALL.map(Phase::label),
         time_ns,
         scene: encode_scene(header, time_ns),
     }
@@ -315,12 +318,7 @@ fn end_shown(
         let ending = "it never began".to_owned();
         return EndShown { number, ending, steps: 0, time_ns: 0, safety: Vec::new() };
     };
-    let ending = match outcome.ending {
-        Ending::Completed => "completed".to_owned(),
-        Ending::LeftBox(limit) => limit.to_string(),
-        Ending::Stopped => "stopped".to_owned(),
-        Ending::Fault(fault) => format!("fault: {fault}"),
-    };
+    let ending = outcome.ending.to_string();
     let (time_ns, safety) = last.map_or((0, Vec::new()), |(tick, time_ns)| {
         // Encoding into memory cannot fail; without the message, viewers miss the ending.
         (time_ns, encode_ending(&tick, outcome.ending).unwrap_or_default())

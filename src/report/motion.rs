@@ -94,12 +94,12 @@ impl PackedMotion {
             for (column, value) in columns.iter_mut().zip(values) {
                 column[index(tick)] = pack(value);
             }
-            let name = phase_name(tick.phase);
+            let name = tick.phase.label();
             if phases.last().is_none_or(|phase| phase.name != name) {
                 phases.push(Began { name, from: index(tick) });
             }
         }
-        let policy_from = phases.iter().find(|phase| phase.name == phase_name(Phase::Running));
+        let policy_from = phases.iter().find(|phase| phase.name == Phase::Running.label());
         let policy_from = policy_from.map_or(0, |phase| phase.from);
         let mut motion = Self {
             group: String::new(),
@@ -213,14 +213,6 @@ fn turned_before_policy(ticks: &[TickRecord]) -> f64 {
         let turns = (pair[0].state.alpha - pair[1].state.alpha) / (2.0 * PI);
         2.0 * PI * turns.round()
     })
-}
-
-fn phase_name(phase: Phase) -> &'static str {
-    match phase {
-        Phase::Settling => "settling",
-        Phase::Running => "policy",
-        Phase::Braking => "braking",
-    }
 }
 
 fn pack(value: f64) -> i16 {

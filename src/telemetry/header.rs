@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
@@ -165,6 +166,18 @@ pub enum Ending {
     Stopped,
     /// A fault ended the rollout.
     Fault(Fault),
+}
+
+/// The ending as a phrase whose subject is the rollout.
+impl fmt::Display for Ending {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Completed => formatter.write_str("completed"),
+            Self::LeftBox(limit) => limit.fmt(formatter),
+            Self::Stopped => formatter.write_str("stopped"),
+            Self::Fault(fault) => write!(formatter, "fault: {fault}"),
+        }
+    }
 }
 
 /// The record that follows a rollout. The return is not part of it; it is computed from the ticks.

@@ -17,6 +17,9 @@ pub enum Phase {
 }
 
 impl Phase {
+    /// All phases in the order of their numbers.
+    pub const ALL: [Self; 3] = [Self::Settling, Self::Running, Self::Braking];
+
     /// The number of the phase, for tools that read only numbers: 0 settling, 1 running, 2 braking.
     #[must_use]
     pub const fn number(self) -> u8 {
@@ -24,6 +27,16 @@ impl Phase {
             Self::Settling => 0,
             Self::Running => 1,
             Self::Braking => 2,
+        }
+    }
+
+    /// The phase in one word, as pages show it.
+    #[must_use]
+    pub const fn label(self) -> &'static str {
+        match self {
+            Self::Settling => "settling",
+            Self::Running => "policy",
+            Self::Braking => "braking",
         }
     }
 }

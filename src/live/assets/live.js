@@ -4,7 +4,6 @@
   const by = (id) => document.getElementById(id);
   const css = (name) => getComputedStyle(root).getPropertyValue(name).trim();
   const FONT = '12px system-ui, "Noto Sans", Arial, sans-serif';
-  const PHASES = ["settling", "policy", "braking"];
   // Seconds and points that the figures show.
   const WINDOW_S = 10, MOST = 1200;
   const fixed = (value, digits, unit) => (value == null ? "–" : `${value.toFixed(digits)} ${unit}`);
@@ -27,7 +26,7 @@
       const name = rollout.candidate == null ? `${rollout.rollout}` : `${rollout.rollout} of candidate ${rollout.candidate}`;
       facts.push(["rollout", name], ["policy", rollout.policy]);
       const isOver = end && end.number === rollout.number;
-      facts.push(["phase", isOver ? end.ending : latest ? PHASES[latest[4]] : "–"]);
+      facts.push(["phase", isOver ? end.ending : latest ? rollout.phases[latest[4]] : "–"]);
     }
     if (lost) facts.push(["not shown", `${lost} ticks: this page is slow`]);
     const list = by("facts");
@@ -93,7 +92,7 @@
     ctx.arc(...flat(free), 6, 0, 7);
     ctx.fillStyle = css("--c0");
     ctx.fill();
-    by("now").textContent = `${latest[0].toFixed(2)} s · ${PHASES[latest[4]]} · θ ${fixed(theta, 2, "rad")} · ` +
+    by("now").textContent = `${latest[0].toFixed(2)} s · ${rollout.phases[latest[4]]} · θ ${fixed(theta, 2, "rad")} · ` +
       `α ${fixed(alpha, 2, "rad")} · ${fixed(latest[3], 2, "V")}`;
   };
 
