@@ -38,7 +38,7 @@ impl CheckArguments {
             acknowledged: self.acknowledge,
             link_patience_s: self.link_patience.unwrap_or(LINK_PATIENCE_S),
             memory,
-            doubt: None,
+            ..Recovery::default()
         }
     }
 }

@@ -42,7 +42,7 @@ impl MotorCooling {
     }
 
     /// Cools the motor for the time without current since the last update.
-    fn cool(&mut self, clock: &dyn Clock) {
+    pub fn cool(&mut self, clock: &dyn Clock) {
         if let Some(off_since_ns) = &mut self.off_since_ns {
             let now_ns = clock.now_ns();
             let off_ns = now_ns.saturating_sub(*off_since_ns);

@@ -36,6 +36,7 @@ const LATCHED_FAULT_POLL: Duration = Duration::from_millis(20);
 enum Command {
     Hello(HelloRetries),
     Cool,
+    TellHeat,
     SetHeat(MotorHeat),
     Home(Box<HomingSettings>),
     Rollout(Box<TickSettings>, Box<dyn Controller>, rtrb::Producer<TickRecord>),
@@ -211,6 +212,17 @@ impl ControlThread {
         self.ask(Command::SetHeat(heat)).map(|_| ())
     }
 
+    /// The motor's heat at this moment.
+    ///
+    /// # Errors
+    /// The thread is gone.
+    pub fn motor_heat(&self) -> Result<MotorHeat, ThreadGone> {
+        match self.ask(Command::TellHeat)? {
+            Event::Heat(heat) => Ok(heat),
+            _ => Err(ThreadGone),
+        }
+    }
+
     /// Waits until the motor is cool enough for the next motion, or `stop` is set. Returns the heat
     /// with which the next motion begins.
     ///
@@ -301,6 +313,10 @@ fn execute(
         }
         Command::Cool => {
             motor.cool_down(clock, stop);
+            Event::Heat(motor.heat)
+        }
+        Command::TellHeat => {
+            motor.cool(clock);
             Event::Heat(motor.heat)
         }
         Command::SetHeat(heat) => {

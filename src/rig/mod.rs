@@ -42,12 +42,14 @@
 mod connection;
 mod doubt;
 mod error;
+mod motor_memory;
 mod opened;
 mod rollout;
 mod settings;
 
 pub use doubt::{Doubt, DoubtStore};
 pub use error::{RigError, RigSettingError};
+pub use motor_memory::MotorMemory;
 pub use opened::{Pressed, Rig};
 pub use rollout::Recorded;
 pub use settings::{

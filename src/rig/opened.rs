@@ -5,8 +5,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::connection::connect;
 use super::error::link_fault;
-use super::{ClockChoice, DeviceChoice, Doubt, DoubtStore, RigError, RigSettings};
-use crate::clock::RealtimeRefusals;
+use super::{ClockChoice, DeviceChoice, Doubt, DoubtStore, MotorMemory, RigError, RigSettings};
+use crate::clock::{Clock, RealtimeRefusals};
 use crate::control::{
     ControlError, ControlThread, DriveReport, HelloRetries, HomingMethod, HomingSettings,
     PressKind, PressOutcome, Scheduling, StopPress, drive_warm, fault_after,
@@ -61,12 +61,23 @@ pub struct Rig {
     pub(super) last_fault: Cell<Option<Fault>>,
     /// State of the motor after the last motion, until the device answers a hello.
     pub(super) motor: Cell<MotorState>,
+    /// Memory for the motor's heat, with the clock of the device; `None` for an emulated Qube and
+    /// in virtual time, where each opening makes a Qube anew.
+    motor_memory: Option<(MotorMemory, Arc<dyn Clock>)>,
     /// Emulator, which serves the rig until it is closed; dropped after the control thread.
     _emulator: Option<EmulatedQube>,
 }
 
 fn motor_state(is_off_confirmed: bool) -> MotorState {
     if is_off_confirmed { MotorState::Off } else { MotorState::Unconfirmed }
+}
+
+impl Drop for Rig {
+    fn drop(&mut self) {
+        if let Some((memory, clock)) = &self.motor_memory {
+            memory.store(self.control.motor_heat().ok(), clock.now_ns());
+        }
+    }
 }
 
 /// The result of pressing the arm against its stop.
@@ -170,9 +181,14 @@ impl Rig {
             ClockChoice::Virtual => Scheduling::Ordinary,
         };
         let has_device_clock = device.has_device_clock();
+        let motor_memory = (settings.is_hardware() && settings.clock == ClockChoice::Wall)
+            .then(|| (settings.recovery.motor.clone(), Arc::clone(&clock)));
         let control = ControlThread::spawn(device, clock, scheduling, Arc::clone(stop))
             .map_err(RigError::Thread)?;
-        control.set_motor(MotorHeat::cold(&settings.plant, settings.limits.motor()))?;
+        let cold = MotorHeat::cold(&settings.plant, settings.limits.motor());
+        control.set_motor(
+            motor_memory.as_ref().map_or(cold, |(memory, clock)| memory.warm(cold, clock.now_ns())),
+        )?;
         let identity = control.hello()?;
         if let Some(expected) = settings.board.as_ref().filter(|board| **board != identity.serial) {
             // The port of the emulated Qube is made by this program, so its name says nothing.
@@ -210,6 +226,7 @@ impl Rig {
             viewers: settings.viewers.clone(),
             last_fault: Cell::new(None),
             motor: Cell::new(MotorState::Off),
+            motor_memory,
             _emulator: emulator,
         })
     }

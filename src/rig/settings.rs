@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use super::{Doubt, DoubtStore, RigSettingError};
+use super::{Doubt, DoubtStore, MotorMemory, RigSettingError};
 use crate::clock::Clock;
 use crate::control::HomingSettings;
 use crate::device::emulator::EmulatorSettings;
@@ -135,11 +135,19 @@ pub struct Recovery {
     pub memory: Option<DoubtStore>,
     /// Doubt that is known before the device is opened, because a session's ledger ends with it.
     pub doubt: Option<Doubt>,
+    /// Heat of the motor of a real Qube whose rig is opened again.
+    pub motor: MotorMemory,
 }
 
 impl Default for Recovery {
     fn default() -> Self {
-        Self { acknowledged: false, link_patience_s: LINK_PATIENCE_S, memory: None, doubt: None }
+        Self {
+            acknowledged: false,
+            link_patience_s: LINK_PATIENCE_S,
+            memory: None,
+            doubt: None,
+            motor: MotorMemory::default(),
+        }
     }
 }
 
