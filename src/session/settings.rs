@@ -166,13 +166,15 @@ impl SessionSettings {
         self
     }
 
-    /// The settings of the search around an identified Qube. Psi describes how the simulations
-    /// differ from the `latest` profile, along the directions of the errors of the `first` one.
+    /// The settings of the search around an identified Qube. Simulations are drawn from the
+    /// `latest` profile and its errors; psi shifts their means along the directions of the errors
+    /// of the `first` one, so that a shift keeps its meaning for the surrogate.
     #[must_use]
     pub fn around(self, plan: &IdentificationSettings, first: &Profile, latest: &Profile) -> Self {
-        let directions = Direction::of_errors(first, self.plant());
-        let psi = PsiSpace::of_posterior(directions.len());
-        let profile = ProfileSettings { model: latest.model(), spread: plan.spread, directions };
+        let axes = Direction::of_errors(first, self.plant());
+        let psi = PsiSpace::of_posterior(axes.len());
+        let profile =
+            ProfileSettings { axes, ..ProfileSettings::of(latest, self.plant(), plan.spread) };
         let extent = Extent {
             initial_candidates: INITIAL_AROUND.min(plan.candidates),
             rollouts: plan.rollouts,

@@ -166,8 +166,12 @@ impl SessionSettings {
         all.homing.estimator = observing(&all.homing.estimator);
         all.homing.travel_rad.get_or_insert(all.homing.expected_travel_rad());
         all.identification.get_or_insert(IdentificationSettings::DEFAULT);
-        let of_lab =
-            ProfileSettings { model: QubeModel::NOMINAL, spread: 0.1, directions: Vec::new() };
+        let of_lab = ProfileSettings {
+            model: QubeModel::NOMINAL,
+            spread: 0.1,
+            directions: vec![],
+            axes: vec![],
+        };
         let profile = all.profile.get_or_insert(of_lab);
         profile.model = drifting(profile.model);
         if profile.directions.is_empty() {

@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::iter::zip;
 
 use libm::sqrt;
 use rand::RngExt as _;
@@ -306,12 +307,19 @@ impl DomainDistribution {
         for quantity in Quantity::all() {
             model.set(quantity, self.get(quantity).sample(quantity, rng));
         }
-        for direction in &self.directions {
-            let [deviation, _] = normal_pair(rng.random());
-            for quantity in Quantity::all() {
-                let moved = model.get(quantity) + deviation * direction.of(quantity);
-                model.set(quantity, held_in_range(quantity, self.get(quantity).mean(), moved));
-            }
+        if self.directions.is_empty() {
+            return model;
+        }
+        let deviations: Vec<f64> =
+            self.directions.iter().map(|_| normal_pair(rng.random())[0]).collect();
+        for quantity in Quantity::all() {
+            let moved = zip(&self.directions, &deviations)
+                .fold(model.get(quantity), |it, (direction, deviation)| {
+                    it + deviation * direction.of(quantity)
+                });
+            // Held in range once, after all directions: a walk that is held at each step drifts
+            // away from the end of the range.
+            model.set(quantity, held_in_range(quantity, self.get(quantity).mean(), moved));
         }
         model
     }
@@ -463,6 +471,20 @@ pub(super) mod tests {
         assert!((450..550).contains(&without_friction), "{without_friction}");
         let deviation = posterior().standard_deviation(DomainParameter::MotorResistance);
         assert!((deviation - 0.84_f64.hypot(0.4)).abs() < 1e-12, "{deviation}");
+    }
+
+    #[test]
+    fn the_end_of_a_range_holds_the_sum_of_all_directions_and_not_each_step() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let (friction, steps) = (Quantity::Nonideality(Nonideality::CoulombTorque), 10);
+        let each = Direction::new(&[(friction, 1e-3 / sqrt(f64::from(steps)))]);
+        let many = DomainDistribution::nominal().along(&vec![each; steps as usize]);
+        let draws: Vec<f64> = (0..4000).map(|_| many.sample(&mut rng).get(friction)).collect();
+        let at_zero = draws.iter().filter(|&&it| it == 0.0).count() as f64 / 4000.0;
+        let mean = draws.iter().sum::<f64>() / 4000.0;
+        // The mean of the positive part of a normal number is 1 / sqrt(2 pi) of its deviation.
+        assert!((at_zero - 0.5).abs() < 0.03, "{at_zero}");
+        assert!((mean / 1e-3 - 0.3989).abs() < 0.03, "{mean}");
     }
 
     #[test]

@@ -44,6 +44,11 @@ pub struct ProfileSettings {
     /// Directions of the identification's errors ([`Direction::of_errors`]), the widest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<Direction>,
+    /// Axes along which psi shifts the means; empty if these are `directions`. A search keeps the
+    /// axes of its first profile, so that a shift keeps its meaning while the errors change. Files
+    /// do not have them, because they follow from the profiles.
+    #[serde(skip)]
+    pub axes: Vec<Direction>,
 }
 
 impl ProfileSettings {
@@ -52,7 +57,7 @@ impl ProfileSettings {
     #[must_use]
     pub fn of(profile: &Profile, plant: &PlantModel, spread: f64) -> Self {
         let directions = Direction::of_errors(profile, plant);
-        Self { model: profile.model(), spread, directions }
+        Self { model: profile.model(), spread, directions, axes: Vec::new() }
     }
 }
 
@@ -167,7 +172,7 @@ impl Model {
             Self::NominalHandcrafted => DomainDistribution::nominal_handcrafted(family),
             Self::Robust | Self::OptRobust => DomainDistribution::robust(),
             Self::Profile | Self::OptProfile => {
-                let ProfileSettings { model, spread, directions } =
+                let ProfileSettings { model, spread, directions, axes: _ } =
                     profile.ok_or(PsiError::NoProfile)?;
                 // A profile describes a specimen of the plant, so its values are not converted.
                 let around = DomainDistribution::around(model, *spread, family);
@@ -192,7 +197,13 @@ impl Model {
         let base = self.base_distribution(plant, family, profile)?;
         match (self.is_searched(), psi) {
             (false, _) => Ok(base),
-            (true, Some(psi)) => Ok(base.shaped_by(psi, family)),
+            (true, Some(psi)) => {
+                let axes = profile.map_or(&[][..], |profile| &profile.axes);
+                Ok(match axes {
+                    [] => base.shaped_by(psi, family),
+                    axes => base.shaped_along(axes, psi, family),
+                })
+            }
             (true, None) => Err(PsiError::Missing { model: self.name() }),
         }
     }
@@ -214,8 +225,11 @@ mod tests {
     fn searched_models_need_a_psi_and_those_around_a_qube_need_one() {
         let space = PsiSpace::thesis();
         let psi = space.psi(&space.lower()).unwrap();
-        let profile =
-            ProfileSettings { model: QubeModel::NOMINAL, spread: 0.1, directions: Vec::new() };
+        let profile = ProfileSettings::of(
+            &Profile::exact("exact", &QubeModel::NOMINAL),
+            &PlantModel::QUBE,
+            0.1,
+        );
         for model in Model::ALL {
             let distribution =
                 |psi| model.distribution(&PlantModel::QUBE, Family::Normal, Some(&profile), psi);

@@ -1,7 +1,7 @@
 use libm::{exp, sqrt};
 
 use super::distribution::{held_in_range, largest_standard_deviation};
-use super::{DomainDistribution, Family, Psi, PsiTarget};
+use super::{Direction, DomainDistribution, Family, Psi, PsiTarget};
 use crate::qube::{Nonideality, Quantity};
 
 impl DomainDistribution {
@@ -27,7 +27,14 @@ impl DomainDistribution {
     ///
     /// A distribution of specimens ([`Self::of_specimens`]) still draws the same Qubes.
     #[must_use]
-    pub fn shaped_by(mut self, psi: &Psi, family: Family) -> Self {
+    pub fn shaped_by(self, psi: &Psi, family: Family) -> Self {
+        let axes = self.directions.clone();
+        self.shaped_along(&axes, psi, family)
+    }
+
+    /// Applies psi like [`Self::shaped_by`], but shifts the means along these axes, which need not
+    /// be the directions of the draws.
+    pub(super) fn shaped_along(mut self, axes: &[Direction], psi: &Psi, family: Family) -> Self {
         for quantity in Quantity::all() {
             let (mean, standard_deviation) = psi.moments(quantity);
             if mean.is_none() && standard_deviation.is_none() {
@@ -40,9 +47,9 @@ impl DomainDistribution {
                 .min(largest_standard_deviation(quantity, mean));
             self.distributions[quantity.index()] = family.with_moments(mean, standard_deviation);
         }
-        for number in 1..=self.directions.len().min(PsiTarget::SHIFTS) {
+        for (number, axis) in (1..=PsiTarget::SHIFTS).zip(axes) {
             if let Some(shift) = psi.get(PsiTarget::Shift(number as u8)) {
-                self = self.shifted(number - 1, shift, family);
+                self = self.shifted(axis, shift, family);
             }
         }
         if let Some(log_width) = psi.get(PsiTarget::LogWidth) {
@@ -56,11 +63,11 @@ impl DomainDistribution {
         self
     }
 
-    /// Moves the means along the direction with this index, by `deviations` times the direction's
-    /// standard deviation. A mean that would leave its range is put at the end of the range.
-    fn shifted(mut self, direction: usize, deviations: f64, family: Family) -> Self {
+    /// Moves the means along an axis, by `deviations` times the axis's standard deviation. A mean
+    /// that would leave its range is put at the end of the range.
+    fn shifted(mut self, axis: &Direction, deviations: f64, family: Family) -> Self {
         for quantity in Quantity::all() {
-            let moved = deviations * self.directions[direction].of(quantity);
+            let moved = deviations * axis.of(quantity);
             if moved != 0.0 {
                 let own = self.get(quantity);
                 let mean = held_in_range(quantity, own.mean(), own.mean() + moved);
@@ -226,5 +233,21 @@ mod tests {
         let held = shaped(&[0.0, 0.0, -2.0, -0.004, 0.0]);
         assert_eq!(held.get(Nonideality::CoulombTorque).mean(), 0.0);
         assert_eq!(held.get(delay).mean(), 0.0);
+    }
+
+    #[test]
+    fn a_shift_follows_its_axis_while_the_draws_follow_the_directions() {
+        let mass = Quantity::Parameter(DomainParameter::PendulumMass);
+        let arm = Quantity::Parameter(DomainParameter::RotaryMass);
+        let axes = [Direction::new(&[(mass, 0.001)])];
+        let drawn = DomainDistribution::nominal().along(&[Direction::new(&[(arm, 0.002)])]);
+        let space = PsiSpace::of_posterior(1);
+        let mut point = space.as_identified();
+        point[1] = 2.0;
+        let shaped = drawn.clone().shaped_along(&axes, &space.psi(&point).unwrap(), Family::Normal);
+        assert_eq!(shaped.get(mass).mean(), drawn.get(mass).mean() + 0.002);
+        assert_eq!(shaped.get(arm).mean(), drawn.get(arm).mean());
+        assert_eq!(shaped.standard_deviation(arm), 0.002);
+        assert_eq!(shaped.standard_deviation(mass), 0.0);
     }
 }

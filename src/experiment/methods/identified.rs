@@ -236,7 +236,7 @@ impl<'a> FromRecordings<'a> {
         let spread = if self.width == Width::Exact { 0.0 } else { self.settings.spread };
         let around = match self.width {
             Width::Exact | Width::Spread => {
-                ProfileSettings { model: profile.model(), spread, directions: Vec::new() }
+                ProfileSettings { model: profile.model(), spread, directions: vec![], axes: vec![] }
             }
             Width::Posterior => ProfileSettings::of(&profile, recipe.settings.plant(), spread),
         };
