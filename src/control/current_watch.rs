@@ -1,6 +1,9 @@
 //! Compares the motor's current with its voltage to detect a disconnected or badly connected motor.
+//!
+//! The limits are a Qube's. Those of another plant are multiplied by
+//! [`PlantModel::current_per_qube_current`], which is exactly 1 for a Qube.
 
-use crate::qube::Measurement;
+use crate::qube::{Measurement, PlantModel};
 use crate::telemetry::Fault;
 
 /// Least voltage at which a dead motor is detected, mV.
@@ -27,20 +30,27 @@ const STILL_TICKS: u32 = 25;
 /// motor of a fast arm draws no current, A.
 const BLIND_A: f64 = 0.004;
 
-/// Whether the current is less than that of a connected motor at rest under this voltage, mV.
+/// Whether the current is less than that of a connected motor at rest under this voltage, mV, with
+/// this current for each ampere of a Qube's motor.
 ///
 /// The comparison stays in `f32`: a replay must decide as the recorded tick did, and at whole
 /// milliamperes the last bit decides.
 #[must_use]
-pub fn draws_no_current(sample: &Measurement, voltage_mv: i16) -> bool {
-    let least_a = DEAD_A_V as f32 * f32::from(voltage_mv.saturating_abs()) * 1e-3;
+pub fn draws_no_current(
+    sample: &Measurement,
+    voltage_mv: i16,
+    current_per_qube_current: f32,
+) -> bool {
+    let least_a_v = DEAD_A_V as f32 * current_per_qube_current;
+    let least_a = least_a_v * f32::from(voltage_mv.saturating_abs()) * 1e-3;
     sample.current_a.abs() < least_a
 }
 
 /// Watches the motor's current during homing, where the arm is too slow for its back-EMF to hide
 /// the current for long. A bad contact is reported only for an arm at rest.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct CurrentWatch {
+    current_per_qube_current: f64,
     /// Sum and number of the readings at 0 V, which give the sensor's offset.
     idle_a: f64,
     idle_samples: u32,
@@ -52,21 +62,41 @@ pub struct CurrentWatch {
 }
 
 impl CurrentWatch {
+    /// A watch of this plant's motor that has seen no sample.
+    pub fn of(plant: &PlantModel) -> Self {
+        Self {
+            current_per_qube_current: plant.current_per_qube_current(),
+            idle_a: 0.0,
+            idle_samples: 0,
+            largest_a: 0.0,
+            is_blind: false,
+            without_ticks: 0,
+            still_at_counts: 0,
+            still_ticks: 0,
+        }
+    }
+
+    /// The limit of this plant for a limit of a Qube's current.
+    fn like(&self, of_qube: f64) -> f64 {
+        of_qube * self.current_per_qube_current
+    }
+
     /// Tells the watch that the motor has moved the arm: a sensor that has shown no current until
     /// then is blind.
     pub fn motor_works(&mut self) {
-        self.is_blind = self.largest_a < BLIND_A;
+        self.is_blind = self.largest_a < self.like(BLIND_A);
     }
 
     /// Whether the motor has drawn no current although it had `largest_v`, V.
     pub fn is_dead(&self, largest_v: f64) -> bool {
-        self.largest_a < DEAD_A_V * largest_v
+        self.largest_a < self.like(DEAD_A_V) * largest_v
     }
 
     /// Whether the motor draws no current at this voltage, mV, while the arm is fast. In a
     /// connected motor the back-EMF alone drives a current.
     pub fn draws_no_current_at_speed(&self, sample: &Measurement, voltage_mv: i16) -> bool {
-        draws_no_current(sample, voltage_mv) || f64::from(sample.current_a).abs() < BLIND_A
+        draws_no_current(sample, voltage_mv, self.current_per_qube_current as f32)
+            || f64::from(sample.current_a).abs() < self.like(BLIND_A)
     }
 
     /// Checks one sample; returns the fault if the motor is dead or has a bad contact.
@@ -82,14 +112,14 @@ impl CurrentWatch {
         self.largest_a = self.largest_a.max(taken_a);
         let volts = f64::from(voltage_mv) * 1e-3;
         // Homing never moves the arm so fast that the back-EMF hides the current for long.
-        let draws_no_current = voltage_mv >= LEAST_MV && taken_a < DEAD_A_V * volts;
+        let draws_no_current = voltage_mv >= LEAST_MV && taken_a < self.like(DEAD_A_V) * volts;
         self.without_ticks = if draws_no_current { self.without_ticks + 1 } else { 0 };
         if !self.is_blind && self.without_ticks >= STILL_TICKS {
             return Some(Fault::MotorDead);
         }
         let stays =
             sample.theta_counts.wrapping_sub(self.still_at_counts).wrapping_abs() <= STILL_COUNTS;
-        let takes_little = taken_a < WEAK_A_V * volts;
+        let takes_little = taken_a < self.like(WEAK_A_V) * volts;
         if voltage_mv < WEAK_MV || !stays || !takes_little {
             (self.still_at_counts, self.still_ticks) = (sample.theta_counts, 0);
             return None;

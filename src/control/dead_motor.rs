@@ -1,13 +1,13 @@
 //! Detects a motor that draws no current while a policy drives it.
 
 use super::current_watch::draws_no_current;
-use crate::qube::Measurement;
+use crate::qube::{Measurement, PlantModel};
 
 /// Voltage from which on a motor must draw current, mV: no arm is fast enough for its back EMF to
 /// cancel the current for long.
 const DRIVEN_MV: i16 = 800;
 
-/// Current of a driven motor below which it counts as zero, A.
+/// Current of a driven Qube's motor below which it counts as zero, A.
 const LEAST_DRIVEN_A: f32 = 0.012;
 
 /// Driven samples without current, and without a current between them, after which the motor counts
@@ -15,8 +15,9 @@ const LEAST_DRIVEN_A: f32 = 0.012;
 const WITHOUT_CURRENT_TICKS: u32 = 15;
 
 /// Watches whether a motor that has drawn current still does.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct DeadMotor {
+    current_per_qube_current: f32,
     has_taken_current: bool,
     without_current_ticks: u32,
     /// Whether only driven samples are looked at.
@@ -24,6 +25,16 @@ pub(super) struct DeadMotor {
 }
 
 impl DeadMotor {
+    /// A watch of this plant's motor that has seen no sample.
+    pub(super) fn of(plant: &PlantModel) -> Self {
+        Self {
+            current_per_qube_current: plant.current_per_qube_current() as f32,
+            has_taken_current: false,
+            without_current_ticks: 0,
+            looks_when_driven: false,
+        }
+    }
+
     /// This watch by the rules before
     /// [`TickRules::AlternatingAllowed`](crate::telemetry::TickRules::AlternatingAllowed): a current
     /// between two driven samples is not seen.
@@ -39,7 +50,7 @@ impl DeadMotor {
         if !is_driven && self.looks_when_driven {
             return false;
         }
-        let takes_some = sample.current_a.abs() >= LEAST_DRIVEN_A;
+        let takes_some = sample.current_a.abs() >= LEAST_DRIVEN_A * self.current_per_qube_current;
         self.has_taken_current |= takes_some && is_driven;
         if takes_some {
             self.without_current_ticks = 0;
@@ -52,7 +63,7 @@ impl DeadMotor {
     /// Whether this sample shows no current under the voltage, mV, and the last driven sample did
     /// not either: at the instant at which a voltage changes its sign every motor draws none.
     pub(super) fn is_dead(&self, sample: &Measurement, voltage_mv: i16) -> bool {
-        let is_dead = draws_no_current(sample, voltage_mv);
+        let is_dead = draws_no_current(sample, voltage_mv, self.current_per_qube_current);
         is_dead && (self.looks_when_driven || self.without_current_ticks > 0)
     }
 }
@@ -76,7 +87,7 @@ mod tests {
                 })
             })
         };
-        let motor = DeadMotor::default();
+        let motor = DeadMotor::of(&PlantModel::QUBE);
         assert!(!calls_dead(motor, 0.08));
         assert!(calls_dead(motor.by_earlier_rules(), 0.08));
         assert!(calls_dead(motor, 0.001), "a dead motor");
@@ -84,7 +95,7 @@ mod tests {
 
     #[test]
     fn a_voltage_that_crosses_zero_does_not_make_a_motor_dead() {
-        let mut motor = DeadMotor::default();
+        let mut motor = DeadMotor::of(&PlantModel::QUBE);
         motor.takes_no_current(&sample(2000, 0.2));
         let crossing = sample(-430, 0.004);
         motor.takes_no_current(&crossing);

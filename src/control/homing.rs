@@ -108,7 +108,7 @@ impl Homing {
             voltage: VoltageWatch::default(),
             // A contact with a stop may leave a tachometer at its last velocity for 0.21 s.
             sensors: SensorWatch::of(&settings.plant).without_drift_test(),
-            current: CurrentWatch::default(),
+            current: CurrentWatch::of(&settings.plant),
             control: ControlState::Identified.on(ControlEvent::Home).0,
             stillness: StillnessDetector::default(),
             stage: Stage::Observe(Hanging::of(&settings.plant)),

@@ -133,7 +133,7 @@ impl SensorWatch {
             alpha_steps: [0; 3],
             cross_check: None,
             momentum: MomentumWatch::of(plant),
-            motor: DeadMotor::default(),
+            motor: DeadMotor::of(plant),
             frozen: Push::default(),
             stall: Push::default(),
             pendulum: StillPendulum::default(),

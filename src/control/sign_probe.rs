@@ -37,8 +37,8 @@ pub const AT_REST_COUNTS: f64 = 4.0;
 /// motor's dead zone.
 const BRAKE_V: f64 = 1.0;
 
-/// Currents below this are not evaluated, A: the smallest push drives 0.02 A through a motor at
-/// rest.
+/// Currents of a Qube's motor below this are not evaluated, A: the smallest push drives 0.02 A
+/// through a motor at rest.
 const LEAST_CURRENT_A: f64 = 0.02;
 
 /// Difference between two readings of the current that rounding, offset and noise explain, A.
@@ -112,7 +112,7 @@ pub struct ProbeTrace {
     samples: [ProbeSample; PROBE_TICKS as usize],
     length: usize,
     push_v: f64,
-    encoders: Encoders,
+    plant: PlantModel,
 }
 
 /// The arm's response to a voltage.
@@ -125,9 +125,9 @@ pub struct ArmResponse {
 }
 
 impl ProbeTrace {
-    fn new(push_v: f64, encoders: Encoders) -> Self {
+    fn new(push_v: f64, plant: PlantModel) -> Self {
         let samples = [ProbeSample::default(); PROBE_TICKS as usize];
-        Self { samples, length: 0, push_v, encoders }
+        Self { samples, length: 0, push_v, plant }
     }
 
     /// All samples, in order.
@@ -142,15 +142,22 @@ impl ProbeTrace {
         self.push_v
     }
 
+    /// The current of the pushed motor for each ampere of a Qube's motor, as
+    /// [`PlantModel::current_per_qube_current`] gives it.
+    #[must_use]
+    pub fn current_per_qube_current(&self) -> f64 {
+        self.plant.current_per_qube_current()
+    }
+
     /// The encoders of arm and pendulum.
     #[must_use]
     pub fn encoders(&self) -> Encoders {
-        self.encoders
+        self.plant.encoders
     }
 
     /// Travel of the arm that counts as driven, rad.
     fn moved_rad(&self) -> f64 {
-        MOVED_COUNTS * self.encoders.theta.rad_per_count()
+        MOVED_COUNTS * self.plant.encoders.theta.rad_per_count()
     }
 
     /// The arm's response to the push, or to the opposite voltage if the push did not move the arm.
@@ -162,7 +169,7 @@ impl ProbeTrace {
             return Some(ArmResponse { voltage_v: self.push_v, theta_rad: pushed });
         }
         let countered = self.travel(ProbeStage::Counter)?;
-        let at_rest_rad = AT_REST_COUNTS * self.encoders.theta.rad_per_count();
+        let at_rest_rad = AT_REST_COUNTS * self.plant.encoders.theta.rad_per_count();
         (pushed.abs() <= at_rest_rad && countered.abs() >= self.moved_rad())
             .then_some(ArmResponse { voltage_v: -self.push_v, theta_rad: countered })
     }
@@ -201,7 +208,8 @@ impl ProbeTrace {
                 let mean_a = 0.5 * (before_a + sample.current_a);
                 (largest_a.max(mean_a), mean_a, sample.current_a)
             });
-        let is_seen = largest_a >= LEAST_CURRENT_A && largest_a - last_a >= CURRENT_ERROR_A;
+        let least_a = LEAST_CURRENT_A * self.plant.current_per_qube_current();
+        let is_seen = largest_a >= least_a && largest_a - last_a >= CURRENT_ERROR_A;
         if is_seen { 1.0 - last_a / largest_a } else { 0.0 }
     }
 
@@ -232,7 +240,7 @@ impl SignProbe {
             pushed_rad: 0.0,
             state: State::default(),
             voltage_mv: 0,
-            trace: ProbeTrace::new(push_v, plant.encoders),
+            trace: ProbeTrace::new(push_v, *plant),
         }
     }
 
@@ -436,7 +444,7 @@ mod tests {
 
     #[test]
     fn an_arm_that_still_runs_when_the_voltage_turns_is_not_taken_for_the_second_push() {
-        let mut trace = ProbeTrace::new(0.5, Encoders::QUBE);
+        let mut trace = ProbeTrace::new(0.5, PlantModel::QUBE);
         // Six counts during the push, then momentum carries the arm on under the opposite voltage.
         for tick in 0..60_i32 {
             let stage = match tick {
@@ -456,7 +464,7 @@ mod tests {
     #[test]
     fn a_motor_that_turns_draws_less_and_one_that_is_held_does_not() {
         let drop = |last_a: f64| {
-            let mut trace = ProbeTrace::new(0.5, Encoders::QUBE);
+            let mut trace = ProbeTrace::new(0.5, PlantModel::QUBE);
             for current_a in [0.0, 0.06, 0.06, 0.05, last_a, last_a] {
                 let (applied_v, stage) = (0.5, ProbeStage::Push);
                 trace.push(ProbeSample { current_a, applied_v, stage, ..ProbeSample::default() });
@@ -471,7 +479,7 @@ mod tests {
     /// A motor without supply reads 1 mA now and then, from rounding in the converter.
     #[test]
     fn a_motor_without_current_does_not_turn() {
-        let mut trace = ProbeTrace::new(2.0, Encoders::QUBE);
+        let mut trace = ProbeTrace::new(2.0, PlantModel::QUBE);
         for current_a in [0.001, 0.001, 0.0, 0.0, 0.0] {
             let (applied_v, stage) = (2.0, ProbeStage::Push);
             trace.push(ProbeSample { current_a, applied_v, stage, ..ProbeSample::default() });

@@ -184,6 +184,13 @@ impl PlantModel {
         }
     }
 
+    /// The current of this plant's motor at rest for each ampere of a Qube's motor, at the same
+    /// voltage. Limits of a current that were chosen for a Qube are multiplied by this number.
+    #[must_use]
+    pub fn current_per_qube_current(&self) -> f64 {
+        DomainParameters::NOMINAL.motor_resistance_ohm / self.parameters.motor_resistance_ohm
+    }
+
     /// The torque of this plant's motor for each N m of a Qube's motor, at the same voltage.
     /// Friction and cable of a plant that is not identified are assumed to be in this proportion.
     #[must_use]

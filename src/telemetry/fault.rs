@@ -194,7 +194,7 @@ faults! {
         "the motor draws no current (is it connected, is the Qube switched on?)",
         "Check whether the Qube is switched on; check its supply and the motor's wires.";
     MotorWeak: Examine,
-        "the motor draws far less current than a Qube's does at the same voltage (a bad contact?)",
+        "the motor draws far less current than it should at its voltage (a bad contact?)",
         "Check the motor's wires and plug and the Qube's supply.";
     ArmHeld: Examine,
         "the arm's count does not change although the motor pushes (is the arm held, or its encoder's cable loose?)",

@@ -88,6 +88,27 @@ fn a_larger_pendulum_is_trained_for_run_within_its_limits_and_replayed() {
     check_refusals(directory);
 }
 
+#[test]
+fn a_motor_of_higher_resistance_is_neither_dead_nor_badly_connected() {
+    let directory = tempfile::tempdir().unwrap();
+    let directory = directory.path();
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("plants/furuta-130.toml");
+    let shipped = std::fs::read_to_string(shipped).unwrap();
+    for (resistance, back_emf) in [("18.0", "0.12"), ("25.0", "0.09")] {
+        let text = shipped.replace("R_m = 3.8 ", &format!("R_m = {resistance} "));
+        let text = text.replace("k_m = 0.042 ", &format!("k_m = {back_emf} "));
+        std::fs::write(directory.join("motor.toml"), &text).unwrap();
+        let plant = PlantModel::parse(&text).unwrap();
+        assert_eq!(plant.parameters.motor_resistance_ohm, resistance.parse::<f64>().unwrap());
+        let run = ["run", "--plant", "motor.toml", "--excite", "chirp", "--volts", "2"];
+        program(directory)
+            .args(run)
+            .args(["--clock", "virtual", "--rollouts", "1", "--out", resistance])
+            .assert()
+            .success();
+    }
+}
+
 /// Each policy is refused on the other plant, before anything is written.
 fn check_refusals(directory: &Path) {
     let qube = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors");

@@ -26,7 +26,8 @@ const SIGMAS: f64 = 5.0;
 /// compared.
 const DEAD_LAG: f64 = 0.3;
 
-/// Current below which the motor is taken to draw none, A. At 1 V a motor that is held draws 0.1 A.
+/// Current below which a Qube's motor is taken to draw none, A. At 1 V a motor that is held draws
+/// 0.1 A.
 const NO_CURRENT_A: f64 = 0.02;
 
 /// Push from which a missing current is a defect, V: below it, the amplifier's dead zone may
@@ -89,6 +90,8 @@ pub(super) struct Evidence {
     pub(super) strongest_v: f64,
     /// Largest current of the largest push, A.
     pub(super) current_a: f64,
+    /// Current that a motor with a good contact draws at least in the largest push, A.
+    least_a: f64,
     /// Largest share by which the current fell in a push that neither encoder showed; 0 if no such
     /// fall reached [`TURNING_DROP`].
     pub(super) current_drop: f64,
@@ -123,6 +126,7 @@ impl Evidence {
         let push_v = trace.push_v().abs();
         if push_v >= self.strongest_v {
             (self.strongest_v, self.current_a) = (push_v, trace.current_a());
+            self.least_a = WEAK_A_V * trace.current_per_qube_current() * push_v;
         }
         let arm_is_still = arm_counts < DEAD_COUNTS + 0.5;
         let anything = arm_counts > AT_REST_COUNTS + 0.5 || is_driven;
@@ -144,7 +148,8 @@ impl Evidence {
             self.dead_arm_seen += 1;
             shows_a_defect = true;
         }
-        if !anything && push_v >= CURRENT_FROM_V && trace.current_a() < NO_CURRENT_A {
+        let no_current_a = NO_CURRENT_A * trace.current_per_qube_current();
+        if !anything && push_v >= CURRENT_FROM_V && trace.current_a() < no_current_a {
             self.no_current_seen += 1;
         }
         if !anything && trace.current_drop() >= TURNING_DROP {
@@ -235,7 +240,7 @@ impl Evidence {
     pub(super) fn is_weak(&self) -> bool {
         !self.something_moved()
             && self.strongest_v >= CURRENT_FROM_V
-            && self.current_a < WEAK_A_V * self.strongest_v
+            && self.current_a < self.least_a
     }
 
     /// Whether an encoder or the motor's current showed a motion.

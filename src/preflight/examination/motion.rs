@@ -232,7 +232,7 @@ fn motor(seen: &Evidence) -> CheckResult {
         );
     }
     if seen.is_weak() {
-        let value = format!("{value} are far less than a Qube's motor takes, and nothing moves");
+        let value = format!("{value} are far less than the motor should draw, and nothing moves");
         return CheckResult::fail(MOTOR, value, Fault::MotorWeak.operator_step());
     }
     CheckResult::pass(MOTOR, value)
