@@ -12,6 +12,8 @@ mod fault_port;
 mod jobs;
 mod processes;
 mod schedules;
+#[path = "../shared/mod.rs"]
+mod shared;
 mod simulated_disk;
 mod sweep;
 mod watched_wire;

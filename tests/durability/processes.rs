@@ -16,14 +16,14 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::busy_computer::in_real_time;
 use crate::count_from;
+use crate::shared::command_in;
 
 /// Limit for a hang, which no busy computer reaches.
 const PATIENCE: Duration = Duration::from_secs(600);
 
 fn program(directory: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).env("XDG_STATE_HOME", directory).args(arguments);
-    command.stdin(Stdio::null()).stderr(Stdio::piped());
+    let mut command = command_in(directory);
+    command.args(arguments).stderr(Stdio::piped());
     command
 }
 

@@ -3,13 +3,13 @@
 
 use std::time::{Duration, Instant};
 
-use assert_cmd::Command;
 use qube_hil::clock::enter_realtime;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::host::Host;
 use crate::qube::Qube;
+use crate::shared::command_in;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
@@ -29,9 +29,7 @@ fn latency_on_the_firmware() {
     let Some(toolchain) = toolchain() else { return };
     let directory = tempfile::tempdir().unwrap();
     let board = SimulatedBoard::start(toolchain, Chip::Atmega328p, Qube::new(0));
-    let output = Command::cargo_bin("qube-hil")
-        .expect("the program is built")
-        .env("XDG_STATE_HOME", directory.path())
+    let output = command_in(directory.path())
         .args(["run", "--policy", "classical", "--rollouts", ROLLOUTS, "--device", board.port()])
         .args(["--out", directory.path().to_str().unwrap()])
         .output()

@@ -13,6 +13,8 @@ mod host;
 mod latency;
 mod power;
 mod qube;
+#[path = "../shared/mod.rs"]
+mod shared;
 mod simulated_board;
 mod stop_switch;
 mod swing_up;

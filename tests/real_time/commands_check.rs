@@ -2,11 +2,10 @@
 
 use std::io::{Read, Write};
 use std::path::Path;
-use std::process::Output;
+use std::process::{Command, Output};
 use std::sync::Arc;
 use std::time::Duration;
 
-use assert_cmd::Command;
 use qube_hil::clock::MonotonicClock;
 use qube_hil::device::SerialLink;
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
@@ -16,12 +15,11 @@ use qube_hil::telemetry::Fault;
 use serde_json::Value;
 
 use crate::busy_computer::in_real_time;
+use crate::program::program;
+use crate::shared::isolate;
 
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::cargo_bin("qube-hil").expect("the program is built");
-    command.current_dir(directory).env("TMPDIR", directory).env("XDG_STATE_HOME", directory);
-    command.args(arguments);
-    command.output().expect("it runs")
+    program(directory, arguments).env("TMPDIR", directory).output().expect("it runs")
 }
 
 fn stdout(output: &Output) -> String {
@@ -242,11 +240,11 @@ fn a_power_test_whose_result_could_not_be_kept_is_refused_before_the_arm_moves()
     // Nobody can write a file into a removed folder, not even root.
     let script = "mkdir gone && cd gone && rmdir ../gone && exec \"$@\"";
     let program = env!("CARGO_BIN_EXE_qube-hil");
-    let output = Command::new("sh")
-        .current_dir(directory.path())
-        .args(["-c", script, "sh", program, "check", "--power-test", "--device", port(&qube)])
-        .output()
-        .unwrap();
+    let mut shell = Command::new("sh");
+    shell.current_dir(directory.path());
+    shell.args(["-c", script, "sh", program, "check", "--power-test", "--device", port(&qube)]);
+    isolate(&mut shell, directory.path());
+    let output = shell.output().unwrap();
     let told = stderr(&output);
     assert!(!output.status.success() && output.stdout.is_empty(), "{told}");
     assert!(told.contains("No such file") && !told.contains("checking the Qube"), "{told}");

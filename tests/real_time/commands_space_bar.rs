@@ -6,7 +6,7 @@ use std::io::Read;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
@@ -16,7 +16,7 @@ use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, unlockpt};
 use rustix::termios::{LocalModes, tcgetattr};
 
 use crate::busy_computer::in_real_time;
-use crate::program::ServedQube;
+use crate::program::{ServedQube, program};
 
 /// Time that suffices on any computer that is merely busy.
 const PATIENCE: Duration = Duration::from_secs(600);
@@ -38,8 +38,7 @@ impl Terminal {
         unlockpt(&keyboard).unwrap();
         let screen = ioctl_tiocgptpeer(&keyboard, flags).unwrap();
         let stdio = || Stdio::from(screen.try_clone().unwrap());
-        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory).args(arguments).env("XDG_STATE_HOME", directory);
+        let mut command = program(directory, arguments);
         command.stdin(stdio()).stdout(stdio()).stderr(stdio());
         // SAFETY: both calls are system calls without memory of their own.
         unsafe {

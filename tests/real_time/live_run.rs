@@ -5,18 +5,13 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Output, Stdio};
 
 use qube_hil::recording::{Completeness, read};
 use qube_hil::telemetry::Ending;
 
 use crate::busy_computer::in_real_time;
-
-fn qube_hil(directory: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).args(arguments).stdin(Stdio::null());
-    command
-}
+use crate::program::program;
 
 /// A command with a live view, and the host of its address.
 struct Watched {
@@ -27,7 +22,7 @@ struct Watched {
 
 impl Watched {
     fn start(directory: &Path, arguments: &[&str]) -> Self {
-        let mut command = qube_hil(directory, arguments);
+        let mut command = program(directory, arguments);
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut told = BufReader::new(child.stderr.take().unwrap());
         let mut line = String::new();
@@ -115,7 +110,7 @@ fn watching_changes_no_byte_of_a_recording() {
     let recorded = |name: &str, more: &[&str]| {
         let arguments = ["run", "--policy", "classical", "--clock", "virtual", "--out", name];
         let Output { status, stderr, .. } =
-            qube_hil(directory.path(), &[&arguments, more].concat()).output().unwrap();
+            program(directory.path(), &[&arguments, more].concat()).output().unwrap();
         assert!(status.success(), "{}", String::from_utf8_lossy(&stderr));
         fs::read(directory.path().join(name).join("rollout-0.mcap")).unwrap()
     };
@@ -141,14 +136,14 @@ fn an_address_that_cannot_be_had_is_bad_usage_and_leaves_nothing() {
     let address = taken.local_addr().unwrap().to_string();
     for command in [&["session"][..], &["run", "--policy", "classical"]] {
         let arguments = [command, &["--out", "new", "--live", &address]].concat();
-        let output = qube_hil(directory.path(), &arguments).output().unwrap();
+        let output = program(directory.path(), &arguments).output().unwrap();
         let told = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{told}");
         assert!(told.contains(&address) && told.contains("another address"), "{told}");
         assert!(!directory.path().join("new").exists(), "{command:?}");
     }
     let experiment = ["experiment", "--live"];
-    let output = qube_hil(directory.path(), &experiment).output().unwrap();
+    let output = program(directory.path(), &experiment).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
     assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 0);
 }

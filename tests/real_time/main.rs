@@ -22,3 +22,5 @@ mod preflight_power;
 mod program;
 mod recording_killed;
 mod rig_slow_bridge;
+#[path = "../shared/mod.rs"]
+mod shared;

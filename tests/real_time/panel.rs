@@ -1,8 +1,10 @@
 //! A Qube with the USB panel behind the test library, for whole processes.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Output};
 use std::sync::OnceLock;
+
+use crate::program::program;
 
 /// Path of the test library, which is built first: cargo builds no example for one test alone.
 pub fn library() -> &'static Path {
@@ -57,9 +59,7 @@ impl Panel {
 
     /// The program with these arguments, in the directory.
     pub fn command(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(self.path()).args(arguments).stdin(Stdio::null());
-        command.env("XDG_STATE_HOME", self.path()).env_remove("STATE_DIRECTORY");
+        let mut command = program(self.path(), arguments);
         command.env("TMPDIR", self.path());
         command.env("QUBE_HIL_LIBHIL", library());
         command.env("QUBE_TEST_HIL_STATE", self.state.path().join("amplifier"));

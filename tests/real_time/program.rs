@@ -4,12 +4,12 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// A command that runs the program with these arguments in a folder, without input. The program's
-/// state (`XDG_STATE_HOME`) is in that folder too.
+use crate::shared::command_in;
+
+/// A command that runs the program with these arguments in a folder; see [`command_in`].
 pub fn program(directory: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).args(arguments).stdin(Stdio::null());
-    command.env("XDG_STATE_HOME", directory).env_remove("STATE_DIRECTORY");
+    let mut command = command_in(directory);
+    command.args(arguments);
     command
 }
 

@@ -22,6 +22,7 @@ use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::MeasuredLink;
 
 use crate::busy_computer::in_real_time;
+use crate::program::program;
 
 fn settings(bridge: Option<UsbBridge>, seed: u64) -> RigSettings {
     RigSettings::emulated(EmulatorSettings { bridge, seed, ..EmulatorSettings::default() })
@@ -117,10 +118,8 @@ fn on_a_pty_the_check_passes_through_it_too() {
         let qube = EmulatedQube::spawn(EmulatorSettings { bridge, ..EmulatorSettings::default() })
             .unwrap();
         let directory = tempfile::tempdir().unwrap();
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory.path()).env("XDG_STATE_HOME", directory.path());
-        let output = command.args(["check", "--device", qube.port().to_str().unwrap()]).output();
-        let output = output.unwrap();
+        let arguments = ["check", "--device", qube.port().to_str().unwrap()];
+        let output = program(directory.path(), &arguments).output().unwrap();
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         // On a busy computer other checks may fail, but the measured time still shows the bridge.
         let words: Vec<&str> = text.split_whitespace().collect();

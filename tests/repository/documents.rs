@@ -213,6 +213,7 @@ fn a_filter_that_selects_no_test_is_found() {
     for filter in ["documents::", "documents::a_filter_that", "walls::every_room"] {
         assert!(selects_a_test(&folder, filter), "{filter}");
     }
+                .env_remove("STATE_DIRECTORY")
     for filter in ["document::", "documents::no_such_function", "::"] {
         assert!(!selects_a_test(&folder, filter), "{filter}");
     }

@@ -1,11 +1,14 @@
 //! Tests of the repository: its pages against the program, the walls between its rooms, its
-//! packages and its installer.
+//! packages, its installer, and how its tests are called and start the program.
 
 mod documents;
 mod installer;
+mod isolation;
 mod names;
 mod packages;
 mod page_json;
 mod page_safety;
+#[path = "../shared/mod.rs"]
+mod shared;
 mod tree;
 mod walls;

@@ -4,25 +4,21 @@
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::Arc;
 
 use qube_hil::jobs::folder::{JobFolder, Terms};
 use qube_hil::storage::MachineDisk;
 use serde_json::Value;
 
+use crate::shared::command_in;
+
 const PAGE: &str = include_str!("../../docs/reference/json.md");
 
 /// Runs the program with these arguments and `--json`; returns the last line of its standard
 /// output, and its exit code.
 fn told(directory: &Path, arguments: &[&str]) -> (Value, Option<i32>) {
-    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(directory)
-        .args(arguments)
-        .arg("--json")
-        .stdin(Stdio::null())
-        .output()
-        .unwrap();
+    let output = command_in(directory).args(arguments).arg("--json").output().unwrap();
     let stdout = String::from_utf8(output.stdout).unwrap();
     let last = stdout.lines().last().unwrap_or_else(|| panic!("{arguments:?} printed nothing"));
     (serde_json::from_str(last).unwrap(), output.status.code())
@@ -204,10 +200,8 @@ fn benchmarks_print_the_fields_of_the_page() {
 #[test]
 fn an_emulated_qube_prints_the_fields_of_the_page() {
     let directory = tempfile::tempdir().unwrap();
-    let mut serving = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(directory.path())
+    let mut serving = command_in(directory.path())
         .args(["emulate", "--link", "qube", "--json"])
-        .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
@@ -239,7 +233,8 @@ fn a_failure_prints_the_fields_of_the_page() {
 
 #[test]
 fn every_command_has_its_section() {
-    let help = Command::new(env!("CARGO_BIN_EXE_qube-hil")).arg("--help").output().unwrap();
+    let directory = tempfile::tempdir().unwrap();
+    let help = command_in(directory.path()).arg("--help").output().unwrap();
     let help = String::from_utf8(help.stdout).unwrap();
     let commands = help.split("Commands:\n").nth(1).unwrap().split("\n\n").next().unwrap();
     let names = commands.lines().filter_map(|line| line.strip_prefix("  ")?.split(' ').next());

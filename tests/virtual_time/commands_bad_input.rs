@@ -7,6 +7,7 @@ use std::path::Path;
 use qube_hil::recording::read;
 
 use crate::program::{has_refused, qube_hil, refused, succeeds};
+use crate::shared::command_in;
 
 #[test]
 fn ports_that_are_none() {
@@ -323,8 +324,8 @@ fn names_that_are_no_text_are_names() {
     let directory = tempfile::tempdir().unwrap();
     let out = std::ffi::OsStr::from_bytes(b"r\xff");
     let run = |arguments: &[&str], file: &std::ffi::OsStr, more: &[&str]| {
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory.path()).args(arguments).arg(file).args(more).arg("--json");
+        let mut command = command_in(directory.path());
+        command.args(arguments).arg(file).args(more).arg("--json");
         let output = command.output().unwrap();
         let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(output.status.success(), "{arguments:?}: {stderr}");
@@ -353,8 +354,8 @@ fn policies_and_profiles_may_have_names_that_are_no_text() {
     std::fs::copy(root.join("policies/robust.safetensors"), place(policy)).unwrap();
     std::fs::copy(root.join("profiles/lab.toml"), place(profile)).unwrap();
     let run = |arguments: &[&str], option: &str, name: &OsStr, more: &[&OsStr]| {
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory.path()).args(arguments).arg(option).arg(name).args(more);
+        let mut command = command_in(directory.path());
+        command.args(arguments).arg(option).arg(name).args(more);
         let output = command.output().unwrap();
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };

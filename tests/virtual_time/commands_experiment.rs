@@ -10,6 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::folders::files_of;
 use crate::program::succeeded;
+use crate::shared::command_in;
 
 /// Policies with two small updates of training.
 const TINY: &str = "[settings.training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
@@ -33,8 +34,8 @@ fn prepare(directory: &Path) {
 }
 
 fn experiment(directory: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).arg("experiment").args(arguments).stdin(Stdio::null());
+    let mut command = command_in(directory);
+    command.arg("experiment").args(arguments);
     command
 }
 

@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 
 use qube_hil::session::SessionSettings;
 
+use crate::shared::command_in;
+
 /// Hostile text with the escapes of JSON: ESC [, CSI as one character, OSC with BEL, a change of
 /// the writing direction, and a forged line of output.
 const HOSTILE_JSON: &str = "x\\u001b[2J\\u009b31m\\u001b]0;owned\\u0007\\u202egnp\\n\
@@ -22,10 +24,8 @@ fn shipped() -> PathBuf {
 
 /// Runs the program, which must end by itself.
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
-    let mut program = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(directory)
+    let mut program = command_in(directory)
         .args(arguments)
-        .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::program::{has_refused, qube_hil, refused, succeeds};
+use crate::shared::{command_in, isolate};
 
 /// A port that does not exist: the message about it shows that `--out` was accepted.
 const PORT: &str = "/dev/ttyNOWHERE";
@@ -68,12 +69,10 @@ fn a_full_disk_is_found_before_the_work() {
     for command in ["train --preset thesis --out p.safetensors", "identify no.mcap", &run] {
         // A limit on file sizes stands for a full disk. Its signal must not end the program.
         let script = format!("ulimit -f 8; exec {} {command}", binary());
-        let output = Command::new("sh")
-            .args(["-c", &script])
-            .current_dir(directory.path())
-            .stdin(Stdio::null())
-            .output()
-            .unwrap();
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &script]).current_dir(directory.path()).stdin(Stdio::null());
+        isolate(&mut shell, directory.path());
+        let output = shell.output().unwrap();
         has_refused(&output, 1, &["cannot be written"]);
     }
     assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "something was left");
@@ -125,9 +124,7 @@ fn a_result_that_cannot_be_printed_is_a_failure() {
     let directory = tempfile::tempdir().unwrap();
     let run = |arguments: &[&str]| {
         let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory.path()).args(arguments).stdout(full);
-        command.output().unwrap()
+        command_in(directory.path()).args(arguments).stdout(full).output().unwrap()
     };
     for arguments in [&["toy"][..], &["toy", "--json"], &["--help"], &["train", "--help"]] {
         let output = run(arguments);
@@ -142,9 +139,7 @@ fn messages_that_cannot_be_printed_change_no_exit_code() {
     let directory = tempfile::tempdir().unwrap();
     let run = |arguments: &[&str]| {
         let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory.path()).env("XDG_STATE_HOME", directory.path());
-        command.args(arguments).stderr(full).output().unwrap()
+        command_in(directory.path()).args(arguments).stderr(full).output().unwrap()
     };
     let rollout = ["run", "--policy", "classical", "--clock", "virtual"];
     let output = run(&[&rollout[..], &["--out", "unheard"]].concat());

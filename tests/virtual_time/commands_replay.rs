@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
@@ -17,9 +17,12 @@ use qube_hil::telemetry::{Ending, Phase};
 use serde_json::Value;
 
 use crate::folders::files_of;
+use crate::program;
 
+/// Runs the program, whose arguments name no file relative to its folder.
 fn qube_hil(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_qube-hil")).args(arguments).output().unwrap()
+    let directory = tempfile::tempdir().unwrap();
+    program::qube_hil(directory.path(), arguments)
 }
 
 /// Records a whole rollout of the classical controller in virtual time under the guard `box`;

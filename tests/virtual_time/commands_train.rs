@@ -10,13 +10,11 @@ use qube_hil::elementary::Level;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::program::succeeded;
+use crate::shared::command_in;
 
 fn train(directory: &Path, out: &str, more: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command
-        .current_dir(directory)
-        .args(["train", "--preset", "quick", "--seed", "3", "--out", out])
-        .args(more);
+    let mut command = command_in(directory);
+    command.args(["train", "--preset", "quick", "--seed", "3", "--out", out]).args(more);
     command
 }
 
@@ -94,8 +92,7 @@ fn a_training_that_is_stopped_names_a_checkpoint_only_if_there_is_one() {
     let checkpoint = directory.path().join("far.safetensors");
     // The first signals may come before the program handles them.
     let stopped = [100, 400, 1600, 6400].into_iter().find_map(|milliseconds| {
-        let training = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-            .current_dir(directory.path())
+        let training = command_in(directory.path())
             .args(["train", "--preset", "thesis", "--checkpoint", "far.safetensors"])
             .stderr(Stdio::piped())
             .spawn()

@@ -2,12 +2,11 @@
 
 use std::path::Path;
 
-use assert_cmd::Command;
+use crate::program::program;
 
 fn recordings(directory: &Path, seed: &str) -> Vec<Vec<u8>> {
     let out = directory.join("run");
-    Command::cargo_bin("qube-hil")
-        .expect("the program is built")
+    program(directory)
         .args(["run", "--policy", "classical", "--clock", "virtual", "--rollouts", "2"])
         .args(["--seed", seed, "--out"])
         .arg(&out)

@@ -2,7 +2,8 @@
 //! time, the beliefs that are learnt from them, and a policy at each budget.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
+
+use crate::shared::command_in;
 
 /// A recipe for policies with two small updates of training; its psi is not searched here.
 const TINY: &str = "name = \"tiny\"\nmodel = \"opt-robust\"\n\n\
@@ -10,14 +11,8 @@ const TINY: &str = "name = \"tiny\"\nmodel = \"opt-robust\"\n\n\
 
 /// Runs an experiment in a folder; returns what it prints as JSON.
 fn experiment(folder: &Path, arguments: &[&str]) -> serde_json::Value {
-    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(folder)
-        .arg("experiment")
-        .args(arguments)
-        .arg("--json")
-        .stdin(Stdio::null())
-        .output()
-        .unwrap();
+    let output =
+        command_in(folder).arg("experiment").args(arguments).arg("--json").output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
 }
@@ -77,10 +72,8 @@ fn strategy_optimisation_tries_inputs_of_one_policy_and_recommends_the_best() {
 #[test]
 fn a_method_whose_policies_share_a_training_is_refused_without_budgets() {
     let folder = tempfile::tempdir().unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(folder.path())
+    let output = command_in(folder.path())
         .args(["experiment", "--strategies", "so-cma", "--profile", "lab", "--out", "one"])
-        .stdin(Stdio::null())
         .output()
         .unwrap();
     assert_eq!(output.status.code(), Some(2));

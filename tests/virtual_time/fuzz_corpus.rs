@@ -10,6 +10,8 @@ use firmware_protocol::{PROTOCOL_VERSION, Request};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::session::{Entry, Purpose, SessionSettings};
 
+use crate::program;
+
 fn corpus(target: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target)
 }
@@ -111,12 +113,7 @@ fn classical() -> Vec<u8> {
 fn make_seeds() {
     let directory = tempfile::tempdir().unwrap();
     let program = |arguments: &[&str]| {
-        assert_cmd::Command::cargo_bin("qube-hil")
-            .unwrap()
-            .current_dir(directory.path())
-            .args(arguments)
-            .assert()
-            .success();
+        program::program(directory.path()).args(arguments).assert().success();
     };
     let put = |target: &str, name: &str, bytes: &[u8]| {
         std::fs::create_dir_all(corpus(target)).unwrap();

@@ -2,7 +2,7 @@
 //! were made, and the first rollouts of a session or run are compared with the Qube's profile.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 use std::sync::Arc;
 
 use firmware_protocol::scaling::{motor_counts, motor_voltage_mv};
@@ -12,9 +12,12 @@ use qube_hil::rig::{DeviceChoice, RigSettings};
 use qube_hil::session::{Extent, Session, SessionFolder, SessionSettings};
 use serde_json::Value;
 
+use crate::program;
+
+/// Runs the program, which must succeed.
+#[track_caller]
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    let output = command.current_dir(directory).args(arguments).output().unwrap();
+    let output = program::qube_hil(directory, arguments);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     output
 }
@@ -123,8 +126,7 @@ fn an_identification_without_unknowns_is_refused() {
     let fixed = names.flat_map(|name| ["--fix", name]);
     // The command is refused before it reads a recording: none.csv does not exist.
     let arguments: Vec<&str> = ["identify", "none.csv"].into_iter().chain(fixed).collect();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    let output = command.current_dir(directory.path()).args(arguments).output().unwrap();
+    let output = program::qube_hil(directory.path(), &arguments);
     assert_eq!(output.status.code(), Some(2), "{output:?}");
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(told.contains("--fix names every quantity"), "{told}");
@@ -261,9 +263,8 @@ fn incomplete_recordings_are_named_with_the_seconds_that_are_used() {
     std::fs::write(path("cut.mcap"), &whole[..whole.len() / 2]).unwrap();
     // This file lacks only its last bytes; every tick is there.
     std::fs::write(path("index.mcap"), &whole[..whole.len() - 20]).unwrap();
-    let mut recover = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    recover.current_dir(directory.path()).args(["recover", "cut.mcap"]);
-    assert_eq!(recover.output().unwrap().status.code(), Some(3));
+    let recovered = program::qube_hil(directory.path(), &["recover", "cut.mcap"]);
+    assert_eq!(recovered.status.code(), Some(3));
 
     let identify = |files: &[&str], out: &str| {
         let fixed = ["R_m", "k_m", "D_r", "M_r", "M_p", "L_r", "cable_rest_rad"];
@@ -330,9 +331,8 @@ fn a_recording_that_says_too_little_is_left_out_and_named() {
 
     // Alone it is no evidence at all; the same holds for the recordings of --holdout.
     for files in [&["short.mcap"][..], &["chirp/rollout-0.mcap", "--holdout", "short.mcap"]] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory.path()).arg("identify").args(files);
-        let refused = command.args(["--out", "refused.toml"]).output().unwrap();
+        let identify = [&["identify"], files, &["--out", "refused.toml"]].concat();
+        let refused = program::qube_hil(directory.path(), &identify);
         assert_eq!(refused.status.code(), Some(2), "{files:?}");
         assert!(String::from_utf8_lossy(&refused.stderr).contains("short.mcap: it lasts"));
     }
@@ -378,9 +378,8 @@ fn a_copy_of_a_recording_is_no_new_evidence() {
     std::fs::write(path("cut.mcap"), &whole[..whole.len() * 3 / 4]).unwrap();
     for copy in ["copy.mcap", "tables/rollout-0.csv", "cut.mcap"] {
         for option in [&[][..], &["--holdout"]] {
-            let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-            command.current_dir(directory.path()).args(["identify", "chirp/rollout-0.mcap"]);
-            let refused = command.args(option).arg(copy).output().unwrap();
+            let identify = [&["identify", "chirp/rollout-0.mcap"], option, &[copy]].concat();
+            let refused = program::qube_hil(directory.path(), &identify);
             let told = String::from_utf8_lossy(&refused.stderr).into_owned();
             assert_eq!(refused.status.code(), Some(2), "{copy} {option:?}: {told}");
             let words = format!("{copy} holds the same motion as chirp/rollout-0.mcap");

@@ -6,7 +6,7 @@ use std::ffi::OsString;
 use std::fs::TryLockError;
 use std::io;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::Output;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -19,6 +19,7 @@ use qube_hil::simulation::DomainDistribution;
 use qube_hil::storage::{Disk, DiskFile, FolderLock, MachineDisk};
 
 use crate::folders::files_of;
+use crate::shared::command_in;
 
 const TINY: &str = "name = \"tiny\"\nmodel = \"nominal\"\n[settings.training]\nupdates = 2\nnum_envs = 16\n\
                     epochs = 1\nevaluation_starts = 16\n";
@@ -29,12 +30,10 @@ const BY_XARGS: &str = "seq {workers} | xargs -P {workers} -I '{}' {work} --slot
 /// Runs an experiment of three trainings in this folder and returns its output.
 fn experiment(directory: &Path, out: &str, options: &[&str]) -> Output {
     std::fs::write(directory.join("tiny.toml"), TINY).unwrap();
-    Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(directory)
+    command_in(directory)
         .args(["experiment", "--recipe", "tiny.toml", "--policies", "3", "--rollouts", "1"])
         .args(["--out", out])
         .args(options)
-        .stdin(Stdio::null())
         .output()
         .unwrap()
 }
@@ -119,11 +118,9 @@ fn workers_that_are_always_ended_early_are_not_started_for_ever() {
     // Ends each worker as soon as its file is in the folder, however slow its start was.
     let ended = "{work} & worker=$!; until ls {folder}/workers | grep -q -e \"-$worker-\"; \
                  do sleep 0.05; done; kill $worker; wait $worker; true";
-    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(directory)
+    let output = command_in(directory)
         .args(["experiment", "--recipe", "long.toml", "--policies", "1", "--rollouts", "1"])
         .args(["--executor", ended, "--workers", "1", "--stale", "1"])
-        .stdin(Stdio::null())
         .output()
         .unwrap();
     refused(&output, &["ended early", "more time"]);

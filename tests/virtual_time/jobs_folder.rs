@@ -19,6 +19,8 @@ use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
 use qube_hil::storage::MachineDisk;
 
+use crate::shared::command_in;
+
 /// Trainings of about `updates` tenths of a second.
 fn jobs(count: u64, updates: u32) -> Vec<TrainingJob> {
     let settings = TrainSettings { updates, epochs: 1, ..TrainSettings::quick() };
@@ -71,9 +73,9 @@ fn executor(root: &Path) -> FolderExecutor {
 }
 
 fn work(root: &Path, options: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
+    let mut command = command_in(root);
     command.arg("work").arg(root).args(options);
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    command.stdout(Stdio::null()).stderr(Stdio::piped());
     command
 }
 

@@ -56,6 +56,8 @@ mod session_recommendation;
 mod session_resume;
 mod session_rigs;
 mod session_service;
+#[path = "../shared/mod.rs"]
+mod shared;
 #[path = "../stranger/mod.rs"]
 mod stranger;
 mod surrogate_botorch;

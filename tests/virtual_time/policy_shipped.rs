@@ -1,15 +1,15 @@
 //! Tests that the policies in `policies/` balance and earn at least 90 % of the returns on their
 //! page, in virtual time and guarded by the box alone.
 
-use assert_cmd::Command;
 use serde_json::Value;
+
+use crate::program::program;
 
 fn returns(policy: &str, qube: &[&str]) -> Vec<f64> {
     let directory = tempfile::tempdir().unwrap();
     let policy = format!("{}/policies/{policy}", env!("CARGO_MANIFEST_DIR"));
-    let mut command = Command::cargo_bin("qube-hil").unwrap();
-    command.current_dir(directory.path()).args(["run", "--policy", &policy, "--rollouts", "3"]);
-    let output = command
+    let output = program(directory.path())
+        .args(["run", "--policy", &policy, "--rollouts", "3"])
         .args(["--clock", "virtual", "--guard", "box", "--json"])
         .args(qube)
         .output()

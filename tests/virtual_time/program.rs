@@ -5,11 +5,11 @@ use std::process::Output;
 
 use assert_cmd::Command;
 
+use crate::shared::command_in;
+
 /// The program in a working directory that is also its user's home, so that it writes nowhere else.
 pub fn program(directory: &Path) -> Command {
-    let mut command = Command::cargo_bin("qube-hil").expect("the program is built");
-    command.current_dir(directory).env("HOME", directory).env("XDG_STATE_HOME", directory);
-    command
+    Command::from_std(command_in(directory))
 }
 
 /// Runs the program to its end.

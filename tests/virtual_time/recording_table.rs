@@ -1,17 +1,12 @@
 //! Tests the tables that `export` writes, against the recordings that the library reads.
 
-use std::process::{Command, Output};
-
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::Field;
 use qube_hil::recording::{COLUMNS, csv_table, read};
 use qube_hil::scoring::return_of;
 use qube_hil::telemetry::Phase;
 
-fn qube_hil(directory: &std::path::Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).args(arguments).output().unwrap()
-}
+use crate::program::qube_hil;
 
 #[test]
 fn every_tick_is_a_row_that_reads_back_exactly() {

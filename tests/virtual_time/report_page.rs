@@ -2,9 +2,12 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
 use serde_json::Value;
+
+use crate::program::qube_hil;
+use crate::shared::isolate;
 
 /// Settings of a session whose trainings are too short to learn a swing-up.
 const SMALL: &str = "seed = 5\n\
@@ -13,11 +16,6 @@ const SMALL: &str = "seed = 5\n\
 
 /// A folder's name that is also markup and shell code.
 const HOSTILE: &str = "<img src=x onerror=alert(1)> $(id) 'x'";
-
-fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).args(arguments).output().unwrap()
-}
 
 #[track_caller]
 fn succeeds(directory: &Path, arguments: &[&str]) -> Value {
@@ -89,6 +87,7 @@ fn a_search_becomes_a_page_that_a_browser_shows_and_a_shell_repeats() {
         let line = format!("{command}{clock} --json");
         let mut shell = Command::new("sh");
         shell.current_dir(directory).env("PATH", &search_path).args(["-c", &line]);
+        isolate(&mut shell, directory);
         let output = shell.output().unwrap();
         assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
         if command.contains(" session ") {

@@ -2,24 +2,18 @@
 //! with code 2 and one sentence, creates no folder and opens no port.
 
 use std::path::Path;
-use std::process::Output;
 
-use assert_cmd::Command;
 use qube_hil::experiment::{ExperimentFolder, ExperimentSettings, Plant, Recipe};
 use qube_hil::recording::read;
 use qube_hil::safety::{Guard, SafetyBox};
 use qube_hil::session::{EmulatedQubeSettings, SessionFolder, SessionSettings};
 use qube_hil::simulation::Model;
 
+use crate::program::qube_hil;
+
 /// A port that does not exist. The message about it shows that all limits were accepted.
 const PORT: [&str; 2] = ["--device", "/dev/ttyNOWHERE"];
 const EMULATED: [&str; 2] = ["--clock", "virtual"];
-
-fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::cargo_bin("qube-hil").expect("the program is built");
-    command.current_dir(directory).env("XDG_STATE_HOME", directory);
-    command.args(arguments).output().expect("it runs")
-}
 
 #[track_caller]
 fn refused(directory: &Path, arguments: &[&str], words: &[&str]) {

@@ -4,7 +4,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
-use assert_cmd::Command;
 use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::device::emulator::{Effects, EmulatorSettings};
 use qube_hil::device::{DeviceError, SerialLink};
@@ -22,6 +21,7 @@ use qube_hil::telemetry::Ending;
 use serde_json::Value;
 
 use crate::given_networks::{Given, robust};
+use crate::program::{program, qube_hil};
 
 /// Settings of a session whose trainings are too short to learn a swing-up.
 const SMALL: &str = "seed = 5\n\
@@ -30,8 +30,8 @@ const SMALL: &str = "seed = 5\n\
 
 fn session(directory: &Path, settings: &str, arguments: &[&str]) -> Value {
     std::fs::write(directory.join("small.toml"), settings).unwrap();
-    let mut command = Command::cargo_bin("qube-hil").unwrap();
-    command.current_dir(directory).args(["session", "--clock", "virtual", "--json"]);
+    let mut command = program(directory);
+    command.args(["session", "--clock", "virtual", "--json"]);
     let output = command.args(arguments).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
@@ -88,9 +88,8 @@ fn a_qube_is_identified_and_the_search_varies_the_errors_of_its_profile() {
             Some(text) => std::fs::write(&path, text).unwrap(),
             None => std::fs::remove_file(&path).unwrap(),
         }
-        let mut command = Command::cargo_bin("qube-hil").unwrap();
         let resume = ["session", "--clock", "virtual", "--resume", "s"];
-        let output = command.current_dir(directory.path()).args(resume).output().unwrap();
+        let output = qube_hil(directory.path(), &resume);
         let told = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(3), "{told}");
         assert!(told.contains("profile-1.toml") && told.contains(defect), "{told}");
@@ -335,13 +334,8 @@ fn a_method_that_does_not_fit_its_arguments_is_refused() {
         (&["--method", "posterior", "--candidates", "3"], "one candidate"),
         (&["--method", "identified", "--candidates", "0"], "--candidates"),
     ] {
-        let mut command = Command::cargo_bin("qube-hil").unwrap();
-        let output = command
-            .current_dir(directory.path())
-            .args(["session", "--clock", "virtual", "--out", "s"])
-            .args(arguments)
-            .output()
-            .unwrap();
+        let session = [&["session", "--clock", "virtual", "--out", "s"], arguments].concat();
+        let output = qube_hil(directory.path(), &session);
         let told = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(2), "{told}");
         assert!(told.contains(words), "{told}");

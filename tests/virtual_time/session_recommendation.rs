@@ -3,16 +3,17 @@
 
 use std::path::Path;
 
-use assert_cmd::Command;
 use serde_json::Value;
+
+use crate::program::program;
 
 const SMALL: &str = "seed = 5\nstrategy = \"random\"\n\
     [extent]\ninitial_candidates = 3\niterations = 1\nrollouts = 1\nverification_rollouts = 2\n\
     [training]\nupdates = 2\npendulums = 16\nepochs = 1\n";
 
 fn session(directory: &Path, arguments: &[&str]) -> Value {
-    let mut command = Command::cargo_bin("qube-hil").unwrap();
-    command.current_dir(directory).args(["session", "--clock", "virtual", "--json"]);
+    let mut command = program(directory);
+    command.args(["session", "--clock", "virtual", "--json"]);
     let output = command.args(arguments).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()

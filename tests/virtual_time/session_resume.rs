@@ -2,7 +2,7 @@
 //! the ledger of an undisturbed run, byte for byte.
 
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::Duration;
 
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
@@ -11,6 +11,8 @@ use qube_hil::rig::ClockChoice;
 use qube_hil::session::{Entry, SessionPaths, parse_ledger, recorded_clock};
 use qube_hil::storage::MachineDisk;
 use rustix::process::{Pid, Signal, kill_process};
+
+use crate::shared::command_in;
 
 /// Numbers of updates of each training, which are tried in turn until a session lasts long enough
 /// to be interrupted. With the first number a session takes a few seconds.
@@ -41,10 +43,8 @@ fn resume_by_its_clock(directory: &Path, name: &str) -> Child {
 }
 
 fn started(directory: &Path, arguments: &[&str]) -> Child {
-    Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(directory)
+    command_in(directory)
         .args(arguments)
-        .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
@@ -168,10 +168,8 @@ fn is_stopped_and_resumed(kind: Signal, expected: i32, updates: u32) -> bool {
 
 /// Resumes a session in this folder; returns its exit code, and its messages before its result.
 fn resume(directory: &Path, name: &str) -> (Option<i32>, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(directory)
+    let output = command_in(directory)
         .args(["session", "--clock", "virtual", "--resume", name, "--json"])
-        .stdin(Stdio::null())
         .output()
         .unwrap();
     let told = [output.stderr, output.stdout].map(|bytes| String::from_utf8(bytes).unwrap());
@@ -373,11 +371,9 @@ fn a_recording_in_the_place_of_another_is_not_counted_twice() {
 
 /// Runs a session with these arguments; returns its exit code and messages.
 fn run_session(directory: &Path, arguments: &[&str]) -> (Option<i32>, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(directory)
+    let output = command_in(directory)
         .args(["session", "--clock", "virtual"])
         .args(arguments)
-        .stdin(Stdio::null())
         .output()
         .unwrap();
     (output.status.code(), String::from_utf8(output.stderr).unwrap())

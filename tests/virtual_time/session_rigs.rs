@@ -21,6 +21,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 use crate::folders::files_of;
+use crate::shared::command_in;
 
 /// Settings of a small session without the number of updates, which a test appends.
 const SMALL: &str = "seed = 5\n\
@@ -29,9 +30,9 @@ const SMALL: &str = "seed = 5\n\
 
 /// The command `session` in virtual time with these arguments.
 fn session_command(directory: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    command.current_dir(directory).args(["session", "--clock", "virtual"]).args(arguments);
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut command = command_in(directory);
+    command.args(["session", "--clock", "virtual"]).args(arguments);
+    command.stdout(Stdio::null()).stderr(Stdio::null());
     command
 }
 
@@ -130,8 +131,7 @@ fn each_of_two_qubes_has_a_session_of_its_own() {
         assert!(directory.path().join(rig["best"]["policy"].as_str().unwrap()).exists());
         assert!(directory.path().join(rig["report"].as_str().unwrap()).exists());
     }
-    let mut report = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-    let report = report.current_dir(directory.path()).args(["report", "two"]).output().unwrap();
+    let report = command_in(directory.path()).args(["report", "two"]).output().unwrap();
     let told = String::from_utf8_lossy(&report.stderr);
     assert!(report.status.code() == Some(2) && told.contains("as two/rig-1"), "{told}");
     // A number of Qubes that differs from that at the start is refused.
@@ -257,9 +257,7 @@ fn qubes_that_are_named_badly_are_refused() {
             "no such port",
         ),
     ] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
-        command.current_dir(directory.path()).arg("session").args(arguments);
-        let output = command.stdin(Stdio::null()).output().unwrap();
+        let output = command_in(directory.path()).arg("session").args(arguments).output().unwrap();
         let told = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {told}");
         assert!(told.contains(message), "{arguments:?}: {told}");

@@ -2,8 +2,10 @@
 //! that crashes repeatedly is not restarted for ever.
 
 use std::os::unix::net::UnixDatagram;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::Duration;
+
+use crate::shared::command_in;
 
 const SMALL: &str = "[extent]\ninitial_candidates = 1\niterations = 0\nrollouts = 1\n\
     verification_rollouts = 1\n[training]\nupdates = 1\nnum_envs = 16\nepochs = 1\n";
@@ -14,8 +16,7 @@ fn the_service_manager_is_told() {
     let path = directory.path().join("notify");
     let socket = UnixDatagram::bind(&path).unwrap();
     std::fs::write(directory.path().join("small.toml"), SMALL).unwrap();
-    let mut session = Command::new(env!("CARGO_BIN_EXE_qube-hil"))
-        .current_dir(directory.path())
+    let mut session = command_in(directory.path())
         .args(["session", "--clock", "virtual", "--config", "small.toml", "--out", "session"])
         .env("NOTIFY_SOCKET", &path)
         .stdout(Stdio::null())
