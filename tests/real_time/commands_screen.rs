@@ -8,6 +8,7 @@ use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use crate::busy_computer::in_real_time;
+use crate::shared::say_skipped;
 
 /// Time that suffices on any computer that is merely busy.
 const PATIENCE: Duration = Duration::from_secs(600);
@@ -24,8 +25,8 @@ impl Tmux {
     /// Starts the shell in a folder; `None` without tmux.
     fn start(directory: &Path) -> Option<Self> {
         if Command::new("tmux").arg("-V").output().is_err() {
-            assert!(std::env::var_os("QUBE_HIL_REQUIRE_TMUX").is_none(), "tmux is not installed");
-            eprintln!("skipped: tmux is not installed");
+            let variables = &["QUBE_HIL_REQUIRE_TMUX"];
+            say_skipped("a test of the screen", "tmux is not installed", variables);
             return None;
         }
         let socket = directory.join("tmux").display().to_string();

@@ -10,5 +10,6 @@ mod page_json;
 mod page_safety;
 #[path = "../shared/mod.rs"]
 mod shared;
+mod skips;
 mod tree;
 mod walls;

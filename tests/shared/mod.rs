@@ -1,6 +1,8 @@
-//! Code that the programs of tests share: the start of the program.
+//! Code that the programs of tests share: the start of the program, and the report of a skip.
 #![allow(dead_code, unused_imports, reason = "each program of tests uses its part")]
 
 mod isolated;
+mod skipped;
 
 pub use isolated::{command_in, isolate};
+pub use skipped::say_skipped;

@@ -2,7 +2,8 @@
 //!
 //! The recordings are not part of the repository. `$QUBE_HIL_RECORDINGS` names their folder; if the
 //! variable is not set, the folder is `../shared/data/qube-recordings`, relative to the repository.
-//! Without variable and folder these tests say that they are skipped, and pass.
+//! Without variable and folder these tests say that they are skipped, and pass; with
+//! `QUBE_HIL_REQUIRE_RECORDINGS` they fail.
 
 use std::path::{Path, PathBuf};
 
@@ -12,6 +13,8 @@ use qube_hil::identification::{Regime, Unknown, horizon_error, identify, regime_
 use qube_hil::qube::{CONTROL_PERIOD_S, Measurement, PlantModel, QubeModel, RAD_PER_COUNT};
 use qube_hil::replay::{AngleError, MotionLog, simulate_from_first_state};
 use qube_hil::safety::MotorHeat;
+
+use crate::shared::say_skipped;
 
 /// The folder of the recordings; `None` if the tests are to be skipped.
 fn recordings() -> Option<PathBuf> {
@@ -24,7 +27,8 @@ fn recordings() -> Option<PathBuf> {
     if folder.is_dir() {
         return Some(folder);
     }
-    eprintln!("SKIPPED: no recordings of a real Qube in {}", folder.display());
+    let why = format!("no recordings of a real Qube in {}", folder.display());
+    say_skipped("a comparison with a real Qube", why, &["QUBE_HIL_REQUIRE_RECORDINGS"]);
     None
 }
 

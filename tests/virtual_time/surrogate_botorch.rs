@@ -13,6 +13,8 @@ use qube_hil::surrogate::{
 };
 use serde::Deserialize;
 
+use crate::shared::say_skipped;
+
 #[derive(Deserialize)]
 struct Fixture {
     /// Kernel of the process; a file that names none uses Matérn 5/2.
@@ -90,11 +92,8 @@ fn botorch_fixtures_from_outside() {
     if found.is_empty() {
         // A folder that was named explicitly must not be skipped.
         assert!(named.is_none(), "no botorch_fixture_*.json in {}", folder.display());
-        eprintln!(
-            "skipped: no botorch_fixture_*.json in {}; set QUBE_HIL_FIXTURES to their folder",
-            folder.display()
-        );
-        return;
+        let why = format!("no botorch_fixture_*.json in {}", folder.display());
+        return say_skipped("botorch_fixtures_from_outside", why, &[]);
     }
     found.iter().for_each(|path| compare(path));
 }
