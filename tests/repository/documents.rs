@@ -16,7 +16,7 @@ const SKIPPED: [&str; 5] = ["target", ".git", "corpus", "build", "tests"];
 const SHELLS: [&str; 4] = ["sh", "console", "bash", "shell"];
 
 /// Every page of the repository, as a path from its root.
-fn pages() -> Vec<PathBuf> {
+pub fn pages() -> Vec<PathBuf> {
     fn collect(folder: &Path, found: &mut Vec<PathBuf>) {
         for entry in fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
@@ -168,57 +168,6 @@ fn every_source_file_that_a_page_names_exists() {
     assert!(lost.is_empty(), "files that do not exist:\n{}", lost.join("\n"));
 }
 
-#[test]
-fn every_test_that_a_page_or_a_script_calls_exists() {
-    let scripts = fs::read_dir(root().join("scripts")).unwrap().map(|entry| entry.unwrap().path());
-    let files = scripts.filter(|path| path.is_file()).chain([root().join(".ci/run")]);
-    let pages = pages().into_iter().filter(|page| !page.ends_with("CHANGELOG.md"));
-    let (mut lost, mut looked_at) = (Vec::new(), 0);
-    for file in files.chain(pages.map(|page| root().join(page))) {
-        let text = fs::read_to_string(&file).unwrap();
-        for call in text.split("--test ").skip(1) {
-            // A call ends with its line, unless a backslash continues that, or with its quotation.
-            let call = call.replace("\\\n", " ");
-            let call = call.split(['`', '\n', '#']).next().unwrap();
-            let mut words = call.split([' ', '"']);
-            let name = words.next().unwrap();
-            let folder = root().join("tests").join(name);
-            let exists = folder.with_extension("rs").exists() || folder.join("main.rs").exists();
-            looked_at += 1;
-            if !exists {
-                lost.push(format!("{}: --test {name}", file.display()));
-            }
-            for filter in words.filter(|word| word.contains("::")) {
-                if !selects_a_test(&folder, filter) {
-                    lost.push(format!("{}: --test {name} {filter}", file.display()));
-                }
-            }
-        }
-    }
-    assert!(looked_at > 10, "the calls of tests were not found");
-    assert!(lost.is_empty(), "tests that do not exist:\n{}", lost.join("\n"));
-}
-
-/// Whether a filter of the form `MODULE::` or `MODULE::FUNCTION` names a module of the tests in
-/// this folder, and in its file the beginning of a function.
-fn selects_a_test(folder: &Path, filter: &str) -> bool {
-    let (module, function) = filter.split_once("::").unwrap_or((filter, ""));
-    let text = fs::read_to_string(folder.join(module).with_extension("rs"));
-    text.is_ok_and(|text| text.contains(&format!("fn {function}")))
-}
-
-#[test]
-fn a_filter_that_selects_no_test_is_found() {
-    let folder = root().join("tests/repository");
-    for filter in ["documents::", "documents::a_filter_that", "walls::every_room"] {
-        assert!(selects_a_test(&folder, filter), "{filter}");
-    }
-                .env_remove("STATE_DIRECTORY")
-    for filter in ["document::", "documents::no_such_function", "::"] {
-        assert!(!selects_a_test(&folder, filter), "{filter}");
-    }
-}
-
 /// The commands of a block: the whole text of a script, or the lines after the prompts of a console
 /// with their continuation lines.
 fn commands(language: &str, text: &str) -> String {
@@ -264,6 +213,7 @@ fn every_block_of_commands_runs_or_says_why_not() {
                 .current_dir(folder.path())
                 .env("PATH", &path)
                 .env("XDG_STATE_HOME", folder.path().join("state"))
+                .env_remove("STATE_DIRECTORY")
                 .stdin(Stdio::null())
                 .output()
                 .unwrap();

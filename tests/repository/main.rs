@@ -1,6 +1,7 @@
 //! Tests of the repository: its pages against the program, the walls between its rooms, its
 //! packages, its installer, and how its tests are called and start the program.
 
+mod calls;
 mod documents;
 mod installer;
 mod isolation;
