@@ -22,7 +22,8 @@ use qube_hil::policy::{
 };
 use qube_hil::qube::{MAX_HISTORY, Measurement, OBSERVATION_SIZE, PlantModel, Profile, State};
 use qube_hil::safety::{ForesightSettings, IdentifiedQube, SafetyBox};
-use qube_hil::telemetry::{Ending, RolloutOutcome, TickRules, TickSettings};
+use qube_hil::session::RolloutPlan;
+use qube_hil::telemetry::{Ending, RolloutOutcome, TickSettings};
 
 thread_local! {
     static IN_THE_LOOP: Cell<bool> = const { Cell::new(false) };
@@ -175,14 +176,11 @@ fn large_network() -> Policy {
 fn settings(rig: MeasuredRig, max_steps: u32) -> TickSettings {
     TickSettings {
         calibration: rig.calibration,
-        estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
         max_steps,
         start_theta_rad: 0.0,
         stops: rig.stops,
-        foresight: None,
-        rules: TickRules::NEWEST,
-        plant: PlantModel::QUBE,
+        ..RolloutPlan::single("test", "test").header().settings
     }
 }
 

@@ -11,11 +11,11 @@ use qube_hil::control::{
 };
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, SerialLink};
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Profile, QubeModel};
 use qube_hil::safety::SafetyBox;
-use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
+use qube_hil::session::RolloutPlan;
+use qube_hil::telemetry::{Ending, Fault, TickSettings};
 
 use super::wire::SharedWire;
 
@@ -78,14 +78,9 @@ pub fn rollout(
     let calibration = homing.calibration()?;
     let settings = TickSettings {
         calibration,
-        estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
-        max_steps: 600,
         start_theta_rad: 0.05,
-        stops: None,
-        foresight: None,
-        rules: TickRules::NEWEST,
-        plant: qube_hil::qube::PlantModel::QUBE,
+        ..RolloutPlan::single("test", "test").header().settings
     };
     let mut tick = Tick::new(&settings, policy.clone());
     let mut noted = Noted { tick: &mut tick, clock: clock.clone(), ran_s: None };

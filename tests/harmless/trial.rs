@@ -9,10 +9,9 @@ use qube_hil::control::{
     ControlState, Homing, HomingSettings, Motion, Tick, TickInput, TickOutput, drive,
 };
 use qube_hil::device::{Device, SerialLink};
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains};
 use qube_hil::qube::{CONTROL_PERIOD_NS, State};
-use qube_hil::safety::SafetyBox;
+use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, TickSettings};
 
 use super::case::{Case, Start};
@@ -173,14 +172,8 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
         while seconds(&clock) < LONGEST_S {
             let settings = TickSettings {
                 calibration: rig,
-                estimator: EstimatorSettings::default(),
-                safety_box: SafetyBox::GUARDED,
-                max_steps: 600,
                 start_theta_rad: 0.05,
-                stops: None,
-                foresight: None,
-                rules: qube_hil::telemetry::TickRules::NEWEST,
-                plant: qube_hil::qube::PlantModel::QUBE,
+                ..RolloutPlan::single("test", "test").header().settings
             };
             let controller = ClassicalController::new(ClassicalGains::default());
             let mut tick = Tick::new(&settings, controller);

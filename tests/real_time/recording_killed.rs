@@ -8,10 +8,11 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use qube_hil::clock::{Clock, MonotonicClock};
-use qube_hil::estimation::{Calibration, EstimatorSettings};
+use qube_hil::estimation::Calibration;
 use qube_hil::qube::{CONTROL_PERIOD_NS, Measurement, RewardWeights};
 use qube_hil::recording::{Completeness, FORMAT_VERSION, Recorder, read};
 use qube_hil::safety::SafetyBox;
+use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{RolloutHeader, TickRecord, TickSettings};
 
@@ -42,14 +43,9 @@ fn header() -> RolloutHeader {
         policy: "none".to_owned(),
         settings: TickSettings {
             calibration: Calibration::IDENTITY,
-            estimator: EstimatorSettings::default(),
             safety_box: SafetyBox::THESIS,
-            max_steps: 600,
             start_theta_rad: 0.0,
-            stops: None,
-            foresight: None,
-            rules: qube_hil::telemetry::TickRules::NEWEST,
-            plant: qube_hil::qube::PlantModel::QUBE,
+            ..RolloutPlan::single("test", "test").header().settings
         },
         reward: RewardWeights::THESIS,
     }

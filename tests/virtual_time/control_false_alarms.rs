@@ -8,10 +8,10 @@ use qube_hil::clock::VirtualClock;
 use qube_hil::control::{Homing, HomingSettings, Tick, drive};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, SerialLink};
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use qube_hil::qube::State;
-use qube_hil::safety::{Limit, SafetyBox};
+use qube_hil::safety::Limit;
+use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, TickSettings};
 
 /// An untrained policy, different for each seed.
@@ -42,14 +42,8 @@ fn rollout(seed: u64, controller: impl Controller) -> Ending {
     assert_eq!(homed.outcome.ending, Ending::Completed, "homing, seed {seed}");
     let settings = TickSettings {
         calibration: homing.calibration().expect("it homes"),
-        estimator: EstimatorSettings::default(),
-        safety_box: SafetyBox::GUARDED,
-        max_steps: 600,
         start_theta_rad: 0.1 * (seed as f64).sin(),
-        stops: None,
-        foresight: None,
-        rules: qube_hil::telemetry::TickRules::NEWEST,
-        plant: qube_hil::qube::PlantModel::QUBE,
+        ..RolloutPlan::single("test", "test").header().settings
     };
     let mut tick = Tick::new(&settings, controller);
     drive(&mut device, &clock, &mut tick, None, &stop).expect("it arms").outcome.ending

@@ -8,10 +8,10 @@ use qube_hil::clock::VirtualClock;
 use qube_hil::control::{Homing, HomingSettings, Tick, drive_warm};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, SerialLink};
-use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use qube_hil::qube::{Profile, QubeModel, State};
-use qube_hil::safety::{LARGEST_LOAD, Limit, MotorHeat, SafetyBox, WARNING_LOAD};
+use qube_hil::safety::{LARGEST_LOAD, Limit, MotorHeat, WARNING_LOAD};
+use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, RolloutOutcome, TickSettings};
 
 /// An emulated Qube after homing, with its motor's heat.
@@ -45,14 +45,9 @@ impl Rig {
     ) -> RolloutOutcome {
         let settings = TickSettings {
             calibration: self.homing.calibration().expect("it is homed"),
-            estimator: EstimatorSettings::default(),
-            safety_box: SafetyBox::GUARDED,
             max_steps,
             start_theta_rad: 0.1 * (seed as f64).sin(),
-            stops: None,
-            foresight: None,
-            rules: qube_hil::telemetry::TickRules::NEWEST,
-            plant: qube_hil::qube::PlantModel::QUBE,
+            ..RolloutPlan::single("test", "test").header().settings
         };
         let mut tick = Tick::new(&settings, controller);
         let stop = AtomicBool::new(false);

@@ -7,10 +7,11 @@ use qube_hil::clock::{Clock, VirtualClock};
 use qube_hil::control::{ControlState, Motion, Tick, TickInput, TickOutput, drive};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, DeviceError, Identity, InProcessWire, LinkFault, SerialLink};
-use qube_hil::estimation::{Calibration, EstimatorSettings};
+use qube_hil::estimation::Calibration;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Measurement, State};
 use qube_hil::safety::SafetyBox;
+use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
 
 /// The fate of a sample on its way from the device to the tick.
@@ -161,14 +162,9 @@ fn a_device_that_repeats_one_sample_is_a_fault_in_the_next_tick() {
     let mut device = Fateful::new(|tick| if tick < 30 { Fate::Comes } else { Fate::Repeats });
     let settings = TickSettings {
         calibration: Calibration::IDENTITY,
-        estimator: EstimatorSettings::default(),
         safety_box: SafetyBox { theta: 100.0, alpha: 1e4, ..SafetyBox::THESIS },
-        max_steps: 600,
         start_theta_rad: 0.0,
-        stops: None,
-        foresight: None,
-        rules: qube_hil::telemetry::TickRules::NEWEST,
-        plant: qube_hil::qube::PlantModel::QUBE,
+        ..RolloutPlan::single("test", "test").header().settings
     };
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
     let ending = drives(&mut device, &mut Tick::new(&settings, policy));
