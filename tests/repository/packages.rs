@@ -28,13 +28,42 @@ fn files_of(source: &str) -> Vec<String> {
     names.filter(|name| name.ends_with(ending)).map(|name| format!("{folder}/{name}")).collect()
 }
 
+/// Whether a command of a script writes this file, or the files of this folder: the last word of the
+/// command is its path.
+fn is_written(script: &str, source: &str) -> bool {
+    let path = source.split("/*").next().unwrap();
+    let commands = script.lines().map(|line| line.trim_matches(['\'', '"', ' ']));
+    let only_tidies = |line: &str| ["#", "rm ", "mkdir "].iter().any(|it| line.starts_with(it));
+    let mut writers = commands.filter(|line| !only_tidies(line));
+    writers.any(|line| line.strip_suffix(path).is_some_and(|rest| rest.ends_with([' ', '\'', '"'])))
+}
+
+#[test]
+fn an_asset_that_no_command_of_the_script_writes_is_found() {
+    let script = "# makes out/none\nrm -rf out/man out/only\nmkdir -p out/only\n\
+                  program manual --out out/man\npackaged 'a' 'out/a@.service'\nb > out/b.txt\n";
+    for source in ["out/man/*", "out/a@.service", "out/b.txt"] {
+        assert!(is_written(script, source), "{source}");
+    }
+    for source in ["out/none", "out/only/*", "out/b", "b.txt", "out/man/x"] {
+        assert!(!is_written(script, source), "{source}");
+    }
+}
+
 #[test]
 fn everything_in_the_debian_package_exists_or_is_built_by_its_script() {
     let script = fs::read_to_string(root().join("scripts/deb")).unwrap();
     for (source, _) in assets() {
-        let path = source.split("/*").next().unwrap();
-        let is_built = source == "target/dist/qube-hil" || script.contains(path);
-        assert!(is_built || root().join(path).exists(), "{source} does not exist");
+        match source.strip_prefix("target/") {
+            Some("dist/qube-hil") => {
+                assert!(script.contains("cargo build --locked --profile dist"))
+            }
+            Some(_) => assert!(is_written(&script, &source), "scripts/deb does not write {source}"),
+            None => {
+                let exists = files_of(&source).iter().any(|file| root().join(file).is_file());
+                assert!(exists, "{source} does not exist");
+            }
+        }
     }
     let scripts = manifest()["package"]["metadata"]["deb"]["maintainer-scripts"].clone();
     assert!(root().join(scripts.as_str().unwrap()).join("postinst").exists());
@@ -103,6 +132,50 @@ fn both_make_the_groups_and_the_user_that_the_rules_and_the_unit_name() {
         }
         let user = setting("User=");
         assert!(makes(["useradd", "adduser"], user), "{script} does not make {user}");
+    }
+}
+
+/// The versions that a text gives to a package, after `@` or `==`.
+fn versions_of<'a>(package: &str, text: &'a str) -> Vec<&'a str> {
+    let after = text.split(package).skip(1);
+    let given = after.filter_map(|rest| rest.strip_prefix('@').or_else(|| rest.strip_prefix("==")));
+    given.map(|rest| rest.split([' ', '`', '\n', '"', ')']).next().unwrap()).collect()
+}
+
+#[test]
+fn every_tool_has_one_version_wherever_it_is_installed() {
+    let files = [
+        ".ci/run",
+        ".ci/tools.txt",
+        ".github/workflows/checks.yml",
+        "scripts/deb",
+        "scripts/advisories",
+    ];
+    let texts = files.map(|file| fs::read_to_string(root().join(file)).unwrap());
+    for (tool, places) in [("cargo-deny", 4), ("cargo-deb", 3), ("mdbook", 2)] {
+        let versions: Vec<&str> = texts.iter().flat_map(|text| versions_of(tool, text)).collect();
+        assert!(versions.len() >= places, "{tool}: {versions:?}");
+        assert!(versions.iter().all(|it| *it == versions[0]), "{tool}: {versions:?}");
+        let installs = texts.iter().flat_map(|text| text.lines());
+        let mut installs =
+            installs.filter(|line| line.contains("cargo install") && line.contains(tool));
+        assert!(
+            installs.all(|line| !versions_of(tool, line).is_empty()),
+            "{tool} without a version"
+        );
+    }
+}
+
+#[test]
+fn the_oldest_compiler_is_checked_by_the_workflow_and_named_by_the_pages() {
+    let manifest = manifest();
+    let oldest = manifest["workspace"]["package"]["rust-version"].as_str().unwrap();
+    let read = |file: &str| fs::read_to_string(root().join(file)).unwrap();
+    let workflow = read(".github/workflows/checks.yml");
+    assert!(workflow.contains(&format!("cargo +{oldest} check --locked --all-targets")));
+    assert!(workflow.contains(&format!("rustup toolchain install {oldest} ")));
+    for page in ["README.md", "CONTRIBUTING.md"] {
+        assert!(read(page).contains(&format!("Rust {oldest}")), "{page}");
     }
 }
 
