@@ -12,7 +12,7 @@ use super::failures;
 use super::printable::print_message;
 use crate::experiment::{ExperimentFolder, is_irreplaceable};
 use crate::session::{FolderError, SessionPaths};
-use crate::storage::{Disk, FolderLock, MachineDisk, write_new, write_whole};
+use crate::storage::{Disk, Existing, FolderLock, MachineDisk, write_new, write_whole};
 
 /// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
 const ROOM_BYTES: usize = 1 << 18;
@@ -21,19 +21,17 @@ const ROOM_BYTES: usize = 1 << 18;
 #[derive(Debug)]
 pub struct OutputFile {
     path: PathBuf,
-    replace: bool,
+    existing: Existing,
 }
 
 impl OutputFile {
-    /// Checks that the file of `--out` can be written. An existing file is refused unless `replace`
-    /// is set.
-    pub fn prepare(path: &Path, replace: bool) -> Result<Self, Failure> {
-        Self::of_option("--out", path, replace)
+    /// Checks that the file of `--out` can be written.
+    pub fn prepare(path: &Path, existing: Existing) -> Result<Self, Failure> {
+        Self::of_option("--out", path, existing)
     }
 
-    /// Checks that the file of the option `option` can be written. An existing file is refused
-    /// unless `replace` is set.
-    pub fn of_option(option: &str, path: &Path, replace: bool) -> Result<Self, Failure> {
+    /// Checks that the file of the option `option` can be written.
+    pub fn of_option(option: &str, path: &Path, existing: Existing) -> Result<Self, Failure> {
         let shown = path.display();
         match path.symlink_metadata() {
             Ok(found) if !found.is_file() && !found.is_symlink() => {
@@ -41,7 +39,7 @@ impl OutputFile {
                     "{option} {shown}: it is not a file: give a file"
                 )));
             }
-            Ok(_) if !replace => {
+            Ok(_) if existing == Existing::Refuse => {
                 return Err(Failure::usage(format!(
                     "{option} {shown} exists already: name another file, or replace it with --force"
                 )));
@@ -58,7 +56,7 @@ impl OutputFile {
             return Err(Failure::usage(format!("{option} {shown}: name a file")));
         }
         check_folder(folder_of(path))?;
-        Ok(Self { path: path.to_owned(), replace })
+        Ok(Self { path: path.to_owned(), existing })
     }
 
     /// Writes the file, which appears whole or not at all. If that fails, or another process has
@@ -69,9 +67,9 @@ impl OutputFile {
     }
 
     fn write_or_keep_in(&self, shelter: &Path, bytes: &[u8]) -> Result<(), Failure> {
-        let written = match self.replace {
-            true => write_whole(&MachineDisk, &self.path, bytes),
-            false => write_new(&MachineDisk, &self.path, bytes),
+        let written = match self.existing {
+            Existing::Replace => write_whole(&MachineDisk, &self.path, bytes),
+            Existing::Refuse => write_new(&MachineDisk, &self.path, bytes),
         };
         let failure = match written {
             Ok(()) => return Ok(()),
@@ -84,7 +82,7 @@ impl OutputFile {
         let name = self.path.file_name().unwrap_or(OsStr::new("result")).to_string_lossy();
         let kept = shelter.join(format!("qube-hil-{}-{name}", since_1970.as_millis()));
         let written = MachineDisk
-            .create(&kept, false)
+            .create(&kept, Existing::Refuse)
             .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync()));
         Err(match written {
             Ok(()) => failure.followed_by(&format!("The result is in {}", kept.display())),
@@ -238,7 +236,7 @@ pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     }
     let trial = folder.join(format!(".qube-hil-{}", std::process::id()));
     let written = MachineDisk
-        .create(&trial, true)
+        .create(&trial, Existing::Replace)
         .and_then(|mut file| file.write_all(&[0; ROOM_BYTES]).and_then(|()| file.sync()));
     let removed = fs::remove_file(&trial);
     if let Some(warning) = removed.err().and_then(|error| trial_left(folder, &trial, &error)) {
@@ -274,7 +272,8 @@ mod tests {
         let folder = directory.path().join("folder");
         for taken in [false, true] {
             fs::create_dir(&folder).unwrap();
-            let file = OutputFile::prepare(&folder.join("p.safetensors"), false).unwrap();
+            let file =
+                OutputFile::prepare(&folder.join("p.safetensors"), Existing::Refuse).unwrap();
             if taken {
                 fs::write(folder.join("p.safetensors"), "of another").unwrap();
             } else {
@@ -302,10 +301,10 @@ mod tests {
         let recording = file("named.svg", b"\x89MCAP0\r\nand the rest");
         let ledger = file("ledger.jsonl", b"{}");
         for path in [recording, ledger] {
-            let refused = OutputFile::prepare(&path, true).unwrap_err();
+            let refused = OutputFile::prepare(&path, Existing::Replace).unwrap_err();
             assert!(refused.is_usage() && refused.cause().contains("no command replaces"));
         }
-        assert!(OutputFile::prepare(&file("old.svg", b"<svg/>"), true).is_ok());
+        assert!(OutputFile::prepare(&file("old.svg", b"<svg/>"), Existing::Replace).is_ok());
     }
 
     #[test]

@@ -14,6 +14,7 @@ use super::parquet_table::parquet_table;
 use super::replay::recording_failure;
 use crate::identification::duplicate;
 use crate::recording::{Recording, csv_table, read};
+use crate::storage::Existing;
 
 /// Write recordings as tables (CSV or Parquet), or policies as ONNX models
 ///
@@ -161,7 +162,7 @@ fn place(path: &Path, force: bool) -> Result<OutputFile, Failure> {
             path.display()
         )));
     }
-    OutputFile::prepare(path, force)
+    OutputFile::prepare(path, Existing::replaced_if(force))
 }
 
 fn shown(paths: &[PathBuf]) -> Vec<String> {

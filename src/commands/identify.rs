@@ -20,6 +20,7 @@ use super::printable::print_message;
 use super::profile;
 use crate::identification::{Recordings, Unknown, identify, next_excitations, read_recordings};
 use crate::session::IdentificationSettings;
+use crate::storage::Existing;
 
 /// Identify the Qube, or another plant, that made recordings: parameters, friction, dead zone, cable and delay
 ///
@@ -84,7 +85,7 @@ const RUN_VOLTS: RangeInclusive<f64> = 0.1..=3.0;
 /// failure after that.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
-    let out = OutputFile::prepare(&arguments.out, arguments.force)?;
+    let out = OutputFile::prepare(&arguments.out, Existing::replaced_if(arguments.force))?;
     let plots = arguments.plot.as_deref().map(plot_folder).transpose()?;
     let groups = [&arguments.files[..], &arguments.holdout[..]];
     let recordings = read_recordings(groups, arguments.plant.given()?).map_err(Failure::usage)?;

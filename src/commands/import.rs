@@ -14,7 +14,7 @@ use crate::policy::onnx::{
     ForeignConventions, ImportError, MAX_FILE_BYTES, ObservationLayout, from_onnx,
 };
 use crate::qube::MAX_HISTORY;
-use crate::storage::read_bounded;
+use crate::storage::{Existing, read_bounded};
 
 /// Import a policy from an ONNX file of another program, or from a file that `export --onnx` wrote
 ///
@@ -97,7 +97,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     // The file is foreign, and so are the names of operators and constants in it.
     let refused =
         |message: &dyn std::fmt::Display| Failure::usage(one_line(&format!("{path}: {message}")));
-    let out = OutputFile::prepare(&arguments.out, arguments.force)?;
+    let out = OutputFile::prepare(&arguments.out, Existing::replaced_if(arguments.force))?;
     let bytes = read_bounded(&arguments.file, MAX_FILE_BYTES).map_err(|error| {
         let remedy = if error.kind() == std::io::ErrorKind::NotFound { EXPORT_FAILED } else { "" };
         refused(&format!("cannot be read: {error}{remedy}"))

@@ -19,7 +19,7 @@ use crate::replay::{
     simulate_from_first_state,
 };
 use crate::safety::{Contradiction, Foreseen};
-use crate::storage::{MachineDisk, write_whole};
+use crate::storage::{Existing, MachineDisk, write_whole};
 use crate::telemetry::RolloutOutcome;
 
 /// Replay recordings: recompute the return, feed the recorded measurements to the tick that ran on the
@@ -95,7 +95,7 @@ struct Report {
     problem: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rmse: Option<Rmse>,
-    /// What the simulation shows, for people.
+    /// Sentences about the simulation, for people.
     #[serde(skip)]
     simulation: Option<String>,
     /// File of the moving picture, once it is written.
@@ -172,7 +172,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         return Err(Failure::usage("--animate draws one recording: name one file"));
     }
     if let Some(picture) = &arguments.animate {
-        OutputFile::of_option("--animate", picture, arguments.force)?;
+        OutputFile::of_option("--animate", picture, Existing::replaced_if(arguments.force))?;
         if !has_ending(picture, "svg") {
             return Err(Failure::usage(format!(
                 "--animate {}: the picture is an SVG file: name a file that ends with .svg",

@@ -20,7 +20,7 @@ use crate::replay::SimulatedSpecimen;
 use crate::report::{ReportError, SessionSource, is_report, recordings_page, session_page};
 use crate::rig::RigSettings;
 use crate::session::{RigSessions, ScoredCandidate, SessionPaths};
-use crate::storage::{MachineDisk, write_whole};
+use crate::storage::{Existing, MachineDisk, write_whole};
 
 /// Name of a report in the folder of its session or experiment.
 const REPORT: &str = "report.html";
@@ -100,7 +100,8 @@ fn folder_asked(arguments: &Arguments) -> Result<Option<&Path>, Failure> {
 /// folder or from the first recording, where only a report is replaced.
 fn place(arguments: &Arguments, folder: Option<&Path>) -> Result<(PathBuf, OutputFile), Failure> {
     if let Some(path) = &arguments.out {
-        return Ok((path.clone(), OutputFile::prepare(path, arguments.force)?));
+        let existing = Existing::replaced_if(arguments.force);
+        return Ok((path.clone(), OutputFile::prepare(path, existing)?));
     }
     // A missing recording is named before the folder that it would give its page.
     if let Some(missing) = arguments.paths.iter().find(|path| !path.exists()) {
@@ -113,7 +114,7 @@ fn place(arguments: &Arguments, folder: Option<&Path>) -> Result<(PathBuf, Outpu
     check_replaceable(&path).map_err(|why| {
         Failure::usage(format!("{why}: name another file by --out, or move this one away"))
     })?;
-    let file = OutputFile::prepare(&path, true)?;
+    let file = OutputFile::prepare(&path, Existing::Replace)?;
     Ok((path, file))
 }
 

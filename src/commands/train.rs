@@ -1,4 +1,5 @@
 use std::path::{Path, PathBuf};
+use crate::storage::Existing;
 use std::time::Instant;
 
 use clap::ValueEnum;
@@ -197,7 +198,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         ..preset
     };
     let start = arguments.from.as_deref().map(start).transpose()?;
-    let out = OutputFile::prepare(&arguments.out, arguments.force)?;
+    let out = OutputFile::prepare(&arguments.out, Existing::replaced_if(arguments.force))?;
     if let Some(path) = &arguments.checkpoint {
         check_checkpoint(path, &arguments.out)?;
     }

@@ -11,7 +11,7 @@ use super::starter::{StartError, Starter, WorkerCount};
 use super::{AtEnd, Executor, FolderExecutor, JobError, JobFolderError, TrainingJob};
 use crate::learning::{TrainSettings, Trained};
 use crate::simulation::DomainDistribution;
-use crate::storage::{Disk, DiskFile, FolderLock, MachineDisk};
+use crate::storage::{Disk, DiskFile, Existing, FolderLock, MachineDisk};
 
 fn job() -> TrainingJob {
     let settings =
@@ -51,9 +51,9 @@ impl Disk for Hiccups {
         MachineDisk.create_folder(path)
     }
 
-    fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>> {
+    fn create(&self, path: &Path, existing: Existing) -> io::Result<Box<dyn DiskFile>> {
         self.refuse_first("create", folder_of(path))?;
-        MachineDisk.create(path, replace)
+        MachineDisk.create(path, existing)
     }
 
     fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>> {

@@ -10,7 +10,7 @@ use super::channels::{Channel, encode_ending, encode_scene, encode_tick};
 use super::{
     LAST_TICKS_ATTACHMENT, POLICY_ATTACHMENT, RecordingError, VIRTUAL_EPOCH_UNIX_NS, metadata,
 };
-use crate::storage::{Disk, DiskFile, sync_name};
+use crate::storage::{Disk, DiskFile, Existing, sync_name};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
 
 /// Number of ticks in a block: a tenth of a second. The size is a number of ticks rather than a
@@ -87,7 +87,7 @@ impl RolloutWriter<Box<dyn DiskFile>> {
         // one.
         let fields = header_fields(path, &header)?;
         let file = disk
-            .create(path, false)
+            .create(path, Existing::Refuse)
             .map_err(|source| RecordingError::Create { path: path.to_owned(), source })?;
         let writer = Self::open(file, path, header, fields, policy)?;
         // The entry in the folder must survive a loss of power too, not only the content.

@@ -7,7 +7,7 @@ use std::path::Path;
 use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustix::io::Errno;
 
-use super::{Disk, DiskFile, FolderLock, is_taken, open_regular, sync_name};
+use super::{Disk, DiskFile, Existing, FolderLock, is_taken, open_regular, sync_name};
 
 /// The file system of this computer.
 #[derive(Clone, Copy, Debug, Default)]
@@ -30,8 +30,8 @@ impl Disk for MachineDisk {
         }
     }
 
-    fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>> {
-        if replace {
+    fn create(&self, path: &Path, existing: Existing) -> io::Result<Box<dyn DiskFile>> {
+        if existing == Existing::Replace {
             match fs::remove_file(path) {
                 Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
                 _ => {}
@@ -145,8 +145,8 @@ mod tests {
         MachineDisk.create_folder(&folder).unwrap();
         assert!(MachineDisk.remove_folder(directory.path()).is_err());
         let path = folder.join("file");
-        MachineDisk.create(&path, false).unwrap().write_all(b"one two").unwrap();
-        let again = MachineDisk.create(&path, false).unwrap_err();
+        MachineDisk.create(&path, Existing::Refuse).unwrap().write_all(b"one two").unwrap();
+        let again = MachineDisk.create(&path, Existing::Refuse).unwrap_err();
         assert_eq!(again.kind(), io::ErrorKind::AlreadyExists);
         let mut file = MachineDisk.append(&path).unwrap();
         file.write_all(b" three").unwrap();
@@ -161,7 +161,7 @@ mod tests {
         assert_eq!(MachineDisk.read_beginning(&path, 3).unwrap(), b"one");
         assert_eq!(MachineDisk.read_end(&path, 4).unwrap(), b"more");
         assert_eq!(MachineDisk.read_end(&path, 100).unwrap(), b"one more");
-        MachineDisk.create(&path, true).unwrap();
+        MachineDisk.create(&path, Existing::Replace).unwrap();
         assert_eq!(MachineDisk.read(&path, 100).unwrap(), b"");
         assert_eq!(MachineDisk.names(&folder).unwrap(), ["file"]);
         let no_folder = MachineDisk.names(&path).unwrap_err();
@@ -210,14 +210,14 @@ mod tests {
             let link = || std::os::unix::fs::symlink(&target, &path).unwrap();
             link();
             assert!(MachineDisk.is_link(&path));
-            assert!(MachineDisk.create(&path, false).is_err());
+            assert!(MachineDisk.create(&path, Existing::Refuse).is_err());
             assert!(MachineDisk.append(&path).is_err());
-            MachineDisk.create(&path, true).unwrap().write_all(b"mine").unwrap();
+            MachineDisk.create(&path, Existing::Replace).unwrap().write_all(b"mine").unwrap();
             assert!(!MachineDisk.is_link(&path));
             fs::remove_file(&path).unwrap();
             // Writing does not reach the foreign file through a second (hard) link to it either.
             fs::hard_link(&foreign, &path).unwrap();
-            MachineDisk.create(&path, true).unwrap().write_all(b"mine").unwrap();
+            MachineDisk.create(&path, Existing::Replace).unwrap().write_all(b"mine").unwrap();
             fs::remove_file(&path).unwrap();
             assert_eq!(fs::read(&foreign).unwrap(), b"precious");
             assert!(!directory.path().join("nothing").exists());

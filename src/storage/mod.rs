@@ -18,6 +18,23 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+/// The treatment of a file whose name a new file is to have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// The file is removed first.
+    Replace,
+    /// The file is an error of the kind [`io::ErrorKind::AlreadyExists`].
+    Refuse,
+}
+
+impl Existing {
+    /// Replaces the file where this is allowed, and refuses it otherwise.
+    #[must_use]
+    pub fn replaced_if(is_allowed: bool) -> Self {
+        if is_allowed { Self::Replace } else { Self::Refuse }
+    }
+}
+
 /// The disk operations of sessions and recordings.
 ///
 /// The bytes of a file survive a loss of power once the file is synced; its name survives once its
@@ -29,13 +46,12 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The operating system refuses.
     fn create_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Creates a file. With `replace`, an existing file of this name is removed first; without
-    /// `replace`, an existing file is an error of the kind [`io::ErrorKind::AlreadyExists`]. A link
-    /// of this name is never followed, because its target may belong to another user.
+    /// Creates a file, and treats an existing file of this name as `existing` says. A link of this
+    /// name is never followed, because its target may belong to another user.
     ///
     /// # Errors
     /// The operating system refuses.
-    fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>>;
+    fn create(&self, path: &Path, existing: Existing) -> io::Result<Box<dyn DiskFile>>;
 
     /// Opens a file for writing at its end, and creates the file if it does not exist.
     ///
@@ -326,7 +342,7 @@ fn create_unfinished(disk: &dyn Disk, path: &Path) -> io::Result<(PathBuf, Box<d
         let mut name = path.file_name().unwrap_or_default().to_owned();
         name.push(format!(".{process}-{number}{UNFINISHED}"));
         let unfinished = path.with_file_name(name);
-        match disk.create(&unfinished, false) {
+        match disk.create(&unfinished, Existing::Refuse) {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
             created => return Ok((unfinished, created?)),
         }

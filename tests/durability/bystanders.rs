@@ -20,7 +20,7 @@ use qube_hil::recording::RecordingError;
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::session::{Session, SessionEvent, SessionFolder};
-use qube_hil::storage::{Disk, DiskFile, FolderLock};
+use qube_hil::storage::{Disk, DiskFile, Existing, FolderLock};
 
 use crate::schedules;
 use crate::simulated_disk::SimulatedDisk;
@@ -54,8 +54,8 @@ impl Disk for TrickyDisk {
         self.disk.create_folder(path)
     }
 
-    fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>> {
-        let file = self.disk.create(path, replace)?;
+    fn create(&self, path: &Path, existing: Existing) -> io::Result<Box<dyn DiskFile>> {
+        let file = self.disk.create(path, existing)?;
         Ok(Box::new(TrickyFile { file, disk: self.clone() }))
     }
 

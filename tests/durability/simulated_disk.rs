@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use qube_hil::storage::{Disk, DiskFile, FolderLock};
+use qube_hil::storage::{Disk, DiskFile, Existing, FolderLock};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -290,10 +290,10 @@ impl Disk for SimulatedDisk {
         Ok(())
     }
 
-    fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>> {
+    fn create(&self, path: &Path, existing: Existing) -> io::Result<Box<dyn DiskFile>> {
         let mut content = self.change()?;
         let node = match content.names.get(path) {
-            Some(_) if !replace => return Err(ErrorKind::AlreadyExists.into()),
+            Some(_) if existing == Existing::Refuse => return Err(ErrorKind::AlreadyExists.into()),
             Some(Name::File(node)) => {
                 let node = *node;
                 content.nodes[node].cut_to(0);
@@ -319,7 +319,7 @@ impl Disk for SimulatedDisk {
         if let Some(Name::File(node)) = self.content().names.get(path) {
             return Ok(Box::new(SimulatedFile { disk: self.clone(), node: *node }));
         }
-        self.create(path, false)
+        self.create(path, Existing::Refuse)
     }
 
     fn read_beginning(&self, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
@@ -433,7 +433,7 @@ fn synced_bytes_survive_and_others_may_be_lost() {
     let disk = SimulatedDisk::default();
     let path = Path::new("/a/file");
     disk.create_folder(Path::new("/a")).unwrap();
-    let mut file = disk.create(path, false).unwrap();
+    let mut file = disk.create(path, Existing::Refuse).unwrap();
     file.write_all(b"kept").unwrap();
     file.sync().unwrap();
     let after = |seed| disk.restarted(Stopped::PowerLost(seed)).bytes(path);
@@ -454,7 +454,7 @@ fn a_file_that_is_begun_anew_may_be_cut_anywhere() {
     let disk = SimulatedDisk::default();
     let path = Path::new("/file");
     disk.put(path, b"old");
-    disk.create(path, true).unwrap().write_all(b"newer").unwrap();
+    disk.create(path, Existing::Replace).unwrap().write_all(b"newer").unwrap();
     let after = |seed| disk.restarted(Stopped::PowerLost(seed)).bytes(path).unwrap();
     let found: Vec<_> = (0..256).map(after).collect();
     for wanted in [&b"old"[..], b"", b"new", b"newer"] {

@@ -16,7 +16,7 @@ use qube_hil::jobs::starter::{StartError, Starter, WorkerCount};
 use qube_hil::jobs::{AtEnd, Executor, FolderExecutor, JobEvent, TrainingJob};
 use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
-use qube_hil::storage::{Disk, DiskFile, FolderLock, MachineDisk};
+use qube_hil::storage::{Disk, DiskFile, Existing, FolderLock, MachineDisk};
 
 use crate::folders::files_of;
 use crate::shared::command_in;
@@ -203,8 +203,8 @@ impl Disk for SlowRemoval {
         MachineDisk.create_folder(path)
     }
 
-    fn create(&self, path: &Path, replace: bool) -> io::Result<Box<dyn DiskFile>> {
-        MachineDisk.create(path, replace)
+    fn create(&self, path: &Path, existing: Existing) -> io::Result<Box<dyn DiskFile>> {
+        MachineDisk.create(path, existing)
     }
 
     fn append(&self, path: &Path) -> io::Result<Box<dyn DiskFile>> {

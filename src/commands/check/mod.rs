@@ -28,6 +28,7 @@ use crate::estimation::EstimatorSettings;
 use crate::preflight::{Examination, OtherSigns};
 use crate::rig::{Rig, RigSettings};
 use crate::session::{LibraryWatchdog, QUBE_FILE, QubeFile};
+use crate::storage::Existing;
 use crate::telemetry::{CheckResult, CheckVerdict};
 
 /// The command that `qube.toml` records as its writer.
@@ -167,7 +168,7 @@ impl Files {
         }
         let written = match &arguments.write {
             Some(path) => {
-                OutputFile::of_option("--write", path, true)?;
+                OutputFile::of_option("--write", path, Existing::Replace)?;
                 Some(WrittenFile { path: path.clone(), base: base_file(path, device)? })
             }
             None => None,
@@ -175,7 +176,7 @@ impl Files {
         let tested = arguments.write.clone().or(device.path.clone());
         let tested = tested.unwrap_or_else(|| QUBE_FILE.into());
         if arguments.power_test {
-            OutputFile::of_option("--power-test", &tested, true)?;
+            OutputFile::of_option("--power-test", &tested, Existing::Replace)?;
         }
         Ok(Self { written, tested })
     }

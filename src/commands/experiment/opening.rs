@@ -15,6 +15,7 @@ use crate::safety::{Guard, GuardConsent, HardwareLimits, SafetyBox};
 use crate::search::BayRnSettings;
 use crate::session::{EmulatedQubeSettings, Extent, SessionError, SessionSettings};
 use crate::simulation::{Family, Model, SensorModel};
+use crate::storage::Existing;
 
 /// Corner of the thesis's velocity filter, rad/s.
 const PUBLISHED_CORNER_RAD_S: f64 = 50.0;
@@ -41,8 +42,8 @@ fn check_places(arguments: &Arguments) -> Result<Option<OutputFile>, Failure> {
     }
     let file = |path: &PathBuf| {
         // A CSV file of an experiment is replaced, so that the same command brings it up to date.
-        let replace = arguments.force || ExperimentReport::is_csv(path);
-        OutputFile::of_option("--csv", path, replace)
+        let may_replace = arguments.force || ExperimentReport::is_csv(path);
+        OutputFile::of_option("--csv", path, Existing::replaced_if(may_replace))
     };
     arguments.csv.as_ref().map(file).transpose()
 }

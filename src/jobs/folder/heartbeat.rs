@@ -8,7 +8,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::Holder;
-use crate::storage::{Disk, DiskFile};
+use crate::storage::{Disk, DiskFile, Existing};
 
 /// Largest part of a heartbeat file that is read, bytes. A file that has reached it seems to grow
 /// no more, and its process counts as dead: after 2.6 years with the default of a beat every 5 s,
@@ -44,7 +44,7 @@ impl Heartbeat {
     /// # Errors
     /// A file operation fails. A file that was created is removed again if possible.
     pub fn create(disk: &dyn Disk, path: &Path, holder: &Holder) -> io::Result<Option<Self>> {
-        let mut file = match disk.create(path, false) {
+        let mut file = match disk.create(path, Existing::Refuse) {
             Ok(file) => file,
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => return Ok(None),
             Err(error) => return Err(error),
