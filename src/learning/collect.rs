@@ -199,11 +199,13 @@ impl Collector<'_> {
     }
 
     fn explorer(&self, lane: usize, number: u16) -> Explorer {
-        let stream = |noise| Stream::Trajectory { update: self.update, lane, number, noise };
+        let update = self.update;
+        let drawn = Stream::Trajectory { update, lane, number, noise: false };
+        let noise = Stream::Trajectory { update, lane, number, noise: true };
         Explorer {
-            trajectory: Trajectory::draw(self.distribution, self.seed, stream(false).number()),
+            trajectory: Trajectory::draw(self.distribution, self.seed, drawn.number()),
             number,
-            generator: stream(true).generator(self.seed),
+            generator: noise.generator(self.seed),
             spare: None,
             smoothness: SmoothnessFactor::limited_to(
                 self.settings.simulation.plant.limits.largest_voltage_v as f32,

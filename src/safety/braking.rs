@@ -98,10 +98,11 @@ impl Brake {
     pub fn voltage_v(&mut self, state: &State) -> f64 {
         self.periods = self.periods.saturating_add(1);
         match self.law {
-            Law::Stopping(law) => self.ringing.voltage_v(law.unlimited_v(state.theta_dot), true),
-            Law::Centring(law) => {
-                self.ringing.voltage_v(law.unlimited_v(state), self.periods > TRIED_PERIODS)
+            Law::Stopping(law) => self.ringing.voltage_v(law.unlimited_v(state.theta_dot)),
+            Law::Centring(law) if self.periods > TRIED_PERIODS => {
+                self.ringing.voltage_v(law.unlimited_v(state))
             }
+            Law::Centring(law) => self.ringing.voltage_at_same_gain_v(law.unlimited_v(state)),
             Law::EarlierStopping(law) => law.voltage_v(state.theta_dot),
             Law::EarlierCentring(law) => {
                 let firmness = if self.periods > 150 { 0.45 } else { 1.0 };

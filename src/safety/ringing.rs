@@ -46,17 +46,27 @@ impl RingingGain {
         }
     }
 
-    /// Scales and limits the voltage that the brake asks for, V. Ringing reduces the gain only if
-    /// `may_fall` is true.
-    pub fn voltage_v(&mut self, wanted_v: f64, may_fall: bool) -> f64 {
+    /// Scales and limits the voltage that the brake asks for, V. Ringing reduces the gain.
+    pub fn voltage_v(&mut self, wanted_v: f64) -> f64 {
+        self.scaled_v(wanted_v, |gain| (GAIN_FACTOR * gain).max(LEAST_GAIN))
+    }
+
+    /// Scales and limits the voltage that the brake asks for, V. Ringing leaves the gain as it is.
+    pub fn voltage_at_same_gain_v(&mut self, wanted_v: f64) -> f64 {
+        self.scaled_v(wanted_v, |gain| gain)
+    }
+
+    /// Scales and limits a voltage, V. Each change of sign that counts as ringing changes the gain
+    /// by `on_ringing`.
+    fn scaled_v(&mut self, wanted_v: f64, on_ringing: fn(f64) -> f64) -> f64 {
         let voltage_v = limited_to(self.gain * wanted_v, self.largest_v);
         self.periods_since_change = self.periods_since_change.saturating_add(1);
         let is_positive = voltage_v > 0.0;
         if is_positive != self.is_positive {
             let rings =
                 self.periods_since_change <= RINGING_PERIODS && self.largest_since_v >= LEAST_V;
-            if rings && may_fall {
-                self.gain = (GAIN_FACTOR * self.gain).max(LEAST_GAIN);
+            if rings {
+                self.gain = on_ringing(self.gain);
             }
             (self.is_positive, self.periods_since_change) = (is_positive, 0);
             self.largest_since_v = 0.0;
@@ -77,7 +87,7 @@ mod tests {
         let mut ringing = RingingGain::full(MAX_VOLTAGE_V);
         for tick in 0..100 {
             let positive = tick % period < period / 2;
-            ringing.voltage_v(if positive { amplitude_v } else { -amplitude_v }, true);
+            ringing.voltage_v(if positive { amplitude_v } else { -amplitude_v });
         }
         ringing.gain
     }
@@ -94,7 +104,7 @@ mod tests {
         let mut ringing = RingingGain::full(MAX_VOLTAGE_V);
         for tick in 0..100 {
             let wanted_v = if tick % 8 < 4 { 9.0 } else { -9.0 };
-            let voltage_v = ringing.voltage_v(wanted_v, false);
+            let voltage_v = ringing.voltage_at_same_gain_v(wanted_v);
             assert_eq!(voltage_v.abs(), MAX_VOLTAGE_V);
         }
     }

@@ -1,6 +1,6 @@
 use plotters::prelude::*;
 
-use super::posterior_panel::{self, Area, FONT, RED};
+use super::posterior_panel::{self, Area, AxisNames, FONT, RED};
 use super::problem::Samples;
 use crate::surrogate::{
     Dataset, GaussianProcess, Hyperparameters, Kernel, SurrogateError, log_marginal_likelihood,
@@ -43,7 +43,8 @@ pub fn draw(samples: usize, seed: u64) -> anyhow::Result<String> {
             let surface = Surface::new(&data)?;
             let process = GaussianProcess::new(data, Kernel::Matern52, surface.best.clone())?;
             let name = format!("sample seed {}", column + 1);
-            posterior_panel::draw(&cells[column as usize], &name, &process, &drawn, true)?;
+            let upper = &cells[column as usize];
+            posterior_panel::draw(upper, &name, &process, &drawn, AxisNames::Shown)?;
             surface.draw(&cells[(COLUMNS + column) as usize])?;
         }
         root.present()?;

@@ -1,6 +1,6 @@
 use plotters::prelude::*;
 
-use super::posterior_panel::{self, Area, FONT, RED, places};
+use super::posterior_panel::{self, Area, AxisNames, FONT, RED, places};
 use super::problem::{RANGE, Samples};
 use crate::charts::style::GREEN;
 use crate::surrogate::{
@@ -60,7 +60,8 @@ fn column<C: Criterion>(
 
         let (upper, lower) = cells[3 * row + column].split_vertically(200);
         let title = format!("{name}, iteration {}", row + 1);
-        let mut chart = posterior_panel::draw(&upper, &title, &process, &samples, false)?;
+        let mut chart =
+            posterior_panel::draw(&upper, &title, &process, &samples, AxisNames::Hidden)?;
         chart.draw_series(vertical(next, -3.0, 1.5))?;
         let values: Vec<(f64, f64)> = places()
             .map(|x| {

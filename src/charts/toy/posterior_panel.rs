@@ -15,31 +15,37 @@ pub const GREY: RGBColor = RGBColor(90, 96, 106);
 /// Colour of a chosen point: the next sample, or the most likely hyperparameters.
 pub const RED: RGBColor = VERMILION;
 
+/// Whether the axes of a panel have names.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum AxisNames {
+    Shown,
+    Hidden,
+}
+
 /// The values of x at which curves are drawn.
 pub fn places() -> impl Iterator<Item = f64> + Clone {
     (0..=240).map(|i| RANGE.0 + (RANGE.1 - RANGE.0) * f64::from(i) / 240.0)
 }
 
 /// Draws the posterior: mean, a band of two standard deviations on either side, samples and the
-/// true curve. `with_names` gives the axes their names. Returns the chart, so that more can be
-/// drawn into it.
+/// true curve. Returns the chart, so that more can be drawn into it.
 pub fn draw<'a, 'b>(
     area: &'a Area<'b>,
     title: &str,
     process: &GaussianProcess,
     samples: &Samples,
-    with_names: bool,
+    axes: AxisNames,
 ) -> anyhow::Result<Chart<'a, 'b>> {
     let mut chart = ChartBuilder::on(area)
         .caption(title, (FONT, 16))
         .margin(6)
         .margin_right(16)
-        .x_label_area_size(if with_names { 34 } else { 22 })
+        .x_label_area_size(if axes == AxisNames::Shown { 34 } else { 22 })
         .y_label_area_size(50)
         .build_cartesian_2d(RANGE.0..RANGE.1, -3.0..1.5)?;
     let mut mesh = chart.configure_mesh();
     mesh.light_line_style(WHITE.mix(0.0)).x_labels(7).y_labels(6).label_style((FONT, 13));
-    if with_names {
+    if axes == AxisNames::Shown {
         mesh.x_desc("x").y_desc("f(x)").axis_desc_style((FONT, 14));
     }
     mesh.draw()?;

@@ -73,7 +73,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
         "Reshape" | "Expand" => Ok((operator.shaped(x)?, x)),
         "Gemm" => Ok((Some(operator.gemm()?), x)),
         "MatMul" => {
-            let (weight, inputs) = operator.weights(false)?;
+            let (weight, inputs) = operator.weights(Layout::InputsByOutputs)?;
             Ok((Some(Step::Matrix { weight, bias: None, inputs }), x))
         }
         "Add" | "Sub" | "Mul" | "Div" => operator.arithmetic(x),
@@ -110,11 +110,11 @@ impl<'g, 'a> Operator<'g, 'a> {
     }
 
     /// Returns the weights, which are the second input, as [`matrix`] does.
-    fn weights(&self, is_transposed: bool) -> Result<(Vec<f32>, usize), ImportError> {
+    fn weights(&self, layout: Layout) -> Result<(Vec<f32>, usize), ImportError> {
         let name = self.input(1)?;
         let tensor = self.graph.constant(name);
         let tensor = tensor.ok_or_else(|| self.refused("whose weights are not constant"))?;
-        matrix(&tensor.shape, numbers(name, tensor)?, is_transposed).ok_or(ImportError::NotOnnx)
+        matrix(&tensor.shape, numbers(name, tensor)?, layout).ok_or(ImportError::NotOnnx)
     }
 
     fn gemm(&self) -> Result<Step, ImportError> {
@@ -126,7 +126,11 @@ impl<'g, 'a> Operator<'g, 'a> {
             return Err(self
                 .refused("with a transposed input or a factor, which this program does not know"));
         }
-        let (weight, inputs) = self.weights(node.integer("transB", 0) == 1)?;
+        let layout = match node.integer("transB", 0) {
+            1 => Layout::OutputsByInputs,
+            _ => Layout::InputsByOutputs,
+        };
+        let (weight, inputs) = self.weights(layout)?;
         let bias = match node.inputs.get(2) {
             Some(name) if !name.is_empty() => {
                 let bias = self.numbers(name)?.map(<[f32]>::to_vec);
@@ -263,14 +267,23 @@ fn silu<'a>(graph: &Graph<'a>, first: &'a str, second: &'a str) -> Option<&'a st
     }
 }
 
+/// The order of the weights in a constant.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Layout {
+    /// `[inputs][outputs]`, as MatMul and Gemm take them.
+    InputsByOutputs,
+    /// `[outputs][inputs]`, as Gemm takes them with `transB`.
+    OutputsByInputs,
+}
+
 /// Returns weights as `[outputs][inputs]`, with the number of inputs; `None` if the shape is that
-/// of no matrix. Values that are `is_transposed` have this layout already.
-fn matrix(shape: &[usize], values: &[f32], is_transposed: bool) -> Option<(Vec<f32>, usize)> {
+/// of no matrix.
+fn matrix(shape: &[usize], values: &[f32], layout: Layout) -> Option<(Vec<f32>, usize)> {
     let &[rows, columns] = shape else { return None };
     if rows == 0 || columns == 0 || values.len() != rows.checked_mul(columns)? {
         return None;
     }
-    if is_transposed {
+    if layout == Layout::OutputsByInputs {
         return Some((values.to_vec(), columns));
     }
     let column = |column: usize| (0..rows).map(move |row| values[row * columns + column]);

@@ -34,6 +34,13 @@ pub trait Acquisition {
     fn value_and_gradient(&self, point: &[f64]) -> (f64, Vec<f64>);
 }
 
+/// The part of an acquisition function that is computed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Extent {
+    Value,
+    ValueAndGradient,
+}
+
 /// An acquisition function that depends on the posterior mean and standard deviation at the point
 /// alone. [`OnProcess`] makes an [`Acquisition`] of it.
 pub trait Criterion {
