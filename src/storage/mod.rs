@@ -1,14 +1,16 @@
 //! The disk as an argument: everything that must survive a crash is written through a [`Disk`], so
 //! that a test can use a disk that fails, stalls, or loses power at a chosen operation.
 //!
-//! A file from an unknown source is read up to a limit only ([`read_bounded`]). The room imports
-//! nothing.
+//! A file from an unknown source is read up to a limit only ([`read_bounded`]). Formats of files that
+//! use Protocol Buffers are written by [`ProtobufMessage`]. The room imports nothing.
 
 mod bounded;
 mod machine_disk;
+mod protobuf;
 
 pub use bounded::{SETTINGS_BYTES, open_regular, read_bounded, read_text};
 pub use machine_disk::MachineDisk;
+pub use protobuf::ProtobufMessage;
 
 use std::ffi::{OsStr, OsString};
 use std::fmt;

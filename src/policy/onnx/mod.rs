@@ -8,7 +8,6 @@
 
 mod graph;
 mod input;
-mod message;
 mod model;
 mod observation_layout;
 mod protobuf;

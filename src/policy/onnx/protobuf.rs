@@ -134,6 +134,7 @@ pub fn floats(bytes: &[u8]) -> Result<Vec<f32>, Malformed> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::storage::ProtobufMessage;
 
     #[test]
     fn fields_are_read_in_order() {
@@ -143,6 +144,20 @@ mod tests {
         assert_eq!((fields[1].0, fields[1].1.text()), (2, Ok("hi")));
         assert_eq!((fields[2].0, fields[2].1.floats()), (3, Ok(vec![1.0])));
         assert_eq!(Value::Bytes(&[1, 0x96, 1]).integers(), Ok(vec![1, 150]));
+    }
+
+    #[test]
+    fn fields_are_read_as_they_were_written() {
+        let inner = ProtobufMessage::default().text(2, "hi");
+        let message = ProtobufMessage::default().integer(1, 150).number(3, 1.5).message(20, &inner);
+        let bytes = message.into_bytes();
+        let fields: Vec<_> = Fields::of(&bytes).map(Result::unwrap).collect();
+        assert_eq!(fields[0], (1, Value::Varint(150)));
+        assert_eq!(fields[1], (3, Value::Fixed32(1.5_f32.to_le_bytes())));
+        let (20, Value::Bytes(inner)) = fields[2] else { panic!("{fields:?}") };
+        assert_eq!(Fields::of(inner).next(), Some(Ok((2, Value::Bytes(b"hi")))));
+        let large = ProtobufMessage::default().integer(1, u64::MAX).into_bytes();
+        assert_eq!(Fields::of(&large).next(), Some(Ok((1, Value::Varint(u64::MAX)))));
     }
 
     #[test]

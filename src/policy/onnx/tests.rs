@@ -3,8 +3,8 @@
 
 use serde_json::Value;
 
-use super::message::Message;
 use super::*;
+use crate::storage::ProtobufMessage as Message;
 
 const MODELS: [(&str, &[u8]); 4] = [
     ("tanh", include_bytes!("../../../tests/fixtures/onnx/tanh.onnx")),

@@ -3,10 +3,10 @@
 //! The numbers of fields are those of ONNX's `onnx.proto`: field 7 of a `ModelProto`, for example,
 //! is its graph.
 
-use super::message::Message;
 use crate::policy::file::network_metadata;
 use crate::policy::{Activation, NetworkPolicy, OutputKind};
 use crate::qube::MAX_VOLTAGE_V;
+use crate::storage::ProtobufMessage as Message;
 
 /// Version of ONNX's operators in the models that this program writes.
 pub const OPSET: u64 = 17;
