@@ -6,9 +6,9 @@ use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyString};
 use qube_hil::qube::Measurement;
-use qube_hil::recording::{Completeness, Recording, read};
+use qube_hil::recording::{Completeness, Recording, column, read};
 use qube_hil::scoring::return_of;
-use qube_hil::telemetry::{Phase, TickRecord};
+use qube_hil::telemetry::TickRecord;
 
 use crate::errors::RecordingError;
 
@@ -45,7 +45,7 @@ fn columns<'py>(py: Python<'py>, recording: &Recording) -> PyResult<Bound<'py, P
     let first_ns = ticks.first().map_or(0, |tick| tick.deadline_ns);
     let columns = PyDict::new(py);
     macro_rules! column {
-        ($name:literal, $of:expr) => {
+        ($name:expr, $of:expr) => {
             columns.set_item($name, PyArray1::from_iter(py, ticks.iter().map($of)))?
         };
     }
@@ -53,42 +53,34 @@ fn columns<'py>(py: Python<'py>, recording: &Recording) -> PyResult<Bound<'py, P
         move |tick: &TickRecord| tick.measurement.as_ref().map_or(f64::NAN, of)
     };
     column!("tick", |tick| tick.tick);
-    column!("time_s", |tick| 1e-9 * tick.deadline_ns.wrapping_sub(first_ns) as f64);
-    let phase = |tick: &TickRecord| PyString::intern(py, name(tick.phase));
+    column!(column::TIME_S, |tick| 1e-9 * tick.deadline_ns.wrapping_sub(first_ns) as f64);
+    let phase = |tick: &TickRecord| PyString::intern(py, tick.phase.name());
     let phases = ticks.iter().map(phase).collect::<Vec<_>>();
-    columns.set_item("phase", py.import("numpy")?.call_method1("array", (phases, "<U8"))?)?;
-    column!("theta_rad", |tick| tick.state.theta);
-    column!("alpha_rad", |tick| tick.state.alpha);
-    column!("theta_dot_rad_s", |tick| tick.state.theta_dot);
-    column!("alpha_dot_rad_s", |tick| tick.state.alpha_dot);
+    columns.set_item(column::PHASE, py.import("numpy")?.call_method1("array", (phases, "<U8"))?)?;
+    column!(column::THETA_RAD, |tick| tick.state.theta);
+    column!(column::ALPHA_RAD, |tick| tick.state.alpha);
+    column!(column::THETA_DOT_RAD_S, |tick| tick.state.theta_dot);
+    column!(column::ALPHA_DOT_RAD_S, |tick| tick.state.alpha_dot);
     column!("wanted_v", |tick| tick.wanted_v.unwrap_or(f64::NAN));
-    column!("voltage_v", |tick| f64::from(tick.voltage_mv) / 1000.0);
+    column!(column::VOLTAGE_V, |tick| f64::from(tick.voltage_mv) / 1000.0);
     let weights = &recording.header.reward;
     column!("reward", |tick| return_of(std::slice::from_ref(tick), weights));
     column!("has_sample", |tick| tick.measurement.is_some());
-    column!("device_time_s", sampled(|sample| 1e-6 * sample.device_time_us as f64));
+    column!(column::DEVICE_TIME_S, sampled(|sample| 1e-6 * sample.device_time_us as f64));
     column!("theta_counts", sampled(|sample| sample.theta_counts.into()));
     column!("alpha_counts", sampled(|sample| sample.alpha_counts.into()));
     let angles = |tick: &TickRecord| tick.measurement.map(|sample| calibration.angles_rad(&sample));
-    column!("measured_theta_rad", |tick| angles(tick).map_or(f64::NAN, |(theta, _)| theta));
-    column!("measured_alpha_rad", |tick| angles(tick).map_or(f64::NAN, |(_, alpha)| alpha));
+    column!(column::MEASURED_THETA_RAD, |tick| angles(tick).map_or(f64::NAN, |(theta, _)| theta));
+    column!(column::MEASURED_ALPHA_RAD, |tick| angles(tick).map_or(f64::NAN, |(_, alpha)| alpha));
     let tachometer =
         |tick: &TickRecord| tick.measurement.map(|sample| calibration.tachometer_rad_s(&sample));
     column!("tachometer_rad_s", |tick| tachometer(tick).unwrap_or(f64::NAN));
     column!("current_a", sampled(|sample| sample.current_a.into()));
-    column!("applied_v", sampled(|sample| f64::from(sample.applied_mv) / 1000.0));
+    column!(column::APPLIED_V, sampled(|sample| f64::from(sample.applied_mv) / 1000.0));
     let sample_to_act = |sample: &Measurement| sample.sample_to_act_us.map_or(f64::NAN, f64::from);
     column!("sample_to_act_us", sampled(sample_to_act));
     column!("lateness_us", |tick| 1e-3 * tick.lateness_ns as f64);
     column!("turnaround_us", |tick| 1e-3 * tick.turnaround_ns as f64);
     column!("skipped_periods", |tick| tick.skipped_periods);
     Ok(columns)
-}
-
-fn name(phase: Phase) -> &'static str {
-    match phase {
-        Phase::Settling => "settling",
-        Phase::Running => "running",
-        Phase::Braking => "braking",
-    }
 }

@@ -472,7 +472,7 @@ def test_a_table_names_phases_by_numbers_or_names_and_others_are_refused_with_th
     for column, value, told in [
         ("phase", "abc", "line 302: `abc` in column `phase` is no phase: give 0 or settling, 1 or running"),
         ("phase", "7", "line 302: `7` in column `phase`"),
-        ("voltage_v", "1e300", "line 302: `1e300` in column `voltage_v` is no voltage of a Qube"),
+        ("voltage_v", "1e300", "line 302: `1e300` in column `voltage_v` is no voltage that"),
         ("applied_mv", "abc", "line 302: `abc` in column `applied_mv` is not a finite number"),
     ]:
         wrong = exported.astype({column: object})

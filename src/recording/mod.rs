@@ -50,7 +50,7 @@ pub use error::{RecordingError, Unreadable};
 pub use reader::{Completeness, Recording, is_recording, parse, read, read_on};
 pub use recorder::Recorder;
 pub use recover::{Recovered, recover};
-pub use table::{COLUMNS, Field, csv_table, table_rows};
+pub use table::{COLUMNS, Field, column, csv_table, table_rows};
 pub use viewer::Viewer;
 pub use writer::{RolloutWriter, Sink};
 

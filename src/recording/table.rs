@@ -3,27 +3,58 @@ use std::fmt::Write;
 use super::Recording;
 use crate::telemetry::{Phase, TickRecord};
 
+/// The names of the columns from which a table of ticks is read as a motion. All but the last two
+/// are among [`COLUMNS`].
+pub mod column {
+    /// Time, counted from the first tick, s.
+    pub const TIME_S: &str = "time_s";
+    /// Phase, as its number; in Python as its name.
+    pub const PHASE: &str = "phase";
+    /// Estimated angle of the arm, rad.
+    pub const THETA_RAD: &str = "theta_rad";
+    /// Estimated angle of the pendulum, rad.
+    pub const ALPHA_RAD: &str = "alpha_rad";
+    /// Estimated velocity of the arm, rad/s.
+    pub const THETA_DOT_RAD_S: &str = "theta_dot_rad_s";
+    /// Estimated velocity of the pendulum, rad/s.
+    pub const ALPHA_DOT_RAD_S: &str = "alpha_dot_rad_s";
+    /// Voltage that was sent, V.
+    pub const VOLTAGE_V: &str = "voltage_v";
+    /// Angle of the arm by its encoder, rad.
+    pub const MEASURED_THETA_RAD: &str = "measured_theta_rad";
+    /// Angle of the pendulum by its encoder, rad.
+    pub const MEASURED_ALPHA_RAD: &str = "measured_alpha_rad";
+    /// Voltage at the motor when the sample was taken, mV.
+    pub const APPLIED_MV: &str = "applied_mv";
+    /// Time of the sample by the device's clock, us.
+    pub const DEVICE_TIME_US: &str = "device_time_us";
+    /// [`APPLIED_MV`] in V, as the Python package names it.
+    pub const APPLIED_V: &str = "applied_v";
+    /// [`DEVICE_TIME_US`] in s, as the Python package names it.
+    pub const DEVICE_TIME_S: &str = "device_time_s";
+}
+
 /// The columns of a recording's table, in order. A name ends with its unit where the quantity has
 /// one.
 pub const COLUMNS: [&str; 26] = [
     "tick",
-    "time_s",
-    "phase",
-    "theta_rad",
-    "alpha_rad",
-    "theta_dot_rad_s",
-    "alpha_dot_rad_s",
-    "voltage_v",
+    column::TIME_S,
+    column::PHASE,
+    column::THETA_RAD,
+    column::ALPHA_RAD,
+    column::THETA_DOT_RAD_S,
+    column::ALPHA_DOT_RAD_S,
+    column::VOLTAGE_V,
     "wanted_v",
     "reward",
-    "measured_theta_rad",
-    "measured_alpha_rad",
+    column::MEASURED_THETA_RAD,
+    column::MEASURED_ALPHA_RAD,
     "theta_counts",
     "alpha_counts",
     "tachometer_counts_s",
     "current_a",
-    "applied_mv",
-    "device_time_us",
+    column::APPLIED_MV,
+    column::DEVICE_TIME_US,
     "sample_to_act_us",
     "armed",
     "emergency_stop",

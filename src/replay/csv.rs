@@ -4,11 +4,18 @@ use super::MotionSample;
 use super::motion_log::{device_time_s, with_turns_of};
 use super::motion_sample::MAX_INTERRUPTION_S;
 use crate::qube::{State, applied_voltage_mv};
+use crate::recording::column;
 use crate::telemetry::Phase;
 
 /// Required columns, in the order of the numbers of a [`MotionSample`].
-const COLUMNS: [&str; 6] =
-    ["time_s", "theta_rad", "alpha_rad", "theta_dot_rad_s", "alpha_dot_rad_s", "voltage_v"];
+const COLUMNS: [&str; 6] = [
+    column::TIME_S,
+    column::THETA_RAD,
+    column::ALPHA_RAD,
+    column::THETA_DOT_RAD_S,
+    column::ALPHA_DOT_RAD_S,
+    column::VOLTAGE_V,
+];
 
 /// The reason why a text is not a table of a motion. Lines are counted from 1, blank ones too.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -33,7 +40,9 @@ pub enum CsvError {
     },
     /// The field of the column `phase` names no phase.
     #[error(
-        "line {line}: `{text}` in column `phase` is no phase: give 0 or settling, 1 or running, 2 or braking"
+        "line {line}: `{text}` in column `{}` is no phase: give {}",
+        column::PHASE,
+        all_phases()
     )]
     BadPhase {
         /// Number of the line.
@@ -43,7 +52,8 @@ pub enum CsvError {
     },
     /// A voltage exceeds the range of a table that this program exported.
     #[error(
-        "line {line}: `{text}` in column `{column}` is no voltage of a Qube: give at most {largest} {unit} of either sign"
+        "line {line}: `{text}` in column `{column}` is no voltage that this program writes: give at most {largest} \
+         {unit} of either sign"
     )]
     NotVolts {
         /// Number of the line.
@@ -117,7 +127,7 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     }
     let place_of = |column: &str| names.iter().position(|name| *name == column);
     let applied = APPLIED.into_iter().find_map(|it| Some((place_of(it.column)?, it)));
-    let exported = place_of("phase").zip(applied);
+    let exported = place_of(column::PHASE).zip(applied);
     let reported = exported.and_then(|_| ReportColumns::of(&place_of));
     let mut start_us = None;
     let mut samples: Vec<MotionSample> = Vec::new();
@@ -173,11 +183,12 @@ struct VoltageColumn {
 /// The columns that tell whether a tick has a sample: that of `qube-hil export`, and that of
 /// recordings in Python.
 const APPLIED: [VoltageColumn; 2] = [
-    VoltageColumn { column: "applied_mv", largest: 32_767.0, unit: "mV" },
-    VoltageColumn { column: "applied_v", ..COMMANDED },
+    VoltageColumn { column: column::APPLIED_MV, largest: 32_767.0, unit: "mV" },
+    VoltageColumn { column: column::APPLIED_V, ..COMMANDED },
 ];
 
-const COMMANDED: VoltageColumn = VoltageColumn { column: "voltage_v", largest: 32.767, unit: "V" };
+const COMMANDED: VoltageColumn =
+    VoltageColumn { column: column::VOLTAGE_V, largest: 32.767, unit: "V" };
 
 /// The places of the columns with the board's report in a table of ticks.
 struct ReportColumns {
@@ -189,11 +200,12 @@ struct ReportColumns {
 }
 
 /// The columns with the encoders' angles.
-const MEASURED: [&str; 2] = ["measured_theta_rad", "measured_alpha_rad"];
+const MEASURED: [&str; 2] = [column::MEASURED_THETA_RAD, column::MEASURED_ALPHA_RAD];
 
 /// The columns with the device's time, and microseconds in one of its units: that of `qube-hil
 /// export`, and that of recordings in Python.
-const DEVICE_TIMES: [(&str, f64); 2] = [("device_time_us", 1.0), ("device_time_s", 1e6)];
+const DEVICE_TIMES: [(&str, f64); 2] =
+    [(column::DEVICE_TIME_US, 1.0), (column::DEVICE_TIME_S, 1e6)];
 
 impl ReportColumns {
     /// The columns at the places that `place_of` gives; `None` if one of them is missing.
@@ -243,15 +255,18 @@ impl VoltageColumn {
 /// A phase by its number, as `qube-hil export` writes it, or by its name, as recordings in Python
 /// have it.
 fn parse_phase(line: usize, text: &str) -> Result<Phase, CsvError> {
-    let phases =
-        [(Phase::Settling, "settling"), (Phase::Running, "running"), (Phase::Braking, "braking")];
     // Some programs write whole numbers with decimals.
     let number = text.parse::<f64>().ok();
-    let is_named = |phase: Phase, name| text == name || number == Some(phase.number().into());
-    phases
+    let is_named = |phase: &Phase| text == phase.name() || number == Some(phase.number().into());
+    Phase::ALL
         .into_iter()
-        .find_map(|(phase, name)| is_named(phase, name).then_some(phase))
+        .find(is_named)
         .ok_or_else(|| CsvError::BadPhase { line, text: text.to_owned() })
+}
+
+/// The numbers and names of all phases, for a message.
+fn all_phases() -> String {
+    Phase::ALL.map(|phase| format!("{} or {}", phase.number(), phase.name())).join(", ")
 }
 
 fn parse_row(
@@ -360,7 +375,7 @@ mod tests {
             ("1,0.01,2,0,0,0,0.1,inf", "line 3: `inf` in column `applied_v` is no voltage"),
             (
                 "1,0.01,2,0,0,0,1e30,0.094",
-                "line 3: `1e30` in column `voltage_v` is no voltage of a Qube: give at most 32.767 V",
+                "line 3: `1e30` in column `voltage_v` is no voltage that this program writes: give at most 32.767 V",
             ),
         ] {
             let message = exported("applied_v", [row, without_sample]).unwrap_err().to_string();

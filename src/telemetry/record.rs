@@ -30,6 +30,16 @@ impl Phase {
         }
     }
 
+    /// The name of the phase in recordings and JSON.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Settling => "settling",
+            Self::Running => "running",
+            Self::Braking => "braking",
+        }
+    }
+
     /// The phase in one word, as pages show it.
     #[must_use]
     pub const fn label(self) -> &'static str {
@@ -74,4 +84,17 @@ pub struct TickRecord {
     /// written, by the host's clock, ns. Without a sample, and in the last tick of a motion,
     /// nothing is written, and the time ends with the decision.
     pub turnaround_ns: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_phase_has_the_name_that_is_written() {
+        for (number, phase) in (0..).zip(Phase::ALL) {
+            assert_eq!(phase.number(), number);
+            assert_eq!(serde_json::to_value(phase).unwrap(), phase.name());
+        }
+    }
 }
