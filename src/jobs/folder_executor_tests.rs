@@ -9,7 +9,7 @@ use std::time::Duration;
 use super::folder::{Heartbeat, Holder, JobFolder, Terms, Worker, WorkerEvent};
 use super::starter::{StartError, Starter, WorkerCount};
 use super::{AtEnd, Executor, FolderExecutor, JobError, JobFolderError, TrainingJob};
-use crate::learning::{TrainSettings, Trained};
+use crate::learning::{TrainError, TrainSettings, Trained};
 use crate::simulation::DomainDistribution;
 use crate::storage::{Disk, DiskFile, Existing, FolderLock, MachineDisk};
 
@@ -267,7 +267,7 @@ fn a_stop_is_seen_while_results_come() {
     let directory = tempfile::tempdir().unwrap();
     let disk = Arc::new(MachineDisk);
     let executor = executor(disk, directory.path(), Queue::default(), AtEnd::Leave);
-    let outcome = Err("the result came first".to_owned());
+    let outcome = Err(&TrainError::Diverged);
     executor.folder().write_result(&job().fingerprint(), &elsewhere(), outcome).unwrap();
     let stopped = executor.train_one(&job(), &AtomicBool::new(true), &mut |_| ());
     assert!(stopped.unwrap_err().is_stop());

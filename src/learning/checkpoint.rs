@@ -4,7 +4,8 @@ use std::io;
 use std::path::PathBuf;
 
 use safetensors::tensor::TensorView;
-use safetensors::{Dtype, SafeTensors};
+use safetensors::{Dtype, SafeTensorError, SafeTensors};
+use thiserror::Error;
 
 use super::curve::TrainUpdate;
 use super::network::Network;
@@ -61,7 +62,7 @@ impl Checkpointing {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
             Err(error) => return Err(self.file_error(error)),
         };
-        let damaged = |error: safetensors::SafeTensorError| self.damaged(error.to_string());
+        let damaged = |error: SafeTensorError| self.damaged(error.to_string());
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(damaged)?;
         let found = header.metadata().clone().unwrap_or_default();
         for (property, expected) in identity(training) {
@@ -77,7 +78,7 @@ impl Checkpointing {
             }
         }
         let tensors = SafeTensors::deserialize(&bytes).map_err(damaged)?;
-        from_tensors(&tensors, training).map_err(|reason| self.damaged(reason))
+        from_tensors(&tensors, training).map_err(|defect| self.damaged(defect.to_string()))
     }
 
     fn file_error(&self, source: io::Error) -> TrainError {
@@ -124,7 +125,7 @@ fn networks<'a>(training: &'a TrainingState<'_>) -> [(&'static str, &'a Network)
     ]
 }
 
-fn to_bytes(training: &TrainingState<'_>) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+fn to_bytes(training: &TrainingState<'_>) -> Result<Vec<u8>, SafeTensorError> {
     let mut contents: Vec<(&str, Dtype, Vec<u8>)> = networks(training)
         .into_iter()
         .map(|(name, network)| {
@@ -150,20 +151,39 @@ fn to_bytes(training: &TrainingState<'_>) -> Result<Vec<u8>, safetensors::SafeTe
     safetensors::serialize(views, Some(metadata))
 }
 
-fn from_tensors(tensors: &SafeTensors<'_>, training: &mut TrainingState<'_>) -> Result<(), String> {
+/// A defect of a checkpoint's tensors.
+#[derive(Debug, Error)]
+enum TensorDefect {
+    #[error(transparent)]
+    Missing(#[from] SafeTensorError),
+    #[error("{name} is of type {dtype:?}")]
+    Type { name: String, dtype: Dtype },
+    #[error("{name} has {values} values instead of {expected}")]
+    Count { name: String, values: usize, expected: usize },
+    #[error("best_return is not two numbers")]
+    BestReturn,
+    #[error("counters are not two numbers")]
+    Counters,
+}
+
+fn from_tensors(
+    tensors: &SafeTensors<'_>,
+    training: &mut TrainingState<'_>,
+) -> Result<(), TensorDefect> {
     let bytes = |name: &str, dtype: Dtype| {
-        let tensor = tensors.tensor(name).map_err(|error| error.to_string())?;
+        let tensor = tensors.tensor(name)?;
         if tensor.dtype() == dtype {
             Ok(tensor.data())
         } else {
-            Err(format!("{name} is of type {:?}", tensor.dtype()))
+            Err(TensorDefect::Type { name: name.to_owned(), dtype: tensor.dtype() })
         }
     };
     let network = |name: &str, network: &mut Network| {
         let (values, _) = bytes(name, Dtype::F32)?.as_chunks::<4>();
-        let count: usize = network.slices().iter().map(|slice| slice.len()).sum();
-        if values.len() != count {
-            return Err(format!("{name} has {} values instead of {count}", values.len()));
+        let expected: usize = network.slices().iter().map(|slice| slice.len()).sum();
+        if values.len() != expected {
+            let (name, values) = (name.to_owned(), values.len());
+            return Err(TensorDefect::Count { name, values, expected });
         }
         let mut values = values.iter().map(|bytes| f32::from_le_bytes(*bytes));
         for slice in network.slices_mut() {
@@ -182,10 +202,12 @@ fn from_tensors(tensors: &SafeTensors<'_>, training: &mut TrainingState<'_>) -> 
 
     let numbers = |name: &str| {
         let (numbers, _) = bytes(name, Dtype::F64)?.as_chunks::<8>();
-        Ok::<_, String>(numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect::<Vec<_>>())
+        Ok::<_, TensorDefect>(
+            numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect::<Vec<_>>(),
+        )
     };
     let [best_return, best_score] = numbers("best_return")?[..] else {
-        return Err("best_return is not two numbers".to_owned());
+        return Err(TensorDefect::BestReturn);
     };
     (training.best_return, training.best_score) = (best_return, best_score);
     let curve = numbers("curve")?;
@@ -193,7 +215,7 @@ fn from_tensors(tensors: &SafeTensors<'_>, training: &mut TrainingState<'_>) -> 
     let (counters, _) = bytes("counters", Dtype::U64)?.as_chunks::<8>();
     let counters: Vec<u64> = counters.iter().map(|bytes| u64::from_le_bytes(*bytes)).collect();
     let [policy_steps, value_steps] = counters[..] else {
-        return Err("counters are not two numbers".to_owned());
+        return Err(TensorDefect::Counters);
     };
     training.policy.moments.steps = policy_steps;
     training.value.moments.steps = value_steps;

@@ -3,6 +3,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
+use thiserror::Error;
 
 use super::wire_format::CRC_32;
 
@@ -34,17 +35,32 @@ where
     (restored == *value).then_some(map)
 }
 
-/// Restores a struct from the map that [`to_map`] made; the error says what is wrong.
-pub(super) fn from_map<T: DeserializeOwned>(map: &BTreeMap<String, String>) -> Result<T, String> {
+/// The reason why the map of a metadata record gives no struct.
+#[derive(Debug, Error)]
+pub(super) enum MetadataDefect {
+    #[error("its checksum does not fit")]
+    Checksum,
+    #[error("{name}: {error}")]
+    Field { name: String, error: serde_json::Error },
+    #[error(transparent)]
+    Struct(serde_json::Error),
+}
+
+/// Restores a struct from the map that [`to_map`] made.
+pub(super) fn from_map<T>(map: &BTreeMap<String, String>) -> Result<T, MetadataDefect>
+where
+    T: DeserializeOwned,
+{
     if !is_sound(map) {
-        return Err("its checksum does not fit".to_owned());
+        return Err(MetadataDefect::Checksum);
     }
     let mut fields = serde_json::Map::new();
     for (name, text) in map.iter().filter(|(name, _)| *name != CHECKSUM) {
-        let value = serde_json::from_str(text).map_err(|error| format!("{name}: {error}"))?;
+        let value = serde_json::from_str(text)
+            .map_err(|error| MetadataDefect::Field { name: name.clone(), error })?;
         fields.insert(name.clone(), value);
     }
-    serde_json::from_value(Value::Object(fields)).map_err(|error| error.to_string())
+    serde_json::from_value(Value::Object(fields)).map_err(MetadataDefect::Struct)
 }
 
 /// Whether the checksum of a map that [`to_map`] made fits its content.

@@ -1,6 +1,7 @@
 use std::io::{self, Read};
 use std::path::Path;
 
+use super::metadata::MetadataDefect;
 use super::scan::{Damage, Scan, scan};
 use super::wire_format::MAGIC;
 use super::{FORMAT_VERSION, RecordingError, Unreadable, metadata};
@@ -103,12 +104,13 @@ pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, Record
 /// policy were complete, or were changed after the recording was finished.
 pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     let scan = checked_scan(bytes)?;
-    let damage = scan.damage.clone();
+    let damage = scan.damage.as_ref().map(|Damage { offset, reason }| Unreadable::Damaged {
+        offset: *offset as u64,
+        reason: reason.to_string(),
+    });
     let recording = recording(scan)?;
     match damage {
-        Some(Damage { offset, reason }) if is_finished(bytes) => {
-            Err(Unreadable::Damaged { offset: offset as u64, reason })
-        }
+        Some(damage) if is_finished(bytes) => Err(damage),
         _ => Ok(recording),
     }
 }
@@ -154,7 +156,7 @@ pub(super) fn recording(scan: Scan) -> Result<Recording, Unreadable> {
     if format != FORMAT_VERSION.to_string() && metadata::is_sound(header) {
         return Err(Unreadable::OtherFormat { found: format, expected: FORMAT_VERSION });
     }
-    let unusable = |record: &str, reason| Unreadable::Unusable {
+    let unusable = |record: &str, reason: MetadataDefect| Unreadable::Unusable {
         reason: format!("the metadata `{record}`: {reason}"),
     };
     let header = metadata::from_map(header).map_err(|reason| unusable(metadata::HEADER, reason))?;

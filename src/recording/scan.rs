@@ -1,5 +1,7 @@
 use std::collections::{BTreeMap, HashMap};
-use std::io::Read;
+use std::io::{self, Read};
+
+use thiserror::Error;
 
 use super::tick_messages::{
     CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TickMessages, TimingMessage,
@@ -49,10 +51,71 @@ pub(super) struct Scan {
 }
 
 /// The place and nature of a defect.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) struct Damage {
     pub(super) offset: usize,
-    pub(super) reason: String,
+    pub(super) reason: ScanDefect,
+}
+
+/// A defect of a file or of one of its records.
+#[derive(Debug, Error)]
+pub(super) enum ScanDefect {
+    #[error("the file ends within a record")]
+    CutRecord,
+    #[error("the length of a record is damaged")]
+    RecordLength,
+    #[error("the checksum over everything before does not match")]
+    DataChecksum,
+    #[error("the checksum over the index does not match")]
+    IndexChecksum,
+    #[error("the file does not end where it should")]
+    FileEnd,
+    #[error("no record starts with a zero")]
+    ZeroRecord,
+    #[error("a record of unknown kind {0:#04x}")]
+    UnknownRecord(u8),
+    #[error("a metadata record is larger than any that this program writes")]
+    LongMetadata,
+    #[error("a metadata record is malformed")]
+    Metadata,
+    #[error("the metadata `{name}`: its checksum does not fit")]
+    MetadataChecksum { name: &'static str },
+    #[error("an attachment is larger than any that this program writes")]
+    LongAttachment,
+    #[error("an attachment is malformed")]
+    Attachment,
+    #[error("the checksum of an attachment does not match")]
+    AttachmentChecksum,
+    #[error("the header of a block is malformed")]
+    BlockHeader,
+    #[error("a block has another length than its header states")]
+    BlockLength,
+    #[error("a block is compressed as `{0}`, not by this program")]
+    Compression(String),
+    #[error("a block of {0} bytes is larger than {MAX_BLOCK_BYTES}")]
+    LongBlock(u64),
+    #[error("a block cannot be decompressed ({0})")]
+    Decompression(io::Error),
+    #[error("the checksum of a block does not match")]
+    BlockChecksum,
+    #[error("a block ends within a record")]
+    CutRecordInBlock,
+    #[error("a block holds a record of kind {0:#04x}")]
+    RecordInBlock(u8),
+    #[error("a channel is malformed")]
+    Channel,
+    #[error("a message is malformed")]
+    MessageHeader,
+    #[error("a message of an unknown channel")]
+    UnknownChannel,
+    #[error("a message of {topic:?} is malformed: {error}")]
+    Message { topic: Topic, error: serde_json::Error },
+    #[error("messages of two ticks are mixed")]
+    MixedTicks,
+    #[error("a tick lacks one of its messages")]
+    IncompleteTick,
+    #[error("more than {MAX_TICKS} ticks")]
+    TooManyTicks,
 }
 
 /// Reads every intact record of a file up to its footer. `bytes` must start with MCAP's magic
@@ -76,10 +139,10 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
             let next = in_data.then(|| next_after(offset, next_block)).flatten();
             let Some(next) = next else {
                 let of_data = if in_data { bytes.len() - offset } else { 0 };
-                scan.lose(offset, of_data, "the file ends within a record");
+                scan.lose(offset, of_data, ScanDefect::CutRecord);
                 return scan;
             };
-            scan.lose(offset, next - offset, "the length of a record is damaged");
+            scan.lose(offset, next - offset, ScanDefect::RecordLength);
             offset = next;
             continue;
         };
@@ -89,7 +152,7 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
             opcode::DATA_END if summary_start.is_none() && record.body.len() == 4 => {
                 let stored = Fields(record.body).u32();
                 if stored != Some(CRC_32.checksum(&bytes[..offset])) {
-                    scan.note(offset, "the checksum over everything before does not match");
+                    scan.note(offset, ScanDefect::DataChecksum);
                 }
                 summary_start = Some(record.end());
             }
@@ -164,43 +227,41 @@ impl Scan {
         }
     }
 
-    fn note(&mut self, offset: usize, reason: impl Into<String>) {
-        self.damage.get_or_insert_with(|| Damage { offset, reason: reason.into() });
+    fn note(&mut self, offset: usize, reason: ScanDefect) {
+        self.damage.get_or_insert(Damage { offset, reason });
     }
 
-    fn lose(&mut self, offset: usize, bytes: usize, reason: impl Into<String>) {
+    fn lose(&mut self, offset: usize, bytes: usize, reason: ScanDefect) {
         self.lost_bytes += bytes as u64;
         self.note(offset, reason);
     }
 
     fn footer(&mut self, bytes: &[u8], record: &Frame<'_>, summary_start: Option<usize>) {
         if !is_index_sound(bytes, record, summary_start) {
-            self.note(record.offset, "the checksum over the index does not match");
+            self.note(record.offset, ScanDefect::IndexChecksum);
         }
         if bytes[record.end()..] == *MAGIC {
             self.closed = true;
         } else {
-            self.note(record.end(), "the file does not end where it should");
+            self.note(record.end(), ScanDefect::FileEnd);
         }
     }
 
-    fn record(&mut self, record: &Frame<'_>) -> Result<(), String> {
+    fn record(&mut self, record: &Frame<'_>) -> Result<(), ScanDefect> {
         match record.opcode {
             opcode::CHUNK => self.block(record.body),
             opcode::ATTACHMENT => self.attachment(record.body),
             opcode::METADATA => {
                 if record.body.len() > MAX_METADATA_BYTES {
-                    return Err(
-                        "a metadata record is larger than any that this program writes".to_owned()
-                    );
+                    return Err(ScanDefect::LongMetadata);
                 }
                 let mut fields = Fields(record.body);
                 let (Some(name), Some(map)) = (fields.text(), fields.map()) else {
-                    return Err("a metadata record is malformed".to_owned());
+                    return Err(ScanDefect::Metadata);
                 };
                 // A damaged header is kept: the reader names its defect, and cannot do without it.
                 if name == metadata::OUTCOME && !metadata::is_sound(&map) {
-                    return Err(format!("the metadata `{name}`: its checksum does not fit"));
+                    return Err(ScanDefect::MetadataChecksum { name: metadata::OUTCOME });
                 }
                 if [metadata::HEADER, metadata::OUTCOME, metadata::RECOVERED].contains(&name) {
                     self.metadata.insert(name.to_owned(), map);
@@ -212,31 +273,28 @@ impl Scan {
             opcode::HEADER | opcode::MESSAGE_INDEX if next_block(record.body, 0).is_none() => {
                 Ok(())
             }
-            opcode::HEADER | opcode::MESSAGE_INDEX => {
-                Err("the length of a record is damaged".to_owned())
-            }
-            0 => Err("no record starts with a zero".to_owned()),
-            other => Err(format!("a record of unknown kind {other:#04x}")),
+            opcode::HEADER | opcode::MESSAGE_INDEX => Err(ScanDefect::RecordLength),
+            0 => Err(ScanDefect::ZeroRecord),
+            other => Err(ScanDefect::UnknownRecord(other)),
         }
     }
 
-    fn attachment(&mut self, body: &[u8]) -> Result<(), String> {
-        let malformed = || "an attachment is malformed".to_owned();
-        let (covered, stored) = body.split_last_chunk().ok_or_else(malformed)?;
+    fn attachment(&mut self, body: &[u8]) -> Result<(), ScanDefect> {
+        let (covered, stored) = body.split_last_chunk().ok_or(ScanDefect::Attachment)?;
         if u32::from_le_bytes(*stored) != CRC_32.checksum(covered) {
-            return Err("the checksum of an attachment does not match".to_owned());
+            return Err(ScanDefect::AttachmentChecksum);
         }
         let mut fields = Fields(covered);
         let (Some(_log_time), Some(_create_time), Some(name), Some(_media_type), Some(length)) =
             (fields.u64(), fields.u64(), fields.text(), fields.text(), fields.u64())
         else {
-            return Err(malformed());
+            return Err(ScanDefect::Attachment);
         };
         if length != fields.0.len() as u64 {
-            return Err(malformed());
+            return Err(ScanDefect::Attachment);
         }
         if fields.0.len() > MAX_ATTACHMENT_BYTES {
-            return Err("an attachment is larger than any that this program writes".to_owned());
+            return Err(ScanDefect::LongAttachment);
         }
         match name {
             POLICY_ATTACHMENT => self.policy = Some(fields.0.to_vec()),
@@ -247,7 +305,7 @@ impl Scan {
     }
 
     /// Adds all ticks of a block, or none if the block has a defect.
-    fn block(&mut self, body: &[u8]) -> Result<(), String> {
+    fn block(&mut self, body: &[u8]) -> Result<(), ScanDefect> {
         let content = decompress(body)?;
         let mut channels = HashMap::new();
         let mut ticks = Vec::new();
@@ -255,39 +313,39 @@ impl Scan {
         let mut open = None;
         let mut offset = 0;
         while offset < content.len() {
-            let record = frame(&content, offset).ok_or("a block ends within a record")?;
+            let record = frame(&content, offset).ok_or(ScanDefect::CutRecordInBlock)?;
             offset = record.end();
             let mut fields = Fields(record.body);
             match record.opcode {
                 opcode::CHANNEL => {
-                    channels.extend([channel(record.body).ok_or("a channel is malformed")?]);
+                    channels.extend([channel(record.body).ok_or(ScanDefect::Channel)?]);
                 }
                 opcode::SCHEMA => {}
                 opcode::MESSAGE => {
                     let ids = fields.u16().zip(fields.u32());
                     let (Some((id, tick)), Some(_), Some(_)) = (ids, fields.u64(), fields.u64())
                     else {
-                        return Err("a message is malformed".to_owned());
+                        return Err(ScanDefect::MessageHeader);
                     };
                     let declared = channels.get(&id).or_else(|| self.channels.get(&id));
-                    let topic = *declared.ok_or("a message of an unknown channel")?;
+                    let topic = *declared.ok_or(ScanDefect::UnknownChannel)?;
                     let message = Message { topic, json: fields.0 };
                     let completing = message.take_into(&mut messages)?;
                     if *open.get_or_insert(tick) != tick {
-                        return Err("messages of two ticks are mixed".to_owned());
+                        return Err(ScanDefect::MixedTicks);
                     }
                     if let Some(timing) = completing {
                         let whole = std::mem::take(&mut messages);
                         let record = whole.into_record(tick, &timing);
-                        ticks.push(record.ok_or("a tick lacks one of its messages")?);
+                        ticks.push(record.ok_or(ScanDefect::IncompleteTick)?);
                         open = None;
                     }
                 }
-                other => return Err(format!("a block holds a record of kind {other:#04x}")),
+                other => return Err(ScanDefect::RecordInBlock(other)),
             }
         }
         if self.ticks.len() + ticks.len() > MAX_TICKS {
-            return Err(format!("more than {MAX_TICKS} ticks"));
+            return Err(ScanDefect::TooManyTicks);
         }
         self.ticks.extend(ticks);
         self.channels.extend(channels);
@@ -333,7 +391,7 @@ fn channel(body: &[u8]) -> Option<(u16, Topic)> {
 /// The kind of messages in a channel. The channel's name is not kept, because a hostile file of
 /// kilobytes can unpack to gigabytes of names.
 #[derive(Clone, Copy, Debug)]
-enum Topic {
+pub(super) enum Topic {
     Measurement,
     State,
     Command,
@@ -364,7 +422,7 @@ struct Message<'a> {
 impl Message<'_> {
     /// Adds the message to the others of its tick. The timing message, which is the last of each
     /// tick, is returned instead.
-    fn take_into(&self, messages: &mut TickMessages) -> Result<Option<TimingMessage>, String> {
+    fn take_into(&self, messages: &mut TickMessages) -> Result<Option<TimingMessage>, ScanDefect> {
         match self.topic {
             Topic::Measurement => {
                 messages.measurement = Some(self.parse::<MeasurementMessage>()?);
@@ -378,35 +436,35 @@ impl Message<'_> {
         Ok(None)
     }
 
-    fn parse<T: serde::de::DeserializeOwned>(&self) -> Result<T, String> {
+    fn parse<T: serde::de::DeserializeOwned>(&self) -> Result<T, ScanDefect> {
         serde_json::from_slice(self.json)
-            .map_err(|error| format!("a message of {:?} is malformed: {error}", self.topic))
+            .map_err(|error| ScanDefect::Message { topic: self.topic, error })
     }
 }
 
 /// Decompresses a chunk (the MCAP record of a block) and returns its content.
-fn decompress(body: &[u8]) -> Result<Vec<u8>, String> {
+fn decompress(body: &[u8]) -> Result<Vec<u8>, ScanDefect> {
     let mut fields = Fields(body);
     let (Some(_start), Some(_end), Some(size), Some(checksum), Some(compression), Some(length)) =
         (fields.u64(), fields.u64(), fields.u64(), fields.u32(), fields.text(), fields.u64())
     else {
-        return Err("the header of a block is malformed".to_owned());
+        return Err(ScanDefect::BlockHeader);
     };
     if length != fields.0.len() as u64 {
-        return Err("a block has another length than its header states".to_owned());
+        return Err(ScanDefect::BlockLength);
     }
     if compression != "lz4" {
-        return Err(format!("a block is compressed as `{compression}`, not by this program"));
+        return Err(ScanDefect::Compression(compression.to_owned()));
     }
     if size > MAX_BLOCK_BYTES {
-        return Err(format!("a block of {size} bytes is larger than {MAX_BLOCK_BYTES}"));
+        return Err(ScanDefect::LongBlock(size));
     }
     let mut content = Vec::new();
     lz4::Decoder::new(fields.0)
         .and_then(|decoder| decoder.take(size + 1).read_to_end(&mut content))
-        .map_err(|error| format!("a block cannot be decompressed ({error})"))?;
+        .map_err(ScanDefect::Decompression)?;
     if content.len() as u64 != size || checksum != CRC_32.checksum(&content) {
-        return Err("the checksum of a block does not match".to_owned());
+        return Err(ScanDefect::BlockChecksum);
     }
     Ok(content)
 }

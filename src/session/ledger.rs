@@ -1,11 +1,12 @@
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::str::Utf8Error;
 
 use crc::{CRC_32_ISO_HDLC, CRC_64_XZ, Crc};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{Entry, SessionState};
+use super::{Entry, EntryError, SessionState};
 use crate::storage::{Disk, DiskFile, sync_name};
 
 /// The checksum of whole files. It has more bits than a line's checksum, because files are longer.
@@ -52,7 +53,7 @@ pub enum LedgerError {
         /// Path of the ledger.
         path: PathBuf,
         /// Rule that the entry breaks.
-        reason: &'static str,
+        reason: EntryError,
     },
 }
 
@@ -215,15 +216,25 @@ fn encode(entry: &Entry, chain: &mut Chain) -> serde_json::Result<String> {
     Ok(line)
 }
 
-fn decode(line: &str, chain: &mut Chain) -> Result<Entry, String> {
-    let Line { crc32, entry: json } =
-        serde_json::from_str(line).map_err(|error| error.to_string())?;
+/// A defect of a whole line.
+#[derive(Debug, Error)]
+enum LineDefect {
+    #[error(transparent)]
+    NotText(#[from] Utf8Error),
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    #[error("its checksum does not match: it was changed, or a line before it is missing")]
+    Checksum,
+    #[error(transparent)]
+    OutOfOrder(#[from] EntryError),
+}
+
+fn decode(line: &[u8], chain: &mut Chain) -> Result<Entry, LineDefect> {
+    let Line { crc32, entry: json } = serde_json::from_str(str::from_utf8(line)?)?;
     if crc32 != chain.checksum(json.get()) {
-        return Err(
-            "its checksum does not match: it was changed, or a line before it is missing".into()
-        );
+        return Err(LineDefect::Checksum);
     }
-    let entry = serde_json::from_str(json.get()).map_err(|error| error.to_string())?;
+    let entry = serde_json::from_str(json.get())?;
     chain.advance(&entry, crc32);
     Ok(entry)
 }
@@ -238,6 +249,16 @@ pub struct Parsed {
     /// Length of the complete lines in bytes; later bytes are the remains of a crash.
     pub whole_bytes: usize,
     chain: Chain,
+}
+
+impl Parsed {
+    /// Adds the entry of the next line.
+    fn add(&mut self, line: &[u8]) -> Result<(), LineDefect> {
+        let entry = decode(line, &mut self.chain)?;
+        self.state.apply(&entry)?;
+        self.entries.push(entry);
+        Ok(())
+    }
 }
 
 /// A damaged line in a ledger, which no crash can have caused.
@@ -273,11 +294,9 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
         if is_last && (line.last() != Some(&b'\n') || line.contains(&0)) {
             break;
         }
-        let damaged = |reason| DamagedLine { line: index + 1, reason };
-        let text = std::str::from_utf8(line).map_err(|error| damaged(error.to_string()))?;
-        let entry = decode(text, &mut parsed.chain).map_err(damaged)?;
-        parsed.state.apply(&entry).map_err(|reason| damaged(reason.to_owned()))?;
-        parsed.entries.push(entry);
+        parsed
+            .add(line)
+            .map_err(|defect| DamagedLine { line: index + 1, reason: defect.to_string() })?;
         parsed.whole_bytes += line.len();
     }
     Ok(parsed)

@@ -7,6 +7,29 @@
 //! Reading order: [`SessionState`] computes the state from the ledger's entries, [`next_step`]
 //! computes the next step from the state, [`Session`] performs this step with a
 //! [`Rig`](crate::rig::Rig), and [`score`](crate::scoring::score) scores a recording.
+//!
+//! ```
+//! use qube_hil::session::{Entry, EntryError, Extent, Purpose, SessionState, Step, next_step};
+//!
+//! let mut state = SessionState::default();
+//! let begins = Step::Propose { count: 6, purpose: Purpose::Initial };
+//! assert_eq!(next_step(&state, &Extent::QUICK, None), begins);
+//! for candidate in 0..6 {
+//!     state.apply(&Entry::Proposed {
+//!         candidate,
+//!         purpose: Purpose::Initial,
+//!         point: vec![0.1 * f64::from(candidate)],
+//!         pending: Vec::new(),
+//!         policy_of: None,
+//!     })?;
+//! }
+//! let trains = Step::Train { candidates: (0..6).collect() };
+//! assert_eq!(next_step(&state, &Extent::QUICK, None), trains);
+//! // No rollout precedes the training of its policy.
+//! let early = Entry::RolloutFinished { candidate: 0, rollout: 0, attempt: 0, rig: None };
+//! assert_eq!(state.apply(&early), Err(EntryError::NotDue));
+//! # Ok::<(), EntryError>(())
+//! ```
 
 mod configuration;
 mod configuration_error;
@@ -74,7 +97,9 @@ pub use seeds::{SeedFor, derived_seed};
 pub use setting_error::SettingError;
 pub use settings::{SessionSettings, SharedRig};
 pub use settings_list::{ChangedSetting, Setting};
-pub use state::{Candidate, Finished, Identification, SessionState, StoredProfile, TakenOutRig};
+pub use state::{
+    Candidate, EntryError, Finished, Identification, SessionState, StoredProfile, TakenOutRig,
+};
 pub(crate) use toml_message::toml_message;
-pub use training_time::TrainingTime;
+pub use training_time::{TrainingTime, TrainingTimesError};
 pub use view::{RigResults, ScoredCandidate, ScoredRollout, SessionView};

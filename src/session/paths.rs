@@ -44,10 +44,16 @@ impl SessionPaths {
         self.root.join(Self::LEDGER)
     }
 
+    /// Name of the file with the profile that was fitted to this number of recordings.
+    #[must_use]
+    pub fn profile_name(recordings: u32) -> String {
+        format!("profile-{recordings}.toml")
+    }
+
     /// Path of the profile that was fitted to this number of recordings.
     #[must_use]
     pub fn profile(&self, recordings: u32) -> PathBuf {
-        self.root.join(format!("profile-{recordings}.toml"))
+        self.root.join(Self::profile_name(recordings))
     }
 
     /// Folder of the candidates.

@@ -1,3 +1,5 @@
+use thiserror::Error;
+
 use super::{Entry, Purpose};
 
 /// A candidate of a session, as the ledger's entries describe it.
@@ -88,6 +90,50 @@ pub enum Identification {
     Refused(String),
 }
 
+/// The reason why an entry cannot follow the earlier ones.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+pub enum EntryError {
+    /// The entry names rig 0.
+    #[error("rigs are numbered from 1")]
+    RigZero,
+    /// A session begins after its first entry.
+    #[error("a session begins in the first line")]
+    BegunLater,
+    /// A candidate does not have the next number.
+    #[error("candidates are not numbered in their order")]
+    CandidateNumber,
+    /// A candidate counts as pending and was not proposed by the search, or has a return already.
+    #[error("a pending candidate is not one of the search or has returns")]
+    NotPending,
+    /// A candidate runs the policy of a candidate that was not proposed by the search.
+    #[error("the candidate runs the policy of none of the search")]
+    PolicyOfNone,
+    /// A candidate was not proposed.
+    #[error("there is no such candidate")]
+    NoSuchCandidate,
+    /// A candidate is trained twice.
+    #[error("the candidate is trained already")]
+    TrainedAlready,
+    /// A rollout or an attempt is out of order, or precedes the training.
+    #[error("this is not the rollout or the attempt that was due")]
+    NotDue,
+    /// An identification adds no recordings to the last one.
+    #[error("the Qube is identified from these recordings already")]
+    IdentifiedAlready,
+    /// An identification is refused after it was decided.
+    #[error("it is decided already whether the Qube is identified")]
+    IdentificationDecided,
+    /// The verification precedes the end of the search, or was used already.
+    #[error("the verification cannot update the profile now")]
+    NoUpdateDue,
+    /// A search ends twice.
+    #[error("the search has ended already")]
+    SearchEndedAlready,
+    /// A rig is taken out twice.
+    #[error("the rig is taken out already")]
+    TakenOutAlready,
+}
+
 /// The state of a session: the result of applying the ledger's entries one after the other.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SessionState {
@@ -103,8 +149,8 @@ impl SessionState {
     /// The state after these entries.
     ///
     /// # Errors
-    /// An entry cannot follow the earlier ones; the text names the rule that it breaks.
-    pub fn of<'a>(entries: impl IntoIterator<Item = &'a Entry>) -> Result<Self, &'static str> {
+    /// An entry cannot follow the earlier ones.
+    pub fn of<'a>(entries: impl IntoIterator<Item = &'a Entry>) -> Result<Self, EntryError> {
         let mut state = Self::default();
         entries.into_iter().try_for_each(|entry| state.apply(entry))?;
         Ok(state)
@@ -167,34 +213,16 @@ impl SessionState {
     /// Applies the next entry. An entry that cannot follow the earlier ones changes nothing.
     ///
     /// # Errors
-    /// The entry cannot follow the earlier ones; the text names the rule that it breaks.
-    pub fn apply(&mut self, entry: &Entry) -> Result<(), &'static str> {
+    /// The entry cannot follow the earlier ones.
+    pub fn apply(&mut self, entry: &Entry) -> Result<(), EntryError> {
         if entry.rig() == Some(0) {
-            return Err("rigs are numbered from 1");
+            return Err(EntryError::RigZero);
         }
         match *entry {
-            Entry::Begun { .. } if self.entries > 0 => {
-                return Err("a session begins in the first line");
-            }
+            Entry::Begun { .. } if self.entries > 0 => return Err(EntryError::BegunLater),
             Entry::Begun { .. } => {}
             Entry::Proposed { candidate, purpose, ref point, ref pending, policy_of } => {
-                if candidate as usize != self.candidates.len() {
-                    return Err("candidates are not numbered in their order");
-                }
-                let awaited = |number: &u32| {
-                    self.candidates
-                        .get(*number as usize)
-                        .is_some_and(|it| it.purpose.is_searched() && it.finished.is_empty())
-                };
-                if !pending.iter().all(awaited) {
-                    return Err("a pending candidate is not one of the search or has returns");
-                }
-                let is_searched = |number: u32| {
-                    self.candidates.get(number as usize).is_some_and(|it| it.purpose.is_searched())
-                };
-                if policy_of.is_some_and(|it| purpose != Purpose::Incumbent || !is_searched(it)) {
-                    return Err("the candidate runs the policy of none of the search");
-                }
+                self.check_proposal(candidate, purpose, pending, policy_of)?;
                 self.candidates.push(Candidate {
                     number: candidate,
                     purpose,
@@ -209,7 +237,7 @@ impl SessionState {
             Entry::Trained { candidate } => {
                 let candidate = self.candidate(candidate)?;
                 if candidate.trained {
-                    return Err("the candidate is trained already");
+                    return Err(EntryError::TrainedAlready);
                 }
                 candidate.trained = true;
             }
@@ -219,15 +247,7 @@ impl SessionState {
                 (candidate.void, candidate.void_before) = (0, 0);
             }
             Entry::Identified { recordings, ref verdict, ref doubts, ref checksum } => {
-                let mut profiles = match &self.identification {
-                    Identification::None => Vec::new(),
-                    Identification::Found { recordings: before, profiles, .. }
-                        if recordings > *before =>
-                    {
-                        profiles.clone()
-                    }
-                    _ => return Err("the Qube is identified from these recordings already"),
-                };
+                let mut profiles = self.profiles_before(recordings)?.to_vec();
                 profiles.push(StoredProfile { recordings, checksum: checksum.clone() });
                 self.identification = Identification::Found {
                     recordings,
@@ -239,19 +259,19 @@ impl SessionState {
             }
             Entry::NotUpdated { .. } => {
                 if self.gain_at_end.is_none() || self.took_in_verification {
-                    return Err("the verification cannot update the profile now");
+                    return Err(EntryError::NoUpdateDue);
                 }
                 self.took_in_verification = true;
             }
             Entry::NotIdentified { ref reason } => {
                 if self.identification != Identification::None {
-                    return Err("it is decided already whether the Qube is identified");
+                    return Err(EntryError::IdentificationDecided);
                 }
                 self.identification = Identification::Refused(reason.clone());
             }
             Entry::SearchEnded { expected_gain } => {
                 if self.gain_at_end.is_some() {
-                    return Err("the search has ended already");
+                    return Err(EntryError::SearchEndedAlready);
                 }
                 self.gain_at_end = Some(expected_gain);
             }
@@ -260,7 +280,7 @@ impl SessionState {
             }
             Entry::RigTakenOut { rig, ref reason } => {
                 if self.is_taken_out(rig) {
-                    return Err("the rig is taken out already");
+                    return Err(EntryError::TakenOutAlready);
                 }
                 self.taken_out.push(TakenOutRig { rig, reason: reason.clone() });
                 self.candidates.iter_mut().for_each(|it| it.void_before = it.void);
@@ -270,8 +290,44 @@ impl SessionState {
         Ok(())
     }
 
-    fn candidate(&mut self, number: u32) -> Result<&mut Candidate, &'static str> {
-        self.candidates.get_mut(number as usize).ok_or("there is no such candidate")
+    /// Checks that a candidate can be proposed.
+    fn check_proposal(
+        &self,
+        candidate: u32,
+        purpose: Purpose,
+        pending: &[u32],
+        policy_of: Option<u32>,
+    ) -> Result<(), EntryError> {
+        if candidate as usize != self.candidates.len() {
+            return Err(EntryError::CandidateNumber);
+        }
+        let searched = |number: u32| {
+            self.candidates.get(number as usize).filter(|it| it.purpose.is_searched())
+        };
+        let is_awaited = |number: &u32| searched(*number).is_some_and(|it| it.finished.is_empty());
+        if !pending.iter().all(is_awaited) {
+            return Err(EntryError::NotPending);
+        }
+        let is_wrong = |it: u32| purpose != Purpose::Incumbent || searched(it).is_none();
+        if policy_of.is_some_and(is_wrong) {
+            return Err(EntryError::PolicyOfNone);
+        }
+        Ok(())
+    }
+
+    /// The profiles that were identified from fewer recordings than these.
+    fn profiles_before(&self, recordings: u32) -> Result<&[StoredProfile], EntryError> {
+        match &self.identification {
+            Identification::None => Ok(&[]),
+            Identification::Found { recordings: before, profiles, .. } if recordings > *before => {
+                Ok(profiles)
+            }
+            _ => Err(EntryError::IdentifiedAlready),
+        }
+    }
+
+    fn candidate(&mut self, number: u32) -> Result<&mut Candidate, EntryError> {
+        self.candidates.get_mut(number as usize).ok_or(EntryError::NoSuchCandidate)
     }
 
     /// The candidate with this number, if this attempt of this rollout is the next one that is due.
@@ -280,13 +336,13 @@ impl SessionState {
         number: u32,
         rollout: u32,
         attempt: u32,
-    ) -> Result<&mut Candidate, &'static str> {
+    ) -> Result<&mut Candidate, EntryError> {
         let candidate = self.candidate(number)?;
         let due = (candidate.finished.len() as u32, candidate.void);
         if candidate.trained && (rollout, attempt) == due {
             Ok(candidate)
         } else {
-            Err("this is not the rollout or the attempt that was due")
+            Err(EntryError::NotDue)
         }
     }
 }

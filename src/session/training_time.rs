@@ -1,7 +1,9 @@
-use std::path::Path;
+use std::io;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 use crate::storage::{Disk, WriteError, write_whole};
 
@@ -23,6 +25,35 @@ pub struct TrainingTime {
     pub ended_unix_ns: u64,
 }
 
+/// The reason why the times of a candidate's trainings cannot be read.
+#[derive(Debug, Error)]
+pub enum TrainingTimesError {
+    /// The file cannot be read.
+    #[error("{path}: {source}")]
+    Read {
+        /// Path of the file.
+        path: PathBuf,
+        /// Cause of the failure.
+        source: io::Error,
+    },
+    /// The file has another format.
+    #[error("{path}: {source}")]
+    Json {
+        /// Path of the file.
+        path: PathBuf,
+        /// Defect of the text.
+        source: serde_json::Error,
+    },
+    /// A training ends before it begins.
+    #[error("{path}: training {training} ends before it begins")]
+    Order {
+        /// Path of the file.
+        path: PathBuf,
+        /// Number of the training among those of its candidate.
+        training: u32,
+    },
+}
+
 impl TrainingTime {
     /// Writes the times of a candidate's trainings.
     pub(super) fn write_all(
@@ -39,13 +70,15 @@ impl TrainingTime {
     ///
     /// # Errors
     /// The file cannot be read or has another format, or a training ends before it begins.
-    pub fn read_all(disk: &dyn Disk, path: &Path) -> Result<Vec<Self>, String> {
-        let shown = path.display();
-        let bytes = disk.read(path, FILE_BYTES).map_err(|error| format!("{shown}: {error}"))?;
-        let times: Vec<Self> =
-            serde_json::from_slice(&bytes).map_err(|error| format!("{shown}: {error}"))?;
+    pub fn read_all(disk: &dyn Disk, path: &Path) -> Result<Vec<Self>, TrainingTimesError> {
+        let path = || path.to_owned();
+        let bytes = disk
+            .read(&path(), FILE_BYTES)
+            .map_err(|source| TrainingTimesError::Read { path: path(), source })?;
+        let times: Vec<Self> = serde_json::from_slice(&bytes)
+            .map_err(|source| TrainingTimesError::Json { path: path(), source })?;
         match times.iter().find(|it| it.ended_unix_ns < it.began_unix_ns) {
-            Some(it) => Err(format!("{shown}: training {} ends before it begins", it.training)),
+            Some(it) => Err(TrainingTimesError::Order { path: path(), training: it.training }),
             None => Ok(times),
         }
     }
@@ -76,7 +109,7 @@ mod tests {
             "[{\"training\":0,\"began_unix_ns\":-1,\"ended_unix_ns\":5}]",
         ] {
             std::fs::write(&path, bad).unwrap();
-            let message = TrainingTime::read_all(&MachineDisk, &path).unwrap_err();
+            let message = TrainingTime::read_all(&MachineDisk, &path).unwrap_err().to_string();
             assert!(message.contains("training-times.json"), "{message}");
         }
     }

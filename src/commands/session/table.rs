@@ -12,7 +12,7 @@ use crate::qube::{DomainParameter, Profile, Quantity};
 use crate::scoring::Verdict;
 use crate::session::{
     BestPolicy, EndedSearch, GainSource, Identification, Purpose, RigResults, ScoredCandidate,
-    SearchEnd, SessionReport, TakenOutRig,
+    SearchEnd, SessionPaths, SessionReport, TakenOutRig,
 };
 use crate::simulation::PsiSpace;
 use crate::telemetry::Ending;
@@ -163,7 +163,7 @@ impl SessionTable {
                 );
             }
             Identification::Found { recordings, doubts, .. } => {
-                let profile = report.directory.join(format!("profile-{recordings}.toml"));
+                let profile = report.directory.join(SessionPaths::profile_name(*recordings));
                 let message = identified(*recordings, doubts);
                 format!(
                     "\n{message}\nits profile, with the errors of its values: {}\n",

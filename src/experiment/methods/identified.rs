@@ -1,6 +1,8 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 
+use thiserror::Error;
+
 use super::MethodSettings;
 use super::recordings::{MethodRecordings, Recorded, excitation, read};
 use super::run::{Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended};
@@ -8,10 +10,10 @@ use crate::experiment::folder::make;
 use crate::experiment::{ExperimentError, ExperimentEvent, Recipe};
 use crate::identification::{ModelVerdict, RecordingsError, Unknown, identify, read_fittable};
 use crate::policy::{Excitation, Policy};
-use crate::qube::Profile;
+use crate::qube::{Profile, ProfileError};
 use crate::replay::{MotionLog, MotionLogError};
 use crate::session::{FolderError, SessionSettings};
-use crate::simulation::{Model, ProfileSettings};
+use crate::simulation::{Model, ProfileSettings, PsiError};
 use crate::storage::{Disk, MachineDisk, write_whole};
 
 /// The result of fitting a Qube to recordings.
@@ -20,6 +22,15 @@ enum Fit {
     Found(String),
     /// The recordings identify no Qube, for this reason.
     Refused(String),
+}
+
+/// The reason why a profile gives no recommendation.
+#[derive(Debug, Error)]
+enum NoRecommendation {
+    #[error(transparent)]
+    Profile(#[from] ProfileError),
+    #[error(transparent)]
+    Psi(#[from] PsiError),
 }
 
 /// The recordings that a fit may use.
@@ -223,15 +234,15 @@ impl<'a> FromRecordings<'a> {
             OnDisk::Found(Fit::Refused(reason)) => Recommended::Refused(reason),
             OnDisk::Found(Fit::Found(profile)) => match self.recommendation(&profile) {
                 Ok(recommendation) => Recommended::Found(Box::new(recommendation)),
-                Err(reason) => Recommended::Refused(reason),
+                Err(error) => Recommended::Refused(error.to_string()),
             },
         })
     }
 
     /// The recommendation around the Qube of a profile, or the reason why there is none.
-    fn recommendation(&self, profile: &str) -> Result<Recommendation, String> {
+    fn recommendation(&self, profile: &str) -> Result<Recommendation, NoRecommendation> {
         // A fit may find a value that no Qube has.
-        let profile = Profile::parse(profile).map_err(|error| error.to_string())?;
+        let profile = Profile::parse(profile)?;
         let recipe = Recipe::of(Model::Profile, &self.run.recipe.settings);
         let spread = if self.width == Width::Exact { 0.0 } else { self.settings.spread };
         let around = match self.width {
@@ -242,7 +253,7 @@ impl<'a> FromRecordings<'a> {
         };
         let settings = SessionSettings { profile: Some(around), ..recipe.settings };
         // A profile that cannot be simulated is not a recommendation either.
-        settings.base_distribution().map_err(|error| error.to_string())?;
+        settings.base_distribution()?;
         Ok(Recommendation::of(Recipe { settings, ..recipe }, None))
     }
 }
@@ -282,11 +293,11 @@ mod tests {
     use crate::telemetry::{Ending, Fault};
 
     /// A motion, the ending of its recording, and the number of its steps.
-    type Recorded = (fn(f64) -> State, Ending, u32);
+    type Motion = (fn(f64) -> State, Ending, u32);
 
     /// Records motions, and calls `check` with the method that identifies the Qube from them.
     /// Returns the names of the recordings that events report as left out.
-    fn of_recordings(recorded: &[Recorded], check: impl FnOnce(&FromRecordings)) -> Vec<String> {
+    fn of_recordings(recorded: &[Motion], check: impl FnOnce(&FromRecordings)) -> Vec<String> {
         let root = tempfile::tempdir().unwrap();
         let experiment = experiment(root.path(), vec![Method::Posterior]);
         let reported = Mutex::new(Vec::new());
@@ -309,7 +320,7 @@ mod tests {
     #[test]
     fn void_recordings_and_those_that_say_too_little_are_left_out_and_named() {
         let void = Ending::Fault(Fault::EncoderFrozen);
-        let recorded: [Recorded; 3] = [
+        let recorded: [Motion; 3] = [
             (swings, Ending::Completed, 100),
             (swings, Ending::Completed, 300),
             (swings, void, 300),
@@ -328,7 +339,7 @@ mod tests {
             assert_eq!(written.lines().collect::<Vec<_>>(), left_out);
         });
         assert_eq!(reported.len(), 2, "each once: {reported:?}");
-        let only: [Recorded; 1] = [(swings, void, 300)];
+        let only: [Motion; 1] = [(swings, void, 300)];
         of_recordings(&only, |method| {
             let Fit::Refused(reason) = method.fit(1).unwrap() else { panic!("nothing to fit") };
             assert!(reason.starts_with("rollout-0: a fault ended"), "{reason}");
@@ -338,7 +349,7 @@ mod tests {
     #[test]
     fn a_recording_with_a_defect_is_refused_as_identify_does() {
         let frozen = |time_s: f64| State { theta: 0.3, theta_dot: 0.0, ..swings(time_s) };
-        let recorded: [Recorded; 2] =
+        let recorded: [Motion; 2] =
             [(swings, Ending::Completed, 300), (frozen, Ending::Completed, 300)];
         of_recordings(&recorded, |method| {
             let Fit::Refused(reason) = method.fit(2).unwrap() else { panic!("the arm is frozen") };

@@ -6,12 +6,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
-use super::sealed::{sealed, unsealed};
+use super::sealed::{NotSealed, sealed, unsealed};
 use super::{Heartbeat, HeartbeatState, HeartbeatWatch, Holder};
 use crate::elementary::Level;
 use crate::jobs::{JobFolderError, TrainingJob};
-use crate::learning::Trained;
+use crate::learning::{TrainError, Trained, TrainedBytesError};
 use crate::storage::{Disk, file_exists, is_absence, is_unfinished, write_whole};
 
 /// Largest job file that is read, bytes. A job has some kB.
@@ -98,6 +99,29 @@ struct ResultHeader {
     error: Option<String>,
 }
 
+/// The reason why a file of the folder is refused.
+#[derive(Debug, Error)]
+enum JobFileDefect {
+    #[error(transparent)]
+    NotSealed(#[from] NotSealed),
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    #[error(transparent)]
+    Trained(#[from] TrainedBytesError),
+    #[error("it contains another job than its name says")]
+    OtherJob,
+    /// The result is of the program with this name and version.
+    #[error("{0}, another version, wrote it")]
+    OtherProgram(String),
+}
+
+impl JobFileDefect {
+    /// The error of the file at this path.
+    fn in_file(self, path: &Path) -> JobFolderError {
+        JobFolderError::Damaged { path: path.to_owned(), reason: self.to_string() }
+    }
+}
+
 /// The place of a process among the coordinators of a folder.
 #[derive(Debug)]
 pub struct Coordinator {
@@ -182,8 +206,7 @@ impl JobFolder {
                 unread(&path, source)
             }
         })?;
-        let terms = terms_in(&bytes)
-            .map_err(|reason| JobFolderError::Damaged { path: path.clone(), reason })?;
+        let terms = terms_in(&bytes).map_err(|defect| defect.in_file(&path))?;
         let here = program();
         if terms.program != here || terms.format != FORMAT {
             let (path, there) = (root.to_owned(), terms.program);
@@ -241,17 +264,17 @@ impl JobFolder {
     /// The file is damaged, or a file operation fails.
     pub fn read_job(&self, name: &str) -> Result<Option<TrainingJob>, JobFolderError> {
         let path = self.job(name);
-        let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
+        let damaged = |defect: JobFileDefect| defect.in_file(&path);
         let bytes = match self.disk.read(&path, MAX_JOB_BYTES) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(source) => return Err(unread(&path, source)),
         };
-        let json = unsealed("job", &bytes).map_err(damaged)?;
+        let json = unsealed("job", &bytes).map_err(|error| damaged(error.into()))?;
         let job: TrainingJob =
-            serde_json::from_slice(json).map_err(|error| damaged(error.to_string()))?;
+            serde_json::from_slice(json).map_err(|error| damaged(error.into()))?;
         if job.fingerprint() != name {
-            return Err(damaged("it contains another job than its name says".to_owned()));
+            return Err(damaged(JobFileDefect::OtherJob));
         }
         Ok(Some(job))
     }
@@ -280,13 +303,13 @@ impl JobFolder {
         &self,
         name: &str,
         by: &Holder,
-        outcome: Result<&Trained, String>,
+        outcome: Result<&Trained, &TrainError>,
     ) -> Result<(), JobFolderError> {
         let header = ResultHeader {
             by: by.to_string(),
             program: program(),
             level: format!("{:?}", Level::best()),
-            error: outcome.as_ref().err().cloned(),
+            error: outcome.err().map(ToString::to_string),
         };
         let path = self.result(name);
         let mut payload = json(&path, &header)?;
@@ -304,16 +327,16 @@ impl JobFolder {
     /// file operation fails.
     pub fn read_result(&self, name: &str, job: &TrainingJob) -> Result<JobResult, JobFolderError> {
         let path = self.result(name);
-        let damaged = |reason: String| JobFolderError::Damaged { path: path.clone(), reason };
+        let damaged = |defect: JobFileDefect| defect.in_file(&path);
         let bytes = self.disk.read(&path, MAX_RESULT_BYTES);
         let bytes = bytes.map_err(|source| unread(&path, source))?;
-        let payload = unsealed("result", &bytes).map_err(damaged)?;
+        let payload = unsealed("result", &bytes).map_err(|error| damaged(error.into()))?;
         let end = payload.iter().position(|byte| *byte == b'\n').unwrap_or(payload.len());
         let (header, trained) = payload.split_at(end);
         let header: ResultHeader =
-            serde_json::from_slice(header).map_err(|error| damaged(error.to_string()))?;
+            serde_json::from_slice(header).map_err(|error| damaged(error.into()))?;
         if header.program != program() {
-            return Err(damaged(format!("{}, another version, wrote it", header.program)));
+            return Err(damaged(JobFileDefect::OtherProgram(header.program)));
         }
         let outcome = match header.error {
             Some(reason) => Err(reason),
@@ -321,7 +344,7 @@ impl JobFolder {
                 let bytes = trained.get(1..).unwrap_or_default();
                 let trained =
                     Trained::from_bytes(bytes, &job.distribution, &job.settings, job.seed);
-                Ok(Box::new(trained.map_err(|error| damaged(error.to_string()))?))
+                Ok(Box::new(trained.map_err(|error| damaged(error.into()))?))
             }
         };
         Ok(JobResult { by: header.by, outcome })
@@ -570,8 +593,8 @@ impl JobFolder {
 ///
 /// # Errors
 /// The file is damaged.
-fn terms_in(bytes: &[u8]) -> Result<Terms, String> {
-    serde_json::from_slice(unsealed("terms", bytes)?).map_err(|error| error.to_string())
+fn terms_in(bytes: &[u8]) -> Result<Terms, JobFileDefect> {
+    Ok(serde_json::from_slice(unsealed("terms", bytes)?)?)
 }
 
 /// A value as JSON for the file at `path`.

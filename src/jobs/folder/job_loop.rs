@@ -276,7 +276,7 @@ impl<'a> JobLoop<'a> {
         let written = match &outcome {
             Err(TrainError::Stopped) => Ok(()),
             Ok(trained) => self.store(job, Ok(trained)),
-            Err(error) => self.store(job, Err(error.to_string())),
+            Err(error) => self.store(job, Err(error)),
         };
         self.alive.end_claim(&match (&outcome, &written) {
             (_, Err(error)) => ClaimEnding::Failed(error.to_string()),
@@ -284,10 +284,10 @@ impl<'a> JobLoop<'a> {
             _ => ClaimEnding::Done,
         });
         written?;
-        let outcome = match outcome {
+        let outcome = match &outcome {
             Err(TrainError::Stopped) => return Ok(JobEnd::NotFinished),
             Ok(trained) => Ok(trained.best_return),
-            Err(error) => Err(error.to_string()),
+            Err(error) => Err(error),
         };
         match outcome {
             Ok(_) => self.report.trained += 1,
@@ -298,7 +298,11 @@ impl<'a> JobLoop<'a> {
     }
 
     /// Stores a result in up to [`WRITES`] attempts, unless the coordinator has removed the job.
-    fn store(&self, job: &str, outcome: Result<&Trained, String>) -> Result<(), JobFolderError> {
+    fn store(
+        &self,
+        job: &str,
+        outcome: Result<&Trained, &TrainError>,
+    ) -> Result<(), JobFolderError> {
         let folder = &self.worker.folder;
         for attempt in 1.. {
             // While the file server is away the job file may only seem to be gone, so its absence
@@ -306,7 +310,7 @@ impl<'a> JobLoop<'a> {
             if matches!(folder.read_job(job), Ok(None)) {
                 return Ok(());
             }
-            match folder.write_result(job, &self.worker.holder, outcome.clone()) {
+            match folder.write_result(job, &self.worker.holder, outcome) {
                 Err(_) if attempt < WRITES => std::thread::sleep(self.patience() / WRITES),
                 written => return written,
             }

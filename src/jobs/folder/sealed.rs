@@ -1,6 +1,16 @@
 //! Files with a checksum in their first line, so that a half-written or damaged file is recognised.
 
+use thiserror::Error;
+
 use crate::jobs::checksum::checksum;
+
+/// The reason why the bytes of a file are refused: the file is of another kind, half-written or
+/// damaged.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error("it is not a whole file of the kind `{kind}`: its checksum is wrong")]
+pub(super) struct NotSealed {
+    kind: &'static str,
+}
 
 /// The content of a file of this kind that contains `payload`.
 pub(super) fn sealed(kind: &str, payload: &[u8]) -> Vec<u8> {
@@ -13,12 +23,12 @@ pub(super) fn sealed(kind: &str, payload: &[u8]) -> Vec<u8> {
 ///
 /// # Errors
 /// The file is of another kind, half-written or damaged.
-pub(super) fn unsealed<'a>(kind: &str, bytes: &'a [u8]) -> Result<&'a [u8], String> {
+pub(super) fn unsealed<'a>(kind: &'static str, bytes: &'a [u8]) -> Result<&'a [u8], NotSealed> {
     let end = bytes.iter().position(|byte| *byte == b'\n').map_or(0, |at| at + 1);
     let (line, payload) = bytes.split_at(end);
     match line == first_line(kind, payload).as_bytes() {
         true => Ok(payload),
-        false => Err(format!("it is not a whole file of the kind `{kind}`: its checksum is wrong")),
+        false => Err(NotSealed { kind }),
     }
 }
 

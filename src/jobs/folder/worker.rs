@@ -9,6 +9,7 @@ use super::job_loop::{JobLoop, POLL_INTERVAL};
 use super::{ClaimEnding, Heartbeat, Holder, JobFolder};
 use crate::elementary::Level;
 use crate::jobs::JobFolderError;
+use crate::learning::TrainError;
 
 /// The number of a worker among those that share a folder. It makes each worker begin at another
 /// place in the list of jobs, so that they seldom try to claim the same one.
@@ -58,7 +59,7 @@ pub enum WorkerEvent<'a> {
         /// Fingerprint of the job.
         job: &'a str,
         /// Best return in training, or the reason of the failure.
-        outcome: Result<f64, String>,
+        outcome: Result<f64, &'a TrainError>,
         /// Wall time of the training.
         took: Duration,
     },

@@ -1,13 +1,15 @@
 //! The section about the distribution of simulations in which the session's best policy was trained,
 //! beside the nominal Qube.
 
+use thiserror::Error;
+
 use super::SessionSource;
-use crate::qube::{DomainParameter, Quantity};
+use crate::qube::{DomainParameter, Quantity, QubeModel};
 use crate::report::densities::{density_chart, words};
 use crate::report::draws::{DRAWS_IN_WORDS, QuantityDraws};
 use crate::report::page::{Cell, Page};
 use crate::session::{ScoredCandidate, SessionSettings};
-use crate::simulation::{DomainDistribution, Model};
+use crate::simulation::{DomainDistribution, Model, PsiError};
 
 /// Adds the distribution of the best verified policy, or before a verification that of the searched
 /// candidate with the best mean return so far; adds nothing without either.
@@ -53,16 +55,35 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     let nominal = source.settings.plant().nominal();
     let base = search.as_ref().and_then(|settings| settings.base_distribution().ok());
     let drawn = QuantityDraws::of(&distribution);
-    let before = base.as_ref().map(QuantityDraws::of);
-    let order = DomainParameter::MASSES_AND_LENGTHS.into_iter().map(Quantity::Parameter);
-    let others = Quantity::all().filter(|quantity| !order.clone().any(|it| it == *quantity));
-    let all: Vec<Quantity> = order.clone().chain(others).collect();
+    add_densities(page, &distribution, base.as_ref(), &drawn, &nominal);
+    add_numbers(page, &drawn, &nominal);
+    if let Some(settings) = search {
+        add_psi(page, &settings, &chosen.candidate.point);
+    }
+}
+
+/// All quantities in the order of the section: masses and lengths first.
+fn in_order() -> Vec<Quantity> {
+    let first = DomainParameter::MASSES_AND_LENGTHS.map(Quantity::Parameter);
+    let others = Quantity::all().filter(|quantity| !first.contains(quantity));
+    first.into_iter().chain(others).collect()
+}
+
+/// Adds a chart of each quantity that is spread: `drawn` from the distribution, and, where it
+/// differs, from the one `base` before the search.
+fn add_densities(
+    page: &mut Page,
+    distribution: &DomainDistribution,
+    base: Option<&DomainDistribution>,
+    drawn: &[QuantityDraws],
+    nominal: &QubeModel,
+) {
+    let before = base.map(QuantityDraws::of);
     page.grid(|page| {
-        for quantity in all.iter().copied() {
+        for quantity in in_order() {
             let drawn = &drawn[quantity.index()];
             if drawn.has_spread() {
                 let differs = base
-                    .as_ref()
                     .is_some_and(|base| base.marginal(quantity) != distribution.marginal(quantity));
                 let before = before.as_ref().filter(|_| differs);
                 let mut curves = vec![("in its training", drawn)];
@@ -73,10 +94,14 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
             }
         }
     });
+}
+
+/// Adds a table of all quantities: the nominal values beside the draws.
+fn add_numbers(page: &mut Page, drawn: &[QuantityDraws], nominal: &QubeModel) {
     page.details("All quantities as numbers", |page| {
-        let rows: Vec<Vec<Cell>> = all
-            .iter()
-            .map(|&quantity| {
+        let rows: Vec<Vec<Cell>> = in_order()
+            .into_iter()
+            .map(|quantity| {
                 let drawn = &drawn[quantity.index()];
                 let value = nominal.get(quantity);
                 let ratio = (value != 0.0).then(|| drawn.mean / value);
@@ -100,9 +125,6 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         ];
         page.table(&heads, &rows, None);
     });
-    if let Some(settings) = search {
-        add_psi(page, &settings, &chosen.candidate.point);
-    }
 }
 
 /// The distribution in which a policy was trained.
@@ -114,30 +136,40 @@ struct TrainedIn {
     search: Option<SessionSettings>,
 }
 
+/// The reason why the distribution in which a policy was trained is unknown.
+#[derive(Debug, Error)]
+enum UnknownDistribution {
+    #[error("no model has the name {0}")]
+    NoSuchModel(String),
+    #[error(
+        "it lies around a profile that the session identified, and this profile cannot be read"
+    )]
+    ProfileLost,
+    #[error(transparent)]
+    Psi(#[from] PsiError),
+}
+
 /// Finds the distribution in which the policy of this candidate was trained, by the record in its
 /// file: as candidate number `trained_as`.
 ///
 /// # Errors
-/// The end of a sentence about the reason for which the distribution is unknown.
+/// The distribution is unknown.
 fn trained_in(
     source: &SessionSource,
     chosen: &ScoredCandidate,
     trained_as: u32,
-) -> Result<TrainedIn, String> {
+) -> Result<TrainedIn, UnknownDistribution> {
     let began = &source.settings;
     if let Some(name) = &chosen.model_without_psi {
         let model = Model::ALL.into_iter().find(|model| model.name() == name);
-        let model = model.ok_or_else(|| format!("no model has the name {name}"))?;
-        let distribution = model.distribution(began.plant(), began.family, None, None);
-        let distribution = distribution.map_err(|error| error.to_string())?;
+        let model = model.ok_or_else(|| UnknownDistribution::NoSuchModel(name.clone()))?;
+        let distribution = model.distribution(began.plant(), began.family, None, None)?;
         return Ok(TrainedIn { distribution, model: model.name(), search: None });
     }
-    let settings = source.search_settings(Some(trained_as)).ok_or(
-        "it lies around a profile that the session identified, and this profile cannot be read",
-    )?;
-    let psi = settings.psi.psi(&chosen.candidate.point);
-    let distribution = psi.and_then(|psi| settings.distribution(&psi));
-    let distribution = distribution.map_err(|error| error.to_string())?;
+    let settings =
+        source.search_settings(Some(trained_as)).ok_or(UnknownDistribution::ProfileLost)?;
+    let psi = settings.psi.psi(&chosen.candidate.point)?;
+    let distribution = settings.distribution(&psi)?;
     Ok(TrainedIn { distribution, model: settings.model.name(), search: Some(settings) })
 }
 

@@ -11,7 +11,7 @@ use crate::replay::simulate_from;
 use crate::report::chart::{Axis, Chart, Mark, Series, Style};
 use crate::report::densities::words;
 use crate::report::page::{Cell, Page};
-use crate::session::{Entry, Identification};
+use crate::session::{Entry, Identification, SessionPaths};
 
 /// Adds the section about the identified Qube, with recordings beside simulations of this Qube, or the
 /// reason why it was not identified; adds nothing for a session without identification.
@@ -48,8 +48,9 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
             if let Some((of, profile)) = source.profile_before_end() {
                 if of != recordings {
                     page.paragraph(&format!(
-                        "The following predictions use the profile as it was before the verification, profile-{of}.toml, \
-                         so that the verification tests it."
+                        "The following predictions use the profile as it was before the verification, {}, \
+                         so that the verification tests it.",
+                        SessionPaths::profile_name(*of)
                     ));
                 }
                 add_predictions(page, source, &profile.model());

@@ -217,10 +217,10 @@ fn add_faults(page: &mut Page, source: &SessionSource) {
         let rows: Vec<Vec<Cell>> = source
             .void
             .iter()
-            .map(|(candidate, rollout, attempt, reason)| {
-                let numbers =
-                    [candidate, rollout, attempt].map(|number| Cell::Number(number.to_string()));
-                numbers.into_iter().chain([reason.as_str().into()]).collect()
+            .map(|it| {
+                let numbers = [it.candidate, it.rollout, it.attempt]
+                    .map(|number| Cell::Number(number.to_string()));
+                numbers.into_iter().chain([it.reason.as_str().into()]).collect()
             })
             .collect();
         page.table(&["candidate", "rollout", "attempt", "fault"], &rows, None);

@@ -1,9 +1,12 @@
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
 
 use super::time_line::TimeLine;
 use crate::identification::check_recording;
-use crate::learning::{CURVE_BYTES, CurvePoint, parse_curve_csv};
+use crate::learning::{CURVE_BYTES, CurveError, CurvePoint, parse_curve_csv};
 use crate::qube::{PlantModel, Profile};
 use crate::recording::{Recording, read_on};
 use crate::replay::{MotionLog, SimulatedSpecimen};
@@ -40,8 +43,8 @@ pub struct SessionSource {
     pub(super) candidates: Vec<ScoredCandidate>,
     /// Rollouts with a result, in order, each with its candidate.
     pub(super) rollouts: Vec<(u32, RolloutView)>,
-    /// Void attempts: candidate, rollout, attempt, and the fault, or why the recording does not show it.
-    pub(super) void: Vec<(u32, u32, u32, String)>,
+    /// Void attempts.
+    pub(super) void: Vec<VoidAttempt>,
     /// Learning curves by candidate.
     pub(super) curves: Vec<(u32, Vec<CurvePoint>)>,
     /// Rollouts and trainings by the wall clock.
@@ -59,6 +62,19 @@ pub struct SessionSource {
     fittable: usize,
     /// Sentences about files that could not be read.
     pub(super) problems: Vec<String>,
+}
+
+/// An attempt of a rollout that a fault has ended.
+#[derive(Debug)]
+pub(super) struct VoidAttempt {
+    /// Number of its candidate.
+    pub(super) candidate: u32,
+    /// Number of the rollout among those of the candidate, from 0.
+    pub(super) rollout: u32,
+    /// Number of the attempt, from 0.
+    pub(super) attempt: u32,
+    /// The fault, or the reason why the recording does not show it.
+    pub(super) reason: String,
 }
 
 /// A motion beside which the identified Qube is simulated.
@@ -158,7 +174,7 @@ impl SessionSource {
         self.policy_lost.as_deref()
     }
 
-    /// What could not be read, each in a sentence that names the file; the page names them, too.
+    /// Sentences about the files that could not be read, each with the file's path; the page has them, too.
     #[must_use]
     pub fn problems(&self) -> &[String] {
         &self.problems
@@ -170,14 +186,14 @@ impl SessionSource {
         if disk.exists(&of_candidate.curve()) {
             match read_curve(disk, &of_candidate.curve()) {
                 Ok(curve) => self.curves.push((number, curve)),
-                Err(reason) => self.problems.push(reason),
+                Err(error) => self.problems.push(error.to_string()),
             }
         }
         let times = of_candidate.training_times();
         if disk.exists(&times) {
             match TrainingTime::read_all(disk, &times) {
                 Ok(times) => self.time_line.add_trainings(&times),
-                Err(reason) => self.problems.push(reason),
+                Err(error) => self.problems.push(error.to_string()),
             }
         }
         let mut rollouts = Vec::new();
@@ -215,7 +231,7 @@ impl SessionSource {
             Ok(_) => "the ledger counts it as void, but its recording does not show why".into(),
             Err(error) => error.to_string(),
         };
-        self.void.push((candidate, rollout, attempt, reason));
+        self.void.push(VoidAttempt { candidate, rollout, attempt, reason });
     }
 
     fn add(&mut self, candidate: &Candidate, recording: &Recording) {
@@ -225,7 +241,7 @@ impl SessionSource {
             recording.outcome.as_ref().map_or(0, |outcome| u64::from(outcome.observer_resets));
         let specimen = match self.profiles.last() {
             Some((recordings, profile)) => {
-                SimulatedSpecimen::of_profile(profile, &format!("profile-{recordings}.toml"))
+                SimulatedSpecimen::of_profile(profile, &SessionPaths::profile_name(*recordings))
             }
             None => SimulatedSpecimen::nominal(&recording.header.settings.plant),
         };
@@ -334,11 +350,23 @@ fn changed(settings: &[u8], entries: &[Entry]) -> bool {
 /// Reads the learning curve of a training.
 ///
 /// # Errors
-/// A sentence with the path and the defect of the file.
-fn read_curve(disk: &dyn Disk, path: &Path) -> Result<Vec<CurvePoint>, String> {
-    let shown = path.display();
-    let bytes = disk.read(path, CURVE_BYTES).map_err(|error| format!("{shown}: {error}"))?;
-    parse_curve_csv(&String::from_utf8_lossy(&bytes)).map_err(|error| format!("{shown}: {error}"))
+/// The file cannot be read, or is no learning curve.
+fn read_curve(disk: &dyn Disk, path: &Path) -> Result<Vec<CurvePoint>, CurveFileError> {
+    let path = || path.to_owned();
+    let bytes = disk
+        .read(&path(), CURVE_BYTES)
+        .map_err(|source| CurveFileError::Read { path: path(), source })?;
+    parse_curve_csv(&String::from_utf8_lossy(&bytes))
+        .map_err(|source| CurveFileError::Format { path: path(), source })
+}
+
+/// The reason why the file of a learning curve is left out.
+#[derive(Debug, Error)]
+enum CurveFileError {
+    #[error("{path}: {source}")]
+    Read { path: PathBuf, source: io::Error },
+    #[error("{path}: {source}")]
+    Format { path: PathBuf, source: CurveError },
 }
 
 #[cfg(test)]
