@@ -1,5 +1,4 @@
 use std::path::{Path, PathBuf};
-use crate::storage::Existing;
 use std::time::Instant;
 
 use clap::ValueEnum;
@@ -32,6 +31,7 @@ use crate::simulation::{
     DomainDistribution, Family, MAX_COMMAND_DELAY_S, Model, ProfileSettings, Psi, SensorModel,
     SimulationSettings,
 };
+use crate::storage::Existing;
 
 /// Train one policy in randomised simulation
 ///
@@ -179,24 +179,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let plant = arguments.plant.plant()?;
     let psi = arguments.psi.as_deref().map(Psi::load).transpose().map_err(Failure::usage)?;
     let distribution = distribution(&arguments, psi.as_ref(), &plant)?;
-    let preset = arguments.preset.settings_or(TrainSettings::default());
-    let simulation = simulation(&arguments, preset.simulation.of_plant(&plant))?;
-    let simulation = match &psi {
-        Some(psi) if psi.filter_corner_rad_s().is_some() => {
-            with_filter(&arguments, simulation, psi)?
-        }
-        _ => simulation,
-    };
+    let settings = settings(&arguments, psi.as_ref(), &plant)?;
     let origin = origin(&arguments, psi);
-    let voltage_change_weight = arguments
-        .voltage_change_weight
-        .map_or(preset.voltage_change_weight, |weight| weight as f32);
-    let settings = TrainSettings {
-        threads: arguments.threads.into(),
-        simulation,
-        voltage_change_weight,
-        ..preset
-    };
     let start = arguments.from.as_deref().map(start).transpose()?;
     let out = OutputFile::prepare(&arguments.out, Existing::replaced_if(arguments.force))?;
     if let Some(path) = &arguments.checkpoint {
@@ -228,20 +212,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     };
     drop(keyboard);
     drop(screen);
-    let trained = trained.map_err(|error| match error {
-        JobError::Training(TrainError::Stopped) => stop.failure(match &arguments.checkpoint {
-            Some(path) if path.exists() => {
-                format!("stopped; the same command continues from {}", path.display())
-            }
-            _ => "stopped; nothing was written".into(),
-        }),
-        JobError::Training(
-            TrainError::CheckpointDamaged { .. }
-            | TrainError::CheckpointOfAnother { .. }
-            | TrainError::Start { .. },
-        ) => Failure::usage(error),
-        other => Failure::failed(other),
-    })?;
+    let trained =
+        trained.map_err(|error| failure(error, arguments.checkpoint.as_deref(), &stop))?;
     let wall_s = started.elapsed().as_secs_f64();
 
     let path = arguments.out.display().to_string();
@@ -274,6 +246,45 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     );
     output.print(&text, &result);
     Ok(())
+}
+
+/// The settings of the training: those of the preset with the changes of the arguments.
+fn settings(
+    arguments: &Arguments,
+    psi: Option<&Psi>,
+    plant: &PlantModel,
+) -> Result<TrainSettings, Failure> {
+    let preset = arguments.preset.settings_or(TrainSettings::default());
+    let simulation = simulation(arguments, preset.simulation.of_plant(plant))?;
+    let simulation = match psi {
+        Some(psi) if psi.filter_corner_rad_s().is_some() => {
+            with_filter(arguments, simulation, psi)?
+        }
+        _ => simulation,
+    };
+    let voltage_change_weight = arguments
+        .voltage_change_weight
+        .map_or(preset.voltage_change_weight, |weight| weight as f32);
+    let threads = arguments.threads.into();
+    Ok(TrainSettings { threads, simulation, voltage_change_weight, ..preset })
+}
+
+/// The failure for a training that gave no policy.
+fn failure(error: JobError, checkpoint: Option<&Path>, stop: &Stop) -> Failure {
+    match error {
+        JobError::Training(TrainError::Stopped) => stop.failure(match checkpoint {
+            Some(path) if path.exists() => {
+                format!("stopped; the same command continues from {}", path.display())
+            }
+            _ => "stopped; nothing was written".into(),
+        }),
+        JobError::Training(
+            TrainError::CheckpointDamaged { .. }
+            | TrainError::CheckpointOfAnother { .. }
+            | TrainError::Start { .. },
+        ) => Failure::usage(error),
+        other => Failure::failed(other),
+    }
 }
 
 /// Checks that a checkpoint can be written to this path, and that it is another one than that of

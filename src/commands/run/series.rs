@@ -83,6 +83,11 @@ impl RolloutSeries<'_> {
                 rig = self.after_fault(rig, fault)?;
             }
         }
+        self.end(&rig, results)
+    }
+
+    /// The outcome of the series after its last rollout.
+    fn end(&self, rig: &Rig, results: &RunResults) -> Result<(), Failure> {
         // The device may not have confirmed that the motor is off; the recording of the last
         // rollout does not show this.
         let unconfirmed = rig.check_off().err();

@@ -10,6 +10,7 @@ use crate::commands::training_pace::TrainingPace;
 use crate::commands::training_progress::name_of_training;
 use crate::commands::warn_without_realtime;
 use crate::device::Identity;
+use crate::learning::TrainUpdate;
 use crate::rig::Rig;
 use crate::scoring::{QuietnessFigures, Verdict};
 use crate::session::{CandidateCounts, Purpose, SessionError, SessionEvent, SessionSettings};
@@ -88,48 +89,13 @@ impl SessionProgress {
     pub fn update(&mut self, event: &SessionEvent) {
         match event {
             SessionEvent::Proposed { candidate, purpose, counts } => {
-                let why = match purpose {
-                    Purpose::Excitation => "a recording that identifies the Qube",
-                    Purpose::Baseline => "a policy trained on the nominal Qube, for comparison",
-                    Purpose::Initial => "an initial point",
-                    Purpose::Search => "proposed by the search",
-                    Purpose::Verification => "the search's recommendation, to be verified",
-                    Purpose::Incumbent => "the best candidate's policy, to be verified too",
-                };
-                let to_come = counts.most_searched.saturating_sub(counts.searched);
-                let last = candidate + 1 + to_come + u32::from(self.has_baseline);
-                self.candidates = counts.total.unwrap_or(last);
-                let text = proposed(*candidate, *purpose, why, counts);
-                self.proposed(*candidate, *purpose, &text, counts);
-                let left = self.time_left().filter(|_| counts.total.is_some());
-                let left = left.map_or(String::new(), |left| {
-                    format!("; about {} left in all", in_words(left))
-                });
-                self.line(text + &left);
+                self.show_proposal(*candidate, *purpose, counts);
             }
             SessionEvent::Training { candidate, training, update } => {
-                self.pace.update(*candidate, Instant::now());
-                let left = self.time_left();
-                let name =
-                    name_of_training(&format!("candidate {candidate}"), *training, self.trainings);
-                self.progress.update(|state| {
-                    state.phase = "training in simulation".into();
-                    let key = (String::new(), *candidate, *training);
-                    state.add_update(key, &name, self.updates, update.mean_return);
-                    state.expect_end(left);
-                });
+                self.show_training(*candidate, *training, update);
             }
             SessionEvent::Trained { candidate, best_return } => {
-                self.progress.update(|state| {
-                    state.trainings.retain(|(_, number, _), _| number != candidate);
-                    state.phase = if self.is_connected() { ROLLOUTS } else { OPENING }.into();
-                });
-                self.pace.trained(*candidate, best_return.is_some());
-                if let Some(best_return) = best_return {
-                    self.line(format!(
-                        "candidate {candidate}: trained, earns {best_return:.0} in its simulations"
-                    ));
-                }
+                self.show_trained(*candidate, *best_return);
             }
             SessionEvent::FirstMotion { is_examined: false, .. } => {}
             SessionEvent::FirstMotion { rig, is_acknowledged, .. } => {
@@ -194,6 +160,54 @@ impl SessionProgress {
                 let name = format!("candidate {candidate}, rollout {rollout}{on_rig}{again}");
                 self.rollout(*candidate, *purpose, &name, verdict);
             }
+        }
+    }
+
+    /// Shows a new candidate, and the time that is left.
+    fn show_proposal(&mut self, candidate: u32, purpose: Purpose, counts: &CandidateCounts) {
+        let why = match purpose {
+            Purpose::Excitation => "a recording that identifies the Qube",
+            Purpose::Baseline => "a policy trained on the nominal Qube, for comparison",
+            Purpose::Initial => "an initial point",
+            Purpose::Search => "proposed by the search",
+            Purpose::Verification => "the search's recommendation, to be verified",
+            Purpose::Incumbent => "the best candidate's policy, to be verified too",
+        };
+        let to_come = counts.most_searched.saturating_sub(counts.searched);
+        let last = candidate + 1 + to_come + u32::from(self.has_baseline);
+        self.candidates = counts.total.unwrap_or(last);
+        let text = proposed(candidate, purpose, why, counts);
+        self.proposed(candidate, purpose, &text, counts);
+        let left = self.time_left().filter(|_| counts.total.is_some());
+        let left =
+            left.map_or(String::new(), |left| format!("; about {} left in all", in_words(left)));
+        self.line(text + &left);
+    }
+
+    /// Shows an update of a training.
+    fn show_training(&mut self, candidate: u32, training: u32, update: &TrainUpdate) {
+        self.pace.update(candidate, Instant::now());
+        let left = self.time_left();
+        let name = name_of_training(&format!("candidate {candidate}"), training, self.trainings);
+        self.progress.update(|state| {
+            state.phase = "training in simulation".into();
+            let key = (String::new(), candidate, training);
+            state.add_update(key, &name, self.updates, update.mean_return);
+            state.expect_end(left);
+        });
+    }
+
+    /// Shows the end of a candidate's trainings.
+    fn show_trained(&mut self, candidate: u32, best_return: Option<f64>) {
+        self.progress.update(|state| {
+            state.trainings.retain(|(_, number, _), _| *number != candidate);
+            state.phase = if self.is_connected() { ROLLOUTS } else { OPENING }.into();
+        });
+        self.pace.trained(candidate, best_return.is_some());
+        if let Some(best_return) = best_return {
+            self.line(format!(
+                "candidate {candidate}: trained, earns {best_return:.0} in its simulations"
+            ));
         }
     }
 
