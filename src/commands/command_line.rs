@@ -16,29 +16,43 @@ use super::printable::print_message;
 /// Parses these arguments, of which the first is the program's name. If the result is an error, the
 /// help or the version, it is printed, and the exit code is returned as `Err`.
 pub fn read(arguments: Vec<OsString>) -> Result<CommandLine, u8> {
-    let mut command = command();
-    let matches = command.try_get_matches_from_mut(&arguments);
-    let read = matches.and_then(|matches| CommandLine::from_arg_matches(&matches));
-    let error = match read {
+    let error = match parsed(&arguments) {
         Ok(command_line) => return Ok(command_line),
         Err(error) => error,
     };
     if !error.use_stderr() {
         return Err(print_help(&error));
     }
-    let better =
-        value_with_a_dash(&error, &arguments).or_else(|| not_a_whole_number(&error, &arguments));
-    let error = match (better, kept_when_resumed(&error, &arguments)) {
-        (Some(message), _) => command.error(ErrorKind::InvalidValue, message),
-        (None, Some(message)) => command.error(ErrorKind::ArgumentConflict, message),
-        (None, None) => error,
-    };
     // If stderr is closed, the error cannot be shown.
     let _ = error.print();
     let cause = cause_of(&error);
     let output = Output::new(arguments.iter().any(|argument| argument == "--json"));
     let _ = output.finish(Err(Failure::usage(cause)));
     Err(2)
+}
+
+/// Parses the arguments; an error has the text and the usage that help most.
+fn parsed(arguments: &[OsString]) -> Result<CommandLine, clap::Error> {
+    let mut command = command();
+    let matches = command.try_get_matches_from_mut(arguments);
+    let read = matches.and_then(|matches| CommandLine::from_arg_matches(&matches));
+    read.map_err(|error| {
+        let better =
+            value_with_a_dash(&error, arguments).or_else(|| not_a_whole_number(&error, arguments));
+        let (kind, message) = match (better, kept_when_resumed(&error, arguments)) {
+            (Some(message), _) => (ErrorKind::InvalidValue, message),
+            (None, Some(message)) => (ErrorKind::ArgumentConflict, message),
+            (None, None) => return error,
+        };
+        named(command, arguments).error(kind, message)
+    })
+}
+
+/// The subcommand that the arguments name, whose usage an error then shows.
+fn named(command: Command, arguments: &[OsString]) -> Command {
+    arguments.iter().skip(1).fold(command, |command, argument| {
+        command.find_subcommand(argument).cloned().unwrap_or(command)
+    })
 }
 
 /// Prints the help or the version, which clap reports as an error; returns the exit code.
@@ -150,5 +164,23 @@ mod tests {
     #[test]
     fn the_commands_are_put_together_without_a_contradiction() {
         command().debug_assert();
+    }
+
+    #[test]
+    fn a_refused_value_is_followed_by_the_usage_of_its_own_command() {
+        let cases: [(&[&str], &str); 6] = [
+            (&["session", "--seed", "-1"], "session"),
+            (&["--json", "run", "--policy", "classical", "--seed", "1.5"], "run"),
+            (&["session", "--out", "-foo"], "session"),
+            (&["session", "--resume", "a", "--seed", "1"], "session"),
+            (&["run", "--json", "--bogus"], "run"),
+            (&["config", "print", "--bogus"], "config print"),
+        ];
+        for (arguments, command) in cases {
+            let arguments: Vec<OsString> =
+                ["qube-hil"].iter().chain(arguments).map(OsString::from).collect();
+            let told = parsed(&arguments).unwrap_err().to_string();
+            assert!(told.contains(&format!("Usage: qube-hil {command} ")), "{told}");
+        }
     }
 }
