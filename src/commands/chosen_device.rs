@@ -1,4 +1,3 @@
-use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -11,6 +10,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::device::{Device, HilLink, Tty};
 use crate::estimation::EstimatorSettings;
 use crate::jobs::starter::quoted;
+use crate::preflight::doctor::may_be_serial;
 use crate::qube::{MotorRating, PlantModel, Profile};
 use crate::rig::{ClockChoice, DeviceChoice, RigSettings};
 use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
@@ -169,8 +169,7 @@ impl ChosenDevice {
     /// Checks that a serial port exists, before a command says what it is going to do with it. The
     /// port is not opened, because that may restart its board.
     pub fn check_port_exists(&self) -> Result<(), Failure> {
-        let is_port =
-            |path: &str| Path::new(path).metadata().is_ok_and(|it| it.file_type().is_char_device());
+        let is_port = |path: &str| Path::new(path).metadata().is_ok_and(|it| may_be_serial(&it));
         match &self.choice {
             DeviceChoice::Port(port) if !is_port(port) => self.check_port(),
             _ => Ok(()),

@@ -568,6 +568,8 @@ fn options_that_do_not_fit_are_refused_before_anything_else_is_said() {
     for (command, arguments, words) in [
         (run, &["--device", "/dev/null", "--clock", "virtual"][..], &["/dev/null", "--clock"][..]),
         (run, &["--device", "/dev/ttyNOWHERE"], &["no such port"]),
+        (run, &["--device", "/dev/null"], &["/dev/null"]),
+        (&["session"], &["--device", "/dev/null"], &["/dev/null"]),
         (run, &["--clock", "virtual", "--volts", "2"], &["--volts", "--policy"]),
         (run, &["--clock", "virtual", "--scale", "M_p=2", "--scale", "M_p=3"], &["M_p twice"]),
         (run, &["--rollouts", "0.5"], &["--rollouts", "a whole number above 0"]),
@@ -584,7 +586,7 @@ fn options_that_do_not_fit_are_refused_before_anything_else_is_said() {
         let output = qube_hil(directory.path(), &arguments);
         has_refused(&output, 2, words);
         let told = String::from_utf8_lossy(&output.stderr);
-        for early in ["homing:", "checking", "warning:"] {
+        for early in ["homing:", "checking", "warning:", "Ctrl-C", "session with"] {
             assert!(!told.contains(early), "{early:?} is said before the refusal: {told}");
         }
     }

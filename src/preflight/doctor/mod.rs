@@ -5,6 +5,8 @@ mod ports;
 mod processor;
 mod timer;
 
+pub use ports::may_be_serial;
+
 use std::sync::atomic::AtomicBool;
 
 use serde::Serialize;

@@ -58,9 +58,10 @@ fn permission(port: &str) -> Diagnosis {
     refused(&name, &owner(&groups, metadata.gid(), &user))
 }
 
-/// Whether the file can be a serial port. The test does not open the port, because a connection
+/// Whether a file can be a serial port. The test does not open the port, because a connection
 /// restarts some boards.
-fn may_be_serial(metadata: &fs::Metadata) -> bool {
+#[must_use]
+pub fn may_be_serial(metadata: &fs::Metadata) -> bool {
     // The device number's major part 1 means memory, `/dev/null` and the like.
     metadata.file_type().is_char_device() && rustix::fs::major(metadata.rdev()) != 1
 }
