@@ -76,9 +76,13 @@ impl ChosenDevice {
 
     /// The driven Qube in words: the emulated one, or the one at a port.
     pub fn described(&self) -> String {
+        let plant = match self.plant.is_qube() {
+            true => "Qube".to_owned(),
+            false => format!("plant {}", self.plant.name),
+        };
         match self.choice.name() {
-            Some(port) => format!("the Qube at {port}"),
-            None => "the emulated Qube".to_owned(),
+            Some(port) => format!("the {plant} at {port}"),
+            None => format!("the emulated {plant}"),
         }
     }
 

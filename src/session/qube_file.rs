@@ -248,7 +248,7 @@ fn motor_rating<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MotorRatin
         return Ok(rating);
     }
     Err(D::Error::custom(format!(
-        "continuous_a = {}, time_constant_s = {} is no rating of a Qube's motor: give continuous_a of at \
+        "continuous_a = {}, time_constant_s = {} is no rating of a motor that this file may name: give continuous_a of at \
          least {}, at most {continuous_a}, and time_constant_s of at least {}, at most {time_constant_s}",
         rating.continuous_a,
         rating.time_constant_s,
