@@ -1,3 +1,9 @@
+//! Foresight: the brake, simulated in advance for many Qubes that this one may be (particles).
+//!
+//! Reading order: [`Foresight`] tells whether the brake keeps the arm of every particle away from
+//! its stops, `calm` finds the arms that stay away without further simulation, and [`Prediction`]
+//! simulates the particles beside the Qube and compares the motions.
+
 #![allow(
     clippy::needless_range_loop,
     reason = "a lane indexes many arrays at once, and plain index loops become vector code"
