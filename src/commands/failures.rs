@@ -20,7 +20,7 @@ use crate::recording::RecordingError;
 use crate::rig::RigError;
 use crate::session::{FolderError, LedgerError, RigSessions, SessionError, SessionPaths};
 
-/// What an operator does after a check of a Qube in doubt, and what the program then does.
+/// The step of the operator after a check of a Qube in doubt, and the next one of the program.
 pub const THEN_ACKNOWLEDGE: &str =
     "Then start again with --acknowledge: the Qube is examined before it is driven";
 

@@ -66,7 +66,7 @@ pub struct ControlThread {
     latched: Arc<LatchedFault>,
 }
 
-/// How the operating system schedules a control thread.
+/// The scheduling of a control thread by the operating system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheduling {
     /// The thread asks for SCHED_FIFO and locked memory.

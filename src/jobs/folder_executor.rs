@@ -27,7 +27,8 @@ const LONGEST_WAIT: Duration = Duration::from_secs(1);
 /// Time between two checks of a stop flag.
 const POLL_INTERVAL: Duration = Duration::from_millis(250);
 
-/// Time between two calls of the function that shows that a waiting caller does not hang.
+/// Time between two calls of the function by which a caller that waits for a result shows that it
+/// has not hung.
 const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
 
 /// Time between two searches for jobs whose files somebody has removed.

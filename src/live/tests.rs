@@ -327,7 +327,7 @@ fn the_page_tells_a_view_from_another_one_at_its_address() {
         stream.write_all(request.as_bytes()).unwrap();
         let text = until(&mut stream, "event: status");
         let (_, events) = text.split_once("\r\n\r\n").unwrap();
-        // It comes first, because the page drops what it has from another view.
+        // It comes first, because the page drops everything that it has from another view.
         let data = events.strip_prefix("event: server\ndata: \"").unwrap();
         data.split_once("\"\n\n").unwrap().0.to_owned()
     };

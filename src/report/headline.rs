@@ -12,7 +12,7 @@ fn methods_at_budgets(settings: &ExperimentSettings) -> Option<&MethodSettings> 
     settings.methods.as_ref().filter(|it| it.has_budgets())
 }
 
-/// The word for what the experiment compares.
+/// The word for the things that the experiment compares.
 pub fn compared(settings: &ExperimentSettings) -> &'static str {
     if methods_at_budgets(settings).is_some() { "method" } else { "recipe" }
 }

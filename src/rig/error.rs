@@ -223,8 +223,8 @@ fn listed(results: &[CheckResult]) -> String {
     results.iter().filter(|result| result.failed()).map(line).collect()
 }
 
-/// How to accept this distance between the stops, rad, if they really are that far apart; empty if
-/// nobody may accept it.
+/// The advice that says by which entry an operator accepts this distance between the stops, rad, if
+/// they really are that far apart; empty if nobody may accept it.
 fn accept_travel(travel_rad: f64) -> String {
     if !TRAVELS_RAD.contains(&travel_rad) {
         return String::new();

@@ -202,8 +202,8 @@ pub struct RolloutOutcome {
     /// braking; `None` if foresight did not end it, and in recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foreseen: Option<Foreseen>,
-    /// How the Qube contradicted its profile, if this ended the policy; `None` in recordings that
-    /// lack it.
+    /// Contradiction between the Qube and its profile that ended the policy; `None` if none did, and
+    /// in recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contradiction: Option<Contradiction>,
     /// Largest load of the motor, 1 at its continuous rating; `None` in recordings that lack it.

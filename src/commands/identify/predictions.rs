@@ -12,7 +12,7 @@ use crate::replay::MotionLog;
 /// which the start state is estimated.
 const HORIZONS_S: [f64; 3] = [0.01, 0.5, 9.8];
 
-/// What the fitted model predicts of all recordings, fitted and held out.
+/// The predictions of the fitted model for all recordings, fitted and held out.
 #[derive(Debug)]
 pub struct Predictions {
     /// Model of each fitted recording: with the cable's rest angle of that recording.

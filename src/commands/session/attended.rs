@@ -69,7 +69,7 @@ pub fn is_refused(session: &Session, ended: &Result<(), Failure>) -> bool {
     ended.as_ref().is_err_and(Failure::is_usage) && !session.has_decided()
 }
 
-/// What a session has reached.
+/// The results of a session.
 pub struct SessionResults {
     /// The table, and the path of the report.
     pub text: String,

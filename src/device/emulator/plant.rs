@@ -73,9 +73,9 @@ pub struct EmulatedPlant {
 }
 
 impl EmulatedPlant {
-    /// A Qube in the initial state of the settings; without one it is at rest, the pendulum hangs,
-    /// and the seed determines the arm's angle. The seed also determines the counters' start
-    /// values.
+    /// A Qube in the initial state of the settings. If they name none, the Qube is at rest with a
+    /// hanging pendulum, and the seed determines the arm's angle. The seed also determines the
+    /// counters' start values.
     #[must_use]
     pub fn new(settings: &EmulatorSettings) -> Self {
         let EmulatorSettings {

@@ -18,7 +18,7 @@ pub(super) fn governor() -> Diagnosis {
     diagnosis(&governors(Path::new(PROCESSORS)))
 }
 
-/// Judges the longest prediction of the guard on this processor, us.
+/// The diagnosis of the time that the longest prediction of the guard takes on this processor, us.
 pub(super) fn foresight(longest_us: f64) -> Diagnosis {
     let value =
         format!("the guard's longest prediction takes {longest_us:.0} us of a tick's 10 ms");

@@ -21,8 +21,8 @@ pub enum Draws {
     Points = 2,
 }
 
-/// A generator of random numbers for a purpose. Their stream is far from those that a training or
-/// an optimiser takes by the same seed.
+/// A generator of random numbers for a purpose. It uses another stream than a training or an
+/// optimiser with the same seed.
 pub fn random(seed: u64, purpose: Draws) -> ChaCha8Rng {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(u64::MAX - purpose as u64);

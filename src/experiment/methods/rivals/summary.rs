@@ -51,8 +51,8 @@ fn add(sums: &mut [f64; 3], value: f64, voltage_v: f64) {
     sums[2] += value * voltage_v;
 }
 
-/// The first `length` features of several motions: the means of the motions' statistics, where the
-/// square root of a mean variance stands in its place.
+/// The first `length` features of several motions: the means of the motions' statistics. A feature
+/// that is a variance is given by the square root of its mean.
 pub fn features(statistics: &[Vec<f64>], length: usize) -> DVector<f64> {
     let count = statistics.len().max(1) as f64;
     DVector::from_fn(length, |entry, _| {
