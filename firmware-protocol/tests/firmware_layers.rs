@@ -107,8 +107,8 @@ fn the_firmware_does_what_the_golden_file_says() {
 /// Tests the emergency-stop switch by lists of events. A question says whether the switch is fitted
 /// (1 or 0) and lists events: a millisecond with closed (`c`) or open (`o`) contact, a Hello (`h`),
 /// an Arm (`a`). In the answers, a number is the state after an event (1 Greeted, 2 Armed, 4
-/// Faulted), `!` means that the switch is latched as open, `r` is an Arm that is refused for it, `?`
-/// a board that knows of no emergency-stop switch.
+/// Faulted), `!` means that the switch is latched as open, `r` is an Arm that is refused for it,
+/// `?` a board that knows of no emergency-stop switch.
 #[test]
 fn the_firmware_latches_the_emergency_stop_until_hello() {
     let closed = "c".repeat(101);

@@ -226,9 +226,9 @@ impl Device {
         Ok((observed, reward, left, whole, slot.late, Some((ending.to_string(), return_))))
     }
 
-    /// Brakes the arm and ends the running episode, if there is one. An episode that ends by a fault
-    /// or another error raises it. While a call of another thread is under way, and in a forked
-    /// process, it does nothing.
+    /// Brakes the arm and ends the running episode, if there is one. An episode that ends by a
+    /// fault or another error raises it. While a call of another thread is under way, and in a
+    /// forked process, it does nothing.
     fn halt(&self, py: Python<'_>) -> PyResult<()> {
         if self.is_forked() {
             return Ok(());
@@ -319,8 +319,8 @@ impl Device {
         Some(Turn::begin(state, &self.caller))
     }
 
-    /// Brakes the arm and ends the running episode, if there is one. An episode that ends by a fault
-    /// is an error.
+    /// Brakes the arm and ends the running episode, if there is one. An episode that ends by a
+    /// fault is an error.
     fn brake(&self, py: Python<'_>, state: &mut State) -> PyResult<()> {
         match self.end_episode(py, state)? {
             Some(Ending::Fault(fault)) => Err(ended_by(fault)),

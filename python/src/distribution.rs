@@ -86,8 +86,8 @@ pub struct Qubes {
     pub origin: String,
 }
 
-/// Reads the distribution of the arguments `model` or `profile`, with some quantities' distributions
-/// replaced by those in JSON. Without a model and a profile the Qubes are nominal.
+/// Reads the distribution of the arguments `model` or `profile`, with some quantities'
+/// distributions replaced by those in JSON. Without a model and a profile the Qubes are nominal.
 pub fn read_qubes(
     model: Option<&str>,
     profile: Option<&Around>,

@@ -158,8 +158,8 @@ impl Policy {
     }
 
     /// Writes the policy file, which appears whole or not at all. Only `force` replaces an existing
-    /// file, and nothing replaces a folder, a pipe, a device, a recording, or the record of a session
-    /// or an experiment.
+    /// file, and nothing replaces a folder, a pipe, a device, a recording, or the record of a
+    /// session or an experiment.
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<()> {
         let shown = path.display();
         let is_taken =

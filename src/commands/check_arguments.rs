@@ -12,8 +12,8 @@ pub struct CheckArguments {
     #[arg(long)]
     pub skip_check: bool,
 
-    /// Confirm that you have looked at the Qube after a fault that left its sensors or motor in doubt: it
-    /// is examined and then driven again
+    /// Confirm that you have looked at the Qube after a fault that left its sensors or motor in
+    /// doubt: it is examined and then driven again
     #[arg(long)]
     pub acknowledge: bool,
 

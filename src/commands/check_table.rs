@@ -59,8 +59,9 @@ pub fn table(rows: &[Row]) -> String {
     text
 }
 
-/// Appends a paragraph after a head and breaks it into lines of at most [`COLUMNS`] characters, with
-/// every line after the first indented. Words are never cut, so a longer word makes a longer line.
+/// Appends a paragraph after a head and breaks it into lines of at most [`COLUMNS`] characters,
+/// with every line after the first indented. Words are never cut, so a longer word makes a longer
+/// line.
 fn push_wrapped(text: &mut String, head: &str, paragraph: &str, indent: usize) {
     let mut line = head.to_owned();
     let mut is_empty = true;

@@ -59,8 +59,8 @@ pub fn recording(error: &RecordingError) -> String {
     format!("{error}{by}")
 }
 
-/// The reason why a box or a plant is refused for hardware, with the options that allow it, if there
-/// are any.
+/// The reason why a box or a plant is refused for hardware, with the options that allow it, if
+/// there are any.
 pub fn too_wide(error: &HardwareRefusal) -> String {
     match error {
         HardwareRefusal::GuardOff => {
@@ -90,16 +90,16 @@ fn unidentified(rig: &RigSettings, guard: Guard) -> Option<String> {
     Some(format!("{warning}: qube-hil run --excite chirp --device PORT, then qube-hil identify"))
 }
 
-/// The drift of a rig from its profile. If the rig has drifted, the commands that make a new profile
-/// follow.
+/// The drift of a rig from its profile. If the rig has drifted, the commands that make a new
+/// profile follow.
 pub fn drift(drift: &Drift) -> String {
     let made_by = if drift.has_moved() { " with run --excite and identify" } else { "" };
     format!("{drift}{made_by}")
 }
 
 /// The warning before the program drives a real Qube whose motor may keep its voltage when the
-/// board loses power; `None` if the motor is known to go off. If its reaction is unknown, the warning
-/// names the command that finds it out.
+/// board loses power; `None` if the motor is known to go off. If its reaction is unknown, the
+/// warning names the command that finds it out.
 pub fn before_driving(power: Option<&PowerTest>) -> Option<&'static str> {
     Some(match power_warning(power)? {
         PowerWarning::KeepsVoltage => {

@@ -12,9 +12,10 @@ use crate::session::{IdentificationSettings, SessionSettings};
 
 /// Explain the settings of a session, or check a file of them
 ///
-/// `print` writes every setting with its default, unit, accepted values and meaning, as a file for `session --config`.
-/// A line that begins with # and no space is a setting that is absent by default. `check` reads files as `session
-/// --config` does: an error names line and key; for a valid file, the settings that it changes are listed.
+/// `print` writes every setting with its default, unit, accepted values and meaning, as a file for
+/// `session --config`. A line that begins with # and no space is a setting that is absent by
+/// default. `check` reads files as `session --config` does: an error names line and key; for a
+/// valid file, the settings that it changes are listed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil config print > mine.toml          # every setting, to edit\n  \

@@ -245,8 +245,8 @@ pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     written.map_err(|error| failures::not_written(folder, &error))
 }
 
-/// The warning that a trial file stays in a folder because of this error; `None` without such a file,
-/// which a read-only disk never had.
+/// The warning that a trial file stays in a folder because of this error; `None` without such a
+/// file, which a read-only disk never had.
 fn trial_left(folder: &Path, trial: &Path, error: &io::Error) -> Option<String> {
     trial.symlink_metadata().is_ok().then(|| {
         let (folder, trial) = (folder.display(), trial.display());

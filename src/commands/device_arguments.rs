@@ -44,8 +44,8 @@ pub struct DrivenPlantArguments {
     #[command(flatten)]
     plant: PlantArgument,
 
-    /// Drive hardware as a --plant that differs from a Qube in more than smaller limits or a lower motor rating:
-    /// guard and homing then rely on the values in its file
+    /// Drive hardware as a --plant that differs from a Qube in more than smaller limits or a lower
+    /// motor rating: guard and homing then rely on the values in its file
     #[arg(long)]
     accept_plant: bool,
 }
@@ -54,13 +54,14 @@ pub struct DrivenPlantArguments {
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Qube")]
 pub struct QubeArguments {
-    /// `emulated`, the serial port of a Qube's board, or `hil:CARD@ID` for a Qube with the USB panel through the
-    /// vendor's library (`hil`: qube_servo2_usb@0) [default: the port in --qube, else emulated]
+    /// `emulated`, the serial port of a Qube's board, or `hil:CARD@ID` for a Qube with the USB
+    /// panel through the vendor's library (`hil`: qube_servo2_usb@0) [default: the port in --qube,
+    /// else emulated]
     #[arg(long, value_name = "emulated|PORT|hil:CARD@ID")]
     device: Option<String>,
 
-    /// File with this Qube's properties (signs, port, limits), as `check --write` writes it [default if
-    /// --device names a real Qube: qube.toml, if it exists]
+    /// File with this Qube's properties (signs, port, limits), as `check --write` writes it
+    /// [default if --device names a real Qube: qube.toml, if it exists]
     #[arg(long, value_name = "FILE")]
     qube: Option<PathBuf>,
 
@@ -72,13 +73,13 @@ pub struct QubeArguments {
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[command(next_help_heading = "Qube")]
 pub struct TreatmentArguments {
-    /// How the arm's middle is found: between its stops, or where the operator put it by hand [default: as
-    /// the --qube file says, else stops]
+    /// How the arm's middle is found: between its stops, or where the operator put it by hand
+    /// [default: as the --qube file says, else stops]
     #[arg(long, value_enum)]
     home: Option<HomeArgument>,
 
-    /// Guard the emulated Qube like one that is not identified [default: it counts as identified, known
-    /// as well as `lab`]
+    /// Guard the emulated Qube like one that is not identified [default: it counts as identified,
+    /// known as well as `lab`]
     #[arg(long, conflicts_with = "qube")]
     unidentified: bool,
 }
@@ -153,7 +154,8 @@ impl QubeArguments {
     /// other plant that is driven in its place. An emulated Qube is put into virtual time.
     ///
     /// The file `qube.toml` in the working directory counts only if `--device` names a real Qube:
-    /// without `--device` and `--qube` nothing but the emulated Qube moves, even if that file exists.
+    /// without `--device` and `--qube` nothing but the emulated Qube moves, even if that file
+    /// exists.
     pub fn choose(&self, driven: &DrivenPlantArguments) -> Result<ChosenDevice, Failure> {
         let chosen = self.selected(driven)?;
         self.announce(&chosen);
@@ -243,8 +245,8 @@ impl QubeArguments {
     }
 }
 
-/// Refuses a profile that was fitted to recordings of other boards than that of the file which names
-/// the profile, instead of driving the Qube as one that is not identified.
+/// Refuses a profile that was fitted to recordings of other boards than that of the file which
+/// names the profile, instead of driving the Qube as one that is not identified.
 fn check_boards(path: &Path, file: &QubeFile, profile: &Profile) -> Result<(), Failure> {
     let Some(board) = file.board.as_ref().filter(|board| !profile.may_be_of_board(board)) else {
         return Ok(());

@@ -7,10 +7,11 @@ use super::printable::print_message;
 use super::stop::Stop;
 use crate::preflight::doctor::{Diagnosis, Suitability, diagnose};
 
-/// Check this computer: real-time rights, ports, FTDI timers, the vendor's library, and timing accuracy
+/// Check this computer: real-time rights, ports, FTDI timers, the vendor's library, and timing
+/// accuracy
 ///
-/// Nothing is changed and nothing moves. Exit code 0 when all is well or there is only advice, 1 when
-/// something must be fixed first.
+/// Nothing is changed and nothing moves. Exit code 0 when all is well or there is only advice, 1
+/// when something must be fixed first.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil doctor\n  \
@@ -20,7 +21,8 @@ pub struct Arguments {
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=3600))]
     seconds: u32,
 
-    /// Port to check, or hil:CARD@ID for a Qube with the USB panel; may be repeated [default: all USB serial ports]
+    /// Port to check, or hil:CARD@ID for a Qube with the USB panel; may be repeated [default: all
+    /// USB serial ports]
     #[arg(long, value_name = "PORT")]
     device: Vec<String>,
 }

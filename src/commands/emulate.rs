@@ -14,10 +14,10 @@ use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Usb
 
 /// Serve an emulated Qube on a pseudo-terminal (pty) that any program can open like a serial port
 ///
-/// The emulated Qube has the nominal parameters unless --profile says otherwise, quantised encoders that start at
-/// unknown counts, hard stops, and the latched watchdog of the real firmware. The command prints the path of the
-/// pty. It runs until Ctrl-C or SIGTERM stops it, or until a fault such as unplug takes the pty away; these are its
-/// regular ends, with exit code 0.
+/// The emulated Qube has the nominal parameters unless --profile says otherwise, quantised encoders
+/// that start at unknown counts, hard stops, and the latched watchdog of the real firmware. The
+/// command prints the path of the pty. It runs until Ctrl-C or SIGTERM stops it, or until a fault
+/// such as unplug takes the pty away; these are its regular ends, with exit code 0.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil emulate --link /tmp/qube &\n  \
@@ -25,13 +25,13 @@ use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Usb
     qube-hil emulate --profile lab --gap 1.5 # 1.5 times as far from the nominal Qube as a real one\n  \
     qube-hil emulate --fault silent@10       # stops answering after 10 s")]
 pub struct Arguments {
-    /// Path of a symbolic link to the pty, for a name that is known in advance; a file or link that exists is refused,
-    /// unless a killed `emulate` left it
+    /// Path of a symbolic link to the pty, for a name that is known in advance; a file or link that
+    /// exists is refused, unless a killed `emulate` left it
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
 
-    /// Seed of the arm's start angle, the counters' start values and the jitter of the delay; it is also the
-    /// board's serial number
+    /// Seed of the arm's start angle, the counters' start values and the jitter of the delay; it is
+    /// also the board's serial number
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
@@ -45,12 +45,13 @@ pub struct Arguments {
     #[arg(long, value_name = "theta,alpha,motor", value_delimiter = ',')]
     inverted: Vec<Wire>,
 
-    /// Bridge between the board and the computer: `16u2`, the second microcontroller of a genuine Uno or
-    /// Mega, or `slow`, which is too slow for control [default: none, a plain serial line]
+    /// Bridge between the board and the computer: `16u2`, the second microcontroller of a genuine
+    /// Uno or Mega, or `slow`, which is too slow for control [default: none, a plain serial line]
     #[arg(long, value_name = "16u2|slow")]
     bridge: Option<UsbBridge>,
 
-    /// Fault of the emulated Qube, at most one, such as silent@10 (no answer from 10 s on); --help lists all faults
+    /// Fault of the emulated Qube, at most one, such as silent@10 (no answer from 10 s on); --help
+    /// lists all faults
     #[arg(long, value_name = "FAULT", long_help = fault_help())]
     fault: Option<EmulatorFault>,
 }

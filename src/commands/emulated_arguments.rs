@@ -16,13 +16,13 @@ use crate::session::{EmulatedQubeSettings, QUBE_FILE};
 #[command(next_help_heading = "The emulated Qube")]
 pub struct EmulatedArguments {
     /// `ideal` (the thesis's equations), `lab` (a real Qube, from published recordings), or a file
-    /// that `identify` wrote [default: ideal; lab for a `session`, unless it has --preset thesis or --config names
-    /// another]
+    /// that `identify` wrote [default: ideal; lab for a `session`, unless it has --preset thesis or
+    /// --config names another]
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<PathBuf>,
 
-    /// Distance from the nominal Qube, as a multiple of the profile's: 0 is nominal, 2 is twice as far as
-    /// the profile [default: 1]
+    /// Distance from the nominal Qube, as a multiple of the profile's: 0 is nominal, 2 is twice as
+    /// far as the profile [default: 1]
     #[arg(long, value_name = "FACTOR", value_parser = factor)]
     gap: Option<f64>,
 
@@ -34,23 +34,24 @@ pub struct EmulatedArguments {
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     jitter_ms: Option<f64>,
 
-    /// Drift of the cable's rest angle while the Qube is on, rad/min; needs a profile with a cable, such as `lab`
-    /// [default: the profile's cable_drift_rad_per_min, mostly 0]
+    /// Drift of the cable's rest angle while the Qube is on, rad/min; needs a profile with a cable,
+    /// such as `lab` [default: the profile's cable_drift_rad_per_min, mostly 0]
     #[arg(long, value_name = "RAD/MIN", value_parser = drift, allow_negative_numbers = true)]
     cable_drift: Option<f64>,
 
-    /// Backlash between motor and arm, degrees: the angle in which one turns without the other; the encoder is
-    /// on the arm's side [default: 0]
+    /// Backlash between motor and arm, degrees: the angle in which one turns without the other; the
+    /// encoder is on the arm's side [default: 0]
     #[arg(long, value_name = "DEGREES", value_parser = play)]
     play_deg: Option<f64>,
 
-    /// Effect that the simulations of training and identification lack: presliding_rad, stribeck, hysteresis_n_m,
-    /// slack, warming_per_w or eccentricity_rad (docs/hardware.md), for instance presliding_rad=0.02; may be repeated
+    /// Effect that the simulations of training and identification lack: presliding_rad, stribeck,
+    /// hysteresis_n_m, slack, warming_per_w or eccentricity_rad (docs/hardware.md), for instance
+    /// presliding_rad=0.02; may be repeated
     #[arg(long, value_name = "NAME=VALUE", value_parser = effect)]
     effect: Vec<(String, f64)>,
 
-    /// Multiply a parameter (R_m, k_m, D_r, D_p, M_r, M_p, L_r, L_p or g) by 0.1 to 10, for instance M_p=1.1;
-    /// may be repeated
+    /// Multiply a parameter (R_m, k_m, D_r, D_p, M_r, M_p, L_r, L_p or g) by 0.1 to 10, for
+    /// instance M_p=1.1; may be repeated
     #[arg(long, value_name = "NAME=FACTOR", value_parser = scaling)]
     scale: Vec<(DomainParameter, f64)>,
 }
@@ -73,8 +74,8 @@ pub struct PlantEntry {
     #[serde(default)]
     scale: BTreeMap<String, f64>,
     #[serde(default)]
-    /// Relative half width of the range from which each policy's own Qube is drawn, 0 to 0.5; 0 gives
-    /// all policies the same Qube.
+    /// Relative half width of the range from which each policy's own Qube is drawn, 0 to 0.5; 0
+    /// gives all policies the same Qube.
     pub vary: f64,
 }
 

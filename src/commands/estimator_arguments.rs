@@ -21,8 +21,8 @@ pub enum Sensors {
 #[derive(Clone, Debug, Default, clap::Args)]
 #[command(next_help_heading = "What the policy sees")]
 pub struct EstimatorArguments {
-    /// Estimator: `filter` for the velocities, or `observer` for the whole state from a model, the voltages
-    /// sent and the delay [default: filter]
+    /// Estimator: `filter` for the velocities, or `observer` for the whole state from a model, the
+    /// voltages sent and the delay [default: filter]
     #[arg(long, value_enum)]
     estimator: Option<EstimatorArgument>,
 
@@ -35,8 +35,8 @@ pub struct EstimatorArguments {
     #[arg(long, value_name = "ideal|lab|FILE")]
     estimator_profile: Option<PathBuf>,
 
-    /// Delay that the observer predicts over, ms: from a sample until the voltage that answers it acts at the
-    /// motor [default: the delay in --estimator-profile]
+    /// Delay that the observer predicts over, ms: from a sample until the voltage that answers it
+    /// acts at the motor [default: the delay in --estimator-profile]
     #[arg(long, value_name = "MS", value_parser = milliseconds)]
     estimator_delay_ms: Option<f64>,
 }

@@ -27,10 +27,10 @@ const STALE_S: f64 = 60.0;
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Where policies are trained")]
 pub struct ExecutorArguments {
-    /// Where policies are trained: `local` on this computer; `slurm` by job arrays of Slurm; `folder` by workers that
-    /// you start by hand; any other text is a command that starts workers, in which {work} stands for a worker's
-    /// command, {workers} for their number and {folder} for the folder of jobs. The policies are the same
-    /// wherever they are trained
+    /// Where policies are trained: `local` on this computer; `slurm` by job arrays of Slurm;
+    /// `folder` by workers that you start by hand; any other text is a command that starts workers,
+    /// in which {work} stands for a worker's command, {workers} for their number and {folder} for
+    /// the folder of jobs. The policies are the same wherever they are trained
     #[arg(long, value_name = "local|slurm|folder|COMMAND", default_value = "local")]
     executor: ExecutorChoice,
 
@@ -38,7 +38,8 @@ pub struct ExecutorArguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     workers: Option<u32>,
 
-    /// Folder of jobs, on a file system that all computers share [default: jobs/ in the folder of results]
+    /// Folder of jobs, on a file system that all computers share [default: jobs/ in the folder of
+    /// results]
     #[arg(long, value_name = "DIR")]
     jobs: Option<PathBuf>,
 
@@ -54,7 +55,8 @@ pub struct ExecutorArguments {
     #[arg(long, value_name = "S", value_parser = stale_seconds)]
     stale: Option<f64>,
 
-    /// At Ctrl-C leave the workers running and their trainings in the folder; --resume finds them again
+    /// At Ctrl-C leave the workers running and their trainings in the folder; --resume finds them
+    /// again
     #[arg(long)]
     leave_workers: bool,
 

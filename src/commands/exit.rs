@@ -32,8 +32,8 @@ impl Failure {
         Self { code: 3, message: message.to_string(), fault: None }
     }
 
-    /// A failure with exit code 4: stopped by a latched safety fault. [`caused_by`](Self::caused_by)
-    /// adds the fault.
+    /// A failure with exit code 4: stopped by a latched safety fault.
+    /// [`caused_by`](Self::caused_by) adds the fault.
     pub fn fault(message: impl ToString) -> Self {
         Self { code: 4, message: message.to_string(), fault: None }
     }
@@ -45,8 +45,8 @@ impl Failure {
     }
 
     /// The failure of work that consists of several named parts, some of which failed; `None` if
-    /// none failed. The exit code is that of the gravest part: a fault, after which the motor may be
-    /// on, comes before a stop by a signal, and a stop before all other failures, of which the
+    /// none failed. The exit code is that of the gravest part: a fault, after which the motor may
+    /// be on, comes before a stop by a signal, and a stop before all other failures, of which the
     /// largest code counts. The fault is the first part's that has one.
     pub fn of_parts(parts: &[(String, Self)]) -> Option<Self> {
         let gravity = |code: &u8| (*code == 4, *code);
@@ -57,8 +57,8 @@ impl Failure {
         Some(Self { code, message: causes.join("\n"), fault })
     }
 
-    /// Sets the fault that caused the failure, and adds the command that helps after it, if there is
-    /// one.
+    /// Sets the fault that caused the failure, and adds the command that helps after it, if there
+    /// is one.
     pub fn caused_by(self, fault: Option<Fault>) -> Self {
         let failure = Self { fault, ..self };
         match fault.and_then(after_fault) {
@@ -93,8 +93,8 @@ impl Failure {
         self.code == 2
     }
 
-    /// The failure as JSON for scripts: exit code, cause, and of a fault its operator's step and its
-    /// consequence.
+    /// The failure as JSON for scripts: exit code, cause, and of a fault its operator's step and
+    /// its consequence.
     pub fn ended_by(&self) -> Value {
         json!({
             "exit_code": self.code,

@@ -46,17 +46,17 @@ use crate::simulation::Model;
 
 /// Compare recipes: train several policies with each, run them all on the Qube, print the table
 ///
-/// A recipe is a model of the thesis (its table 5.3) or a file of your own. For optimised models a session
-/// searches for psi first. On the emulated Qube all work runs in virtual time and on all processors.
-/// --resume continues an interrupted experiment without losing or repeating finished work; for a finished
-/// experiment it prints the table again. --strategies compares methods instead, by the real rollouts they
-/// need. A policy succeeds when its mean return is at least 400 (of at most 600) and at least 4 of 5 of its
-/// rollouts balance to the end.
+/// A recipe is a model of the thesis (its table 5.3) or a file of your own. For optimised models a
+/// session searches for psi first. On the emulated Qube all work runs in virtual time and on all
+/// processors. --resume continues an interrupted experiment without losing or repeating finished
+/// work; for a finished experiment it prints the table again. --strategies compares methods
+/// instead, by the real rollouts they need. A policy succeeds when its mean return is at least 400
+/// (of at most 600) and at least 4 of 5 of its rollouts balance to the end.
 ///
-/// Without other flags everything but the training budget is as published: true states in training, the plain
-/// box (foresight on a real Qube), a velocity filter of 50 rad/s on the Qube. --preset thesis has the published
-/// budget, too. --preset robust trains with the Qube's sensors, guards by foresight, and uses a filter of
-/// 200 rad/s.
+/// Without other flags everything but the training budget is as published: true states in training,
+/// the plain box (foresight on a real Qube), a velocity filter of 50 rad/s on the Qube. --preset
+/// thesis has the published budget, too. --preset robust trains with the Qube's sensors, guards by
+/// foresight, and uses a filter of 200 rad/s.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("filter", |it| {
     it.help("Corner of the velocity filter, rad/s [default: 50 as published; with --preset robust 200]")
@@ -74,8 +74,8 @@ use crate::simulation::Model;
     [settings.estimator]       # entries that differ from the flags, as in session.toml\n  \
     corner_rad_s = 20.0")]
 pub struct Arguments {
-    /// Models, separated by commas [default: the thesis's five; with --strategies opt-nominal; with --recipe
-    /// none]
+    /// Models, separated by commas [default: the thesis's five; with --strategies opt-nominal; with
+    /// --recipe none]
     #[arg(
         long,
         value_name = "NAMES",
@@ -93,8 +93,8 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = FamilyArgument::Normal, conflicts_with = "resume")]
     family: FamilyArgument,
 
-    /// Policies of each recipe, or policies that score each recommendation [default: 20, with --strategies
-    /// 10, with --budgets always 1]
+    /// Policies of each recipe, or policies that score each recommendation [default: 20, with
+    /// --strategies 10, with --budgets always 1]
     #[arg(long, conflicts_with = "resume")]
     policies: Option<u32>,
 
@@ -112,16 +112,16 @@ pub struct Arguments {
     )]
     preset: Preset,
 
-    /// Guard of rollouts [default: the box, as published; foresight on a real Qube and with --preset robust;
-    /// the experiment's guards with --resume]
+    /// Guard of rollouts [default: the box, as published; foresight on a real Qube and with
+    /// --preset robust; the experiment's guards with --resume]
     #[arg(long, value_parser = guard_parser())]
     guard: Option<GuardArgument>,
 
     #[command(flatten)]
     consent: ConsentArgument,
 
-    /// Sensors of the simulations: true states, or encoders with the estimator that runs on the Qube
-    /// [default: true states; with --preset robust encoders]
+    /// Sensors of the simulations: true states, or encoders with the estimator that runs on the
+    /// Qube [default: true states; with --preset robust encoders]
     #[arg(long, value_enum, conflicts_with = "resume")]
     sensors: Option<Sensors>,
 
@@ -145,8 +145,8 @@ pub struct Arguments {
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
 
-    /// At the end also write a CSV file with a line for each policy on each plant, or for each recommendation; without
-    /// --force it replaces only such a file
+    /// At the end also write a CSV file with a line for each policy on each plant, or for each
+    /// recommendation; without --force it replaces only such a file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 
@@ -154,8 +154,9 @@ pub struct Arguments {
     #[arg(long, requires = "csv")]
     force: bool,
 
-    /// At the end also draw figures into this folder: the thesis's 5.2 (distributions) and 5.3 (training progress) and
-    /// the searches; with --strategies the success of each over its real rollouts
+    /// At the end also draw figures into this folder: the thesis's 5.2 (distributions) and 5.3
+    /// (training progress) and the searches; with --strategies the success of each over its real
+    /// rollouts
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
 
@@ -261,7 +262,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     };
     let report = match ExperimentReport::read(&experiment) {
         Ok(report) => report,
-        // The reason why the experiment ended matters more than the reason why its results cannot be read.
+        // The reason why the experiment ended matters more than the reason why its results cannot
+        // be read.
         Err(error) => return Err(ended.err().unwrap_or_else(|| failed(error))),
     };
     let (text, mut result) = results(&report, &experiment);

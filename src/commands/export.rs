@@ -18,10 +18,11 @@ use crate::storage::Existing;
 
 /// Write recordings as tables (CSV or Parquet), or policies as ONNX models
 ///
-/// A table has one row for each tick, in numbers that read back exactly; docs/reference/files.md lists the columns. The
-/// estimated state and the voltage have the column names that `identify` and `replay --simulate` read. Exit code 3 when a
-/// recording was truncated: the table then has its intact ticks. A model has the network from the observation to the
-/// voltage, and its metadata describe the computations before and after the network; `import` gives the same policy again.
+/// A table has one row for each tick, in numbers that read back exactly; docs/reference/files.md
+/// lists the columns. The estimated state and the voltage have the column names that `identify` and
+/// `replay --simulate` read. Exit code 3 when a recording was truncated: the table then has its
+/// intact ticks. A model has the network from the observation to the voltage, and its metadata
+/// describe the computations before and after the network; `import` gives the same policy again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil export logs/monday/candidates/002/*.mcap --out tables\n  \

@@ -1,5 +1,5 @@
-//! Maps each error of the library to a failure with its exit code, and to advice that names commands
-//! and options.
+//! Maps each error of the library to a failure with its exit code, and to advice that names
+//! commands and options.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Write};
@@ -84,9 +84,9 @@ pub fn virtual_port(error: &RigError) -> Failure {
     Failure::usage(format!("{error}: leave --clock virtual or the port out"))
 }
 
-/// Writes the ticks of the last second before a fault or a lost link ended homing to a file, one tick a
-/// line, because homing has no recording. Returns a sentence for the error message: the path of the
-/// file, or why it could not be written. Empty for other errors and without ticks.
+/// Writes the ticks of the last second before a fault or a lost link ended homing to a file, one
+/// tick a line, because homing has no recording. Returns a sentence for the error message: the path
+/// of the file, or why it could not be written. Empty for other errors and without ticks.
 pub fn with_last_ticks(error: &RigError) -> String {
     let last_ticks = match error {
         RigError::Homing { last_ticks, .. } | RigError::LinkLost { last_ticks, .. } => last_ticks,
@@ -118,8 +118,8 @@ pub fn recording(error: &RecordingError) -> Failure {
     }
 }
 
-/// The failure for an error of a recording that a session made; `resume` is the command that repeats the
-/// rollout and continues the session.
+/// The failure for an error of a recording that a session made; `resume` is the command that
+/// repeats the rollout and continues the session.
 fn recording_of_session(error: &RecordingError, resume: &str) -> Failure {
     match error {
         RecordingError::DiskFull { path } => Failure::failed(format!(
@@ -133,8 +133,8 @@ fn recording_of_session(error: &RecordingError, resume: &str) -> Failure {
     }
 }
 
-/// The failure of a command that has shown as much as a recording holds; `loss` says what is missing
-/// in it.
+/// The failure of a command that has shown as much as a recording holds; `loss` says what is
+/// missing in it.
 pub fn incomplete(file: &Path, loss: &str) -> Failure {
     Failure::data_lost(one_line(&format!("{}: the recording {loss}", file.display())))
 }
@@ -207,8 +207,8 @@ fn is_bad_place(error: &io::Error) -> bool {
     )
 }
 
-/// The failure for an error of a session; `resume` is the command that continues the session. A stop
-/// does not hide a fault.
+/// The failure for an error of a session; `resume` is the command that continues the session. A
+/// stop does not hide a fault.
 pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     // The stop may be the cause of the error, but of no fault.
     let is_stopped = stop.requested() && !matches!(error, SessionError::Stopped);
@@ -299,7 +299,8 @@ pub fn job_folder(error: &JobFolderError, stop: &Stop) -> Failure {
     }
 }
 
-/// The failure for an error of an experiment; `resume` is the command that continues the experiment.
+/// The failure for an error of an experiment; `resume` is the command that continues the
+/// experiment.
 pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure {
     match error {
         _ if error.is_stop() => stop.failure(format!("stopped; continue with {resume}")),

@@ -10,8 +10,8 @@ use crate::safety::{Guard, GuardConsent};
 pub enum GuardArgument {
     /// The thesis's safety box only, to compare with published figures
     Box,
-    /// Foresight in addition: before each voltage is sent, the brake is simulated for many Qubes that this
-    /// one may be, and the arm is braked before a brake would come too late
+    /// Foresight in addition: before each voltage is sent, the brake is simulated for many Qubes
+    /// that this one may be, and the arm is braked before a brake would come too late
     Foresight,
 }
 
@@ -33,7 +33,8 @@ impl From<GuardArgument> for Guard {
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[command(next_help_heading = "Qube")]
 pub struct ConsentArgument {
-    /// With --guard box on a real Qube: accept that the arm may reach its hard stop; the recordings note it
+    /// With --guard box on a real Qube: accept that the arm may reach its hard stop; the recordings
+    /// note it
     #[arg(long)]
     accept_hard_stop: bool,
 }

@@ -18,10 +18,10 @@ use crate::storage::{Existing, read_bounded};
 
 /// Import a policy from an ONNX file of another program, or from a file that `export --onnx` wrote
 ///
-/// The network is a multilayer perceptron with one output: Gemm or MatMul and Add, Tanh, Relu, Elu or Silu, and at
-/// the end Tanh or nothing. A normalisation and a Clip before the first layer, and a factor and a Clip after the last,
-/// become a part of the policy. Any other operator is refused, by its name. A file that `export --onnx` wrote
-/// names its conventions and needs no option.
+/// The network is a multilayer perceptron with one output: Gemm or MatMul and Add, Tanh, Relu, Elu
+/// or Silu, and at the end Tanh or nothing. A normalisation and a Clip before the first layer, and
+/// a factor and a Clip after the last, become a part of the policy. Any other operator is refused,
+/// by its name. A file that `export --onnx` wrote names its conventions and needs no option.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil import model.onnx --action-scale 5 --out mine.safetensors\n  \
@@ -34,14 +34,15 @@ pub struct Arguments {
     #[arg(value_name = "FILE")]
     file: PathBuf,
 
-    /// Voltage for an output of 1, V; a negative value reverses the sign. Required, except for a file that `export --onnx`
-    /// wrote
+    /// Voltage for an output of 1, V; a negative value reverses the sign. Required, except for a
+    /// file that `export --onnx` wrote
     #[arg(long, value_name = "V", value_parser = scale)]
     action_scale: Option<f64>,
 
-    /// Entries of the observation in the network's order, each with or without a factor (0.1*theta_dot): sin_theta,
-    /// cos_theta, sin_alpha, cos_alpha, theta_dot, alpha_dot (rad/s), command_1 to command_4 (the newest first, as
-    /// fractions of 5 V). alpha is 0 where the pendulum hangs [default: this program's own observation]
+    /// Entries of the observation in the network's order, each with or without a factor
+    /// (0.1*theta_dot): sin_theta, cos_theta, sin_alpha, cos_alpha, theta_dot, alpha_dot (rad/s),
+    /// command_1 to command_4 (the newest first, as fractions of 5 V). alpha is 0 where the
+    /// pendulum hangs [default: this program's own observation]
     #[arg(long, value_name = "NAMES", value_parser = ObservationLayout::parse, conflicts_with = "history", requires = "action_scale")]
     observation: Option<ObservationLayout>,
 
@@ -54,13 +55,13 @@ pub struct Arguments {
     )]
     history: Option<u8>,
 
-    /// Corner of the velocity filter with which the policy was trained, rad/s; it goes into the policy's record
-    /// [default: 200]
+    /// Corner of the velocity filter with which the policy was trained, rad/s; it goes into the
+    /// policy's record [default: 200]
     #[arg(long, value_name = "RAD/S", value_parser = corner, requires = "action_scale")]
     filter: Option<f64>,
 
-    /// Clip each entry of the observation, as the network sees it, between -LIMIT and LIMIT, as a training did outside
-    /// of the exported network; a Clip in the file is kept without this
+    /// Clip each entry of the observation, as the network sees it, between -LIMIT and LIMIT, as a
+    /// training did outside of the exported network; a Clip in the file is kept without this
     #[arg(long, value_name = "LIMIT", value_parser = limit, requires = "action_scale")]
     clip_observation: Option<f64>,
 

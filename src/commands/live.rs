@@ -20,9 +20,9 @@ const PORT: u16 = 8765;
 #[derive(Clone, Debug, Default, clap::Args)]
 #[command(next_help_heading = "Watching")]
 pub struct LiveArguments {
-    /// Show what happens while it happens: a page for browsers with a Stop button, and all channels for Foxglove and
-    /// Lichtblick. ADDR is a port, an IP address or IP:PORT; other computers reach it only if ADDR is no loopback
-    /// address [without ADDR: 127.0.0.1:8765]
+    /// Show what happens while it happens: a page for browsers with a Stop button, and all channels
+    /// for Foxglove and Lichtblick. ADDR is a port, an IP address or IP:PORT; other computers reach
+    /// it only if ADDR is no loopback address [without ADDR: 127.0.0.1:8765]
     #[arg(
         long,
         value_name = "ADDR",
@@ -32,7 +32,8 @@ pub struct LiveArguments {
     )]
     live: Option<SocketAddr>,
 
-    /// Let web pages of this origin read the live view too, such as https://app.foxglove.dev; may be repeated
+    /// Let web pages of this origin read the live view too, such as https://app.foxglove.dev; may
+    /// be repeated
     #[arg(long, value_name = "ORIGIN", requires = "live", value_parser = origin)]
     live_origin: Vec<String>,
 }

@@ -10,13 +10,14 @@ const SPREAD: f64 = 0.1;
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Methods compared by the real rollouts they need")]
 pub struct MethodArguments {
-    /// Compare methods instead of recipes. bayrn, cem, cmaes, random and sobol search for the psi of one model of
-    /// --models. Others take recordings and train around the Qube that these identify: on its values alone
-    /// (identify-mean), with a spread (identify), along the fit's errors as well (posterior), and with rollouts of
-    /// their own policies as further recordings (sequential). robust takes no real rollout. simopt, bayessim, dropo,
-    /// epopt, npdr, lsdr, fpo, adr, so-cma and history are methods from the literature (docs/rivals.md). Without
-    /// --budgets, the result is the number of real rollouts until the recommendation succeeds in 90 % of --policies x
-    /// --rollouts separate rollouts
+    /// Compare methods instead of recipes. bayrn, cem, cmaes, random and sobol search for the psi
+    /// of one model of --models. Others take recordings and train around the Qube that these
+    /// identify: on its values alone (identify-mean), with a spread (identify), along the fit's
+    /// errors as well (posterior), and with rollouts of their own policies as further recordings
+    /// (sequential). robust takes no real rollout. simopt, bayessim, dropo, epopt, npdr, lsdr, fpo,
+    /// adr, so-cma and history are methods from the literature (docs/rivals.md). Without --budgets,
+    /// the result is the number of real rollouts until the recommendation succeeds in 90 % of
+    /// --policies x --rollouts separate rollouts
     #[arg(
         long,
         visible_alias = "methods",
@@ -34,8 +35,9 @@ pub struct MethodArguments {
     #[arg(long, default_value_t = 6, requires = "strategies", conflicts_with_all = ["budgets", "resume"])]
     recordings: u32,
 
-    /// Score each method after these numbers of real rollouts, on every plant, instead of until its first success; one
-    /// policy with --rollouts rollouts scores each recommendation. Methods without real rollouts, and so-cma, need this
+    /// Score each method after these numbers of real rollouts, on every plant, instead of until its
+    /// first success; one policy with --rollouts rollouts scores each recommendation. Methods
+    /// without real rollouts, and so-cma, need this
     #[arg(
         long,
         value_name = "NUMBERS",

@@ -80,8 +80,9 @@ use crate::scoring::{Latencies, Quietness};
 use crate::session::RolloutPlan;
 use crate::telemetry::LatencySummary;
 
-/// Hardware-in-the-loop for the Quanser Qube: train policies over a distribution of simulations, run them
-/// on the pendulum, and adapt the distribution to the measured returns by Bayesian optimisation.
+/// Hardware-in-the-loop for the Quanser Qube: train policies over a distribution of simulations,
+/// run them on the pendulum, and adapt the distribution to the measured returns by Bayesian
+/// optimisation.
 ///
 /// Without a command nothing moves. `qube-hil session` runs the whole method on an emulated Qube.
 #[derive(Debug, Parser)]

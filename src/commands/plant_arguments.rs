@@ -19,14 +19,15 @@ pub struct PlantArguments {
     #[command(flatten)]
     emulated: EmulatedArguments,
 
-    /// Draw each policy's own Qube: each parameter, the friction, the dead zones, the cable's stiffness and the delay
-    /// are uniform between 1 - PART and 1 + PART times their values; 0 to 0.5
+    /// Draw each policy's own Qube: each parameter, the friction, the dead zones, the cable's
+    /// stiffness and the delay are uniform between 1 - PART and 1 + PART times their values; 0 to
+    /// 0.5
     #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = part, conflicts_with = "resume")]
     vary: f64,
 
-    /// Several Qubes: a TOML file with one table `[[plants]]` for each: name, profile, gap, delay_ms,
-    /// jitter_ms, cable_drift_rad_per_min, play_deg, effects = { presliding_rad = 0.02 }, scale = { M_p = 1.1 }, vary;
-    /// psi is searched on the first
+    /// Several Qubes: a TOML file with one table `[[plants]]` for each: name, profile, gap,
+    /// delay_ms, jitter_ms, cable_drift_rad_per_min, play_deg, effects = { presliding_rad = 0.02 },
+    /// scale = { M_p = 1.1 }, vary; psi is searched on the first
     #[arg(long, value_name = "FILE",
           conflicts_with_all = ["profile", "gap", "delay_ms", "jitter_ms", "cable_drift", "play_deg",
                               "effect", "scale", "vary", "resume"])]
@@ -92,8 +93,8 @@ fn specimen(entry: PlantEntry, path: &Path, plant: &PlantModel) -> Result<Plant,
 }
 
 /// Refuses the name that stands for the real Qube, and that of a file beside the plant's folder of
-/// recordings in the folder of a policy, in capital letters or not. The experiment refuses all other names that are not valid
-/// for a folder.
+/// recordings in the folder of a policy, in capital letters or not. The experiment refuses all
+/// other names that are not valid for a folder.
 fn check_name(name: &str) -> Result<(), String> {
     if name == REAL_QUBE {
         return Err(format!(

@@ -7,8 +7,8 @@ use crate::storage::{SETTINGS_BYTES, read_text};
 /// The argument that selects another plant than a Qube.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct PlantArgument {
-    /// TOML file that describes another rotary pendulum than the Qube: parameters, encoders, stops, largest voltage,
-    /// motor (docs/reference/plants.md)
+    /// TOML file that describes another rotary pendulum than the Qube: parameters, encoders, stops,
+    /// largest voltage, motor (docs/reference/plants.md)
     #[arg(long, value_name = "FILE")]
     plant: Option<PathBuf>,
 }

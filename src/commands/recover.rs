@@ -13,7 +13,8 @@ use crate::storage::MachineDisk;
 
 /// Recover a truncated recording: save every intact tick into a new file
 ///
-/// The old file stays unchanged. Exit code 0 when nothing of the rollout is lost, 3 when a part is lost.
+/// The old file stays unchanged. Exit code 0 when nothing of the rollout is lost, 3 when a part is
+/// lost.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil recover logs/monday/rollout-3.mcap\n  \
@@ -23,7 +24,8 @@ pub struct Arguments {
     #[arg(value_name = "FILE")]
     file: PathBuf,
 
-    /// New file, which must not exist yet [default: FILE with the ending `.recovered.mcap` in place of its own]
+    /// New file, which must not exist yet [default: FILE with the ending `.recovered.mcap` in place
+    /// of its own]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }

@@ -22,12 +22,12 @@ use crate::safety::{Contradiction, Foreseen};
 use crate::storage::{Existing, MachineDisk, write_whole};
 use crate::telemetry::RolloutOutcome;
 
-/// Replay recordings: recompute the return, feed the recorded measurements to the tick that ran on the
-/// Qube, and compare every voltage bit for bit
+/// Replay recordings: recompute the return, feed the recorded measurements to the tick that ran on
+/// the Qube, and compare every voltage bit for bit
 ///
-/// With --simulate, the simulator also gets the recorded voltages, and its motion is compared with the
-/// recorded one. --simulate and --animate accept CSV files too, with the columns time_s, theta_rad,
-/// alpha_rad, theta_dot_rad_s, alpha_dot_rad_s, voltage_v.
+/// With --simulate, the simulator also gets the recorded voltages, and its motion is compared with
+/// the recorded one. --simulate and --animate accept CSV files too, with the columns time_s,
+/// theta_rad, alpha_rad, theta_dot_rad_s, alpha_dot_rad_s, voltage_v.
 ///
 /// Exit code 3 when a part of a recording is missing, or its replay differs from it.
 #[derive(Debug, clap::Args)]
@@ -45,12 +45,13 @@ pub struct Arguments {
     #[arg(long)]
     simulate: bool,
 
-    /// The Qube to simulate, which --simulate is not needed for then: `ideal`, `lab`, or a file that
-    /// `identify` wrote [default: the nominal plant of each recording]
+    /// The Qube to simulate, which --simulate is not needed for then: `ideal`, `lab`, or a file
+    /// that `identify` wrote [default: the nominal plant of each recording]
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<PathBuf>,
 
-    /// File for a moving picture (.svg) of the recording, for pages and slides: the pendulum and its angles
+    /// File for a moving picture (.svg) of the recording, for pages and slides: the pendulum and
+    /// its angles
     #[arg(long, value_name = "FILE")]
     animate: Option<PathBuf>,
 
@@ -64,7 +65,8 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Whether each recording's voltages are to be simulated: a profile and pictures ask for it, too.
+    /// Whether each recording's voltages are to be simulated: a profile and pictures ask for it,
+    /// too.
     fn simulates(&self) -> bool {
         self.simulate || self.profile.is_some() || self.plot.is_some()
     }

@@ -25,11 +25,14 @@ use crate::storage::{Existing, MachineDisk, write_whole};
 /// Name of a report in the folder of its session or experiment.
 const REPORT: &str = "report.html";
 
-/// Write a session, an experiment or recordings as one page for a browser, with figures to zoom and rollouts to play back
+/// Write a session, an experiment or recordings as one page for a browser, with figures to zoom and
+/// rollouts to play back
 ///
-/// The page is one file that loads nothing: it can be opened from a disk, sent by mail, and printed. The page of a
-/// session shows the outcome, the course of the search, every rollout beside the simulator, the recommended distribution, the identification, the surrogate's posterior, the trainings, timing, faults, and the commands to repeat it. `session`
-/// and `experiment` write it at their end.
+/// The page is one file that loads nothing: it can be opened from a disk, sent by mail, and
+/// printed. The page of a session shows the outcome, the course of the search, every rollout beside
+/// the simulator, the recommended distribution, the identification, the surrogate's posterior, the
+/// trainings, timing, faults, and the commands to repeat it. `session` and `experiment` write it at
+/// their end.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil report logs/monday                    # writes logs/monday/report.html\n  \
@@ -40,8 +43,8 @@ pub struct Arguments {
     #[arg(required = true, value_name = "DIR|FILE")]
     paths: Vec<PathBuf>,
 
-    /// File for the page [default: report.html in the folder of the session or experiment; beside the first recording,
-    /// with its name; a report there is replaced, another file is not]
+    /// File for the page [default: report.html in the folder of the session or experiment; beside
+    /// the first recording, with its name; a report there is replaced, another file is not]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 
@@ -49,8 +52,8 @@ pub struct Arguments {
     #[arg(long, requires = "out")]
     force: bool,
 
-    /// The Qube to simulate beside recordings: `ideal`, `lab`, or a file that `identify` wrote [default: the nominal
-    /// plant of each recording; a session's identified Qube]
+    /// The Qube to simulate beside recordings: `ideal`, `lab`, or a file that `identify` wrote
+    /// [default: the nominal plant of each recording; a session's identified Qube]
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<PathBuf>,
 }

@@ -19,25 +19,27 @@ const VARY: f64 = 0.05;
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Qube")]
 pub struct RigArguments {
-    /// `emulated`, the serial port of a Qube's board, or `hil:CARD@ID` for a Qube with the USB panel through the
-    /// vendor's library (`hil`: qube_servo2_usb@0); once for each Qube of several [default: the port in --qube, else
-    /// emulated]
+    /// `emulated`, the serial port of a Qube's board, or `hil:CARD@ID` for a Qube with the USB
+    /// panel through the vendor's library (`hil`: qube_servo2_usb@0); once for each Qube of several
+    /// [default: the port in --qube, else emulated]
     #[arg(long, value_name = "emulated|PORT|hil:CARD@ID")]
     device: Vec<String>,
 
-    /// File with this Qube's properties (signs, port, limits), as `check --write` writes it; for several Qubes one
-    /// each, in the order of --device [default with a PORT: qube.toml, if it exists]
+    /// File with this Qube's properties (signs, port, limits), as `check --write` writes it; for
+    /// several Qubes one each, in the order of --device [default with a PORT: qube.toml, if it
+    /// exists]
     #[arg(long, value_name = "FILE")]
     qube: Vec<PathBuf>,
 
-    /// Policies of several Qubes: `own`, one for each, in a session of its own beside the others; `shared`, one for
-    /// all: the rollouts of each candidate are spread over them [default: own where the Qubes are identified, shared
-    /// with --method bayrn]
+    /// Policies of several Qubes: `own`, one for each, in a session of its own beside the others;
+    /// `shared`, one for all: the rollouts of each candidate are spread over them [default: own
+    /// where the Qubes are identified, shared with --method bayrn]
     #[arg(long, value_enum, conflicts_with = "resume")]
     rig_policy: Option<RigPolicy>,
 
-    /// Difference between several emulated Qubes: each parameter, the friction, the dead zones, the cable's stiffness
-    /// and the delay are uniform between 1 - FRACTION and 1 + FRACTION times their values; 0 to 0.5 [default: 0.05]
+    /// Difference between several emulated Qubes: each parameter, the friction, the dead zones, the
+    /// cable's stiffness and the delay are uniform between 1 - FRACTION and 1 + FRACTION times
+    /// their values; 0 to 0.5 [default: 0.05]
     #[arg(long, value_name = "FRACTION", value_parser = fraction, conflicts_with = "resume")]
     vary: Option<f64>,
 

@@ -35,11 +35,11 @@ use crate::rig::RigSettings;
 use crate::safety::SafetyBox;
 use crate::session::RolloutPlan;
 
-/// Run a policy on the Qube and record it: homing, then for each rollout settling, six seconds of policy,
-/// braking; or excite the Qube for `identify`
+/// Run a policy on the Qube and record it: homing, then for each rollout settling, six seconds of
+/// policy, braking; or excite the Qube for `identify`
 ///
-/// Exit code 0 also if the box or the guard ended a rollout, because such a rollout has a result; 4 if
-/// a fault ended the command, or the last rollout is void.
+/// Exit code 0 also if the box or the guard ended a rollout, because such a rollout has a result; 4
+/// if a fault ended the command, or the last rollout is void.
 #[derive(Debug, clap::Args)]
 #[command(group = ArgGroup::new("controller").args(["policy", "excite"]).required(true))]
 #[command(after_help = "Examples:\n  \
@@ -50,18 +50,19 @@ use crate::session::RolloutPlan;
     qube-hil run --excite chirp --rollouts 4 --out logs/chirps      # for identify\n  \
     qube-hil run --policy classical --qube qube.toml     # from check --write")]
 pub struct Arguments {
-    /// Policy file, or `classical` for the built-in energy swing-up with balance, which is tuned for the ideal
-    /// Qube: with friction, cable and delay (--profile lab, a real Qube) it may fail; this or --excite is required
+    /// Policy file, or `classical` for the built-in energy swing-up with balance, which is tuned
+    /// for the ideal Qube: with friction, cable and delay (--profile lab, a real Qube) it may fail;
+    /// this or --excite is required
     #[arg(long, value_name = "FILE|classical")]
     policy: Option<PathBuf>,
 
-    /// Instead of a policy, apply a voltage for 10 s that makes a recording for `identify`; consecutive
-    /// rollouts start in opposite directions. Box and guard apply as for a policy
+    /// Instead of a policy, apply a voltage for 10 s that makes a recording for `identify`;
+    /// consecutive rollouts start in opposite directions. Box and guard apply as for a policy
     #[arg(long, value_enum, conflicts_with = "policy")]
     excite: Option<ExciteArgument>,
 
-    /// Largest voltage of the excitation itself, 0.1 to 3; if the arm stands under it, a test push of 0.4 V more
-    /// in each tick comes on top until the count moves
+    /// Largest voltage of the excitation itself, 0.1 to 3; if the arm stands under it, a test push
+    /// of 0.4 V more in each tick comes on top until the count moves
     #[arg(long, value_name = "V", default_value_t = 1.5, value_parser = volts, requires = "excite",
           conflicts_with = "policy")]
     volts: f64,

@@ -28,7 +28,8 @@ use super::screen::ScreenArgument;
 use crate::qube::{PlantModel, Profile};
 use crate::session::SessionSettings;
 
-/// Run the whole method: identify the Qube, and search for the distribution of simulations whose policies have the highest return on it
+/// Run the whole method: identify the Qube, and search for the distribution of simulations whose
+/// policies have the highest return on it
 ///
 /// First the Qube is excited for ten seconds and identified. Then policies are trained in simulations around the
 /// identified Qube, run on the Qube at 100 Hz, and recorded. A candidate is one psi with its policy; psi is the spread
@@ -70,14 +71,15 @@ use crate::session::SessionSettings;
     deviations; mean_lag and std_lag, mean and spread of a lag\n               \
     in addition to the delay")]
 pub struct Arguments {
-    /// Extent of the session: `quick` takes minutes, `thesis` is the published extent and budget. The entry
-    /// `preset` of --config is that of a training: a `quick` session trains with `robust`
+    /// Extent of the session: `quick` takes minutes, `thesis` is the published extent and budget.
+    /// The entry `preset` of --config is that of a training: a `quick` session trains with `robust`
     #[arg(long, value_enum, default_value_t = SessionPreset::Quick, conflicts_with = "resume")]
     preset: SessionPreset,
 
     /// Method: `identified` excites and identifies the Qube and searches around it; `posterior`
-    /// identifies, trains once and does not search; `bayrn` searches psi as configured, for an unknown Qube
-    /// [default: identified; bayrn with --preset thesis or --config, unless the file has the table identification]
+    /// identifies, trains once and does not search; `bayrn` searches psi as configured, for an
+    /// unknown Qube [default: identified; bayrn with --preset thesis or --config, unless the file
+    /// has the table identification]
     #[arg(long, value_enum, conflicts_with = "resume")]
     method: Option<SessionMethod>,
 
@@ -85,19 +87,20 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), conflicts_with = "resume")]
     candidates: Option<u32>,
 
-    /// For --method bayrn: number of candidates whose returns may still be awaited when the search proposes another.
-    /// The new candidate is trained while these run on the Qube; with 0 the Qube waits for each training [default: 0, or
-    /// as --config says]
+    /// For --method bayrn: number of candidates whose returns may still be awaited when the search
+    /// proposes another. The new candidate is trained while these run on the Qube; with 0 the Qube
+    /// waits for each training [default: 0, or as --config says]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1000), conflicts_with = "resume")]
     pending: Option<u32>,
 
-    /// At the end, train a policy on the nominal Qube and make one rollout of it, for comparison [default: as --config
-    /// says; without --config true if an emulated Qube is identified, otherwise false]
+    /// At the end, train a policy on the nominal Qube and make one rollout of it, for comparison
+    /// [default: as --config says; without --config true if an emulated Qube is identified,
+    /// otherwise false]
     #[arg(long, value_name = "true|false", num_args = 0..=1, default_missing_value = "true", conflicts_with = "resume")]
     baseline: Option<bool>,
 
-    /// TOML file whose entries override the preset; `config print` explains every entry, `config check` checks a
-    /// file
+    /// TOML file whose entries override the preset; `config print` explains every entry,
+    /// `config check` checks a file
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     config: Option<PathBuf>,
 
@@ -109,12 +112,13 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
 
-    /// Resume the session in this folder, with its settings; on the emulated Qube also with its clock
+    /// Resume the session in this folder, with its settings; on the emulated Qube also with its
+    /// clock
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 
-    /// Guard that may end a rollout: foresight of the brake, or the box only [default: foresight, or as
-    /// --config says; the session's guard with --resume]
+    /// Guard that may end a rollout: foresight of the brake, or the box only [default: foresight,
+    /// or as --config says; the session's guard with --resume]
     #[arg(long, value_parser = guard_parser())]
     guard: Option<GuardArgument>,
 
@@ -153,16 +157,18 @@ fn also_by_config(argument: clap::Arg, default: &str) -> clap::Arg {
 /// The extent of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum SessionPreset {
-    /// Training of half a minute; with --method bayrn 6 initial candidates, 4 by the search, 2 rollouts each
+    /// Training of half a minute; with --method bayrn 6 initial candidates, 4 by the search, 2
+    /// rollouts each
     Quick,
-    /// Published training budget; with --method bayrn 15 initial candidates, 10 by the search, 5 rollouts each
+    /// Published training budget; with --method bayrn 15 initial candidates, 10 by the search, 5
+    /// rollouts each
     Thesis,
 }
 
 impl SessionPreset {
-    /// The settings of a session of this extent on a plant. The emulated Qube of the thesis's session
-    /// is the nominal one. That of every other session, whatever its method, differs from it as a
-    /// real Qube does: it is `lab`, or another plant that differs in the same proportions.
+    /// The settings of a session of this extent on a plant. The emulated Qube of the thesis's
+    /// session is the nominal one. That of every other session, whatever its method, differs from
+    /// it as a real Qube does: it is `lab`, or another plant that differs in the same proportions.
     pub fn settings(self, plant: &PlantModel, method: Option<SessionMethod>) -> SessionSettings {
         let is_published =
             self == Self::Thesis && method.is_none_or(|it| it == SessionMethod::Bayrn);

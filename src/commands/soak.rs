@@ -38,8 +38,8 @@ const WARM_UP_ROLLOUTS: u64 = 20;
 /// Run for hours: rollout after rollout of one policy, each recorded, read back and checked;
 /// fails if a tick is lost, a fault ends a rollout, or the memory grows
 ///
-/// With `--clock virtual` a day takes minutes. Exit code 3 when a tick was lost, 4 when a fault ended a
-/// rollout, 1 when the memory grew by more than 5 MB after the first 20 rollouts.
+/// With `--clock virtual` a day takes minutes. Exit code 3 when a tick was lost, 4 when a fault
+/// ended a rollout, 1 when the memory grew by more than 5 MB after the first 20 rollouts.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil soak --clock virtual                # 24 hours of ticks\n  \
@@ -50,7 +50,8 @@ pub struct Arguments {
     #[arg(long, default_value_t = 24.0, value_parser = hours)]
     hours: f64,
 
-    /// Policy file, or `classical` for the built-in energy swing-up with balance, which is for a Qube only
+    /// Policy file, or `classical` for the built-in energy swing-up with balance, which is for a
+    /// Qube only
     #[arg(long, value_name = "FILE|classical", default_value = "classical")]
     policy: PathBuf,
 

@@ -20,9 +20,9 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Installs the handlers of the signals for a command that moves a Qube. The first Ctrl-C requests a stop, even if a key, the
-    /// live view or another signal has already done so. A second Ctrl-C ends the program at once;
-    /// the device's watchdog then switches the motor off.
+    /// Installs the handlers of the signals for a command that moves a Qube. The first Ctrl-C
+    /// requests a stop, even if a key, the live view or another signal has already done so. A
+    /// second Ctrl-C ends the program at once; the device's watchdog then switches the motor off.
     pub fn on_signals() -> Result<Self, Failure> {
         Self::saying("stopping: the arm is braked and the state is kept")
     }

@@ -149,8 +149,8 @@ pub fn set_single_keys() {
     }
 }
 
-/// Waits until stdin has input or has ended, until `wake` can be read, or for 0.1 s; returns whether
-/// stdin has input or has ended.
+/// Waits until stdin has input or has ended, until `wake` can be read, or for 0.1 s; returns
+/// whether stdin has input or has ended.
 pub fn wait_for_input(wake: Option<BorrowedFd<'_>>) -> bool {
     let input = stdin();
     let wake = wake.unwrap_or(input);
@@ -159,8 +159,8 @@ pub fn wait_for_input(wake: Option<BorrowedFd<'_>>) -> bool {
     poll(&mut ready, Some(&POLL_INTERVAL)).is_ok() && !ready[0].revents().is_empty()
 }
 
-/// Discards the keys that were typed and not read. Input from elsewhere than a terminal stays, and so
-/// does that of a terminal in which the program is in the background: the system would stop it.
+/// Discards the keys that were typed and not read. Input from elsewhere than a terminal stays, and
+/// so does that of a terminal in which the program is in the background: the system would stop it.
 pub fn discard_typed_keys() {
     if is_foreground() {
         let _ = tcflush(stdin(), QueueSelector::IFlush);

@@ -12,8 +12,8 @@ use crate::storage::{MachineDisk, write_whole};
 
 /// Draw the thesis's figures 3.1 and 3.2: how the surrogate and the acquisition functions work
 ///
-/// Figure 3.1: the surrogate fitted to 3, 7 and 15 samples of a curve, and the likelihood of the data over
-/// lengthscale and noise. Figure 3.2: four iterations of the search with PI, EI and UCB.
+/// Figure 3.1: the surrogate fitted to 3, 7 and 15 samples of a curve, and the likelihood of the
+/// data over lengthscale and noise. Figure 3.2: four iterations of the search with PI, EI and UCB.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  qube-hil toy --out figures\n  qube-hil toy --seed 7 --out figures"

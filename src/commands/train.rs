@@ -49,18 +49,18 @@ pub struct Arguments {
     #[arg(long, default_value = "nominal", value_parser = models())]
     model: Model,
 
-    /// Train around an identified Qube instead of a model: `lab`, a file that `identify` wrote, or `ideal` (the
-    /// thesis's equations without friction, cable and delay)
+    /// Train around an identified Qube instead of a model: `lab`, a file that `identify` wrote, or
+    /// `ideal` (the thesis's equations without friction, cable and delay)
     #[arg(long, value_name = "lab|ideal|FILE", conflicts_with_all = ["model", "psi"])]
     profile: Option<PathBuf>,
 
-    /// Standard deviation of each quantity around the profile, as a part of its value (0.1 is 10 %), in
-    /// addition to the errors that the profile names
+    /// Standard deviation of each quantity around the profile, as a part of its value (0.1 is 10
+    /// %), in addition to the errors that the profile names
     #[arg(long, value_name = "PART", default_value_t = 0.1, requires = "profile", value_parser = spread)]
     spread: f64,
 
-    /// Delay of the simulated commands, or the range from which each trajectory draws its own [default: the
-    /// model's or profile's]
+    /// Delay of the simulated commands, or the range from which each trajectory draws its own
+    /// [default: the model's or profile's]
     #[arg(long, value_name = "MS|FROM..TO", value_parser = delays_s)]
     delay_ms: Option<(f64, f64)>,
 
@@ -68,8 +68,9 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", required_if_eq("model", "psi"))]
     psi: Option<PathBuf>,
 
-    /// Training budget and simulation: `robust` for a policy that is to run on a Qube, `quick` for a trial in
-    /// seconds, `thesis` for the published budget; `quick` and `thesis` train on true states
+    /// Training budget and simulation: `robust` for a policy that is to run on a Qube, `quick` for
+    /// a trial in seconds, `thesis` for the published budget; `quick` and `thesis` train on true
+    /// states
     #[arg(
         long,
         default_value = "robust",
@@ -94,18 +95,18 @@ pub struct Arguments {
     #[arg(long, value_enum)]
     sensors: Option<Sensors>,
 
-    /// Number of last commands in the observation, 0 to 4 [default: 2 with --model robust, --profile or
-    /// --delay-ms and no observer, else 0]
+    /// Number of last commands in the observation, 0 to 4 [default: 2 with --model robust,
+    /// --profile or --delay-ms and no observer, else 0]
     #[arg(long, value_name = "COMMANDS", value_parser = clap::value_parser!(u8).range(..=MAX_HISTORY as i64))]
     history: Option<u8>,
 
-    /// Weight of a change of voltage between steps in the training reward, 1/V^2, 0 to 10: 0.04 makes
-    /// policies that balance quietly [default: the preset's]
+    /// Weight of a change of voltage between steps in the training reward, 1/V^2, 0 to 10: 0.04
+    /// makes policies that balance quietly [default: the preset's]
     #[arg(long, value_name = "WEIGHT", value_parser = weight)]
     voltage_change_weight: Option<f64>,
 
-    /// Checkpoint file: the training writes it every ten updates, resumes from it if it exists, and removes it
-    /// once the policy is written; the policy is the same as without an interruption
+    /// Checkpoint file: the training writes it every ten updates, resumes from it if it exists, and
+    /// removes it once the policy is written; the policy is the same as without an interruption
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
 
@@ -117,7 +118,8 @@ pub struct Arguments {
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
     threads: u8,
 
-    /// Best instruction set to use among those of the processor; avx512 and avx2 give the same policy
+    /// Best instruction set to use among those of the processor; avx512 and avx2 give the same
+    /// policy
     #[arg(long, value_enum, default_value_t = InstructionSetName::Avx512)]
     instruction_set: InstructionSetName,
 

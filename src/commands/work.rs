@@ -17,10 +17,11 @@ use crate::storage::MachineDisk;
 
 /// Train policies of a session or experiment that runs on another computer
 ///
-/// A session or experiment with --executor puts its trainings into a folder on a file system that all computers share,
-/// and any number of workers do them, one core each. Policies do not depend on the worker. A training whose worker dies
-/// is done by another one. The worker ends after a time without work (--linger), or when the session or experiment has
-/// ended; on SIGTERM it gives its training back and exits with 143.
+/// A session or experiment with --executor puts its trainings into a folder on a file system that
+/// all computers share, and any number of workers do them, one core each. Policies do not depend on
+/// the worker. A training whose worker dies is done by another one. The worker ends after a time
+/// without work (--linger), or when the session or experiment has ended; on SIGTERM it gives its
+/// training back and exits with 143.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil work /shared/monday/jobs                    # one worker\n  \
@@ -38,8 +39,8 @@ pub struct Arguments {
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = seconds)]
     linger: f64,
 
-    /// Best instruction set to use among those of the processor; avx512 and avx2 give the same policies, and plain is
-    /// refused
+    /// Best instruction set to use among those of the processor; avx512 and avx2 give the same
+    /// policies, and plain is refused
     #[arg(long, value_enum, default_value_t = InstructionSetName::Avx512)]
     instruction_set: InstructionSetName,
 }

@@ -6,8 +6,8 @@ use crate::telemetry::{Consequence, Ending, Fault, TickRecord};
 /// at the Qube then expects that the program goes on by itself.
 const SLEEP_US: u64 = 2_000_000;
 
-/// The fault to which the program reacts after a motion: that of its ending, or one that only the whole
-/// report shows; `None` after a motion without any. At an emulated Qube a computer may sleep.
+/// The fault to which the program reacts after a motion: that of its ending, or one that only the
+/// whole report shows; `None` after a motion without any. At an emulated Qube a computer may sleep.
 ///
 /// A fault that allows no other attempt comes before a motor that is not confirmed to be off, which
 /// the log then names beside it; [`DriveReport::disarmed`] tells both apart.

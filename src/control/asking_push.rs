@@ -18,8 +18,8 @@ const DRIVEN_MV: i16 = 20;
 const GROWS_V: f64 = 0.4;
 
 /// Voltage that friction, dead zone and cable may take up in addition to the voltage that holds the
-/// arm in place, V: 3.5 times the friction of the profile `lab` (0.12 V) and 1.5 times its dead zone
-/// (0.32 V).
+/// arm in place, V: 3.5 times the friction of the profile `lab` (0.12 V) and 1.5 times its dead
+/// zone (0.32 V).
 const ABSORBED_V: f64 = 0.9;
 
 /// Voltage with which the pendulum's weight may hold the arm, V, as a factor on sin(alpha)
@@ -334,8 +334,8 @@ mod tests {
         assert!(tick.is_some_and(|tick| tick <= 20), "{tick:?}");
     }
 
-    /// Tick from which on the count of [`unanswered_under`] is constant. The mean voltage is then that
-    /// of the six ticks from this one on.
+    /// Tick from which on the count of [`unanswered_under`] is constant. The mean voltage is then
+    /// that of the six ticks from this one on.
     const STANDS_FROM: u64 = 12;
 
     /// The tick at which a constant count is called unanswered, and the voltage sent before it, V,

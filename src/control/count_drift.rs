@@ -5,17 +5,17 @@ use std::time::Duration;
 /// Time constant with which older differences are forgotten, s.
 const FORGOTTEN_S: f64 = 2.0;
 
-/// Largest difference between the motion that the count shows and the one that the tachometer shows,
-/// rad. A tachometer whose scale is wrong by a tenth differs by less.
+/// Largest difference between the motion that the count shows and the one that the tachometer
+/// shows, rad. A tachometer whose scale is wrong by a tenth differs by less.
 const LARGEST_RAD: f64 = 0.4;
 
-/// Velocity up to which the difference is judged, rad/s. A tachometer that is late by a time differs
-/// by the velocity times this time, which is no drift.
+/// Velocity up to which the difference is judged, rad/s. A tachometer that is late by a time
+/// differs by the velocity times this time, which is no drift.
 const SLOW_RAD_S: f64 = 2.0;
 
-/// Time after which a constant count ends the evidence, s. A tachometer that measures the time between
-/// edges shows the last velocity for 0.21 s after a sudden stop, and a frozen count has tests of its
-/// own.
+/// Time after which a constant count ends the evidence, s. A tachometer that measures the time
+/// between edges shows the last velocity for 0.21 s after a sudden stop, and a frozen count has
+/// tests of its own.
 const CONSTANT_S: f64 = 0.05;
 
 /// The leaky integral of the count's velocity minus the tachometer's.
@@ -29,8 +29,8 @@ pub(super) struct CountDrift {
 
 impl CountDrift {
     /// Takes the motion of the count over the time since the last sample, rad, and the tachometer's
-    /// velocity at its end, rad/s. Returns whether the difference is too large while the arm is slow
-    /// and its count changes.
+    /// velocity at its end, rad/s. Returns whether the difference is too large while the arm is
+    /// slow and its count changes.
     pub(super) fn has_drifted(
         &mut self,
         moved_rad: f64,

@@ -76,9 +76,9 @@ const SCALE_KNOWN_FROM: f64 = 1.0;
 /// verdict about the scale.
 const LEAST_SQUARED_CORRELATION: f64 = 0.85;
 
-/// Ratio of scales that proves an arm encoder with a wrong number of lines in a homing that does not
-/// compare the distance of the stops with a Qube's: lengths that are 10 % off give a ratio of 1.2,
-/// an encoder with half or twice the lines a ratio of 2.
+/// Ratio of scales that proves an arm encoder with a wrong number of lines in a homing that does
+/// not compare the distance of the stops with a Qube's: lengths that are 10 % off give a ratio of
+/// 1.2, an encoder with half or twice the lines a ratio of 2.
 pub const WRONG_SCALE: f64 = 1.5;
 
 /// Ratio of scales that proves an arm encoder with a wrong number of lines where the distance of

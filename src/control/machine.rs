@@ -333,8 +333,8 @@ mod tests {
             if state.is_powered() && !next.is_powered() {
                 assert_eq!(action, A::Off, "{step}");
             }
-            // A SwitchOffFault leads to the latch at once, from every state. A BrakeFault leads there at
-            // once or through the brake; if the brake is already on, it changes nothing.
+            // A SwitchOffFault leads to the latch at once, from every state. A BrakeFault leads
+            // there at once or through the brake; if the brake is already on, it changes nothing.
             if event == E::SwitchOffFault {
                 assert_eq!(next, S::Faulted, "{step}");
             }

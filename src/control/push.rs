@@ -43,8 +43,8 @@ pub(super) struct Push {
 }
 
 impl Push {
-    /// Whether a voltage within these limits has not moved the arm, and the pendulum has not absorbed
-    /// the push.
+    /// Whether a voltage within these limits has not moved the arm, and the pendulum has not
+    /// absorbed the push.
     pub(super) fn moves_nothing(
         &mut self,
         sample: &Measurement,

@@ -25,7 +25,8 @@ pub struct HelloRetries {
 ///
 /// # Errors
 /// The error of the last hello. An error that [waiting does not
-/// cure](DeviceError::is_cured_by_waiting) ends the attempts at once, and so does a request to stop.
+/// cure](DeviceError::is_cured_by_waiting) ends the attempts at once, and so does a request to
+/// stop.
 pub(super) fn greet_until_answered(
     device: &mut dyn Device,
     clock: &dyn Clock,

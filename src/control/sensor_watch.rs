@@ -204,12 +204,12 @@ impl SensorWatch {
         }
     }
 
-    /// Checks one sample. `arm_input` is `None` during homing, which pushes the arm against its stops;
-    /// the tests that compare the arm's motion with its voltage are then left out.
+    /// Checks one sample. `arm_input` is `None` during homing, which pushes the arm against its
+    /// stops; the tests that compare the arm's motion with its voltage are then left out.
     ///
-    /// A fault of the arm gives [`Alarm::SwitchOff`]: a brake would rely on the doubtful count, or work
-    /// against the hand that holds the arm. A fault of the pendulum gives [`Alarm::Brake`]: the arm
-    /// may be moving, and the brake does not need the pendulum.
+    /// A fault of the arm gives [`Alarm::SwitchOff`]: a brake would rely on the doubtful count, or
+    /// work against the hand that holds the arm. A fault of the pendulum gives [`Alarm::Brake`]:
+    /// the arm may be moving, and the brake does not need the pendulum.
     pub fn check(&mut self, sample: &Measurement, arm_input: Option<ArmInput>) -> Option<Alarm> {
         let Some(previous) = self.previous.replace(*sample) else {
             self.pendulum = StillPendulum::seen(sample);
@@ -224,7 +224,8 @@ impl SensorWatch {
         if let Some(alarm) = self.jump(&passed) {
             return Some(alarm);
         }
-        // Over a short interval a rate would be an amplified rounding: the counts themselves decide.
+        // Over a short interval a rate would be an amplified rounding: the counts themselves
+        // decide.
         let of_a_period = step.unwrap_or(Step { elapsed_s: CONTROL_PERIOD_S, ..passed });
         let contradiction = self.contradiction(sample, &of_a_period);
         if let Some(alarm) = step.and_then(|step| self.spike(&step)) {
@@ -389,8 +390,8 @@ impl SensorWatch {
         sample.device_time_us.saturating_sub(since_us) >= TACHOMETER_US
     }
 
-    /// Whether the arm's count, which has moved by `theta_counts` since the last sample, has drifted
-    /// away from the tachometer.
+    /// Whether the arm's count, which has moved by `theta_counts` since the last sample, has
+    /// drifted away from the tachometer.
     fn has_drifted(&mut self, sample: &Measurement, theta_counts: f64, elapsed_us: u64) -> bool {
         let rad_per_count = self.plant.encoders.theta.rad_per_count();
         let tachometer_rad_s = f64::from(sample.tachometer_counts_s) * rad_per_count;

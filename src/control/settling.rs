@@ -134,16 +134,17 @@ const WIDE_SWING: f64 = 0.9;
 const FULL_GAIN_TICKS: u32 = 400;
 
 /// Smallest gains, as a fraction of the full ones, after an oscillation and a long time: half of
-/// what an oscillation alone leaves. The linear loop is stable with them on a nominal Qube and on a strong
-/// motor with a short, light arm, at 22 ms of delay.
+/// what an oscillation alone leaves. The linear loop is stable with them on a nominal Qube and on a
+/// strong motor with a short, light arm, at 22 ms of delay.
 const LEAST_SHARE: f64 = 0.2;
 
 /// A settler that moves both the target and the voltage so slowly that an encoder that freezes
 /// meanwhile does no damage.
 ///
 /// With a delay of more than 8 ms, the limited slew rate can keep arm and pendulum swinging to and
-/// fro. The swing ends with smaller gains, which need smaller slew rates: they fall while the voltage
-/// oscillates ([`OscillationGain`]), and after `FULL_GAIN_TICKS` as the reciprocal of the time.
+/// fro. The swing ends with smaller gains, which need smaller slew rates: they fall while the
+/// voltage oscillates ([`OscillationGain`]), and after `FULL_GAIN_TICKS` as the reciprocal of the
+/// time.
 #[derive(Clone, Copy, Debug)]
 pub struct GentleSettler {
     settler: Settler,

@@ -1,6 +1,6 @@
-//! A program that is too slow for its control period. Whole periods that have passed are skipped, so
-//! that each deadline by itself is met nearly in time; only the skipped periods show that the policy
-//! did not get its 100 decisions a second, and that the return is not that of the policy.
+//! A program that is too slow for its control period. Whole periods that have passed are skipped,
+//! so that each deadline by itself is met nearly in time; only the skipped periods show that the
+//! policy did not get its 100 decisions a second, and that the return is not that of the policy.
 
 /// Share of the control periods that may be skipped: single stalls of a busy computer.
 const ALLOWED_SHARE: f64 = 0.05;

@@ -29,8 +29,8 @@ const RETURN_TICKS: u32 = 300;
 /// Presses the arm outward against the stop that it touches.
 ///
 /// The arm is at its stop already, so it cannot move far even if the host vanishes while the
-/// voltage is on. Any press ends when the arm is at no stop, when the voltage does not hold it, when
-/// time is up, or on a stop request or a fault.
+/// voltage is on. Any press ends when the arm is at no stop, when the voltage does not hold it,
+/// when time is up, or on a stop request or a fault.
 #[derive(Debug)]
 pub struct StopPress {
     plant: PlantModel,

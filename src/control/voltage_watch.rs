@@ -1,5 +1,5 @@
-//! A motor that does not have the voltage that the program sends: each sample says which voltage the
-//! motor had, and a device whose reports contradict what it was sent cannot be braked with.
+//! A motor that does not have the voltage that the program sends: each sample says which voltage
+//! the motor had, and a device whose reports contradict what it was sent cannot be braked with.
 
 use super::TickInput;
 use super::watch::Alarm;
@@ -16,8 +16,8 @@ pub const VOLTAGE_TOLERANCE_MV: i32 = 48;
 /// Consecutive samples that must contradict every voltage sent.
 const STREAK: u32 = 3;
 
-/// Compares the voltage that each sample reports with the voltages that were sent, all as the device
-/// counts them.
+/// Compares the voltage that each sample reports with the voltages that were sent, all as the
+/// device counts them.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct VoltageWatch {
     /// Voltages of the last periods, newest first, mV; 0 before the first.
@@ -33,8 +33,8 @@ impl VoltageWatch {
         self.check(input.measurement.as_ref()?)
     }
 
-    /// Remembers the voltage that the device was sent for this period and for `more_periods` skipped
-    /// ones, mV.
+    /// Remembers the voltage that the device was sent for this period and for `more_periods`
+    /// skipped ones, mV.
     fn remember_sent(&mut self, device_mv: i16, more_periods: u32) {
         for _ in 0..=more_periods.min(PERIODS as u32) {
             self.sent_mv.rotate_right(1);

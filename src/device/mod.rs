@@ -43,8 +43,8 @@ use crate::qube::Measurement;
 /// [`Identity::kind`] of an emulated Qube's board.
 pub const EMULATOR_KIND: &str = "emulator";
 
-/// Largest age of the sample that an act answers, ns, by the computer's clock. A board refuses older
-/// samples as well, unless its clock is wrong.
+/// Largest age of the sample that an act answers, ns, by the computer's clock. A board refuses
+/// older samples as well, unless its clock is wrong.
 const MAX_SAMPLE_AGE_NS: Nanoseconds = firmware_protocol::MAX_SAMPLE_AGE_US as Nanoseconds * 1000;
 
 /// The amplifier's state as far as the host knows it.
@@ -171,8 +171,8 @@ impl Identity {
         self.kind == other.kind && self.serial == other.serial
     }
 
-    /// Whether the later identity `other` is of the same board without a restart of board or Qube in
-    /// between, so that the zeros of its counts still hold.
+    /// Whether the later identity `other` is of the same board without a restart of board or Qube
+    /// in between, so that the zeros of its counts still hold.
     #[must_use]
     pub fn is_same_start(&self, other: &Self) -> bool {
         self.is_same_board(other) && self.boot_id == other.boot_id && !other.counts_anew

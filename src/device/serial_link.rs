@@ -62,8 +62,8 @@ pub struct SerialLink<T: Transport> {
     sample_time_ns: Option<Nanoseconds>,
 }
 
-/// The operator's actions at the Qube's switches since the first hello, as far as an answer has shown
-/// them. The record lasts as long as the link.
+/// The operator's actions at the Qube's switches since the first hello, as far as an answer has
+/// shown them. The record lasts as long as the link.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
     /// The emergency-stop switch was closed, or there is none.
@@ -328,8 +328,8 @@ impl<T: Transport> SerialLink<T> {
         Ok((reply, counts_anew))
     }
 
-    /// The first answer to a sample that tells the device's state, within the transport's boot time:
-    /// the sample, or the refusal of a device that was not greeted or has no Qube.
+    /// The first answer to a sample that tells the device's state, within the transport's boot
+    /// time: the sample, or the refusal of a device that was not greeted or has no Qube.
     fn first_answer(&mut self) -> Result<Reply, DeviceError> {
         let wait_ns = self.transport.boot_time_ns();
         let end_ns = self.clock.now_ns() + wait_ns;

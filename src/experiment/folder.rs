@@ -44,8 +44,8 @@ impl ExperimentFolder {
         MachineDisk.exists(&settings_in(root))
     }
 
-    /// Creates a new folder, or takes an empty one, and writes the experiment's settings into it. The
-    /// partial settings of an experiment that was killed at its start are replaced.
+    /// Creates a new folder, or takes an empty one, and writes the experiment's settings into it.
+    /// The partial settings of an experiment that was killed at its start are replaced.
     ///
     /// # Errors
     /// The folder has other content or cannot be created, or another process holds it.

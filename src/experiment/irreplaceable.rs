@@ -4,8 +4,8 @@ use super::ExperimentFolder;
 use crate::recording::is_recording;
 use crate::session::{RigSessions, SessionPaths};
 
-/// Whether an existing file is a recording, or a file from which a session or an experiment goes on.
-/// Nothing can compute these again, so that no command replaces them, not even by force.
+/// Whether an existing file is a recording, or a file from which a session or an experiment goes
+/// on. Nothing can compute these again, so that no command replaces them, not even by force.
 #[must_use]
 pub fn is_irreplaceable(path: &Path) -> bool {
     const NAMES: [&str; 4] = [

@@ -41,8 +41,8 @@ pub fn standard_deviation(sample: &[f64]) -> f64 {
 }
 
 /// A mean and a standard deviation as a text such as `521.3 ± 12.1`, with the deviation padded to
-/// `width` characters. One value has no deviation, so its text is the mean alone; `None` if the mean
-/// is not finite.
+/// `width` characters. One value has no deviation, so its text is the mean alone; `None` if the
+/// mean is not finite.
 #[must_use]
 pub fn mean_and_deviation((mean, deviation): (f64, f64), width: usize) -> Option<String> {
     match (mean.is_finite(), deviation.is_finite()) {

@@ -33,9 +33,10 @@ pub trait Executor: Send + Sync {
     fn concurrency(&self) -> usize;
 
     /// Carries out all jobs and returns when `on_event` has received one [`JobEvent::Finished`] for
-    /// each. Setting `stop` ends the jobs soon, with [`TrainError::Stopped`](crate::learning::TrainError::Stopped). `on_event` is called
-    /// on the calling thread, in no particular order of the jobs. Callers use [`train_all`], which
-    /// holds an implementation to this.
+    /// each. Setting `stop` ends the jobs soon, with
+    /// [`TrainError::Stopped`](crate::learning::TrainError::Stopped). `on_event` is called on the
+    /// calling thread, in no particular order of the jobs. Callers use [`train_all`], which holds
+    /// an implementation to this.
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, on_event: &mut dyn FnMut(JobEvent));
 
     /// Carries out one job; `on_update` is called after each update.
@@ -62,9 +63,9 @@ pub trait Executor: Send + Sync {
 }
 
 /// Carries out all jobs on an executor, which may be anybody's, and passes on the events that
-/// [`Executor::train`] promises: one [`JobEvent::Finished`] for each job and nothing after it. A job
-/// that the executor does not finish ends with [`JobError::Unreported`]; events of jobs that do not
-/// exist or have ended are dropped.
+/// [`Executor::train`] promises: one [`JobEvent::Finished`] for each job and nothing after it. A
+/// job that the executor does not finish ends with [`JobError::Unreported`]; events of jobs that do
+/// not exist or have ended are dropped.
 pub fn train_all(
     executor: &dyn Executor,
     jobs: &[TrainingJob],

@@ -224,8 +224,8 @@ struct Truncated {
     extra_inputs: ExtraInputs,
 }
 
-/// The ends of trajectories in order of their indices; a trajectory that `truncated` does not name left
-/// the box.
+/// The ends of trajectories in order of their indices; a trajectory that `truncated` does not name
+/// left the box.
 fn ends_in_order(ends: &[End], truncated: &[Truncated]) -> Vec<TrajectoryEnd> {
     let mut in_order: Vec<TrajectoryEnd> =
         ends.iter().map(|end| TrajectoryEnd { end: end.index + 1, left_box: true }).collect();

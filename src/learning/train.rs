@@ -89,8 +89,8 @@ fn finished(
     training.into_trained()
 }
 
-/// Performs the remaining updates of a training. After each update it calls `on_update` and writes a
-/// checkpoint if one is due.
+/// Performs the remaining updates of a training. After each update it calls `on_update` and writes
+/// a checkpoint if one is due.
 pub(super) fn perform(
     training: &mut TrainingState<'_>,
     checkpointing: Option<&Checkpointing>,
@@ -110,8 +110,9 @@ pub(super) fn perform(
 }
 
 impl TrainingState<'_> {
-    /// Performs one update of Algorithm 1 (Eilers 2019): collect, optimise, evaluate. Returns `None`
-    /// if the update diverged: the policy is then that of the update before, and the training ends.
+    /// Performs one update of Algorithm 1 (Eilers 2019): collect, optimise, evaluate. Returns
+    /// `None` if the update diverged: the policy is then that of the update before, and the
+    /// training ends.
     pub fn update(&mut self, stop: &AtomicBool) -> Result<Option<&TrainUpdate>, TrainError> {
         let before = self.policy.network.clone();
         let update = self.curve.len() as u32;

@@ -89,7 +89,8 @@ pub(super) struct EndShown {
     /// Time of the last tick, ns since 1970.
     #[serde(skip)]
     pub(super) time_ns: u64,
-    /// Last encoded message of the channel [`Channel::Safety`]; empty after a rollout without ticks.
+    /// Last encoded message of the channel [`Channel::Safety`]; empty after a rollout without
+    /// ticks.
     #[serde(skip)]
     pub(super) safety: Vec<u8>,
 }
@@ -260,7 +261,8 @@ impl Feed {
         FeedPosition { tick: shown.first + shown.ticks.len() as u64, ..FeedPosition::default() }
     }
 
-    /// Returns the changes since `position`, with at most 128 ticks, and moves `position` past them.
+    /// Returns the changes since `position`, with at most 128 ticks, and moves `position` past
+    /// them.
     pub(super) fn since(&self, position: &mut FeedPosition) -> Changes {
         let shown = self.shown();
         let mut changes = Changes::default();

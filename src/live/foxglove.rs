@@ -208,8 +208,8 @@ impl Client {
         Ok(())
     }
 
-    /// Sends the lasting message of a channel, if it has one and `changes` contains it: the status or
-    /// the scene. These change rarely, so a new subscriber gets the last one at once.
+    /// Sends the lasting message of a channel, if it has one and `changes` contains it: the status
+    /// or the scene. These change rarely, so a new subscriber gets the last one at once.
     fn send_lasting(&mut self, channel: u64, changes: &Changes) -> Result<(), Error> {
         if let (SESSION_CHANNEL, Some(status)) = (channel, &changes.status) {
             let message = serde_json::to_vec(status).unwrap_or_default();

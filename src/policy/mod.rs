@@ -16,8 +16,8 @@
 //! assert_eq!(Controller::voltage_v(&mut controller, &upright), 0.0);
 //! ```
 //!
-//! A controller of any other type runs in the same tick, under the same guard, and is recorded. This
-//! example runs one on the emulated Qube, in virtual time:
+//! A controller of any other type runs in the same tick, under the same guard, and is recorded.
+//! This example runs one on the emulated Qube, in virtual time:
 //!
 //! ```
 //! use std::sync::Arc;

@@ -1,7 +1,7 @@
 //! Tests of the device, of the Qube and of the computer, before the Qube is driven.
 //!
-//! The room may import `clock`, `device`, `control`, `estimation`, `safety`, `telemetry`, `qube` and
-//! the crate `firmware_protocol`.
+//! The room may import `clock`, `device`, `control`, `estimation`, `safety`, `telemetry`, `qube`
+//! and the crate `firmware_protocol`.
 //!
 //! [`conformance`] tests whether a device keeps the protocol. [`examine`] tests whether a Qube is
 //! wired as its settings say, answers fast enough, and has a watchdog that switches its motor off.

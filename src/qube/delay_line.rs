@@ -154,8 +154,8 @@ impl DelayLine {
     }
 }
 
-/// Clips a voltage to +-`largest_v`, V; NaN stays NaN. Unlike `clamp` it has no check of its limits, which would
-/// keep loops over lanes from becoming vector code.
+/// Clips a voltage to +-`largest_v`, V; NaN stays NaN. Unlike `clamp` it has no check of its
+/// limits, which would keep loops over lanes from becoming vector code.
 #[must_use]
 #[inline(always)]
 pub fn limited_to<T: Scalar>(voltage_v: T, largest_v: T) -> T {

@@ -76,8 +76,8 @@ impl<T: Scalar> Dynamics<T> {
         }
     }
 
-    /// Solves the two equations for the accelerations; `arm_torque` (N m) acts on the arm in addition to
-    /// its damping.
+    /// Solves the two equations for the accelerations; `arm_torque` (N m) acts on the arm in
+    /// addition to its damping.
     #[inline(always)]
     pub(super) fn acceleration_under(&self, state: &State<T>, arm_torque: T) -> Acceleration<T> {
         let (sin, cos) = state.alpha.sin_cos();

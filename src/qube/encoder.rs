@@ -42,8 +42,8 @@ impl Encoder {
     pub const QUBE: Self = Self { counts_per_revolution: COUNTS_PER_REVOLUTION };
 
     /// Fewest counts a revolution: 250 lines, four edges each. At this limit one count in a control
-    /// period of 10 ms is 0.6 rad/s; with coarser encoders the watches of the sensors report healthy
-    /// ones as frozen.
+    /// period of 10 ms is 0.6 rad/s; with coarser encoders the watches of the sensors report
+    /// healthy ones as frozen.
     const FEWEST: i32 = 1000;
 
     /// Most counts a revolution. With more, the count of a pendulum that spins could overflow
@@ -153,7 +153,8 @@ impl<T: Scalar> Quantiser<T> {
     }
 }
 
-/// The count of a Qube's encoder at an angle: the index of the last edge passed, rounded towards minus infinity.
+/// The count of a Qube's encoder at an angle: the index of the last edge passed, rounded towards
+/// minus infinity.
 #[must_use]
 pub fn counts(angle_rad: f64) -> i32 {
     Encoder::QUBE.counts(angle_rad)

@@ -1,11 +1,13 @@
-//! The physics of a Qube: parameters with units, equations of motion, integrator, encoder, reward, limits.
+//! The physics of a Qube: parameters with units, equations of motion, integrator, encoder, reward,
+//! limits.
 //!
-//! One copy of the physics serves the simulation, the emulator and the tools; [`QubeLanes`] computes it for
-//! sixteen Qubes side by side. The room is pure (no randomness, no I/O) and may import `elementary`.
+//! One copy of the physics serves the simulation, the emulator and the tools; [`QubeLanes`]
+//! computes it for sixteen Qubes side by side. The room is pure (no randomness, no I/O) and may
+//! import `elementary`.
 //!
-//! Conventions everywhere: theta is the angle of the rotary arm, alpha that of the pendulum; **alpha = 0
-//! hangs down, alpha = pi is upright**. Angles are in rad, velocities in rad/s, and the action is the motor
-//! voltage in V; a positive voltage turns the arm towards positive theta.
+//! Conventions everywhere: theta is the angle of the rotary arm, alpha that of the pendulum;
+//! **alpha = 0 hangs down, alpha = pi is upright**. Angles are in rad, velocities in rad/s, and the
+//! action is the motor voltage in V; a positive voltage turns the arm towards positive theta.
 //!
 //! ```
 //! use qube_hil::qube::{Dynamics, DomainParameters, State, control_step};

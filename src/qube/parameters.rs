@@ -127,7 +127,8 @@ impl DomainParameter {
         Self::PendulumLength,
     ];
 
-    /// The symbol that files and tables use: `g`, `R_m`, `k_m`, `D_r`, `D_p`, `M_r`, `M_p`, `L_r`, `L_p`.
+    /// The symbol that files and tables use: `g`, `R_m`, `k_m`, `D_r`, `D_p`, `M_r`, `M_p`, `L_r`,
+    /// `L_p`.
     #[must_use]
     pub fn symbol(self) -> &'static str {
         ["g", "R_m", "k_m", "D_r", "D_p", "M_r", "M_p", "L_r", "L_p"][self as usize]

@@ -9,8 +9,8 @@ use super::{
     MotorRating, Nonideality, PlantName, Quantity, QubeModel,
 };
 
-/// A rotary pendulum as its maker describes it: its nominal parameters, encoders, stops and motor. A TOML file
-/// can describe one (`docs/reference/plants.md`); [`PlantModel::QUBE`] is built in.
+/// A rotary pendulum as its maker describes it: its nominal parameters, encoders, stops and motor.
+/// A TOML file can describe one (`docs/reference/plants.md`); [`PlantModel::QUBE`] is built in.
 ///
 /// It describes what all specimens of a plant share. A [`super::Profile`] describes one identified
 /// specimen.
@@ -37,7 +37,8 @@ pub struct PlantLimits {
     /// Angle of the arm's hard stop on either side of its middle, rad.
     #[serde(deserialize_with = "hard_stop")]
     pub hard_stop_rad: f64,
-    /// Largest voltage that is ever commanded, V: at most [`MAX_VOLTAGE_V`], the largest that the wire carries.
+    /// Largest voltage that is ever commanded, V: at most [`MAX_VOLTAGE_V`], the largest that the
+    /// wire carries.
     #[serde(deserialize_with = "largest_voltage")]
     pub largest_voltage_v: f64,
 }

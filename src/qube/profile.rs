@@ -142,8 +142,8 @@ impl Profile {
         Self::parse(include_str!("../../profiles/lab.toml")).expect("the profile of the program")
     }
 
-    /// The profile of another specimen of the plant, known as well as this one: its standard errors are as
-    /// large relative to its parameters, and as large for its nonidealities, with the same
+    /// The profile of another specimen of the plant, known as well as this one: its standard errors
+    /// are as large relative to its parameters, and as large for its nonidealities, with the same
     /// correlations.
     #[must_use]
     pub fn around(&self, name: &str, model: &QubeModel) -> Self {
@@ -223,8 +223,9 @@ impl Profile {
         self.standard_errors.get(quantity.name()).copied().unwrap_or(0.0)
     }
 
-    /// The covariance of the errors of two quantities, in the product of their units: the square of the standard
-    /// error for a quantity with itself, 0 where the file names no standard error or no correlation.
+    /// The covariance of the errors of two quantities, in the product of their units: the square of
+    /// the standard error for a quantity with itself, 0 where the file names no standard error or
+    /// no correlation.
     #[must_use]
     pub fn covariance(&self, one: Quantity, other: Quantity) -> f64 {
         let correlation = match &self.correlations {

@@ -10,9 +10,9 @@ use super::{
 };
 use crate::elementary::{InstructionSet, VectorKernel};
 
-/// Sixteen Qubes side by side in `f32`, each with its own parameters, nonidealities and delay, stored as a
-/// structure of arrays. Loops over the lanes have a fixed length and no aliasing, so that they become plain
-/// vector code.
+/// Sixteen Qubes side by side in `f32`, each with its own parameters, nonidealities and delay,
+/// stored as a structure of arrays. Loops over the lanes have a fixed length and no aliasing, so
+/// that they become plain vector code.
 ///
 /// The numbers of a lane depend only on its own start and commands, and have the same bits on every
 /// instruction set. The methods are fast only inside a [`VectorKernel`].
@@ -138,8 +138,8 @@ impl QubeLanes {
         (theta_dot_dot, alpha_dot_dot)
     }
 
-    /// Integrates one of the `SUBSTEPS + 1` pieces of a control period, counted from 0, for Qubes of any
-    /// kind.
+    /// Integrates one of the `SUBSTEPS + 1` pieces of a control period, counted from 0, for Qubes
+    /// of any kind.
     #[inline(always)]
     pub fn advance(&mut self, piece: usize) {
         let Self { state, dynamics, commands, .. } = self;

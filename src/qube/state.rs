@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::elementary::Scalar;
 
-/// Angles and velocities of a Qube: theta of the arm, alpha of the pendulum (0 hangs down, pi is upright).
+/// Angles and velocities of a Qube: theta of the arm, alpha of the pendulum (0 hangs down, pi is
+/// upright).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct State<T = f64> {
     /// Angle of the arm, rad.

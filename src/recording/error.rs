@@ -147,7 +147,8 @@ pub enum Unreadable {
 }
 
 impl RecordingError {
-    /// The error of a failed write. A full disk has its own variant, because the user can remedy it.
+    /// The error of a failed write. A full disk has its own variant, because the user can remedy
+    /// it.
     pub(super) fn write(path: &Path, source: io::Error) -> Self {
         let path = path.to_owned();
         match source.kind() {

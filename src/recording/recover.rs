@@ -27,13 +27,13 @@ pub enum Recovered {
 }
 
 /// Writes the intact part of `damaged` as a complete recording to the new file `saved`, which
-/// appears whole or not at all. The old file is never changed. If ticks are intact, a policy that is
-/// missing or damaged is replaced by an empty one.
+/// appears whole or not at all. The old file is never changed. If ticks are intact, a policy that
+/// is missing or damaged is replaced by an empty one.
 ///
 /// # Errors
 /// The old file cannot be read, its header is missing or damaged, or neither policy nor tick is
-/// intact; or the new file exists already and stays as it is; or the new file cannot be written, and
-/// nothing remains of it.
+/// intact; or the new file exists already and stays as it is; or the new file cannot be written,
+/// and nothing remains of it.
 pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
     let bytes = read_bytes(disk, damaged)?;
@@ -88,8 +88,8 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
         let mut bytes = recorded(&ticks(40));
-        // The first block holds only schemas, channels and the scene, so the fourth one holds the third
-        // ten ticks.
+        // The first block holds only schemas, channels and the scene, so the fourth one holds the
+        // third ten ticks.
         let inside_third = find_all(&bytes, b"lz4").into_iter().nth(3).unwrap() + 40;
         bytes[inside_third] ^= 0x55;
         std::fs::write(&damaged, &bytes).unwrap();

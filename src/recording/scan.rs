@@ -26,8 +26,8 @@ const MAX_METADATA_BYTES: usize = 1 << 20;
 /// reads.
 const MAX_ATTACHMENT_BYTES: usize = 1 << 24;
 
-/// Largest number of places at which the next record is searched in a file. Without a limit the time
-/// for a hostile file would grow with the square of its size.
+/// Largest number of places at which the next record is searched in a file. Without a limit the
+/// time for a hostile file would grow with the square of its size.
 const MAX_SEARCHES: u32 = 100;
 
 /// The intact records of a recording's file, and its first defect.
@@ -147,8 +147,8 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
             continue;
         };
         match record.opcode {
-            // A file has one such record. If each of many had its checksum tested, the time would grow
-            // with the square of the file.
+            // A file has one such record. If each of many had its checksum tested, the time would
+            // grow with the square of the file.
             opcode::DATA_END if summary_start.is_none() && record.body.len() == 4 => {
                 let stored = Fields(record.body).u32();
                 if stored != Some(CRC_32.checksum(&bytes[..offset])) {
@@ -193,8 +193,8 @@ fn begins_record(bytes: &[u8], offset: usize) -> bool {
     frame(bytes, offset).is_some_and(|record| KINDS.contains(&record.opcode))
 }
 
-/// The offset of the first block from `from` on, or else of the first record after which another one
-/// begins; `None` if there is none.
+/// The offset of the first block from `from` on, or else of the first record after which another
+/// one begins; `None` if there is none.
 fn next_record(bytes: &[u8], from: usize) -> Option<usize> {
     let is_followed = |offset: &usize| {
         begins_record(bytes, *offset)

@@ -55,8 +55,8 @@ pub enum Incomplete {
 }
 
 impl Incomplete {
-    /// The reason why this recording is incomplete; `None` if it holds the whole rollout, also where only
-    /// the end of the file is damaged.
+    /// The reason why this recording is incomplete; `None` if it holds the whole rollout, also
+    /// where only the end of the file is damaged.
     #[must_use]
     pub fn of(recording: &Recording) -> Option<Self> {
         let Some(outcome) = &recording.outcome else { return Some(Self::Cut) };

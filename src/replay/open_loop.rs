@@ -12,9 +12,9 @@ use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, State, runge_ku
 /// motions give.
 const LONGEST_STEP_S: f64 = CONTROL_PERIOD_S / 9.0;
 
-/// The longest integration step for a model, s: that of `lab`, or a half, a quarter ... of it for an
-/// arm with more friction ([`NonidealDynamics::accurate_step_s`]). Only by halves, so that a fit does
-/// not change it with each step.
+/// The longest integration step for a model, s: that of `lab`, or a half, a quarter ... of it for
+/// an arm with more friction ([`NonidealDynamics::accurate_step_s`]). Only by halves, so that a fit
+/// does not change it with each step.
 #[must_use]
 pub fn longest_step_s(model: &QubeModel) -> f64 {
     let accurate_s = NonidealDynamics::<f64>::new(model).accurate_step_s();
@@ -25,8 +25,8 @@ pub fn longest_step_s(model: &QubeModel) -> f64 {
     step_s
 }
 
-/// Shortest of the steps that [`longest_step_s`] returns, s; a model that needs shorter ones has far
-/// more friction than any table-top pendulum.
+/// Shortest of the steps that [`longest_step_s`] returns, s; a model that needs shorter ones has
+/// far more friction than any table-top pendulum.
 const SHORTEST_STEP_S: f64 = LONGEST_STEP_S / 15.0;
 
 /// The motion of a model under the voltages of a log, and its distance from the log's own motion.
@@ -135,11 +135,11 @@ fn error_between(samples: &[MotionSample], states: &[State]) -> AngleError {
 /// stretch to `each`; the first is `start`. `stretch` is a range of indices of `samples`. Commands
 /// from before the stretch that were still on their way to the motor arrive within it.
 ///
-/// The integration steps depend on the samples' times and on [`longest_step_s`] alone, and a step in which a command arrives
-/// is cut in two; the lanes of a simulation do the same. The states are therefore continuous in the
-/// delay. If steps ran from arrival to arrival instead, their number would jump with the delay, and
-/// the integration error with it. That jump would exceed the change of the states over the finite
-/// difference by which a fit estimates slopes.
+/// The integration steps depend on the samples' times and on [`longest_step_s`] alone, and a step
+/// in which a command arrives is cut in two; the lanes of a simulation do the same. The states are
+/// therefore continuous in the delay. If steps ran from arrival to arrival instead, their number
+/// would jump with the delay, and the integration error with it. That jump would exceed the change
+/// of the states over the finite difference by which a fit estimates slopes.
 pub fn simulate_stretch(
     samples: &[MotionSample],
     stretch: Range<usize>,
@@ -160,8 +160,8 @@ pub fn simulate_stretch(
 }
 
 /// Simulates like [`simulate_stretch`] in any kind of number, such as numbers that carry
-/// derivatives; the delay of commands is `command_delay_s` seconds, and no integration step is longer
-/// than `longest_step_s`.
+/// derivatives; the delay of commands is `command_delay_s` seconds, and no integration step is
+/// longer than `longest_step_s`.
 #[inline(always)]
 pub fn simulate_stretch_in<T: Scalar>(
     samples: &[MotionSample],

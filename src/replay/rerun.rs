@@ -117,9 +117,9 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
     let mut guard_approach: Option<GuardApproach> = None;
     for (index, recorded) in compared.iter().enumerate() {
         // A recording has no fields for a link that is gone, a board that has restarted and a Qube
-        // that is off. They happen only in the last tick, which has no sample, because they end the rollout, and the
-        // outcome names them. The last tick of a recording whose end is missing may be an earlier
-        // one.
+        // that is off. They happen only in the last tick, which has no sample, because they end the
+        // rollout, and the outcome names them. The last tick of a recording whose end is missing
+        // may be an earlier one.
         let may_be_the_end = index + 1 == recording.ticks.len() && recorded.measurement.is_none();
         let output = tick.decide(&TickInput {
             deadline_ns: recorded.deadline_ns,

@@ -7,8 +7,8 @@ pub struct Chart {
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// Positions on the horizontal axis, none below the one before it; a position may occur more than
-    /// once.
+    /// Positions on the horizontal axis, none below the one before it; a position may occur more
+    /// than once.
     pub xs: Vec<f64>,
     /// Series, each with a value or a gap for every position of `xs`.
     pub series: Vec<Series>,

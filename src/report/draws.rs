@@ -41,9 +41,9 @@ pub struct QuantityDraws {
     pub standard_deviation: f64,
     /// The smallest and the largest value that a draw can have.
     pub range: (f64, f64),
-    /// Shares of the draws that are piled up at the lower and at the upper end of the range. A joint
-    /// deviation that would move a value out of its range puts it at the end, from where the other
-    /// deviations may move it a little.
+    /// Shares of the draws that are piled up at the lower and at the upper end of the range. A
+    /// joint deviation that would move a value out of its range puts it at the end, from where the
+    /// other deviations may move it a little.
     pub at_ends: [f64; 2],
     /// Smallest and largest of the draws that are piled up at no end; equal if there are none.
     pub inner: (f64, f64),
@@ -129,8 +129,8 @@ impl QuantityDraws {
     }
 }
 
-/// The smoothed density in each cell between `low` and `high`: counts, spread by a normal kernel and
-/// reflected at both ends, so that no draw is moved out of them.
+/// The smoothed density in each cell between `low` and `high`: counts, spread by a normal kernel
+/// and reflected at both ends, so that no draw is moved out of them.
 fn density(values: impl Iterator<Item = f64>, (low, high): (f64, f64), all: usize) -> Vec<f64> {
     let width = (high - low) / CELLS as f64;
     let mut counts = [0.0; CELLS];

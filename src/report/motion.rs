@@ -71,8 +71,8 @@ struct Limits {
 
 impl PackedMotion {
     /// The motion of a recording, with the simulation of its voltages if there is one. Times count
-    /// from the first tick of the policy, or from the first of all if the policy never had the motor.
-    /// `nearest` are the approaches to mark. Ticks beyond `MAX_TICKS` are left out.
+    /// from the first tick of the policy, or from the first of all if the policy never had the
+    /// motor. `nearest` are the approaches to mark. Ticks beyond `MAX_TICKS` are left out.
     #[must_use]
     pub fn of(
         recording: &Recording,
@@ -204,8 +204,8 @@ pub fn simulated(recording: &Recording, model: &QubeModel) -> Option<(MotionLog,
     Some((log, open_loop))
 }
 
-/// Angle of the whole turns by which alpha falls when the policy begins, rad: the tick then forgets the
-/// turns that the pendulum has made before. 0 if the policy never begins.
+/// Angle of the whole turns by which alpha falls when the policy begins, rad: the tick then forgets
+/// the turns that the pendulum has made before. 0 if the policy never begins.
 fn turned_before_policy(ticks: &[TickRecord]) -> f64 {
     let begins =
         |pair: &&[TickRecord]| pair[0].phase != Phase::Running && pair[1].phase == Phase::Running;

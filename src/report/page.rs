@@ -277,8 +277,8 @@ const SQUARE: usize = 34;
 /// Width of the names to the left of the matrix, pixels.
 const NAMES: usize = 250;
 
-/// The part of a matrix below its diagonal as an SVG picture: a square for each entry with the entry's
-/// number, darker the farther the entry is from 0.
+/// The part of a matrix below its diagonal as an SVG picture: a square for each entry with the
+/// entry's number, darker the farther the entry is from 0.
 fn matrix_svg(names: &[String], entry: impl Fn(usize, usize) -> f64) -> String {
     let side = SQUARE * names.len();
     let mut svg = format!(

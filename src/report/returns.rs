@@ -21,8 +21,9 @@ struct Place {
     best: Option<f64>,
 }
 
-/// A figure of the returns of candidates, which must be in increasing order of their numbers. `largest`
-/// is the largest return that is possible; `boundaries` are further lines across the figure.
+/// A figure of the returns of candidates, which must be in increasing order of their numbers.
+/// `largest` is the largest return that is possible; `boundaries` are further lines across the
+/// figure.
 #[must_use]
 pub fn returns_chart(
     candidates: &[CandidateReturns],

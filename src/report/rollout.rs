@@ -92,8 +92,8 @@ impl RolloutView {
     }
 
     /// The text for the player, as far as it is known: result, ending, nearest approach to a limit,
-    /// the guard's nearest approach to ending the policy, the error of the simulation, and a defect of
-    /// the file.
+    /// the guard's nearest approach to ending the policy, the error of the simulation, and a defect
+    /// of the file.
     #[must_use]
     pub fn sentence(&self) -> String {
         let mut parts = vec![first_upper(&self.result())];
@@ -218,8 +218,8 @@ pub fn add_player(page: &mut Page, motions: Vec<PackedMotion>, first: usize) {
 /// Largest size of all motions in a page together, bytes, so that a page stays below 5 MB.
 const MOTION_BYTES: usize = 3_200_000;
 
-/// Strides by which motions are thinned: every tick, or every second, fourth or tenth. The first that
-/// suffices is used, or else the last.
+/// Strides by which motions are thinned: every tick, or every second, fourth or tenth. The first
+/// that suffices is used, or else the last.
 const STRIDES: [usize; 4] = [1, 2, 4, 10];
 
 /// The motions that fit into a page, the index of the chosen one among them, and a note for the

@@ -7,8 +7,8 @@
 //! [`Rig::rollout`] records a rollout. The command `check` uses [`Rig::connect`] and
 //! [`Rig::check`].
 //!
-//! This example runs the classical controller on the emulated Qube, in virtual time, and replays the
-//! recording:
+//! This example runs the classical controller on the emulated Qube, in virtual time, and replays
+//! the recording:
 //!
 //! ```
 //! use std::sync::Arc;

@@ -3,8 +3,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crate::clock::Nanoseconds;
 use crate::safety::{LARGEST_LOAD, MotorHeat};
 
-/// The heat that a Qube's motor had when its last rig was closed. All clones share it, so that a rig
-/// that is opened anew by the same program does not take a warm motor for a cold one.
+/// The heat that a Qube's motor had when its last rig was closed. All clones share it, so that a
+/// rig that is opened anew by the same program does not take a warm motor for a cold one.
 #[derive(Clone, Debug, Default)]
 pub struct MotorMemory(Arc<Mutex<Option<ClosedRig>>>);
 

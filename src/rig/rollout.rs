@@ -38,12 +38,12 @@ const LEAST_AGE_S: f64 = 0.002;
 /// Largest age that is assumed for a sample without a device time, s.
 const LONGEST_AGE_S: f64 = 0.01;
 
-/// Largest angle by which a cable is taken to pull a resting arm between two rollouts, rad. On `lab`
-/// it pulls by 0.1 rad in 10 s.
+/// Largest angle by which a cable is taken to pull a resting arm between two rollouts, rad. On
+/// `lab` it pulls by 0.1 rad in 10 s.
 const LARGEST_CREEP_RAD: f64 = 0.35;
 
-/// Whether a count that moved between two rollouts may be wrong: more than a cable pulls the arm. No
-/// stop that homing by hand touches could show the error.
+/// Whether a count that moved between two rollouts may be wrong: more than a cable pulls the arm.
+/// No stop that homing by hand touches could show the error.
 fn is_no_creep(moved: Moved) -> bool {
     match moved {
         Moved::Arm(angle_rad) => angle_rad.abs() > LARGEST_CREEP_RAD,

@@ -80,9 +80,9 @@ impl TrustedForesight {
         }
     }
 
-    /// Returns how a sample contradicts the profile while the belief from the profile decides. Takes
-    /// the sample's estimated state and device time, us, and the commands before it (V, newest
-    /// first).
+    /// Returns how a sample contradicts the profile while the belief from the profile decides.
+    /// Takes the sample's estimated state and device time, us, and the commands before it (V,
+    /// newest first).
     ///
     /// A sample that contradicts the profile always ends the trust, but while the arm settles the
     /// other belief decides, and this method then returns `None`.

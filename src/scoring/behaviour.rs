@@ -42,8 +42,8 @@ pub enum Behaviour {
     Chattered,
     /// Never brought the pendulum up, or lost it.
     Fell,
-    /// Every attempt was void: ended by a fault, or recorded with ticks missing. [`Behaviour::of`] never
-    /// returns this class, because one recording does not show it.
+    /// Every attempt was void: ended by a fault, or recorded with ticks missing. [`Behaviour::of`]
+    /// never returns this class, because one recording does not show it.
     Fault,
 }
 

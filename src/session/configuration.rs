@@ -18,11 +18,11 @@ use crate::simulation::SensorModel;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 impl SessionSettings {
-    /// Reads a session's complete configuration to show it. Entries that later versions added may be
-    /// missing and have the values of before: a file without a guard selects the box alone, and one
-    /// without `verifies_incumbent` verifies only the recommendation. Other missing entries have
-    /// their defaults or, in a table that is always written whole, are errors. Entries that this
-    /// version does not have any more are ignored.
+    /// Reads a session's complete configuration to show it. Entries that later versions added may
+    /// be missing and have the values of before: a file without a guard selects the box alone, and
+    /// one without `verifies_incumbent` verifies only the recommendation. Other missing entries
+    /// have their defaults or, in a table that is always written whole, are errors. Entries that
+    /// this version does not have any more are ignored.
     ///
     /// # Errors
     /// The file cannot be read or is not a configuration, or a setting is unknown or out of its
@@ -36,8 +36,8 @@ impl SessionSettings {
     /// Reads a session's complete configuration like [`load`](Self::load) to resume the session.
     ///
     /// # Errors
-    /// The errors of [`load`](Self::load), or the session depended on a setting or a guard that this
-    /// version does not have.
+    /// The errors of [`load`](Self::load), or the session depended on a setting or a guard that
+    /// this version does not have.
     pub fn load_to_resume(path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         let resumable = |(settings, retired): (Self, Vec<Retired>)| {
@@ -116,8 +116,8 @@ impl SessionSettings {
         self.overridden_by_part(text, None, path)
     }
 
-    /// Overrides these settings like [`overridden_by_text`](Self::overridden_by_text), but only with
-    /// the table `part` of the text; `None` means the whole text.
+    /// Overrides these settings like [`overridden_by_text`](Self::overridden_by_text), but only
+    /// with the table `part` of the text; `None` means the whole text.
     ///
     /// # Errors
     /// The errors of [`overridden_by_text`](Self::overridden_by_text).

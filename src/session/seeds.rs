@@ -98,8 +98,8 @@ pub fn derived_seed(session_seed: u64, purpose: SeedFor) -> u64 {
     random(session_seed, purpose).random()
 }
 
-/// The start angle of the arm in a rollout, rad: as far from the middle as in training, and the same
-/// for each attempt at the rollout.
+/// The start angle of the arm in a rollout, rad: as far from the middle as in training, and the
+/// same for each attempt at the rollout.
 #[must_use]
 pub fn start_theta_rad(session_seed: u64, candidate: u32, rollout: u32) -> f64 {
     random(session_seed, SeedFor::Start { candidate, rollout })

@@ -151,8 +151,8 @@ impl ScoredCandidate {
     }
 
     /// The rank of the candidate among others, higher is better; `None` without a rollout. A
-    /// candidate whose rollouts all succeeded quietly (not [`Quietness::is_loud`]) is better than any
-    /// other. Otherwise the mean return decides.
+    /// candidate whose rollouts all succeeded quietly (not [`Quietness::is_loud`]) is better than
+    /// any other. Otherwise the mean return decides.
     #[must_use]
     pub fn rank(&self) -> Option<(bool, f64)> {
         let all_succeeded = self.successes() == self.verdicts.len();

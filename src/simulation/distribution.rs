@@ -8,10 +8,10 @@ use crate::qube::{CONTROL_PERIOD_S, Distribution, MAX_HISTORY, Nonideality, Quan
 /// Largest distance of a draw from its mean, as a fraction of the mean: draws of a parameter lie
 /// between 0.1 and 1.9 times the mean.
 ///
-/// The truncation guarantees physical draws: a parameter whose mean is above zero is above zero in every
-/// draw. The lower end is a tenth of the mean because the integrator's step still resolves an arm of a
-/// tenth of its length, but not one of a hundredth. The truncation is symmetric, so that the mean of the
-/// draws is the requested mean.
+/// The truncation guarantees physical draws: a parameter whose mean is above zero is above zero in
+/// every draw. The lower end is a tenth of the mean because the integrator's step still resolves an
+/// arm of a tenth of its length, but not one of a hundredth. The truncation is symmetric, so that
+/// the mean of the draws is the requested mean.
 pub const TRUNCATION: f64 = 0.9;
 
 /// Longest simulated command delay, s: the time that [`MAX_HISTORY`] commands span.
@@ -47,9 +47,10 @@ pub enum DistributionError {
     },
 }
 
-/// The largest distance of a draw from a mean, on either side. For a parameter it is [`TRUNCATION`] times
-/// the mean; for a nonideality it is the distance to the nearer end of its range. The range of friction,
-/// dead zone, cable stiffness and delay begins at zero, so that a uniform draw may begin there.
+/// The largest distance of a draw from a mean, on either side. For a parameter it is [`TRUNCATION`]
+/// times the mean; for a nonideality it is the distance to the nearer end of its range. The range
+/// of friction, dead zone, cable stiffness and delay begins at zero, so that a uniform draw may
+/// begin there.
 #[must_use]
 pub fn reach(quantity: Quantity, mean: f64) -> f64 {
     match quantity {

@@ -143,8 +143,8 @@ pub enum SensorModel {
     },
 }
 
-/// A [`SensorModel`] as a file contains it. Unlike a tagged enum, a struct is read without a copy of
-/// the whole table, so that an error names its line.
+/// A [`SensorModel`] as a file contains it. Unlike a tagged enum, a struct is read without a copy
+/// of the whole table, so that an error names its line.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SensorTable {

@@ -22,7 +22,8 @@ impl Disk for MachineDisk {
             self.create_folder(parent)?;
         }
         match fs::create_dir(path) {
-            // Somebody else may have made the folder meanwhile; anything else of its name is in the way.
+            // Somebody else may have made the folder meanwhile; anything else of its name is in the
+            // way.
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists || !path.is_dir() => {
                 Err(error)
             }

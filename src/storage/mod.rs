@@ -1,8 +1,8 @@
 //! The disk as an argument: everything that must survive a crash is written through a [`Disk`], so
 //! that a test can use a disk that fails, stalls, or loses power at a chosen operation.
 //!
-//! A file from an unknown source is read up to a limit only ([`read_bounded`]). Formats of files that
-//! use Protocol Buffers are written by [`ProtobufMessage`]. The room imports nothing.
+//! A file from an unknown source is read up to a limit only ([`read_bounded`]). Formats of files
+//! that use Protocol Buffers are written by [`ProtobufMessage`]. The room imports nothing.
 
 mod bounded;
 mod machine_disk;
@@ -142,9 +142,9 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// The storage failed.
     fn sync_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Locks a folder until the returned [`FolderLock`] is dropped. The lock keeps out only programs
-    /// that take it, too; on a file system that several computers share, such as NFS, it may keep
-    /// out only those of this computer.
+    /// Locks a folder until the returned [`FolderLock`] is dropped. The lock keeps out only
+    /// programs that take it, too; on a file system that several computers share, such as NFS, it
+    /// may keep out only those of this computer.
     ///
     /// # Errors
     /// The folder is already locked, by another process or by this one, or the operating system

@@ -56,7 +56,8 @@ pub enum MotorState {
 /// Generates the enum, its causes and the table from rows in the order of the table.
 macro_rules! faults {
     ($($(#[$attribute:meta])* $fault:ident: $consequence:ident, $cause:literal, $operator:literal;)+) => {
-        /// A fault by its name. Each is latched: the program switches the motor off, and it stays off.
+        /// A fault by its name. Each is latched: the program switches the motor off, and it stays
+        /// off.
         #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(rename_all = "snake_case")]
         pub enum Fault {
@@ -245,10 +246,10 @@ impl Fault {
         self.consequence() == Consequence::TryAgain
     }
 
-    /// Whether the arm is damped by its count's velocity before the motor goes off, because the count
-    /// may be right although a test doubts it ([`TickRules::Damped`](super::TickRules::Damped)).
-    /// [`EncoderDrifts`](Self::EncoderDrifts) is not among these faults: the count's velocity is
-    /// wrong there.
+    /// Whether the arm is damped by its count's velocity before the motor goes off, because the
+    /// count may be right although a test doubts it
+    /// ([`TickRules::Damped`](super::TickRules::Damped)). [`EncoderDrifts`](Self::EncoderDrifts) is
+    /// not among these faults: the count's velocity is wrong there.
     #[must_use]
     pub fn doubts_count(self) -> bool {
         matches!(

@@ -72,8 +72,8 @@ pub enum TickRules {
     /// pendulum's load while the count was constant; and settling loses gain after 4 s.
     AlternatingAllowed,
     /// As [`AlternatingAllowed`](Self::AlternatingAllowed); in addition, settling that oscillates
-    /// loses gain, the trim of settling grows more slowly where the gains have fallen, and the gains
-    /// do not fall below a fifth.
+    /// loses gain, the trim of settling grows more slowly where the gains have fallen, and the
+    /// gains do not fall below a fifth.
     SettlingGainReducing,
     /// As [`SettlingGainReducing`](Self::SettlingGainReducing); in addition, encoders with fewer
     /// counts than a Qube's may flicker by one count at rest.
@@ -202,8 +202,8 @@ pub struct RolloutOutcome {
     /// braking; `None` if foresight did not end it, and in recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub foreseen: Option<Foreseen>,
-    /// Contradiction between the Qube and its profile that ended the policy; `None` if none did, and
-    /// in recordings that lack it.
+    /// Contradiction between the Qube and its profile that ended the policy; `None` if none did,
+    /// and in recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contradiction: Option<Contradiction>,
     /// Largest load of the motor, 1 at its continuous rating; `None` in recordings that lack it.

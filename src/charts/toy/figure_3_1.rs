@@ -152,7 +152,8 @@ impl Surface {
         );
         for (row, line) in self.values.iter().enumerate() {
             let y = exponent(NOISES, row);
-            // Cells of one colour are drawn as one rectangle, which makes the file ten times smaller.
+            // Cells of one colour are drawn as one rectangle, which makes the file ten times
+            // smaller.
             for run in runs(line.iter().map(|value| level(*value))) {
                 let left = exponent(LENGTHSCALES, run.first) - half_x;
                 let right = exponent(LENGTHSCALES, run.last) + half_x;

@@ -21,9 +21,10 @@ use crate::storage::{MachineDisk, write_whole};
 
 /// Compare the search strategies on synthetic objectives
 ///
-/// `regret`: the maximum minus the best value so far, after each evaluation, on objectives of 2 to 16 dimensions
-/// without noise. `noise`: expected return of the recommended point when a rollout either balances (500) or
-/// falls (50), without and with trainings that differ. Tables go to stdout; pictures, tables and all numbers to --out.
+/// `regret`: the maximum minus the best value so far, after each evaluation, on objectives of 2 to
+/// 16 dimensions without noise. `noise`: expected return of the recommended point when a rollout
+/// either balances (500) or falls (50), without and with trainings that differ. Tables go to
+/// stdout; pictures, tables and all numbers to --out.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil benchmark regret\n  \

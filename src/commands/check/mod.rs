@@ -36,9 +36,10 @@ const WRITER: &str = "qube-hil check --write";
 
 /// Check a Qube before anything else is done with it: link, watchdog, encoders, signs, homing
 ///
-/// The arm is pushed a little (0.1 s at most, with 0.25 V, and more only until arm and pendulum move enough) and
-/// then homed. Every command that drives a real Qube does the same before its first motion, unless --skip-check is
-/// given. Exit code 0 when no check failed, 1 when one failed, 2 when there is no Qube at that port.
+/// The arm is pushed a little (0.1 s at most, with 0.25 V, and more only until arm and pendulum
+/// move enough) and then homed. Every command that drives a real Qube does the same before its
+/// first motion, unless --skip-check is given. Exit code 0 when no check failed, 1 when one failed,
+/// 2 when there is no Qube at that port.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil check --device /dev/ttyACM0\n  \
@@ -53,13 +54,15 @@ pub struct Arguments {
     #[arg(long, conflicts_with_all = ["write", "home"])]
     conformance: bool,
 
-    /// Use the signs that are found, and write them to a file with the port's lasting name. Other entries
-    /// of the file are kept (of another board's file only those that make it safer), its comments are not [without FILE: qube.toml]
+    /// Use the signs that are found, and write them to a file with the port's lasting name. Other
+    /// entries of the file are kept (of another board's file only those that make it safer), its
+    /// comments are not [without FILE: qube.toml]
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = QUBE_FILE)]
     write: Option<PathBuf>,
 
-    /// Afterwards test, with you at the Qube, the motor's behaviour when the board loses power, and write
-    /// the result to the file of --write or --qube [else: qube.toml]. Needed once for each rig
+    /// Afterwards test, with you at the Qube, the motor's behaviour when the board loses power, and
+    /// write the result to the file of --write or --qube [else: qube.toml]. Needed once for each
+    /// rig
     #[arg(long, conflicts_with = "conformance")]
     power_test: bool,
 
@@ -240,8 +243,8 @@ fn summary(results: &[CheckResult]) -> String {
 }
 
 /// Whether the operator wants the power test. Asks only at a terminal, and only if the file has no
-/// result of that test; otherwise, and at the end of the input, the answer is no. Fails after a stop
-/// request.
+/// result of that test; otherwise, and at the end of the input, the answer is no. Fails after a
+/// stop request.
 fn wants_power_test(path: &Path, stop: &Stop) -> Result<bool, Failure> {
     let is_known = QubeFile::load(path).is_ok_and(|file| file.power.is_some());
     if is_known || !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {

@@ -122,8 +122,8 @@ impl ExperimentReport {
 /// Largest number of pairs of recipe and plant whose rollouts a page shows.
 const SHOWN: usize = 20;
 
-/// The first rollout of the best and of the worst policy, by mean return, of each of the first `SHOWN`
-/// pairs of recipe and plant. Rollouts that cannot be read are left out.
+/// The first rollout of the best and of the worst policy, by mean return, of each of the first
+/// `SHOWN` pairs of recipe and plant. Rollouts that cannot be read are left out.
 fn examples(results: &Results) -> NamedRollouts {
     let mut rollouts = NamedRollouts::new();
     // The rows for all plants together repeat the policies of the other rows.

@@ -33,8 +33,9 @@ pub struct Opened {
     pub place: Option<OutputFolder>,
 }
 
-/// Checks before any work that figures and CSV table can be written; returns the file of `--csv`, if it is given.
-/// Figures and table may go into the folder of the experiment, so that folder must exist when this is called.
+/// Checks before any work that figures and CSV table can be written; returns the file of `--csv`,
+/// if it is given. Figures and table may go into the folder of the experiment, so that folder must
+/// exist when this is called.
 fn check_places(arguments: &Arguments) -> Result<Option<OutputFile>, Failure> {
     if let Some(folder) = &arguments.figures {
         let existing = folder.ancestors().find(|it| it.exists());
@@ -96,7 +97,8 @@ fn check_resumed_device(
     }
 }
 
-/// Begins an experiment: checks everything that can be checked before its work, and makes its folder.
+/// Begins an experiment: checks everything that can be checked before its work, and makes its
+/// folder.
 pub fn begun(
     arguments: &Arguments,
     consent: Option<GuardConsent>,

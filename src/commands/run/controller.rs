@@ -63,9 +63,9 @@ impl RunController {
         checked.map_err(|other| Failure::usage(format!("{}: {other}", self.name)))
     }
 
-    /// The note that the policy gets another estimator, or another velocity filter, than in its training;
-    /// `None` where its file names this one or none. The models of two observers are not compared,
-    /// because each describes its own Qube.
+    /// The note that the policy gets another estimator, or another velocity filter, than in its
+    /// training; `None` where its file names this one or none. The models of two observers are not
+    /// compared, because each describes its own Qube.
     pub fn estimator_note(&self, used: &EstimatorSettings) -> Option<String> {
         let Some(Policy::Network(network)) = &self.policy else { return None };
         let SimulatedSensors::Encoders { corner_rad_s, observer, .. } = network.training.sensors

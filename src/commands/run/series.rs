@@ -137,7 +137,8 @@ impl RolloutSeries<'_> {
         opened.map_err(|error| failures::rig(error, self.stop))
     }
 
-    /// Opens the rig. Once its port, board and doubt are accepted, says how the arm will move first.
+    /// Opens the rig. Once its port, board and doubt are accepted, says how the arm will move
+    /// first.
     fn open_once(&self) -> Result<Rig, RigError> {
         Rig::open_announced(&self.settings, &self.stop.flag, |is_examined| {
             let described = &self.described;

@@ -69,7 +69,8 @@ pub fn run(
     let consent = arguments.consent.with_guard(arguments.guard)?;
     let begins = arguments.resume.is_none();
     let mut place = None;
-    // Held to the end: another command must not take sessions that begin for the leftovers of a kill.
+    // Held to the end: another command must not take sessions that begin for the leftovers of a
+    // kill.
     let mut _root_lock = None;
     let (root, sessions) = match &arguments.resume {
         Some(root) => (root.clone(), resume_all(arguments, root, &devices)?),

@@ -131,8 +131,8 @@ pub fn emulated_of(
     }
 }
 
-/// The command that resumes a session on these Qubes with the same executor. It names no Qube if all
-/// are emulated and no file describes them.
+/// The command that resumes a session on these Qubes with the same executor. It names no Qube if
+/// all are emulated and no file describes them.
 pub fn resume_command(
     root: &Path,
     devices: &[ChosenDevice],

@@ -140,8 +140,8 @@ pub enum EmulatorFault {
         /// Size of the jump, counts.
         counts: i32,
     },
-    /// Disturbances on the cable of the arm's encoder are counted as motion; the tachometer does not
-    /// show them.
+    /// Disturbances on the cable of the arm's encoder are counted as motion; the tachometer does
+    /// not show them.
     DriftingTheta {
         /// Onset, s.
         after_s: f64,

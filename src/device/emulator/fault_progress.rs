@@ -13,8 +13,8 @@ pub struct TrueReadings {
     pub theta_counts: i32,
     /// Count of the pendulum's encoder.
     pub alpha_counts: i32,
-    /// Register of the tachometer, as [`EmulatedPlant::tachometer_raw`](super::EmulatedPlant::tachometer_raw)
-    /// describes it.
+    /// Register of the tachometer, as
+    /// [`EmulatedPlant::tachometer_raw`](super::EmulatedPlant::tachometer_raw) describes it.
     pub tachometer_raw: u32,
     /// Register of the tachometer if the pendulum's encoder were plugged in as the arm's.
     pub pendulum_tachometer_raw: u32,

@@ -21,8 +21,8 @@ pub(super) struct Play {
     half_play_rad: f64,
     motor_rad: f64,
     motor_rad_s: f64,
-    /// End of the play at which the motor touches the arm: 1 where it pushes towards positive theta,
-    /// -1 at the other end; `None` inside the play.
+    /// End of the play at which the motor touches the arm: 1 where it pushes towards positive
+    /// theta, -1 at the other end; `None` inside the play.
     contact: Option<f64>,
 }
 
@@ -65,8 +65,8 @@ impl Play {
         self.apply_impact(&arm, rotor_inertia, after)
     }
 
-    /// Places a motor in contact at its end of the play, with the arm's velocity, for a new state of
-    /// the arm; a motor inside the play stays where it is.
+    /// Places a motor in contact at its end of the play, with the arm's velocity, for a new state
+    /// of the arm; a motor inside the play stays where it is.
     pub(super) fn follow(&mut self, state: &State) {
         if let Some(side) = self.contact {
             self.motor_rad = state.theta + side * self.half_play_rad;
@@ -74,8 +74,8 @@ impl Play {
         }
     }
 
-    /// Moves the motor inside the play. Friction is applied last and never reverses the velocity; in
-    /// an explicit step it would, because the rotor's inertia is so small.
+    /// Moves the motor inside the play. Friction is applied last and never reverses the velocity;
+    /// in an explicit step it would, because the rotor's inertia is so small.
     fn turn_motor(
         &mut self,
         whole: &NonidealDynamics,
@@ -93,7 +93,8 @@ impl Play {
         self.motor_rad += step_s * self.motor_rad_s;
     }
 
-    /// Applies the impact when the motor has reached an end of the play; returns the state after it.
+    /// Applies the impact when the motor has reached an end of the play; returns the state after
+    /// it.
     fn apply_impact(&mut self, arm: &NonidealDynamics, rotor_inertia: f64, state: State) -> State {
         let ahead_rad = self.motor_rad - state.theta;
         if ahead_rad.abs() < self.half_play_rad {
@@ -168,8 +169,8 @@ mod tests {
         plant.set_voltage(0.0);
         plant.advance_to(8_000_000);
         let rests = plant.state().theta;
-        // The push is so slow that nothing coasts: the motor crosses the play and then takes the arm
-        // along.
+        // The push is so slow that nothing coasts: the motor crosses the play and then takes the
+        // arm along.
         plant.set_voltage(-0.104);
         let mut first_us = None;
         for time_us in (8_000_000..9_000_000).step_by(1_000) {

@@ -305,7 +305,8 @@ static ALIVE: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 fn switch_off_at_exit(shared: &Arc<Shared>) {
     let mut alive = ALIVE.lock().unwrap_or_else(PoisonError::into_inner);
     if alive.is_empty() {
-        // SAFETY: the function is a plain one that does not unwind, and stays loaded with the program.
+        // SAFETY: the function is a plain one that does not unwind, and stays loaded with the
+        // program.
         unsafe { libc::atexit(at_exit) };
     }
     alive.retain(|worker| worker.strong_count() > 0);

@@ -168,8 +168,8 @@ impl Starter for CommandStarter {
         while self.starts.iter_mut().any(Start::is_running) && Instant::now() < until {
             std::thread::sleep(POLL_INTERVAL);
         }
-        // A command that ignores the signal, or hangs, must not keep this program from its end. Even
-        // a kill may have to wait for a file server, so nobody waits for it.
+        // A command that ignores the signal, or hangs, must not keep this program from its end.
+        // Even a kill may have to wait for a file server, so nobody waits for it.
         self.starts.iter_mut().for_each(|start| start.signal(Signal::KILL));
     }
 }

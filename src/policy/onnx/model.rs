@@ -147,7 +147,8 @@ impl<'a> Graph<'a> {
 }
 
 impl<'a> Node<'a> {
-    /// Whether the operator is a `Cast` to single or double precision, which are the types 1 and 11.
+    /// Whether the operator is a `Cast` to single or double precision, which are the types 1
+    /// and 11.
     pub fn is_cast_to_float(&self) -> bool {
         self.operator == "Cast" && matches!(self.integer("to", 0), 1 | 11)
     }

@@ -33,8 +33,8 @@ pub struct ObservationLayout {
     inputs: usize,
 }
 
-/// The error for an entry of an observation whose name is unknown, or whose factor is 0 or no finite
-/// number.
+/// The error for an entry of an observation whose name is unknown, or whose factor is 0 or no
+/// finite number.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
     "{entry:?} is not an entry of an observation: give some of {names}, each with or without a factor \

@@ -44,8 +44,8 @@ const TURNING_DROP: f64 = 0.15;
 const SHIFTED_COUNTS: f64 = 10.0;
 
 /// Largest ratio of the arm's shift to the pendulum's with which the encoders count as exchanged:
-/// the count of encoder 0, which should be the arm's, has then come back, as a pendulum's does. After
-/// a push from outside both may have shifted.
+/// the count of encoder 0, which should be the arm's, has then come back, as a pendulum's does.
+/// After a push from outside both may have shifted.
 const CAME_BACK_SHARE: f64 = 0.5;
 
 /// Number of pushes that must show a defect, because a hand may have disturbed one of them.
@@ -70,8 +70,8 @@ pub(super) enum Pendulum {
 pub(super) enum PushEffect {
     /// The evidence suffices for a verdict.
     Enough,
-    /// The push shows a defect while the pendulum's encoder is still in question, or the encoders may
-    /// be exchanged, so it is repeated.
+    /// The push shows a defect while the pendulum's encoder is still in question, or the encoders
+    /// may be exchanged, so it is repeated.
     SeeAgain,
     /// Something moved, but the evidence does not suffice.
     SomethingMoved,
@@ -101,8 +101,8 @@ pub(super) struct Evidence {
     no_current_seen: u32,
     unseen_turns: u32,
     exchanged_seen: u32,
-    /// Whether the count of encoder 0, which should be the arm's, has come to rest where a push left
-    /// it, as no pendulum's does.
+    /// Whether the count of encoder 0, which should be the arm's, has come to rest where a push
+    /// left it, as no pendulum's does.
     arm_stayed: bool,
     /// Whether an encoder has shown a motion.
     moved: bool,
@@ -211,8 +211,8 @@ impl Evidence {
         }
     }
 
-    /// Whether the count of encoder 0, which should be the arm's, has come to rest where a push left
-    /// it. Until then the encoders may be exchanged.
+    /// Whether the count of encoder 0, which should be the arm's, has come to rest where a push
+    /// left it. Until then the encoders may be exchanged.
     pub(super) fn arm_stayed(&self) -> bool {
         self.arm_stayed
     }

@@ -132,7 +132,8 @@ fn probe(
                 device.hello()?;
                 let mut probe = SignProbe::new(&settings.plant, signs, push_v);
                 let report = drive_warm(device, clock, &mut probe, heat, None, stop)?;
-                // The hello at the end of the examination confirms after a stop that the motor is off.
+                // The hello at the end of the examination confirms after a stop that the motor is
+                // off.
                 if report.outcome.ending == Ending::Stopped {
                     return Err(Interruption::Stopped);
                 }

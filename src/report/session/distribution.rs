@@ -1,5 +1,5 @@
-//! The section about the distribution of simulations in which the session's best policy was trained,
-//! beside the nominal Qube.
+//! The section about the distribution of simulations in which the session's best policy was
+//! trained, beside the nominal Qube.
 
 use thiserror::Error;
 

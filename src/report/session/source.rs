@@ -174,7 +174,8 @@ impl SessionSource {
         self.policy_lost.as_deref()
     }
 
-    /// Sentences about the files that could not be read, each with the file's path; the page has them, too.
+    /// Sentences about the files that could not be read, each with the file's path; the page has
+    /// them, too.
     #[must_use]
     pub fn problems(&self) -> &[String] {
         &self.problems
@@ -264,8 +265,8 @@ impl SessionSource {
     }
 
     /// The last profile that was identified before the search ended, or so far if it has not ended;
-    /// the recordings of the verification did not inform this profile. `None` if there is none or it
-    /// could not be read.
+    /// the recordings of the verification did not inform this profile. `None` if there is none or
+    /// it could not be read.
     pub(super) fn profile_before_end(&self) -> Option<&(u32, Profile)> {
         let is_end = |entry: &Entry| matches!(entry, Entry::SearchEnded { .. });
         let count =
@@ -295,9 +296,9 @@ impl SessionSource {
         next_step(&self.state, extent, identification.as_ref()) == Step::Done
     }
 
-    /// The settings of the search at the proposal of this candidate, or without one the latest. They
-    /// vary the profile identified by then, or equal the session's settings if none was identified.
-    /// `None` if this or the first profile cannot be read.
+    /// The settings of the search at the proposal of this candidate, or without one the latest.
+    /// They vary the profile identified by then, or equal the session's settings if none was
+    /// identified. `None` if this or the first profile cannot be read.
     pub(super) fn search_settings(&self, candidate: Option<u32>) -> Option<SessionSettings> {
         let (mut first, mut known) = (None, None);
         for entry in &self.entries {

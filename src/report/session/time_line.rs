@@ -88,8 +88,8 @@ impl TimeLine {
     }
 }
 
-/// Adds the time line of a session; adds nothing unless it has both rollouts in real time and times of
-/// trainings.
+/// Adds the time line of a session; adds nothing unless it has both rollouts in real time and times
+/// of trainings.
 pub(super) fn add_time_line(page: &mut Page, source: &SessionSource) {
     let line = &source.time_line;
     if line.rollouts.is_empty() || line.trainings.is_empty() {
