@@ -13,9 +13,8 @@ use super::attended::{SessionResults, is_refused, settings_of_rig};
 use super::notes::{print_notes, warnings};
 use super::progress::SessionProgress;
 use super::settings::{begun, configured, name_in, resumed, resumed_clock};
-use super::several_rigs::{emulated_of, resume_command};
+use super::several_rigs::{emulated_of, new_folder, resume_command};
 use crate::commands::chosen_device::ChosenDevice;
-use crate::commands::destination::OutputFolder;
 use crate::commands::exit::Failure;
 use crate::commands::failures;
 use crate::commands::keyboard::Keyboard;
@@ -76,10 +75,7 @@ pub fn run(
         Some(root) => (root.clone(), resume_all(arguments, root, &devices)?),
         None => {
             let settings = of_each(arguments, consent, &devices)?;
-            for device in &devices {
-                device.check_port()?;
-            }
-            let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
+            let place = place.insert(new_folder(arguments, &devices)?);
             _root_lock = Some(place.lock()?);
             let root = place.path().to_owned();
             let sessions = begin(&root, settings, &devices)?;

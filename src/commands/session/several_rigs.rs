@@ -7,6 +7,7 @@ use super::Arguments;
 use super::settings::asked as asked_settings;
 use super::{rig_sessions, shared_session};
 use crate::commands::chosen_device::{ChosenDevice, EMULATED};
+use crate::commands::destination::OutputFolder;
 use crate::commands::executor_arguments::ExecutorArguments;
 use crate::commands::exit::Failure;
 use crate::commands::failures;
@@ -129,6 +130,15 @@ pub fn emulated_of(
             settings.emulated.varied(width, derived_seed(session_seed, SeedFor::RigQube { rig }))
         }
     }
+}
+
+/// The folder of a new session, or of several, on these devices, each of which can be opened.
+pub fn new_folder(
+    arguments: &Arguments,
+    devices: &[ChosenDevice],
+) -> Result<OutputFolder, Failure> {
+    devices.iter().try_for_each(ChosenDevice::check_port)?;
+    OutputFolder::make(arguments.out.as_deref(), "session")
 }
 
 /// The command that resumes a session on these Qubes with the same executor. It names no Qube if

@@ -8,9 +8,8 @@ use super::attended::{SessionResults, is_refused, run_attended, settings_of_rig}
 use super::notes::{print_notes, warnings};
 use super::progress::SessionProgress;
 use super::settings::{asked, begun, name_in, origin_of_guard, reopened, resumed_clock};
-use super::several_rigs::{emulated_of, resume_command};
+use super::several_rigs::{emulated_of, new_folder, resume_command};
 use crate::commands::chosen_device::ChosenDevice;
-use crate::commands::destination::OutputFolder;
 use crate::commands::exit::Failure;
 use crate::commands::failures;
 use crate::commands::keyboard::Keyboard;
@@ -55,10 +54,7 @@ pub fn run(
         }
         None => {
             let settings = spread(arguments, consent, &devices)?;
-            for device in &devices {
-                device.check_port()?;
-            }
-            let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
+            let place = place.insert(new_folder(arguments, &devices)?);
             begun(place.path(), name_in(place.path()), settings)?
         }
     };
