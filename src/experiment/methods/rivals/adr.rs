@@ -62,15 +62,15 @@ impl Rival for ActiveRandomisation {
             if stage + 1 == STAGES {
                 break;
             }
-            let behaviour = Behaviour { network, given };
+            let policy = DescribedPolicy { network, given };
             // The reference motions start from four angles of the arm, rad.
             let nominal = vec![DVector::zeros(given.space.dimensions()); 2];
             let reference: Vec<_> = [0.08, 0.04, -0.04, -0.08]
                 .iter()
-                .flat_map(|&theta| behaviour.of(&nominal, theta))
+                .flat_map(|&theta| policy.of(&nominal, theta))
                 .collect();
             for _ in 0..STEPS {
-                let differs = Discriminator::fit(&reference, &behaviour.of(&particles, 0.0));
+                let differs = Discriminator::fit(&reference, &policy.of(&particles, 0.0));
                 let gradients: Vec<DVector<f64>> = particles
                     .iter()
                     .map(|particle| {
@@ -80,7 +80,7 @@ impl Rival for ActiveRandomisation {
                             let sides = [1.0, -1.0].map(|side| {
                                 given.space.clamped(&(particle + side * DISTANCE * &direction))
                             });
-                            let rewards = behaviour.of(&sides, 0.0);
+                            let rewards = policy.of(&sides, 0.0);
                             let [one, other] = [0, 1]
                                 .map(|side| differs.probability(&rewards[side]).max(1e-6).ln());
                             let scale = (one - other) / (2.0 * DISTANCE * PAIRS as f64);
@@ -100,12 +100,12 @@ impl Rival for ActiveRandomisation {
 }
 
 /// A policy whose motion in simulated Qubes is described by features.
-struct Behaviour<'a> {
+struct DescribedPolicy<'a> {
     network: &'a Network,
     given: &'a RivalInput<'a>,
 }
 
-impl Behaviour<'_> {
+impl DescribedPolicy<'_> {
     /// The features of the motion in the Qube of each point; the arm starts at `theta` (rad).
     fn of(&self, points: &[DVector<f64>], theta: f64) -> Vec<DVector<f64>> {
         let Self { network, given } = self;

@@ -101,7 +101,7 @@ impl<'a> FromUniversalPolicy<'a> {
     fn read_candidates(&mut self, recordings: u32) -> Result<(), ExperimentError> {
         for result in self.recordings.results(self.candidates.count()..recordings)? {
             let point = self.next_point()?;
-            self.candidates.0.push(Candidate { point, return_: result.return_ });
+            self.candidates.0.push(Evaluated { point, return_: result.return_ });
         }
         Ok(())
     }
@@ -157,7 +157,7 @@ impl Recommendations for FromUniversalPolicy<'_> {
 }
 
 /// A candidate whose rollout is over.
-struct Candidate {
+struct Evaluated {
     /// Physics inputs of its policy.
     point: Vec<f64>,
     /// Return of its rollout; `None` if the rollout is void.
@@ -166,7 +166,7 @@ struct Candidate {
 
 /// The candidates whose rollouts are over, in order.
 #[derive(Default)]
-struct Candidates(Vec<Candidate>);
+struct Candidates(Vec<Evaluated>);
 
 impl Candidates {
     /// Number of candidates.
@@ -176,7 +176,7 @@ impl Candidates {
 
     /// Those of the first `count` candidates whose rollouts are not void.
     fn evaluated(&self, count: u32) -> Vec<Observation> {
-        let observation = |candidate: &Candidate| {
+        let observation = |candidate: &Evaluated| {
             let returns = vec![candidate.return_?];
             Some(Observation { point: candidate.point.clone(), returns })
         };
@@ -222,7 +222,7 @@ mod tests {
             let point = data.next(&mut search, 14).unwrap();
             let squares = point.iter().map(|entry| (entry - 0.7) * (entry - 0.7));
             let return_ = 500.0 - 20.0 * squares.sum::<f64>();
-            data.0.push(Candidate { point, return_: Some(return_) });
+            data.0.push(Evaluated { point, return_: Some(return_) });
         }
         data.evaluated(data.count())
     }
@@ -247,7 +247,7 @@ mod tests {
         for return_ in [None, Some(200.0), None, Some(100.0)] {
             let point = data.next(&mut search, 14).unwrap();
             assert!(!points.contains(&point));
-            data.0.push(Candidate { point: point.clone(), return_ });
+            data.0.push(Evaluated { point: point.clone(), return_ });
             points.push(point);
         }
         let evaluated = data.evaluated(4);
