@@ -33,7 +33,9 @@ fn sample(link: &mut SerialLink<Tty>) -> Measurement {
 /// Greets and arms until a sample shows the device armed: on a busy computer the watchdog may be
 /// faster than the test.
 fn arm(link: &mut SerialLink<Tty>) {
+    let end_ns = MonotonicClock.now_ns() + PATIENCE_NS;
     loop {
+        assert!(MonotonicClock.now_ns() < end_ns, "the device is not armed");
         link.hello().unwrap();
         link.arm().unwrap();
         let sample = sample(link);
@@ -54,7 +56,9 @@ fn an_emulated_qube_is_reached_like_a_real_one() {
     arm(&mut link);
     let start = sample(&mut link);
     let mut moved = start;
+    let end_ns = MonotonicClock.now_ns() + PATIENCE_NS;
     while (moved.theta_counts - start.theta_counts).abs() < 20 {
+        assert!(MonotonicClock.now_ns() < end_ns, "the arm does not move");
         if link.act(3000, moved.device_time_us).is_err() {
             arm(&mut link);
         }
@@ -209,7 +213,9 @@ fn an_unplugged_qube_is_gone() {
 #[test]
 fn the_name_of_a_port_whose_cable_is_out_is_given_to_no_other() {
     let gone = qube(Some(EmulatorFault::Unplugged { after_s: 0.0 }));
+    let end_ns = MonotonicClock.now_ns() + PATIENCE_NS;
     while !gone.is_gone() {
+        assert!(MonotonicClock.now_ns() < end_ns, "the port stays");
         std::thread::sleep(Duration::from_millis(1));
     }
     assert!(!gone.port().exists());
