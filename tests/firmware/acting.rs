@@ -28,13 +28,13 @@ fn the_firmware_passes_an_act_on_at_once() {
     scenario(|host| {
         host.link.arm().unwrap();
         let (mut acts, mut samples_us) = (Vec::new(), Vec::new());
-        let mut before = host.sample().map_err(|_| Disturbed)?;
+        let mut before = host.sample_in_time()?;
         for act in 0..ACTS {
             // Each act has another motor word; no voltage lasts long enough to matter.
             let voltage_mv = 50 * (act - ACTS / 2);
             let _ = host.link.act(voltage_mv, before.device_time_us);
             std::thread::sleep(Duration::from_micros(7_000 + 137 * act as u64));
-            let after = host.sample().map_err(|_| Disturbed)?;
+            let after = host.sample_in_time()?;
             if !after.status.armed {
                 return Err(Disturbed);
             }

@@ -50,7 +50,7 @@ fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
         host.board.wait_us(300_000);
         let commands = host.commands_since(armed_us);
         let off_us = off_for_good(&commands);
-        let status = host.sample().map_err(|_| Disturbed)?.status;
+        let status = host.sample_in_time()?.status;
         assert!(status.watchdog_tripped && !status.armed, "{status:?}");
         // Steady red is the colour of the watchdog.
         assert!(commands.iter().filter(|it| it.deselected_us > off_us).all(Command::is_red));
@@ -92,7 +92,7 @@ fn the_firmware_latches_an_amplifier_fault() {
         let last = Command { motor_word: 0x8000, ..commands[0] };
         commands.insert(0, last);
         assert!(off_for_good(&commands) <= fault_us + 2 * TWO_PERIODS_US, "{:?}", &commands[..5]);
-        let sample = host.sample().map_err(|_| Disturbed)?;
+        let sample = host.sample_in_time()?;
         assert!(sample.status.amplifier_fault, "a fault that is over is still named");
         let blinks = commands.iter().any(|it| it.leds == [0; 3]);
         assert!(blinks, "a fault is told from the watchdog by its blinking");
@@ -105,7 +105,7 @@ fn the_firmware_latches_an_amplifier_fault() {
         host.board.qube().amplifier_fault = false;
         host.board.wait_us(10_000);
         host.link.hello().unwrap();
-        assert!(!host.sample().map_err(|_| Disturbed)?.status.amplifier_fault);
+        assert!(!host.sample_in_time()?.status.amplifier_fault);
         host.arm_and_drive()
     });
 }
@@ -119,13 +119,13 @@ fn the_firmware_latches_a_stall_and_clears_it_when_it_is_armed_anew() {
         assert!(sample.status.stall_detected);
         host.drive_until(|sample| !sample.status.armed)?;
         host.board.wait_us(300_000);
-        let before = host.sample().map_err(|_| Disturbed)?;
+        let before = host.sample_in_time()?;
         assert!(before.status.stall_error, "without an arm nothing clears it");
 
         let cleared_us = host.board.time_us();
         host.link.hello().unwrap();
         host.link.arm().unwrap();
-        let after = host.sample().map_err(|_| Disturbed)?;
+        let after = host.sample_in_time()?;
         assert!(!after.status.stall_error && after.status.armed, "{:?}", after.status);
         // Arm and pendulum move little between the two samples, and the presets were the counts
         // themselves.
@@ -184,16 +184,16 @@ fn the_firmware_knows_a_qube_by_its_module_id() {
 #[test]
 fn the_firmware_extends_24_bit_counters() {
     scenario(|host| {
-        let start = host.sample().map_err(|_| Disturbed)?;
+        let start = host.sample_in_time()?;
         for turn in [5_000_000, 5_000_000, 5_000_000, -8_000_000, -8_000_000, -8_000_000] {
-            let before = host.sample().map_err(|_| Disturbed)?;
+            let before = host.sample_in_time()?;
             host.board.qube().shift_counters(turn);
             host.board.wait_us(10_000);
-            let after = host.sample().map_err(|_| Disturbed)?;
+            let after = host.sample_in_time()?;
             assert_eq!(after.theta_counts - before.theta_counts, turn);
             assert_eq!(after.alpha_counts - before.alpha_counts, turn);
         }
-        let end = host.sample().map_err(|_| Disturbed)?;
+        let end = host.sample_in_time()?;
         assert_eq!(end.theta_counts - start.theta_counts, -9_000_000);
         Ok(())
     });

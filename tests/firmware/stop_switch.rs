@@ -5,7 +5,7 @@ use std::sync::Arc;
 use qube_hil::clock::MonotonicClock;
 use qube_hil::device::{Device, DeviceError, RefusalReason, SerialLink};
 
-use crate::host::{Disturbed, Host, next_link, scenario_on};
+use crate::host::{Host, next_link, scenario_on};
 use crate::qube::Qube;
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
@@ -30,12 +30,12 @@ fn stops(chip: Chip) {
     scenario_on(chip, |host| {
         // Without a switch an open pin means nothing.
         host.arm_and_drive()?;
-        let bare = host.sample().map_err(|_| Disturbed)?.status;
+        let bare = host.sample_in_time()?.status;
         assert!(!bare.stop_switch_fitted && !bare.emergency_stop, "{bare:?}");
 
         close(host);
         host.arm_and_drive()?;
-        let fitted = host.sample().map_err(|_| Disturbed)?.status;
+        let fitted = host.sample_in_time()?.status;
         assert!(fitted.stop_switch_fitted && !fitted.emergency_stop, "{fitted:?}");
         host.link.hello().unwrap();
         host.arm_and_drive()?;
@@ -59,7 +59,7 @@ fn stops(chip: Chip) {
         drop(next);
         host.board.order(Order::CloseStop);
         host.board.wait_us(20_000);
-        assert!(host.sample().map_err(|_| Disturbed)?.status.emergency_stop);
+        assert!(host.sample_in_time()?.status.emergency_stop);
         let refused = host.link.hello().unwrap_err();
         assert!(matches!(refused, DeviceError::StopOpened { .. }), "{refused}");
         let mut next = next_link(host);

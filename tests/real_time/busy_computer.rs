@@ -16,7 +16,7 @@ const AGAIN: u32 = 6;
 
 /// Lateness of a thread that shows a stalled computer: longer than a control period and than the
 /// scheduling of ready threads.
-const STANDS_STILL: Duration = Duration::from_millis(15);
+pub const STANDS_STILL: Duration = Duration::from_millis(15);
 
 /// Interval at which the witness wakes.
 const NAP: Duration = Duration::from_millis(2);
@@ -52,7 +52,7 @@ pub fn in_real_time(test: impl Fn()) {
 }
 
 /// Waits until the computer keeps up, at most half a minute: stalls come in bursts.
-fn wait_for_calm() {
+pub fn wait_for_calm() {
     for _ in 0..CALMS {
         let (_, stood) = witnessed(&|| std::thread::sleep(CALM));
         if stood < STANDS_STILL {
@@ -62,7 +62,7 @@ fn wait_for_calm() {
 }
 
 /// The result of a test, and the longest stall of a processor meanwhile.
-fn witnessed(test: &impl Fn()) -> (std::thread::Result<()>, Duration) {
+pub fn witnessed(test: &impl Fn()) -> (std::thread::Result<()>, Duration) {
     let is_over = AtomicBool::new(false);
     let processors = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
     std::thread::scope(|scope| {
