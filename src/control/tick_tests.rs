@@ -1,7 +1,8 @@
 //! Tests of a rollout against a simulated Qube: its phases, and the effect of each mishap.
 
 use std::f64::consts::PI;
-use std::sync::atomic::AtomicBool;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::plant_device::{PlantDevice, TestFault};
 use super::{ControlState, DriveReport, Motion, RING_CAPACITY, Tick, TickInput, drive};
@@ -42,14 +43,46 @@ fn outward() -> ClassicalController {
     })
 }
 
-fn rollout(device: &mut PlantDevice, policy: Policy, stop: bool) -> (DriveReport, Vec<TickRecord>) {
+fn rollout(
+    device: &mut PlantDevice,
+    policy: impl Controller,
+    stop: bool,
+) -> (DriveReport, Vec<TickRecord>) {
+    rollout_until(device, &settings(), policy, &AtomicBool::new(stop))
+}
+
+fn rollout_until(
+    device: &mut PlantDevice,
+    settings: &TickSettings,
+    policy: impl Controller,
+    stop: &AtomicBool,
+) -> (DriveReport, Vec<TickRecord>) {
     let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
-    let mut tick = Tick::new(&settings(), policy);
+    let mut tick = Tick::new(settings, policy);
     let clock = device.clock.clone();
-    let stop = AtomicBool::new(stop);
-    let report = drive(device, &clock, &mut tick, Some(&mut producer), &stop).unwrap();
+    let report = drive(device, &clock, &mut tick, Some(&mut producer), stop).unwrap();
     assert!(!device.armed, "the amplifier stays on");
     (report, std::iter::from_fn(|| consumer.pop().ok()).collect())
+}
+
+/// Whether the voltage of this tick drives an arm that moves fast on in its direction.
+fn drives_on(record: &TickRecord) -> bool {
+    record.state.theta_dot.abs() > 3.0
+        && f64::from(record.voltage_mv) * record.state.theta_dot > 0.0
+}
+
+/// Checks that the brake has the motor from the record at `first` on, that its first voltage works
+/// against the arm's motion, and that the arm is at rest in the end.
+#[track_caller]
+fn is_braked_from(records: &[TickRecord], first: usize) {
+    let braking = records.iter().position(|record| record.phase == Phase::Braking);
+    assert_eq!(braking, Some(first));
+    assert!(records[first..].iter().all(|record| record.phase == Phase::Braking));
+    let TickRecord { voltage_mv, state, .. } = records[first];
+    assert!(state.theta_dot.abs() > 1.0, "{state:?}");
+    assert!(f64::from(voltage_mv) * state.theta_dot < 0.0, "{voltage_mv} mV at {state:?}");
+    let last = records.last().unwrap().state;
+    assert!(last.theta_dot.abs() < 0.5, "{last:?}");
 }
 
 #[test]
@@ -203,6 +236,27 @@ fn the_last_hundred_ticks_travel_with_a_fault() {
     assert_eq!(report.last_ticks, records[records.len() - 100..]);
 }
 
+/// The classical controller until it has driven a fast arm on for two ticks; it then asks for no
+/// number, and notes the state.
+struct Failing<'a> {
+    classical: ClassicalController,
+    ticks: u32,
+    failed_at: &'a mut Option<State>,
+}
+
+impl Controller for Failing<'_> {
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        let voltage_v = self.classical.voltage_v(state);
+        let is_driven_on = state.theta_dot.abs() > 3.0 && voltage_v * state.theta_dot > 0.0;
+        self.ticks = if is_driven_on { self.ticks + 1 } else { 0 };
+        if self.ticks < 3 {
+            return voltage_v;
+        }
+        self.failed_at.get_or_insert(*state);
+        f64::NAN
+    }
+}
+
 #[test]
 fn a_policy_that_asks_for_no_number_is_braked_and_named() {
     let broken =
@@ -211,6 +265,21 @@ fn a_policy_that_asks_for_no_number_is_braked_and_named() {
     let policy = Policy::Classical(ClassicalController::new(broken));
     let (report, _) = rollout(&mut device, policy, false);
     assert_eq!(report.outcome.ending, Ending::Fault(Fault::NotANumber));
+
+    // The arm is fast, and the last voltage would drive it on.
+    for safety_box in [SafetyBox::THESIS, SafetyBox::GUARDED] {
+        let mut failed_at = None;
+        let classical = ClassicalController::new(ClassicalGains::default());
+        let policy = Failing { classical, ticks: 0, failed_at: &mut failed_at };
+        let mut device = PlantDevice::new(State::default());
+        let settings = TickSettings { safety_box, ..settings() };
+        let stop = AtomicBool::new(false);
+        let (report, records) = rollout_until(&mut device, &settings, policy, &stop);
+        assert_eq!(report.outcome.ending, Ending::Fault(Fault::NotANumber));
+        let failed = records.iter().position(|record| Some(record.state) == failed_at).unwrap();
+        assert!(drives_on(&records[failed - 1]), "{:?}", records[failed - 1]);
+        is_braked_from(&records, failed);
+    }
 }
 
 #[test]
@@ -219,6 +288,35 @@ fn a_stop_brakes_at_once() {
     let (report, records) = rollout(&mut device, classical(), true);
     assert_eq!(report.outcome.ending, Ending::Stopped);
     assert!(records.len() <= 4, "{} ticks after the stop", records.len());
+
+    // In the middle of a rollout the first tick that sees the stop brakes an arm that the policy
+    // drives on.
+    for safety_box in [SafetyBox::THESIS, SafetyBox::GUARDED] {
+        let settings = TickSettings { safety_box, ..settings() };
+        let stopped_at = |at: Option<usize>| {
+            let stop = Arc::new(AtomicBool::new(false));
+            let mut device = PlantDevice::new(State::default());
+            let asked = Arc::clone(&stop);
+            device.disturbance = Box::new(move |sample| {
+                asked.fetch_or(Some(sample as usize) == at, Ordering::Relaxed);
+                None
+            });
+            rollout_until(&mut device, &settings, classical(), &stop)
+        };
+        let (_, undisturbed) = stopped_at(None);
+        let driven = undisturbed
+            .iter()
+            .enumerate()
+            .filter(|(_, record)| record.phase == Phase::Running && drives_on(record));
+        let ats: Vec<usize> = driven.map(|(at, _)| at).step_by(15).collect();
+        assert!(ats.len() > 2, "{ats:?}");
+        for at in ats {
+            let (report, records) = stopped_at(Some(at));
+            assert_eq!(report.outcome.ending, Ending::Stopped);
+            assert_eq!(records[at - 1], undisturbed[at - 1]);
+            is_braked_from(&records, at);
+        }
+    }
 }
 
 #[test]
