@@ -124,6 +124,25 @@ fn a_qube_in_which_nothing_answers_is_not_homed() {
 }
 
 #[test]
+fn homing_that_finds_no_rest_ends_after_60_s() {
+    let mut device = PlantDevice::new(State { alpha: 1.0, ..State::default() });
+    // Blows keep the pendulum swinging too widely for a push of the arm.
+    device.blow = |sample, state| {
+        if sample % 100 == 0 {
+            state.alpha_dot = 12.0_f64.copysign(state.alpha_dot);
+        }
+    };
+    let clock = device.clock.clone();
+    let mut homing = Homing::new(&HomingSettings::default());
+    let report = drive(&mut device, &clock, &mut homing, None, &AtomicBool::new(false)).unwrap();
+    assert_eq!(report.outcome.ending, Ending::Fault(Fault::HomingTimedOut));
+    let last = report.last_ticks.last().unwrap();
+    assert_eq!(last.tick, 6000, "ticks count from 0, and the one after 60 s ends homing");
+    assert!(device.voltages_mv.iter().all(|voltage_mv| *voltage_mv == 0), "the arm was pushed");
+    assert!(!device.armed);
+}
+
+#[test]
 fn a_lost_link_ends_homing() {
     let mut device = PlantDevice::new(State::default());
     device.disturbance = Box::new(|tick| (tick > 50).then_some(TestFault::Lost));

@@ -27,6 +27,8 @@ pub struct PlantDevice {
     pub clock: VirtualClock,
     /// The disturbance of each sample, by its number from 0.
     pub disturbance: Box<dyn Fn(u32) -> Option<TestFault> + Send>,
+    /// The blow that changes the plant's state before each sample, by its number from 0.
+    pub blow: fn(u32, &mut State),
     /// Counts that both encoders show at zero angle.
     pub offset_counts: i32,
     pub armed: bool,
@@ -52,6 +54,7 @@ impl PlantDevice {
             state,
             clock: VirtualClock::default(),
             disturbance: Box::new(|_| None),
+            blow: |_, _| (),
             offset_counts: 0,
             armed: false,
             stuck_mv: None,
@@ -117,6 +120,7 @@ impl Device for PlantDevice {
         self.catch_up();
         let tick = self.samples;
         self.samples += 1;
+        (self.blow)(tick, &mut self.state);
         let mut status = Status { armed: self.armed, ..Status::default() };
         match (self.disturbance)(tick) {
             Some(TestFault::Lost) => {
