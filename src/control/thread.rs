@@ -453,7 +453,7 @@ mod tests {
     use crate::estimation::EstimatorSettings;
     use crate::policy::{ClassicalController, ClassicalGains, Policy};
     use crate::qube::{PlantModel, State};
-    use crate::safety::SafetyBox;
+    use crate::safety::{COOLED_LOAD, SafetyBox};
     use crate::telemetry::Ending;
 
     /// A thread whose device loses its port at sample `gone_at`, and settings for a short rollout.
@@ -524,6 +524,53 @@ mod tests {
         let (_, homed) = thread.home(HomingSettings::default()).unwrap();
         assert!(homed.rig.is_some());
         assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
+    }
+
+    #[test]
+    fn homing_a_rollout_and_a_loan_begin_with_a_motor_that_has_cooled() {
+        let device = PlantDevice::new(State::default());
+        let clock = device.clock.clone();
+        let thread = ControlThread::spawn(
+            Box::new(device),
+            Arc::new(clock.clone()),
+            Scheduling::Ordinary,
+            Arc::default(),
+        )
+        .unwrap();
+        thread.hello().unwrap();
+        let hot = MotorHeat { load: 0.85, ..MotorHeat::default() };
+        let cooling_ns = (hot.cooling_s() * 1e9) as u64;
+        let heat = || {
+            thread.set_motor(hot).unwrap();
+            clock.now_ns()
+        };
+        // A motion of a few seconds warms the motor by less than a tenth.
+        let began_cool = |report: &DriveReport| {
+            let largest = report.outcome.largest_motor_load.unwrap();
+            assert!(largest < COOLED_LOAD + 0.1, "{largest}");
+        };
+
+        let heated_ns = heat();
+        let (report, homed) = thread.home(HomingSettings::default()).unwrap();
+        assert!(homed.rig.is_some());
+        assert!(clock.now_ns() > heated_ns + cooling_ns);
+        began_cool(&report);
+
+        let heated_ns = heat();
+        let (_, settings) = control(u32::MAX);
+        let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+        let (producer, mut records) = rtrb::RingBuffer::new(RING_CAPACITY);
+        let report = thread.rollout(settings, Box::new(policy), producer, &mut |_| ()).unwrap();
+        assert_eq!(report.outcome.ending, Ending::Completed);
+        let first_ns = records.pop().unwrap().deadline_ns;
+        assert!(first_ns > heated_ns + cooling_ns, "{first_ns} {heated_ns}");
+        began_cool(&report);
+
+        let heated_ns = heat();
+        let lent = thread.lend(|_, clock, heat, _| (clock.now_ns(), heat.load)).unwrap();
+        let (begun_ns, load) = lent;
+        assert!(begun_ns >= heated_ns + cooling_ns, "{begun_ns} {heated_ns}");
+        assert!((load - COOLED_LOAD).abs() < 1e-3, "{load}");
     }
 
     #[test]
