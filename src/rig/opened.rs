@@ -153,19 +153,26 @@ impl Rig {
         settings: &RigSettings,
         stop: &Arc<AtomicBool>,
     ) -> Result<(Self, Option<Doubt>), RigError> {
-        let rig = Self::connect(settings, stop)?;
-        let doubt = rig.remembered_doubt().or_else(|| settings.recovery.doubt.clone());
+        Self::connect(settings, stop)?.accepted(settings)
+    }
+
+    /// This rig and its acknowledged doubt, if there is one, once its Qube may be driven.
+    ///
+    /// # Errors
+    /// A doubt is not acknowledged, or the processor is too slow for foresight.
+    fn accepted(self, settings: &RigSettings) -> Result<(Self, Option<Doubt>), RigError> {
+        let doubt = self.remembered_doubt().or_else(|| settings.recovery.doubt.clone());
         if let Some(doubt) = doubt.clone().filter(|_| !settings.recovery.acknowledged) {
             return Err(RigError::InDoubt(Box::new(doubt)));
         }
-        let is_hardware = settings.is_hardware() || rig.is_hardware();
-        if let Some(memory) = rig.memory.as_ref().filter(|_| is_hardware) {
-            memory.warn_if_unwritable(&rig.identity.serial);
+        let is_hardware = settings.is_hardware() || self.is_hardware();
+        if let Some(memory) = self.memory.as_ref().filter(|_| is_hardware) {
+            memory.warn_if_unwritable(&self.identity.serial);
         }
         if is_hardware && settings.limits.needs_foresight() {
-            admit_processor(rig.foresight_time_us)?;
+            admit_processor(self.foresight_time_us)?;
         }
-        Ok((rig, doubt))
+        Ok((self, doubt))
     }
 
     /// Opens the device and reads its identity without moving the motor.
@@ -601,5 +608,131 @@ impl Rig {
     pub(super) fn wall_time_ns(&self) -> Option<u64> {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
         (self.clock == ClockChoice::Wall).then_some(since_1970.as_nanos() as u64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::super::{Connect, TimedDevice};
+    use super::*;
+    use crate::clock::VirtualClock;
+    use crate::device::emulator::EmulatorSettings;
+    use crate::device::{Device, InProcessWire, SerialLink};
+    use crate::estimation::{Calibration, EstimatorSettings};
+    use crate::policy::{ClassicalController, ClassicalGains, Policy};
+    use crate::preflight::TOO_SLOW_US;
+    use crate::qube::{Measurement, RewardWeights};
+    use crate::recording::FORMAT_VERSION;
+    use crate::safety::{Guard, GuardConsent, SafetyBox};
+    use crate::storage::MachineDisk;
+    use crate::telemetry::{RolloutHeader, TickRules, TickSettings};
+
+    /// An emulated Qube that does not declare that it is one, so that it counts as hardware.
+    struct Undeclared(SerialLink<InProcessWire>);
+
+    impl Device for Undeclared {
+        fn hello(&mut self) -> Result<Identity, DeviceError> {
+            self.0.hello()
+        }
+
+        fn arm(&mut self) -> Result<(), DeviceError> {
+            self.0.arm()
+        }
+
+        fn sample(&mut self, deadline_ns: u64) -> Result<Measurement, LinkFault> {
+            self.0.sample(deadline_ns)
+        }
+
+        fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+            self.0.act(voltage_mv, sampled_at_us)
+        }
+
+        fn disarm(&mut self) -> Result<(), DeviceError> {
+            self.0.disarm()
+        }
+    }
+
+    /// The connection to such a Qube.
+    #[derive(Debug)]
+    struct Way;
+
+    impl Connect for Way {
+        fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError> {
+            let clock = VirtualClock::default();
+            let link = SerialLink::in_process(*emulator, clock.clone());
+            Ok((Box::new(Undeclared(link)), Arc::new(clock)))
+        }
+    }
+
+    /// Settings of a rig with such a Qube, whose examination is left out.
+    fn hardware(limits: HardwareLimits) -> RigSettings {
+        let device = DeviceChoice::Other(Arc::new(Way));
+        RigSettings { limits, skip_check: true, ..RigSettings::in_virtual_time(device) }
+    }
+
+    fn header(safety_box: SafetyBox) -> RolloutHeader {
+        RolloutHeader {
+            format: FORMAT_VERSION,
+            session: "slow".to_owned(),
+            candidate: None,
+            rollout: 0,
+            attempt: 0,
+            psi: BTreeMap::new(),
+            seed: 0,
+            started_unix_ns: None,
+            program_version: "0".to_owned(),
+            git_revision: "unknown".to_owned(),
+            device: BTreeMap::new(),
+            preflight: Preflight::default(),
+            motor_heat: None,
+            hard_stop_accepted: false,
+            policy: "classical".to_owned(),
+            settings: TickSettings {
+                calibration: Calibration::IDENTITY,
+                estimator: EstimatorSettings::default(),
+                safety_box,
+                max_steps: 10,
+                start_theta_rad: 0.0,
+                stops: None,
+                foresight: None,
+                rules: TickRules::NEWEST,
+                plant: PlantModel::QUBE,
+            },
+            reward: RewardWeights::THESIS,
+        }
+    }
+
+    #[test]
+    fn no_real_qube_is_driven_under_foresight_on_a_processor_that_predicts_too_slowly() {
+        let consent = GuardConsent::given(Some(Guard::Box), true);
+        let without_guard = HardwareLimits::of(SafetyBox::THESIS, consent).unwrap();
+        let classical = ClassicalController::new(ClassicalGains::default());
+        let policy = Policy::Classical(classical).to_bytes();
+        let folder = tempfile::tempdir().unwrap();
+        let slow_us = TOO_SLOW_US + 1.0;
+        for (limits, safety_box, foresight_time_us, is_refused) in [
+            (HardwareLimits::default(), SafetyBox::GUARDED, slow_us, true),
+            (HardwareLimits::default(), SafetyBox::GUARDED, TOO_SLOW_US, false),
+            (without_guard, SafetyBox::THESIS, slow_us, false),
+        ] {
+            let settings = hardware(limits);
+            let reached = |settings: &RigSettings| {
+                let mut rig = Rig::connect(settings, &Arc::default()).unwrap();
+                rig.foresight_time_us = foresight_time_us;
+                rig.accepted(settings)
+            };
+            let refused = matches!(reached(&settings), Err(RigError::TooSlow(_)));
+            assert_eq!(refused, is_refused, "before the first motion, {foresight_time_us} us");
+
+            let mut rig = Rig::open(&settings, &Arc::default()).unwrap();
+            rig.foresight_time_us = foresight_time_us;
+            let path = folder.path().join(format!("{safety_box:?} {foresight_time_us}.mcap"));
+            let ended = rig.rollout(&MachineDisk, &path, header(safety_box), &policy);
+            let refused = matches!(ended, Err(RigError::TooSlow(_)));
+            assert_eq!(refused, is_refused, "{ended:?}");
+            assert_eq!(ended.is_ok(), !is_refused, "{ended:?}");
+        }
     }
 }
