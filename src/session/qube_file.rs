@@ -394,10 +394,23 @@ mod tests {
 
     #[test]
     fn limits_only_narrow_a_box() {
-        let file = read_back("[limits]\ntheta_rad = 1.5\n").unwrap();
-        let narrow = SafetyBox { theta: 1.0, ..SafetyBox::THESIS };
-        assert_eq!(file.within_limits(&narrow), narrow);
-        assert_eq!(file.within_limits(&SafetyBox::THESIS).theta, 1.5);
+        type Limit = fn(&mut SafetyBox) -> &mut f64;
+        let limits: [(&str, Limit); 4] = [
+            ("theta_rad", |it| &mut it.theta),
+            ("alpha_rad", |it| &mut it.alpha),
+            ("theta_dot_rad_s", |it| &mut it.theta_dot),
+            ("alpha_dot_rad_s", |it| &mut it.alpha_dot),
+        ];
+        for (name, limit) in limits {
+            let file = read_back(&format!("[limits]\n{name} = 1.5\n")).unwrap();
+            for (of_the_task, narrower) in [(1.0, 1.0), (1.5, 1.5), (2.0, 1.5)] {
+                let mut task = SafetyBox::GUARDED;
+                *limit(&mut task) = of_the_task;
+                let mut expected = SafetyBox::GUARDED;
+                *limit(&mut expected) = narrower;
+                assert_eq!(file.within_limits(&task), expected, "{name}");
+            }
+        }
     }
 
     #[test]

@@ -267,11 +267,23 @@ fn an_experiment_widens_nothing() {
 #[test]
 fn a_rigs_own_file_widens_nothing() {
     let directory = tempfile::tempdir().unwrap();
-    for value in NO_LIMITS {
-        let text = format!("port = \"/dev/ttyNOWHERE\"\n[limits]\ntheta_rad = {value}\n");
-        std::fs::write(directory.path().join("qube.toml"), text).unwrap();
-        let run = ["run", "--policy", "classical", "--qube", "qube.toml"];
-        refused(directory.path(), &run, &["qube.toml", "line 3", "at most 2.3"]);
+    for (key, widest) in [
+        ("theta_rad", SafetyBox::THESIS.theta),
+        ("alpha_rad", SafetyBox::THESIS.alpha),
+        ("theta_dot_rad_s", SafetyBox::THESIS.theta_dot),
+        ("alpha_dot_rad_s", SafetyBox::THESIS.alpha_dot),
+    ] {
+        let wider = [format!("{}", 1.001 * widest), "500".to_owned()];
+        let no_limits = NO_LIMITS.map(str::to_owned).into_iter().filter(|value| {
+            // Some of these numbers are limits of a velocity.
+            !value.parse::<f64>().is_ok_and(|value| value > 0.0 && value <= widest)
+        });
+        for value in no_limits.chain(wider) {
+            let text = format!("port = \"/dev/ttyNOWHERE\"\n[limits]\n{key} = {value}\n");
+            std::fs::write(directory.path().join("qube.toml"), text).unwrap();
+            let run = ["run", "--policy", "classical", "--qube", "qube.toml"];
+            refused(directory.path(), &run, &["qube.toml", "line 3", &format!("at most {widest}")]);
+        }
     }
     // A rig's own file has no key for a guard.
     std::fs::write(directory.path().join("qube.toml"), "[limits]\nguard = \"box\"\n").unwrap();
