@@ -193,6 +193,13 @@ fn a_session_identifies_a_card_and_its_recordings_come_out_again() {
 }
 
 #[test]
+fn a_card_without_a_watchdog_is_not_switched_on() {
+    let panel = Panel::new(&[("QUBE_TEST_HIL_WATCHDOG", "none")]);
+    refused(&panel, &panel.run(&["check", "--device", "hil"]), &["has no watchdog"]);
+    assert!(panel.amplifier().is_some(), "the card was opened");
+}
+
+#[test]
 #[ignore = "a minute by the wall clock"]
 fn a_watchdog_that_leaves_the_motor_on_is_found_before_anything_else_moves() {
     in_real_time(|| {
