@@ -61,11 +61,15 @@ pub struct Row {
     starts: usize,
     pub harmless: bool,
     gentle_rad_s: f64,
-    rollout_rad_s: f64,
+    /// Fastest contact with a stop in a rollout, rad/s.
+    pub rollout_rad_s: f64,
     too_fast: usize,
     named_rightly: usize,
-    false_results: u32,
-    slow_to_find: usize,
+    /// Number of rollouts that counted although the arm's zero was wrong.
+    pub false_results: u32,
+    /// Number of starts whose arm's encoder failed in a rollout and whose motor was on for longer
+    /// than is accepted.
+    pub slow_to_find: usize,
     struck_running: usize,
     slowest_homing_s: f64,
     mean_homing_s: f64,

@@ -1,5 +1,5 @@
-//! Tests starts with one fault each: no stop is touched hard while homing and settling, in 18 of
-//! the 27 cases no fault is named wrongly, and in 25 no result is false.
+//! Tests starts with one fault each: no stop is touched hard while homing and settling, in 20 of
+//! the 27 cases no fault is named wrongly, and in 26 no result is false.
 //! `scripts/harmless-homing` plays 10^4 of them; this is a small number.
 
 use qube_hil::telemetry::{Ending, Fault};
@@ -11,37 +11,35 @@ use crate::harmless::trial::{Trial, play};
 /// Seeds of the starts of each of the 27 cases: 270 starts in all.
 const SEEDS: std::ops::Range<u64> = 0..10;
 
-/// Largest number of the ten starts of a case whose fault may be named wrongly or not at all. The
-/// numbers leave room around the shares that `docs/homing-trials.md` reports. Where both counts are
-/// constant, only the order in which they stopped tells which encoder is frozen, and a lapse or a
-/// jump may stay unseen.
-fn most_misnamed(case: Case) -> usize {
+/// The shortfalls of the ten starts of a case. The seeds are fixed, so that they come out again; a
+/// change that alters them on purpose also alters the shares in `docs/homing-trials.md`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Shortfalls {
+    /// Starts whose fault is named wrongly or not at all.
+    misnamed: usize,
+    /// Rollouts that count although the arm's zero is wrong.
+    false_results: u32,
+    /// Starts whose arm's encoder fails in a rollout, and whose motor is on for more than 300 ms
+    /// from then on, in which the arm is damped.
+    damped_long: usize,
+    /// Fastest contact with a stop in a rollout, rad/s, to a tenth.
+    contact_rad_s: f64,
+}
+
+/// The shortfalls of the starts of this case. Where both counts are constant, only the order in
+/// which they stopped tells which encoder is frozen, and a lapse or a jump may stay unseen.
+fn expected(case: Case) -> Shortfalls {
+    let none = Shortfalls::default();
     match case {
-        Case::MotorDeadLater => 1,
-        Case::ArmHeldLater => 3,
-        Case::ThetaFrozen | Case::ThetaDead | Case::ThetaJump | Case::AlphaFrozen => 5,
-        Case::AlphaJump => 7,
-        Case::ThetaLapse | Case::AlphaLapse => 10,
-        // In these cases there is no fault, it exists from the start or begins early, or a hand
-        // acts. A weak motor may stay unnamed, and a hand must not lead to a wrong sign.
-        Case::Healthy
-        | Case::ThetaDeadFromTheStart
-        | Case::AlphaDeadFromTheStart
-        | Case::ThetaSign
-        | Case::AlphaSign
-        | Case::MotorSign
-        | Case::MotorDead
-        | Case::MotorHalf
-        | Case::MotorWeak
-        | Case::ArmHeld
-        | Case::BesideAStop
-        | Case::BesideAStopFalling
-        | Case::ThetaHalf
-        | Case::ThetaDouble
-        | Case::MotorOneSided
-        | Case::EncodersExchanged
-        | Case::ArmPushed
-        | Case::PendulumHeld => 0,
+        Case::ThetaFrozen | Case::ThetaDead => Shortfalls { misnamed: 1, damped_long: 2, ..none },
+        Case::ThetaLapse => Shortfalls { misnamed: 5, false_results: 4, damped_long: 2, ..none },
+        Case::AlphaFrozen | Case::AlphaJump | Case::ArmHeldLater => {
+            Shortfalls { misnamed: 2, ..none }
+        }
+        Case::AlphaLapse => Shortfalls { misnamed: 6, ..none },
+        // Nothing brakes an arm whose motor is dead.
+        Case::MotorDeadLater => Shortfalls { contact_rad_s: 4.6, ..none },
+        _ => none,
     }
 }
 
@@ -52,15 +50,10 @@ fn is_named(start: &Start, trial: &Trial) -> bool {
     trial.is_named_rightly(start) || start.case == Case::MotorDead && timed_out
 }
 
-/// Whether rollouts of this case may count although the arm's zero is wrong: counts that are lost
-/// or jump while the arm is slow stay unseen.
-fn may_be_counted_wrongly(case: Case) -> bool {
-    matches!(case, Case::ThetaLapse | Case::ThetaJump)
-}
-
 #[test]
 fn whatever_is_wrong_homing_and_settling_touch_no_stop_hard() {
     println!("{}", Row::HEAD);
+    let mut others = Vec::new();
     for case in Case::ALL {
         let starts = SEEDS.map(|seed| Start::new(case, seed, Qubes::Near));
         let trials: Vec<_> = starts.map(|start| (start, play(&start))).collect();
@@ -69,14 +62,21 @@ fn whatever_is_wrong_homing_and_settling_touch_no_stop_hard() {
         for (start, trial) in &trials {
             let because = format!("{case:?}, seed {}: {trial:?}", start.seed);
             assert!(trial.is_harmless() || case.is_by_hand(), "{because}");
-            assert!(trial.false_results == 0 || may_be_counted_wrongly(case), "{because}");
             if trial.falls_short(start) {
                 println!("falls short: {because}");
             }
         }
-        let misnamed: Vec<_> = trials.iter().filter(|(start, it)| !is_named(start, it)).collect();
-        assert!(misnamed.len() <= most_misnamed(case), "{case:?}: {misnamed:#?}");
+        let found = Shortfalls {
+            misnamed: trials.iter().filter(|(start, it)| !is_named(start, it)).count(),
+            false_results: row.false_results,
+            damped_long: row.slow_to_find,
+            contact_rad_s: (10.0 * row.rollout_rad_s).round() / 10.0,
+        };
+        if found != expected(case) {
+            others.push(format!("{case:?}: {found:?}"));
+        }
     }
+    assert!(others.is_empty(), "{others:#?}");
 }
 
 #[test]
