@@ -70,8 +70,13 @@ pub enum Entry {
         /// Reason, as a text for the operator.
         reason: String,
     },
-    /// The recordings of the verification left the profile as it was.
+    /// Further recordings left the profile as it was: those of the verification, or those of the
+    /// search.
     NotUpdated {
+        /// Number of recordings, of the search and before it, from which a fit gave no new profile;
+        /// `None` for the recordings of the verification.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        recordings: Option<u32>,
         /// Reason, as a text for the operator.
         reason: String,
     },

@@ -38,6 +38,14 @@ pub enum SessionEvent<'a> {
     /// The Qube could not be identified from its recordings, for this reason; the search continues
     /// as for an unknown Qube.
     NotIdentified(&'a str),
+    /// A fit to the recordings so far gave no new profile during the search, for this reason. The
+    /// latest profile stays and is doubted.
+    RefitFailed {
+        /// Number of recordings.
+        recordings: u32,
+        /// Reason, as a text for the operator.
+        reason: &'a str,
+    },
     /// The recordings of the verification left the profile as it was, for this reason.
     NotUpdated(&'a str),
     /// The search around the identified Qube ended, because one more candidate was expected to gain

@@ -98,7 +98,8 @@ pub use setting_error::SettingError;
 pub use settings::{SessionSettings, SharedRig};
 pub use settings_list::{ChangedSetting, Setting};
 pub use state::{
-    Candidate, EntryError, Finished, Identification, SessionState, StoredProfile, TakenOutRig,
+    Candidate, EntryError, FailedRefit, Finished, Identification, SessionState, StoredProfile,
+    TakenOutRig,
 };
 pub(crate) use toml_message::toml_message;
 pub use training_time::{TrainingTime, TrainingTimesError};

@@ -496,7 +496,10 @@ mod tests {
         entries.push(Entry::SearchEnded { expected_gain: 0.5 });
         assert_eq!(next(&entries), Step::Identify, "the verification is data, too");
         let mut unchanged = entries.clone();
-        unchanged.push(Entry::NotUpdated { reason: "no rollout can be fitted".into() });
+        unchanged.push(Entry::NotUpdated {
+            recordings: None,
+            reason: "no rollout can be fitted".into(),
+        });
         let baseline = Step::Propose { count: 1, purpose: Purpose::Baseline };
         assert_eq!(next(&unchanged), baseline);
         entries.push(found(8));

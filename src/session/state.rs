@@ -68,6 +68,15 @@ pub struct TakenOutRig {
     pub reason: String,
 }
 
+/// A fit to more recordings than the latest profile's that gave no new profile.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FailedRefit {
+    /// Number of its recordings.
+    pub recordings: u32,
+    /// Reason, as a text for the operator.
+    pub reason: String,
+}
+
 /// The state of a session's identification of its Qube.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Identification {
@@ -85,6 +94,8 @@ pub enum Identification {
         /// Profiles in the order in which they were found. Psi shifts the simulations along
         /// directions of the errors of the first.
         profiles: Vec<StoredProfile>,
+        /// The latest fit, if it was made during the search and gave no new profile.
+        failed_refit: Option<FailedRefit>,
     },
     /// The recordings identify no Qube, for this reason.
     Refused(String),
@@ -132,6 +143,35 @@ pub enum EntryError {
     /// A rig is taken out twice.
     #[error("the rig is taken out already")]
     TakenOutAlready,
+    /// An identification of these recordings is not due.
+    #[error("these recordings cannot update the profile now")]
+    RecordingsNotDue,
+}
+
+impl Identification {
+    /// Whether the Qube is identified and its profile is in doubt: the verdict on its fit names
+    /// effects that the model lacks, or no profile fits the recordings since then.
+    #[must_use]
+    pub fn is_doubted(&self) -> bool {
+        match self {
+            Self::Found { doubts, failed_refit, .. } => {
+                !doubts.is_empty() || failed_refit.is_some()
+            }
+            Self::None | Self::Refused(_) => false,
+        }
+    }
+
+    /// Largest number of recordings that a profile was fitted to, whether the fit succeeded or not;
+    /// 0 if the Qube is not identified.
+    #[must_use]
+    pub fn fitted_recordings(&self) -> u32 {
+        match self {
+            Self::Found { recordings, failed_refit, .. } => {
+                failed_refit.as_ref().map_or(*recordings, |failed| failed.recordings)
+            }
+            Self::None | Self::Refused(_) => 0,
+        }
+    }
 }
 
 /// The state of a session: the result of applying the ledger's entries one after the other.
@@ -254,10 +294,21 @@ impl SessionState {
                     verdict: verdict.clone(),
                     doubts: doubts.clone(),
                     profiles,
+                    failed_refit: None,
                 };
                 self.took_in_verification = self.gain_at_end.is_some();
             }
-            Entry::NotUpdated { .. } => {
+            Entry::NotUpdated { recordings: Some(recordings), ref reason } => {
+                let is_due = self.gain_at_end.is_none()
+                    && recordings > self.identification.fitted_recordings();
+                match &mut self.identification {
+                    Identification::Found { failed_refit, .. } if is_due => {
+                        *failed_refit = Some(FailedRefit { recordings, reason: reason.clone() });
+                    }
+                    _ => return Err(EntryError::RecordingsNotDue),
+                }
+            }
+            Entry::NotUpdated { recordings: None, .. } => {
                 if self.gain_at_end.is_none() || self.took_in_verification {
                     return Err(EntryError::NoUpdateDue);
                 }
@@ -344,5 +395,45 @@ impl SessionState {
         } else {
             Err(EntryError::NotDue)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn identified(recordings: u32, doubts: &[&str]) -> Entry {
+        Entry::Identified {
+            recordings,
+            verdict: "fits".into(),
+            doubts: doubts.iter().map(ToString::to_string).collect(),
+            checksum: String::new(),
+        }
+    }
+
+    fn failed(recordings: u32) -> Entry {
+        Entry::NotUpdated { recordings: Some(recordings), reason: "it does not fit".into() }
+    }
+
+    #[test]
+    fn a_fit_that_fails_doubts_the_profile_until_another_one_succeeds() {
+        let known = |entries: &[Entry]| SessionState::of(entries).map(|it| it.identification);
+        let mut entries = vec![identified(1, &[])];
+        assert!(!known(&entries).unwrap().is_doubted());
+        entries.push(failed(3));
+        let doubted = known(&entries).unwrap();
+        assert!(doubted.is_doubted());
+        assert_eq!(doubted.fitted_recordings(), 3);
+        // A resumed session does not fit the same recordings again.
+        assert!(known(&[&entries[..], &[failed(3)]].concat()).is_err());
+        entries.push(identified(4, &[]));
+        assert!(!known(&entries).unwrap().is_doubted());
+        entries.push(identified(5, &["play"]));
+        assert!(known(&entries).unwrap().is_doubted());
+        // Recordings of the verification are entered without their number.
+        entries.push(Entry::SearchEnded { expected_gain: 0.0 });
+        assert!(known(&[&entries[..], &[failed(6)]].concat()).is_err());
+        let refused = Entry::NotIdentified { reason: "it does not fit".into() };
+        assert!(known(&[refused, failed(2)]).is_err() && known(&[failed(1)]).is_err());
     }
 }

@@ -250,6 +250,7 @@ impl ExperimentProgress {
             | SessionEvent::RecordingLeftOut { .. }
             | SessionEvent::ExcitationRepeated(_)
             | SessionEvent::NotIdentified(_)
+            | SessionEvent::RefitFailed { .. }
             | SessionEvent::NotUpdated(_)
             | SessionEvent::SearchContinues { .. }
             | SessionEvent::TooLoud(_)

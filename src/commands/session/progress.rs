@@ -117,6 +117,9 @@ impl SessionProgress {
             SessionEvent::NotIdentified(reason) => self.line(format!(
                 "not identified: {reason}. The search continues as for an unknown Qube"
             )),
+            SessionEvent::RefitFailed { recordings, reason } => {
+                self.line(refit_failed(*recordings, reason));
+            }
             SessionEvent::NotUpdated(reason) => {
                 self.line(format!("the verification leaves the profile as it is: {reason}"));
             }
@@ -310,6 +313,13 @@ pub fn identified(recordings: u32, doubts: &[String]) -> String {
         format!(" except for {}", doubts.join("; "))
     };
     format!("identified from {from}: the model describes this Qube{but}")
+}
+
+/// The outcome of a fit during the search that gave no new profile, as a sentence.
+pub fn refit_failed(recordings: u32, reason: &str) -> String {
+    format!(
+        "a fit to {recordings} recordings gives no new profile, and the last one is doubted: {reason}"
+    )
 }
 
 /// The line for a new candidate. Its number counts from 0, as its folder's name does; its place

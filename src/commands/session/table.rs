@@ -3,7 +3,7 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
-use super::progress::identified;
+use super::progress::{identified, refit_failed};
 use crate::commands::exit::Failure;
 use crate::commands::printable::one_line;
 use crate::commands::{observer_resets_line, quietness_line, timing_lines};
@@ -11,8 +11,8 @@ use crate::experiment::statistics::{Interval, wilson_interval};
 use crate::qube::{DomainParameter, Profile, Quantity};
 use crate::scoring::Verdict;
 use crate::session::{
-    BestPolicy, EndedSearch, GainSource, Identification, Purpose, RigResults, ScoredCandidate,
-    SearchEnd, SessionPaths, SessionReport, TakenOutRig,
+    BestPolicy, EndedSearch, FailedRefit, GainSource, Identification, Purpose, RigResults,
+    ScoredCandidate, SearchEnd, SessionPaths, SessionReport, TakenOutRig,
 };
 use crate::simulation::PsiSpace;
 use crate::telemetry::Ending;
@@ -162,9 +162,13 @@ impl SessionTable {
                     one_line(reason)
                 );
             }
-            Identification::Found { recordings, doubts, .. } => {
+            Identification::Found { recordings, doubts, failed_refit, .. } => {
                 let profile = report.directory.join(SessionPaths::profile_name(*recordings));
-                let message = identified(*recordings, doubts);
+                let mut message = identified(*recordings, doubts);
+                if let Some(FailedRefit { recordings, reason }) = failed_refit {
+                    message += "\n";
+                    message += &refit_failed(*recordings, &one_line(reason));
+                }
                 format!(
                     "\n{message}\nits profile, with the errors of its values: {}\n",
                     profile.display()
@@ -237,8 +241,13 @@ fn identification(known: &Identification) -> Value {
     match known {
         Identification::None => Value::Null,
         Identification::Refused(reason) => json!({ "refused": reason }),
-        Identification::Found { recordings, verdict, doubts, .. } => {
-            json!({ "recordings": recordings, "verdict": verdict, "doubts": doubts })
+        Identification::Found { recordings, verdict, doubts, failed_refit, .. } => {
+            let mut known =
+                json!({ "recordings": recordings, "verdict": verdict, "doubts": doubts });
+            if let Some(FailedRefit { recordings, reason }) = failed_refit {
+                known["failed_refit"] = json!({ "recordings": recordings, "reason": reason });
+            }
+            known
         }
     }
 }

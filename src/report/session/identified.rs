@@ -11,7 +11,7 @@ use crate::replay::simulate_from;
 use crate::report::chart::{Axis, Chart, Mark, Series, Style};
 use crate::report::densities::words;
 use crate::report::page::{Cell, Page};
-use crate::session::{Entry, Identification, SessionPaths};
+use crate::session::{Entry, FailedRefit, Identification, SessionPaths};
 
 /// Adds the section about the identified Qube, with recordings beside simulations of this Qube, or the
 /// reason why it was not identified; adds nothing for a session without identification.
@@ -24,7 +24,7 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
                 "The Qube was not identified, so the search treated it as an unknown one: {reason}"
             ));
         }
-        Identification::Found { recordings, verdict, doubts, .. } => {
+        Identification::Found { recordings, verdict, doubts, failed_refit, .. } => {
             page.section("Identification");
             let from =
                 if *recordings == 1 { "1 recording" } else { &format!("{recordings} recordings") };
@@ -34,8 +34,13 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
             for doubt in doubts {
                 page.paragraph(&format!("Doubt: {doubt}"));
             }
+            if let Some(FailedRefit { recordings, reason }) = failed_refit {
+                page.paragraph(&format!(
+                    "Doubt: a fit to {recordings} recordings gave no new profile: {reason}"
+                ));
+            }
             let unchanged = source.entries.iter().find_map(|entry| match entry {
-                Entry::NotUpdated { reason } => Some(reason),
+                Entry::NotUpdated { recordings: None, reason } => Some(reason),
                 _ => None,
             });
             if let Some(reason) = unchanged {

@@ -35,8 +35,8 @@ impl EarlyTraining {
         let (kind, candidate, may_begin) = match (state.identification(), state.candidates().last())
         {
             (Identification::None, _) => (EarlyKind::Competitor, count.max(plan.excitations), true),
-            (Identification::Found { doubts, .. }, _)
-                if !doubts.is_empty() && first.is_none_or(|it| !it.trained) =>
+            (identification, _)
+                if identification.is_doubted() && first.is_none_or(|it| !it.trained) =>
             {
                 (EarlyKind::Competitor, first.map_or(count, |it| it.number), false)
             }

@@ -101,7 +101,7 @@ impl Session {
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         let data = self.fit_data_told(on_event)?;
-        let reason = if data.usable() > self.fitted_recordings() {
+        let reason = if data.usable() > self.ledger.state().identification().fitted_recordings() {
             match self.fitted(&data) {
                 Fitted::Found(found) => return self.append_profile(*found, on_event),
                 Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
@@ -109,16 +109,31 @@ impl Session {
         } else {
             "none of its recordings can be fitted".to_owned()
         };
-        self.ledger.append(Entry::NotUpdated { reason: reason.clone() })?;
+        self.ledger.append(Entry::NotUpdated { recordings: None, reason: reason.clone() })?;
         on_event(SessionEvent::NotUpdated(&reason));
         Ok(())
     }
 
-    /// Number of recordings that the latest profile was fitted to.
-    fn fitted_recordings(&self) -> u32 {
-        match self.ledger.state().identification() {
-            Identification::Found { recordings, .. } => *recordings,
-            _ => 0,
+    /// Fits the Qube anew during the search, if more recordings can be fitted than in any fit so
+    /// far, and enters the profile, or the reason why there is none, into the ledger.
+    fn refit(&mut self, on_event: &mut dyn FnMut(SessionEvent)) -> Result<Refit, SessionError> {
+        let data = self.fit_data_told(on_event)?;
+        let recordings = data.usable();
+        if recordings <= self.ledger.state().identification().fitted_recordings() {
+            return Ok(Refit::NothingNew);
+        }
+        match self.fitted(&data) {
+            Fitted::Found(found) => {
+                self.append_profile(*found, on_event)?;
+                Ok(Refit::Found)
+            }
+            Fitted::Unfit(reason) | Fitted::Refused(reason) => {
+                let entry =
+                    Entry::NotUpdated { recordings: Some(recordings), reason: reason.clone() };
+                self.ledger.append(entry)?;
+                on_event(SessionEvent::RefitFailed { recordings, reason: &reason });
+                Ok(Refit::Failed(reason))
+            }
         }
     }
 
@@ -185,18 +200,10 @@ impl Session {
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<bool, SessionError> {
-        let data = self.fit_data_told(on_event)?;
-        let why = if data.usable() > self.fitted_recordings() {
-            self.last_fit = data.usable();
-            match self.fitted(&data) {
-                Fitted::Found(found) => {
-                    self.append_profile(*found, on_event)?;
-                    return Ok(false);
-                }
-                Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
-            }
-        } else {
-            "no recording since then can be fitted".to_owned()
+        let why = match self.refit(on_event)? {
+            Refit::Found => return Ok(false),
+            Refit::Failed(reason) => reason,
+            Refit::NothingNew => "no recording since then can be fitted".to_owned(),
         };
         if !self.may_excite_again() {
             return Ok(false);
@@ -225,13 +232,7 @@ impl Session {
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         if self.ledger.state().searched().next().is_some() {
-            let data = self.fit_data_told(on_event)?;
-            if data.usable() > self.fitted_recordings().max(self.last_fit) {
-                self.last_fit = data.usable();
-                if let Fitted::Found(found) = self.fitted(&data) {
-                    self.append_profile(*found, on_event)?;
-                }
-            }
+            self.refit(on_event)?;
         }
         self.propose_next(on_event)
     }
@@ -445,6 +446,16 @@ enum Fitted {
     Unfit(String),
     /// The fit failed, or the model does not describe this Qube, for this reason.
     Refused(String),
+}
+
+/// The result of fitting the Qube anew during the search.
+enum Refit {
+    /// There is a new profile.
+    Found,
+    /// The latest profile stays and is doubted, for this reason.
+    Failed(String),
+    /// The latest profile stays: each recording that can be fitted was in an earlier fit.
+    NothingNew,
 }
 
 /// A fitted profile with the fit's result and its doubts.

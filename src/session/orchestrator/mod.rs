@@ -57,8 +57,6 @@ pub struct Session {
     /// Whether trainings may begin before they are asked for: on this computer, if it has a core
     /// beside that of the control thread, while a Qube moves in real time.
     prepares: bool,
-    /// Number of recordings that the last fit used which was to update a profile; 0 before it.
-    last_fit: u32,
     /// Candidates and rollouts of the recordings that were reported as left out of the fit.
     told_left_out: HashSet<(u32, u32)>,
     /// Rollout that an earlier process gave up; `None` if there is none.
@@ -123,7 +121,6 @@ impl Session {
             ahead: None,
             prepared: PreparedTrainings::default(),
             prepares: in_real_time && has_another_core,
-            last_fit: 0,
             told_left_out: HashSet::new(),
             given_up_before: None,
             ended_by: None,

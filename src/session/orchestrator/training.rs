@@ -110,14 +110,11 @@ impl Trainer {
             return vec![TrainedFor::Psi];
         };
         let mut trainings = vec![TrainedFor::Psi; plan.trainings as usize];
-        if self.is_doubted() && candidate.point == self.settings.psi.as_identified() {
+        if self.identification.is_doubted() && candidate.point == self.settings.psi.as_identified()
+        {
             trainings.push(TrainedFor::Unknown);
         }
         trainings
-    }
-
-    fn is_doubted(&self) -> bool {
-        matches!(&self.identification, Identification::Found { doubts, .. } if !doubts.is_empty())
     }
 
     /// Performs one round of each contest's trainings. A policy is written as soon as it is chosen.
@@ -292,7 +289,7 @@ impl Trainer {
     /// The base distribution cannot be simulated.
     fn score(&self, candidate: u32, network: &Network) -> Result<TrainingScore, SessionError> {
         let as_identified = self.simulated(candidate, network)?;
-        if !self.is_doubted() {
+        if !self.identification.is_doubted() {
             return Ok(TrainingScore::of(&as_identified));
         }
         let base = self.settings.base_distribution()?;
@@ -355,7 +352,8 @@ mod tests {
     /// An identification with these doubts.
     fn found(doubts: Vec<String>) -> Identification {
         let verdict = "fits but for".into();
-        Identification::Found { recordings: 1, verdict, doubts, profiles: Vec::new() }
+        let profiles = Vec::new();
+        Identification::Found { recordings: 1, verdict, doubts, profiles, failed_refit: None }
     }
 
     #[test]
