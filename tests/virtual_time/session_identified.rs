@@ -8,7 +8,7 @@ use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::device::emulator::{Effects, EmulatorSettings};
 use qube_hil::device::{DeviceError, SerialLink};
 use qube_hil::policy::{ExcitationShape, Policy};
-use qube_hil::qube::Profile;
+use qube_hil::qube::{Profile, QubeModel};
 use qube_hil::recording::{Recording, read};
 use qube_hil::rig::{Connect, DeviceChoice, RigSettings, TimedDevice};
 use qube_hil::safety::Limit;
@@ -324,6 +324,82 @@ fn a_qube_that_contradicts_its_profile_is_excited_again_and_guarded_as_unknown_u
     let (resumed, [_, second]) = contradicted(directory.path(), true);
     assert!(ledger == resumed);
     assert!(!is_known(&second), "the resumed session trusts the profile again");
+}
+
+/// A computer whose first connection drives one Qube, and whose others drive another.
+#[derive(Debug)]
+struct ExchangedQube {
+    connections: AtomicU32,
+    other: QubeModel,
+}
+
+impl Connect for ExchangedQube {
+    fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError> {
+        let time = VirtualClock::default();
+        let mut emulator = *emulator;
+        if self.connections.fetch_add(1, Ordering::Relaxed) > 0 {
+            emulator.model = self.other;
+        }
+        Ok((Box::new(SerialLink::in_process(emulator, time.clone())), Arc::new(time)))
+    }
+
+    fn is_hardware(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn a_later_fit_that_fails_is_told_and_a_policy_for_an_unknown_qube_competes_from_then_on() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path().join("s");
+    let mut settings = SessionSettings::quick();
+    // A rollout that contradicts the profile too early to be fitted is followed by one excitation.
+    (settings.extent.rollouts, settings.extent.repetitions) = (1, 1);
+    (settings.training.updates, settings.training.num_envs, settings.training.epochs) = (1, 16, 1);
+    settings.identification =
+        Some(IdentificationSettings { trainings: 1, ..IdentificationSettings::DEFAULT });
+    drop(SessionFolder::create(&root, &settings.to_toml().unwrap()).unwrap());
+    let model = Profile::lab().model();
+    let mut other = model;
+    other.parameters.rotary_mass_kg *= 3.0;
+    // Resumed at the moment of the failed fit, the session neither fits nor enters it again.
+    let (mut failed, mut trainings) = (Vec::new(), [0, 0]);
+    for connections in [0, 1] {
+        let stop = Arc::new(AtomicBool::new(false));
+        let computer = ExchangedQube { connections: AtomicU32::new(connections), other };
+        let rig = RigSettings {
+            emulator: EmulatorSettings { model, ..EmulatorSettings::default() },
+            homing: settings.homing,
+            ..RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(computer)))
+        };
+        let folder = SessionFolder::open(&root).unwrap();
+        let session = Session::open(folder, settings.clone(), rig, Arc::clone(&stop)).unwrap();
+        let ran =
+            session.trained_by(Arc::new(Given::new(vec![robust()]))).run(
+                &mut |event| match event {
+                    SessionEvent::RefitFailed { recordings, reason } => {
+                        assert!(!reason.is_empty());
+                        failed.push(recordings);
+                        stop.store(true, Ordering::Relaxed);
+                    }
+                    SessionEvent::Training { training, .. } => {
+                        let since_failed = usize::from(!failed.is_empty());
+                        trainings[since_failed] = trainings[since_failed].max(training + 1);
+                    }
+                    SessionEvent::Trained { best_return: Some(_), .. } => {
+                        stop.store(!failed.is_empty(), Ordering::Relaxed);
+                    }
+                    _ => {}
+                },
+            );
+        assert!(matches!(ran, Err(SessionError::Stopped)), "{ran:?}");
+    }
+    assert_eq!(failed.len(), 1, "{failed:?}");
+    assert_eq!(trainings[0], 1, "the first fit is not doubted");
+    // A round has a training for psi and one for an unknown Qube.
+    assert!(trainings[1] >= 2, "{trainings:?}");
+    let view = SessionView::read(&MachineDisk, SessionPaths::new(&root)).unwrap();
+    assert!(view.state().identification().is_doubted());
 }
 
 #[test]

@@ -96,8 +96,9 @@ impl Trainer {
     }
 
     /// The trainings of a candidate in each round. Around an identified Qube there are several, of
-    /// which the best policy is kept. If the identification is doubted, a policy for an
-    /// unidentified Qube competes with the policies of the candidate that is exactly as identified.
+    /// which the best policy is kept. While the identification is doubted, a policy for an
+    /// unidentified Qube competes with the policies of each candidate, so that no policy around a
+    /// doubtful fit is kept where that one is better in simulations.
     fn trainings(&self, candidate: &Candidate) -> Vec<TrainedFor> {
         if candidate.purpose == Purpose::Baseline {
             // The baseline is only for comparison, so its training is not repeated for a better
@@ -110,8 +111,7 @@ impl Trainer {
             return vec![TrainedFor::Psi];
         };
         let mut trainings = vec![TrainedFor::Psi; plan.trainings as usize];
-        if self.identification.is_doubted() && candidate.point == self.settings.psi.as_identified()
-        {
+        if self.identification.is_doubted() {
             trainings.push(TrainedFor::Unknown);
         }
         trainings
@@ -204,7 +204,7 @@ impl Trainer {
     }
 
     /// The training of the policy for an unidentified Qube that competes in the first round of this
-    /// candidate if it is exactly as identified and its identification is doubted.
+    /// candidate if the identification is doubted then.
     ///
     /// # Errors
     /// The distribution is invalid.
@@ -335,7 +335,7 @@ mod tests {
     use crate::learning::TrainError;
     use crate::policy::Policy;
     use crate::qube::Profile;
-    use crate::session::IdentificationSettings;
+    use crate::session::{FailedRefit, IdentificationSettings};
     use crate::storage::MachineDisk;
 
     fn trainer(settings: SessionSettings, identification: Identification) -> Trainer {
@@ -418,6 +418,40 @@ mod tests {
             void: 0,
             void_before: 0,
             policy_of: None,
+        }
+    }
+
+    #[test]
+    fn a_policy_for_an_unknown_qube_competes_for_each_candidate_while_the_fit_is_doubted() {
+        let plan = IdentificationSettings::default();
+        let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
+        let settings = settings.around(&plan, &Profile::lab(), &Profile::lab());
+        let first = candidate(1, Purpose::Initial, settings.psi.as_identified());
+        let later = candidate(4, Purpose::Search, settings.psi.lower());
+        assert_ne!(first.point, later.point);
+        let failed = Some(FailedRefit { recordings: 3, reason: "it does not fit".into() });
+        let since_failed = match found(Vec::new()) {
+            Identification::Found { recordings, verdict, doubts, profiles, .. } => {
+                Identification::Found {
+                    recordings,
+                    verdict,
+                    doubts,
+                    profiles,
+                    failed_refit: failed,
+                }
+            }
+            other => other,
+        };
+        for (identification, competitors) in
+            [(found(Vec::new()), 0), (found(vec!["play".into()]), 1), (since_failed, 1)]
+        {
+            let trainer = trainer(settings.clone(), identification);
+            for candidate in [&first, &later] {
+                let trainings = trainer.trainings(candidate);
+                let unknown = trainings.iter().filter(|it| **it == TrainedFor::Unknown).count();
+                assert_eq!(unknown, competitors, "{:?}", candidate.point);
+                assert_eq!(trainings.len(), plan.trainings as usize + competitors);
+            }
         }
     }
 
