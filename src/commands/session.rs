@@ -37,7 +37,7 @@ use crate::session::SessionSettings;
 /// The first candidate is the Qube as it was identified; if its policy does not succeed, the recordings so far improve
 /// the identification, and the search proposes the next psi: from the fourth candidate on by a surrogate of the return
 /// over psi. The best policy is verified. The session ends when the verified policy succeeds in each rollout and one
-/// more candidate is expected to gain less than 1 %, or at the largest number of candidates (--candidates). A Qube
+/// more candidate is estimated to gain less than 1 %, or at the largest number of candidates (--candidates). A Qube
 /// that cannot be identified is treated as an unknown one, as --method bayrn does from the beginning: then psi contains
 /// means and standard deviations of masses and lengths (--config can choose other quantities). Without arguments this
 /// runs on an emulated Qube that differs from the nominal one as a real Qube does, and takes some minutes. --resume

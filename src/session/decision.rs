@@ -16,8 +16,8 @@ pub enum Decision {
         /// Number of the candidate.
         candidate: u32,
     },
-    /// End the search if the verified policy is quiet and one more candidate is expected to gain
-    /// less than `smallest_gain`; evaluate it otherwise.
+    /// End the search if the verified policy is quiet and the estimated gain of one more candidate
+    /// is less than `smallest_gain`; evaluate it otherwise.
     EndBelow {
         /// Number of the candidate that verified the policy.
         verification: u32,
@@ -54,8 +54,8 @@ impl std::fmt::Display for SearchEnd {
         match self {
             Self::Verified => write!(
                 formatter,
-                "a policy succeeded quietly in all its verifying rollouts, and one more candidate was expected to gain \
-                 less than {} %",
+                "a policy succeeded quietly in all its verifying rollouts, and by a heuristic estimate one more \
+                 candidate would gain less than {} %",
                 100.0 * WORTHWHILE_GAIN
             ),
             Self::Candidates(1) => formatter.write_str("its only candidate has run"),
@@ -66,8 +66,8 @@ impl std::fmt::Display for SearchEnd {
     }
 }
 
-/// The source of the return that one more candidate of a search around an identified Qube is
-/// expected to gain.
+/// The source of the estimated gain in return of one more candidate of a search around an
+/// identified Qube. The estimate is a difference of mean returns, and no expected improvement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GainSource {
     /// The surrogate of the return over psi: its largest mean minus its mean at the best evaluated
@@ -82,7 +82,7 @@ pub enum GainSource {
 }
 
 impl GainSource {
-    /// The source of the expected gain after these candidates.
+    /// The source of the estimated gain after these candidates.
     #[must_use]
     pub fn of(candidates: &[ScoredCandidate]) -> Self {
         let searched = candidates.iter().filter(|it| it.candidate.purpose.is_searched());
@@ -132,8 +132,8 @@ fn is_full(candidates: &[ScoredCandidate], largest: u32) -> bool {
 /// The candidate of the highest [`rank`](ScoredCandidate::rank), in a tie the latest, is verified at
 /// once if all its rollouts succeeded. A candidate whose verification failed, or was loud, counts as
 /// loud. If every rollout of the verification succeeded too, the search continues only while the
-/// policy is loud ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or one more
-/// candidate is expected to gain at least the fraction [`WORTHWHILE_GAIN`] of the verified return.
+/// policy is loud ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or the estimated
+/// gain of one more candidate is at least the fraction [`WORTHWHILE_GAIN`] of the verified return.
 /// If one failed, the search continues in any case.
 ///
 /// At the largest number of candidates the best one is verified, unless it is verified already,

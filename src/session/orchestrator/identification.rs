@@ -253,14 +253,17 @@ impl Session {
         self.append_proposal(Proposal::of(purpose, psi), on_event)
     }
 
-    /// The return that one more candidate is expected to gain over the policy of this verification,
-    /// at least 0.
+    /// An estimate of the return that one more candidate gains over the policy of this
+    /// verification, at least 0: a difference of mean returns by which the search decides whether
+    /// to go on.
     ///
-    /// Once there are [`INITIAL_AROUND`] observations, the gain is the return that the search
-    /// expects at the recommended psi minus the return that it expects at the best evaluated psi,
-    /// or minus the verified return if the verified policy was trained without psi. Before, it is
-    /// the highest mean return of a candidate's policy in simulations of the identified Qube minus
-    /// the verified return: a search can win back no more than the loss from simulation to reality.
+    /// It is a heuristic and no expected improvement, because it ignores how uncertain these means
+    /// are. Once there are [`INITIAL_AROUND`] observations, it is the surrogate's mean at the
+    /// recommended psi minus its mean at the best evaluated psi, or minus the verified return if
+    /// the verified policy was trained without psi. Before, it is the highest mean return of a
+    /// candidate's policy in simulations of the identified Qube minus the verified return. This
+    /// takes the loss from simulation to reality for what another candidate may win back; a policy
+    /// that no candidate has found yet may gain more.
     fn expected_gain(
         &mut self,
         scored: &[ScoredCandidate],
