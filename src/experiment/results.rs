@@ -62,6 +62,9 @@ pub struct PolicyResult {
     pub rollouts: Vec<RolloutResult>,
     /// Folder of the policy's recordings on the plant.
     pub recordings: PathBuf,
+    /// Reason for which the method had no recommendation at this budget, so that the policy is one
+    /// of the distribution `robust`; `None` for the method's own policy, and for a recipe's.
+    pub fallback: Option<String>,
 }
 
 impl PolicyResult {
@@ -135,6 +138,12 @@ impl RecipeResult {
     #[must_use]
     pub fn successes(&self) -> usize {
         self.policies.iter().filter(|policy| policy.succeeds()).count()
+    }
+
+    /// Number of policies that took the place of a recommendation ([`PolicyResult::fallback`]).
+    #[must_use]
+    pub fn fallbacks(&self) -> usize {
+        self.policies.iter().filter(|policy| policy.fallback.is_some()).count()
     }
 
     /// Share of successful policies; NaN without any policy.
@@ -264,7 +273,9 @@ impl<'a> PlannedRecipe<'a> {
         let simulated_return = simulated_return(&path, distribution, simulation, starts)?;
         let on_plant = |(plant, rollouts): (&Plant, Option<Vec<RolloutResult>>)| {
             let recordings = self.folders.rollouts(number, &plant.name);
-            Some(PolicyResult { number, simulated_return, rollouts: rollouts?, recordings })
+            let rollouts = rollouts?;
+            let fallback = None;
+            Some(PolicyResult { number, simulated_return, rollouts, recordings, fallback })
         };
         Ok(settings.plants.iter().zip(ran).map(on_plant).collect())
     }
@@ -333,6 +344,7 @@ mod tests {
             simulated_return: 500.0,
             rollouts: rollouts.collect(),
             recordings: PathBuf::new(),
+            fallback: None,
         }
     }
 

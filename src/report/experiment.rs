@@ -426,6 +426,7 @@ mod tests {
                 quietness: Quietness::NONE,
             }],
             recordings: Default::default(),
+            fallback: None,
         };
         let recipe = RecipeResult {
             recipe: "nominal".into(),

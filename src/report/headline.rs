@@ -172,6 +172,7 @@ mod tests {
                 quietness: Quietness::NONE,
             }],
             recordings: Default::default(),
+            fallback: None,
         };
         RecipeResult {
             recipe: name.into(),

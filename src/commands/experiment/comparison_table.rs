@@ -93,6 +93,7 @@ mod tests {
                         quietness: Quietness::NONE,
                     }],
                     recordings: Default::default(),
+                    fallback: None,
                 })
                 .collect(),
         };

@@ -31,6 +31,15 @@ pub fn table(results: &Results) -> String {
         for recipe in &recipes {
             let _ = writeln!(text, "{}", line(recipe));
         }
+        for recipe in recipes.iter().filter(|it| it.fallbacks() > 0) {
+            let _ = writeln!(
+                text,
+                "{}: {} of {} repetitions fell back to robust",
+                short(&recipe.recipe),
+                recipe.fallbacks(),
+                recipe.policies.len()
+            );
+        }
         let _ = writeln!(
             text,
             "\n{:NAME$} {:>8} {:>6} {:>9} {:>10} {:>6} {:>6}",
@@ -117,7 +126,7 @@ fn model(recipe: &RecipeResult) -> Value {
         .into_iter()
         .map(|behaviour| (behaviour.name().to_owned(), json!(recipe.share(behaviour))))
         .collect();
-    json!({
+    let mut model = json!({
         "model": recipe.recipe,
         "plant": recipe.plant,
         "policies": recipe.policies.len(),
@@ -131,7 +140,11 @@ fn model(recipe: &RecipeResult) -> Value {
         "rollouts": shares,
         "balancing": recipe.quietness().figures(),
         "psi": recipe.psi,
-    })
+    });
+    if recipe.budget.is_some() {
+        model["fell_back_to_robust"] = json!(recipe.fallbacks());
+    }
+    model
 }
 
 /// First columns of the CSV file, by which it is recognised.
@@ -143,7 +156,7 @@ pub fn csv(results: &Results) -> String {
     for behaviour in Behaviour::ALL {
         let _ = write!(text, ",{}", behaviour.name());
     }
-    text.push_str(",change_v,sign_changes_per_s,rms_v,copper_loss_w\n");
+    text.push_str(",change_v,sign_changes_per_s,rms_v,copper_loss_w,fell_back_to_robust\n");
     for recipe in &results.recipes {
         for policy in &recipe.policies {
             let mean = policy.mean_return().map_or(String::new(), |mean| format!("{mean:.3}"));
@@ -160,8 +173,8 @@ pub fn csv(results: &Results) -> String {
                 let _ = write!(text, ",{}", policy.count(behaviour));
             }
             let _ = match policy.quietness().figures() {
-                None => writeln!(text, ",,,,"),
-                Some(figures) => writeln!(
+                None => write!(text, ",,,,"),
+                Some(figures) => write!(
                     text,
                     ",{:.4},{:.3},{:.4},{:.4}",
                     figures.change_v,
@@ -170,6 +183,7 @@ pub fn csv(results: &Results) -> String {
                     figures.copper_loss_w
                 ),
             };
+            let _ = writeln!(text, ",{}", policy.fallback.is_some());
         }
     }
     text
@@ -189,6 +203,7 @@ mod tests {
             simulated_return: 555.4 + f64::from(number % 3),
             rollouts: vec![rollout(541.2, Behaviour::Balanced), rollout(0.4, Behaviour::LeftBox)],
             recordings: Default::default(),
+            fallback: (number % 5 == 1).then(|| "no recording shows a motion".into()),
         });
         Results {
             recipes: vec![RecipeResult {
@@ -219,6 +234,19 @@ mod tests {
         let lines: Vec<&str> = csv.lines().collect();
         assert_eq!(lines.len(), 4);
         assert!(lines.iter().all(|line| fields(line) == fields(lines[0])));
-        assert!(lines[1].ends_with("270.800,false,1,0,1,0,0,0,,,,"), "{}", lines[1]);
+        assert!(lines[1].ends_with("270.800,false,1,0,1,0,0,0,,,,,false"), "{}", lines[1]);
+        assert!(lines[2].ends_with(",true"), "{}", lines[2]);
+    }
+
+    #[test]
+    fn repetitions_without_a_recommendation_are_counted() {
+        let mut results = results(20);
+        results.recipes[0].budget = Some(2);
+        let table = table(&results);
+        let line = "nominal-handcrafted-: 4 of 20 repetitions fell back to robust";
+        assert!(table.lines().any(|it| it == line), "{table}");
+        assert_eq!(value(&results)["models"][0]["fell_back_to_robust"], 4);
+        results.recipes[0].budget = None;
+        assert_eq!(value(&results)["models"][0].get("fell_back_to_robust"), None);
     }
 }

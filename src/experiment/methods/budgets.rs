@@ -45,7 +45,8 @@ impl Experiment {
     /// Scores a method's recommendation at each budget that allows one; each result has the index
     /// of its budget. A budget that allows no further candidate or recording repeats the result of
     /// the budget before. Where the recordings identify no Qube, the distribution `robust` takes
-    /// the place of a recommendation. A read-only run ends at the first result that is not on disk.
+    /// the place of a recommendation, and the result has the reason ([`PolicyResult::fallback`]). A
+    /// read-only run ends at the first result that is not on disk.
     ///
     /// # Errors
     /// The work ends early, or a file cannot be read.
@@ -88,9 +89,9 @@ impl Experiment {
                 not_scored(1, made);
                 continue;
             }
-            let recommendation = match recommendations.after(steps)? {
-                Recommended::Found(recommendation) => *recommendation,
-                Recommended::Refused(_) => run.without_identification(),
+            let (recommendation, fallback) = match recommendations.after(steps)? {
+                Recommended::Found(recommendation) => (*recommendation, None),
+                Recommended::Refused(reason) => (run.without_identification(), Some(reason)),
                 Recommended::NotOnDisk => break,
             };
             let OnDisk::Found(ScoredPolicy { result, made }) =
@@ -107,7 +108,7 @@ impl Experiment {
                 on_event(ExperimentEvent::Ran { recipe, policy, plant, results, made });
             }
             scored = Some((steps, made));
-            results.push((index, result));
+            results.push((index, PolicyResult { fallback, ..result }));
         }
         if scored.is_none() {
             not_scored(too_small, Made::Earlier);
@@ -202,7 +203,8 @@ impl MethodRun<'_> {
             let starts = settings.simulated_starts as usize;
             simulated_return(&path, &distribution, &simulation, starts)?
         };
-        let result = PolicyResult { number, simulated_return, rollouts, recordings };
+        let fallback = None;
+        let result = PolicyResult { number, simulated_return, rollouts, recordings, fallback };
         Ok(OnDisk::Found(ScoredPolicy { result, made }))
     }
 }
