@@ -2,7 +2,7 @@ use std::fmt;
 
 use super::effects::{Effect, scores};
 use super::fit::Fit;
-use super::residuals::{Noise, Residual, scale_of};
+use super::residuals::{Noise, Residual, noise_of_all, scale_of};
 use super::stretch::{Regime, Stretch};
 use super::{ResidualScale, Unknown};
 use crate::qube::{PlantModel, QubeModel};
@@ -140,8 +140,9 @@ pub struct Assessment {
 }
 
 /// Tests the residuals of a fit over its own windows and, with start states fitted anew, over the
-/// windows `short` of half a second, or of a quarter where the pendulum is upright.
-pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
+/// windows `short` of half a second, or of a quarter where the pendulum is upright. Also returns
+/// scale and correlation of the residuals over these short windows.
+pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> (Assessment, [Noise; 3]) {
     let mut check = fit.with_unknowns(&[], short);
     check.noise = [Noise::of_resolution(fit.plant.encoders); 3];
     check.minimise();
@@ -163,6 +164,7 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     {
         doubts.push(MissingEffect::Unexplained);
     }
+    let noise = noise_of_all(&check.stretches, &residuals, encoders);
     let check = Fit { unknowns: fit.unknowns, ..check };
     doubts.extend(named(&check, 2.0 * samples, noise_ratio));
     let verdict = if !scale.is_within(UNFIT_RAD) {
@@ -172,7 +174,7 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> Assessment {
     } else {
         ModelVerdict::FitsBut
     };
-    Assessment { verdict, doubts, noise_ratio, whiteness, growth }
+    (Assessment { verdict, doubts, noise_ratio, whiteness, growth }, noise)
 }
 
 impl Assessment {

@@ -185,7 +185,8 @@ fn changing(motions: &[&MotionLog], reference: &QubeModel) -> [Estimate; 2] {
     let stretches = motions.iter().flat_map(|log| Stretch::windows(&log.samples, STRETCH_S));
     let mut fit = Fit::new(&CHANGING, &motions[0].plant, *reference, stretches.collect());
     fit.run();
-    let found = Evidence::of(&fit).uncertainty(&CHANGING, fit.plant, &fit.model).estimates;
+    let found =
+        Evidence::of(&fit, fit.noise).uncertainty(&CHANGING, fit.plant, &fit.model).estimates;
     [found[0], found[1]]
 }
 

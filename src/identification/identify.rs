@@ -211,7 +211,7 @@ impl Identified {
 
         // Start states and the offsets of homing are estimated anew, the model is not.
         let mut started = Fit::new(&[], plant, self.model, stretches()).with_offsets();
-        started.noise = self.evidence.noise;
+        started.noise = self.evidence.short_noise;
         started.minimise();
         let mut held_out = started.with_unknowns(&unknowns, stretches());
         (held_out.scatter, held_out.starts) = (started.scatter, started.starts.clone());
@@ -301,11 +301,11 @@ pub fn identify(
     if let Some(ResidualScale { theta_rad, alpha_rad }) = unexplained(logs, &fit) {
         return Err(IdentifyError::NothingExplained { theta_rad, alpha_rad, cause: cause() });
     }
-    let evidence = Evidence::of(&fit);
+    let (assessment, short_noise) = assess(&fit, windows(logs, STAGES_S[0]));
+    let evidence = Evidence::of(&fit, short_noise);
     let Uncertainty { estimates, undetermined, correlations, inflation } =
         evidence.uncertainty(unknowns, plant, &fit.model);
     let scale = scale_of(&fit.residuals_rad());
-    let assessment = assess(&fit, windows(logs, STAGES_S[0]));
     let Fit { model, .. } = fit;
     let scatter = fit.own_scatter();
     let offsets = fit.offsets;

@@ -126,6 +126,34 @@ pub(super) fn noise_of(
     noise
 }
 
+/// Number of rounds in which [`noise_of_all`] estimates scales and the weights that depend on them
+/// in turn.
+const ROUNDS: usize = 4;
+
+/// Estimates scale and correlation of each regime from these residuals alone. A regime without
+/// stretches gets those of the quietest other one: nothing is known of its residuals, and a model
+/// that holds leaves residuals of about the encoders' rounding in every regime.
+pub(super) fn noise_of_all(
+    stretches: &[Stretch<'_>],
+    residuals: &[Vec<Residual>],
+    encoders: Encoders,
+) -> [Noise; 3] {
+    let mut noise = [Noise { scale: scale_of(residuals), autocorrelation_samples: 1.0 }; 3];
+    for _ in 0..ROUNDS {
+        noise = noise_of(stretches, residuals, &noise, encoders);
+    }
+    let is_seen = |regime: &Regime| stretches.iter().any(|stretch| stretch.regime == *regime);
+    let size = |noise: &Noise| noise.scale.theta_rad * noise.scale.alpha_rad;
+    let seen = Regime::ALL.into_iter().filter(is_seen).map(|regime| noise[regime as usize]);
+    let quietest = seen
+        .min_by(|one, other| size(one).total_cmp(&size(other)))
+        .unwrap_or(Noise::of_resolution(encoders));
+    for regime in Regime::ALL.into_iter().filter(|regime| !is_seen(regime)) {
+        noise[regime as usize] = quietest;
+    }
+    noise
+}
+
 /// Root mean square of residuals, rad.
 pub(super) fn scale_of(residuals: &[Vec<Residual>]) -> ResidualScale {
     let count = residuals.iter().map(Vec::len).sum::<usize>().max(1) as f64;
@@ -167,6 +195,27 @@ fn autocorrelation_samples(residuals: &[&Vec<Residual>]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::{PlantModel, State};
+    use crate::replay::MotionSample;
+
+    #[test]
+    fn a_regime_that_was_not_recorded_has_the_noise_of_the_quietest_one() {
+        let sample = MotionSample { time_s: 0.0, state: State::default(), voltage_v: 0.0 };
+        let samples = [sample; 4];
+        let stretch = |regime| Stretch { regime, recording: &samples, first: 0, end: 4 };
+        let residuals = |rad: f64| vec![[rad, -rad], [-rad, rad], [rad, -rad], [-rad, rad]];
+        let encoders = PlantModel::QUBE.encoders;
+        let noise = noise_of_all(
+            &[stretch(Regime::Swinging), stretch(Regime::Hanging)],
+            &[residuals(0.02), residuals(0.004)],
+            encoders,
+        );
+        let scale = |regime: Regime| noise[regime as usize].scale;
+        assert!((scale(Regime::Swinging).theta_rad - 0.02).abs() < 1e-12, "{noise:?}");
+        assert!((scale(Regime::Hanging).alpha_rad - 0.004).abs() < 1e-12, "{noise:?}");
+        assert_eq!(noise[Regime::Upright as usize], noise[Regime::Hanging as usize]);
+        assert_eq!(noise_of_all(&[], &[], encoders), [Noise::of_resolution(encoders); 3]);
+    }
 
     #[test]
     fn residuals_that_are_no_numbers_are_within_no_limit() {

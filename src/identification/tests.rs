@@ -19,6 +19,19 @@ fn chirp_of(
     seconds: f64,
     is_taken: &dyn Fn(usize) -> bool,
 ) -> MotionLog {
+    let start = State { theta: -0.02, ..State::default() };
+    driven(truth, sign, seconds, start, is_taken)
+}
+
+/// The motion from a start state under the voltages of a chirp, recorded only at the indices where
+/// `is_taken` is true.
+fn driven(
+    truth: &QubeModel,
+    sign: f64,
+    seconds: f64,
+    start: State,
+    is_taken: &dyn Fn(usize) -> bool,
+) -> MotionLog {
     let count = (seconds * 250.0) as usize + 1;
     let samples: Vec<MotionSample> = (0..count)
         .filter(|index| is_taken(*index))
@@ -30,7 +43,6 @@ fn chirp_of(
         })
         .collect();
     let mut states = Vec::new();
-    let start = State { theta: -0.02, ..State::default() };
     simulate_stretch(&samples, 0..samples.len(), truth, start, |state| states.push(state));
     let encoded = |state: State| State {
         theta: quantised(state.theta),
@@ -371,6 +383,37 @@ fn held_out_recordings_of_another_qube_are_doubted_and_those_of_the_same_are_not
             assert_eq!(estimate.value, before.value);
         }
     }
+}
+
+/// The factor by which a held-out recording widens the standard errors of a fit.
+fn widening(identified: &Identified, held_out: &MotionLog) -> f64 {
+    let mut found = identified.clone();
+    found.hold_out(std::slice::from_ref(held_out)).unwrap();
+    found.inflation / identified.inflation
+}
+
+#[test]
+fn a_held_out_swing_is_measured_by_the_noise_of_the_chirp_that_was_fitted() {
+    let identified = identify(&[chirp(&truth(), 1.0, 4.0)], &all(), &QubeModel::NOMINAL).unwrap();
+    let mut longer = truth();
+    longer.parameters.pendulum_length_m *= 1.01;
+    let falls = |qube: &QubeModel| {
+        driven(qube, 1.0, 4.0, State { alpha: 2.9, ..State::default() }, &|_| true)
+    };
+    let (same, other) =
+        (widening(&identified, &falls(&truth())), widening(&identified, &falls(&longer)));
+    assert!(same < 1.5 && other > 3.0, "{same} {other}");
+}
+
+#[test]
+fn a_held_out_chirp_is_measured_by_the_noise_of_windows_as_short_as_its_own() {
+    // Over whole chirps a motor that warms leaves large residuals, over half seconds small ones.
+    let logs = [1.0, -1.0].map(|sign| warming_chirp(&truth(), sign, 0.3));
+    let identified = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
+    let mut longer = truth();
+    longer.parameters.pendulum_length_m *= 1.03;
+    let other = widening(&identified, &warming_chirp(&longer, -1.0, 0.3));
+    assert!(other > 1.5, "{other}");
 }
 
 #[test]

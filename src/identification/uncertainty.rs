@@ -69,25 +69,27 @@ pub(super) struct Evidence {
     information: DMatrix<f64>,
     /// Factor on the standard errors, at least 1, that the information includes.
     inflation: f64,
-    /// Scale and correlation of the residuals of each regime.
-    pub noise: [Noise; 3],
+    /// Scale and correlation of the residuals of each regime over windows of half a second, or of a
+    /// quarter where the pendulum is upright.
+    pub short_noise: [Noise; 3],
     /// Scatter of the cable's rest angle between recordings, in prior standard deviations.
     rest_scatter: f64,
 }
 
 impl Evidence {
-    /// The evidence of the recordings of a fit.
+    /// The evidence of the recordings of a fit, over whose short windows the residuals have this
+    /// noise.
     ///
     /// Because a model's errors persist in time, the information matrix counts all samples within
     /// the integrated autocorrelation time of the residuals as one sample. [`inflation`] measures
     /// the error that a wrong model adds.
-    pub fn of(fit: &Fit<'_>) -> Self {
+    pub fn of(fit: &Fit<'_>, short_noise: [Noise; 3]) -> Self {
         let reduced = fit.reduced();
         let inflation = inflation(fit, &reduced);
         let (information, _) = total(fit, &by_recording(fit, &reduced, inflation));
         let rest = Unknown::from(Nonideality::CableRest);
         let rest_scatter = fit.own_scatter().cable_rest_rad / rest.prior(fit.plant).std;
-        Self { information, inflation, noise: fit.noise, rest_scatter }
+        Self { information, inflation, short_noise, rest_scatter }
     }
 
     /// The evidence with standard errors that are larger by a factor, as far as the prior allows.
@@ -99,10 +101,10 @@ impl Evidence {
     /// Computes the factor, at least 1, by which recordings outside of the fit contradict it more
     /// than the noise and the standard errors predict.
     ///
-    /// `held_out` has the unknowns, the model and the noise of the fit. If all are right, its
-    /// gradient g has the covariance H + H C H, where H is the information of `held_out` and C the
-    /// covariance of the estimates. The factor is the root mean square of g in these units, over
-    /// the directions that `held_out` determines.
+    /// `held_out` has the unknowns and the model of the fit, and the noise of its short windows. If
+    /// all are right, its gradient g has the covariance H + H C H, where H is the information of
+    /// `held_out` and C the covariance of the estimates. The factor is the root mean square of g in
+    /// these units, over the directions that `held_out` determines.
     pub fn contradiction(&self, held_out: &Fit<'_>) -> f64 {
         let groups = by_recording(held_out, &held_out.reduced(), self.inflation);
         let (information, gradient) = total(held_out, &groups);
