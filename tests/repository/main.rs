@@ -12,5 +12,6 @@ mod page_safety;
 #[path = "../shared/mod.rs"]
 mod shared;
 mod skips;
+mod thresholds;
 mod tree;
 mod walls;
