@@ -2,7 +2,8 @@
 /// section III), without its constant. Each transition adds the log density of its real end under
 /// the normal distribution with the moments of its simulated ends, to whose variances the
 /// measurement's noise is added. No transition adds less than `UNLIKELY`. `simulated` has each
-/// transition's ends under the same Qubes; `noise` has standard deviations.
+/// transition's ends under the same Qubes, which are drawn in pairs on opposite sides of the
+/// distribution's mean; `noise` has standard deviations.
 pub fn log_likelihood<const N: usize>(
     real: &[[f64; N]],
     simulated: &[Vec<[f64; N]>],
@@ -20,11 +21,13 @@ fn of_transition<const N: usize>(real: &[f64; N], ends: &[[f64; N]], noise: &[f6
         }
     }
     let mut covariance = nalgebra::SMatrix::<f64, N, N>::zeros();
+    // The pairs make the mean exact where ends are linear in the Qubes' properties, so no degree of
+    // freedom is lost to it.
     for end in ends {
         for row in 0..N {
             for column in 0..N {
                 covariance[(row, column)] +=
-                    (end[row] - mean[row]) * (end[column] - mean[column]) / (count - 1.0).max(1.0);
+                    (end[row] - mean[row]) * (end[column] - mean[column]) / count;
             }
         }
     }
@@ -52,6 +55,25 @@ mod tests {
     use super::*;
     use crate::experiment::methods::rivals::evolution::minimise;
     use crate::experiment::methods::rivals::gaussian::standard_normal;
+
+    /// On average over many draws, the ends of two pairs have the variance of the distribution from
+    /// which the pairs are drawn.
+    #[test]
+    fn few_pairs_have_the_variance_of_their_distribution_on_average() {
+        let mut random = ChaCha8Rng::seed_from_u64(9);
+        let (mut total, repetitions) = (0.0, 4000);
+        for _ in 0..repetitions {
+            let ends: Vec<[f64; 1]> = (0..2)
+                .map(|_| standard_normal(1, &mut random)[0])
+                .flat_map(|draw| [[2.0 + draw], [2.0 - draw]])
+                .collect();
+            // Of a real end at the mean, the log density is -ln(deviation).
+            let variance = (-2.0 * of_transition(&[2.0], &ends, &[1e-9])).exp();
+            total += variance;
+        }
+        let mean = total / f64::from(repetitions);
+        assert!((mean - 1.0).abs() < 0.06, "{mean}");
+    }
 
     /// The end of each transition is slope times input, and every transition had a slope of its
     /// own, drawn from N(2, 0.5^2): the most likely distribution is that one.
