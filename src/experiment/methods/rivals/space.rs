@@ -65,12 +65,6 @@ impl Space {
         self.coordinates.len()
     }
 
-    /// The quantities, in the order of a point's entries.
-    #[cfg(test)]
-    pub fn quantities(&self) -> impl Iterator<Item = Quantity> {
-        self.coordinates.iter().map(|it| it.quantity)
-    }
-
     /// The nearest point whose Qube can be simulated: an entry beyond its range becomes the end of
     /// the range.
     pub fn clamped(&self, point: &DVector<f64>) -> DVector<f64> {
@@ -104,6 +98,25 @@ impl Space {
         DVector::from_iterator(self.dimensions(), self.coordinates.iter().map(entry))
     }
 
+    /// Whether the Qube at a point can be simulated as it is.
+    pub fn contains(&self, point: &DVector<f64>) -> bool {
+        let mut entries = self.coordinates.iter().zip(point.iter());
+        entries.all(|(coordinate, entry)| {
+            let (lower, upper) = coordinate.range();
+            (lower..=upper).contains(entry)
+        })
+    }
+
+    /// The probability that a point of the prior, before it is cut off at the ranges, lies within
+    /// them.
+    pub fn prior_probability(&self) -> f64 {
+        let within = |(lower, upper): (f64, f64)| {
+            let below = |entry: f64| 0.5 * libm::erfc(-entry * std::f64::consts::FRAC_1_SQRT_2);
+            below(upper) - below(lower)
+        };
+        self.coordinates.iter().map(|coordinate| within(coordinate.range())).product()
+    }
+
     /// Draws points from the prior, within the ranges that can be simulated.
     pub fn draws(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
         (0..count)
@@ -111,7 +124,7 @@ impl Space {
                 let mut point = standard_normal(self.dimensions(), random);
                 // An entry beyond its range is drawn again: cut off, all such entries would gather
                 // at the end.
-                while self.clamped(&point) != point {
+                while !self.contains(&point) {
                     let again = standard_normal(self.dimensions(), random);
                     for (index, coordinate) in self.coordinates.iter().enumerate() {
                         let (lower, upper) = coordinate.range();
@@ -181,20 +194,58 @@ mod tests {
         }
     }
 
+    /// Mean and standard deviation of the standard normal distribution between two ends.
+    fn truncated((lower, upper): (f64, f64)) -> [f64; 2] {
+        let density = |entry: f64| (-0.5 * entry * entry).exp() / std::f64::consts::TAU.sqrt();
+        let below = |entry: f64| 0.5 * libm::erfc(-entry / 2.0_f64.sqrt());
+        let within = below(upper) - below(lower);
+        let mean = (density(lower) - density(upper)) / within;
+        let square = 1.0 + (lower * density(lower) - upper * density(upper)) / within;
+        [mean, (square - mean * mean).sqrt()]
+    }
+
     #[test]
-    fn draws_have_the_spread_of_an_unknown_qube() {
+    fn draws_have_the_moments_of_an_unknown_qube() {
         let space = Space::of_unknown(&PlantModel::QUBE);
         let points = space.draws(4000, &mut ChaCha8Rng::seed_from_u64(2));
         let drawn = distribution_of(&space, &points).unwrap();
         let before = DomainDistribution::robust();
-        for quantity in space.quantities() {
-            let [mean, deviation] = moments(&drawn, quantity);
+        for coordinate in &space.coordinates {
+            let quantity = coordinate.quantity;
             let own = before.get(quantity);
-            if own.standard_deviation() > 0.0 {
-                assert!((mean - own.mean()).abs() < 0.3 * own.standard_deviation(), "{quantity:?}");
-                let part = deviation / own.standard_deviation();
-                assert!((0.7..1.1).contains(&part), "{quantity:?}: {part}");
+            if own.standard_deviation() == 0.0 {
+                continue;
             }
+            let [mean, deviation] = moments(&drawn, quantity);
+            let expected = match quantity {
+                // The logarithm is normal, and its ends are far away.
+                Quantity::Parameter(_) => {
+                    let variance = (own.standard_deviation() / own.mean()).powi(2);
+                    let mean = own.mean() * (0.5 * variance).exp();
+                    [mean, mean * variance.exp_m1().sqrt()]
+                }
+                Quantity::Nonideality(_) => {
+                    let [mean, deviation] = truncated(coordinate.range());
+                    let scale = own.standard_deviation();
+                    [own.mean() + scale * mean, scale * deviation]
+                }
+            };
+            let off = (mean - expected[0]).abs() / own.standard_deviation();
+            assert!(off < 0.06, "{quantity:?}: {off}");
+            let part = deviation / expected[1];
+            assert!((0.95..1.05).contains(&part), "{quantity:?}: {part}");
         }
+    }
+
+    #[test]
+    fn the_prior_has_its_probability_within_the_ranges() {
+        let space = Space::of_unknown(&PlantModel::QUBE);
+        let mut random = ChaCha8Rng::seed_from_u64(5);
+        let count = 20_000;
+        let within = (0..count)
+            .filter(|_| space.contains(&standard_normal(space.dimensions(), &mut random)))
+            .count();
+        let share = within as f64 / f64::from(count);
+        assert!((share - space.prior_probability()).abs() < 0.015, "{share}");
     }
 }
