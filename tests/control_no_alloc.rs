@@ -8,20 +8,23 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use busy_computer::in_real_time;
 use qube_hil::clock::{Clock, MonotonicClock, VirtualClock, enter_realtime};
 use qube_hil::control::{Homing, HomingMethod, HomingSettings, Motion, RING_CAPACITY, Tick, drive};
-use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
+use qube_hil::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::estimation::{EstimatorSettings, MeasuredRig, ObserverSettings};
 use qube_hil::policy::{
-    Activation, ClassicalController, ClassicalGains, LayerWeights, MAX_WIDTH, Network, OutputKind,
-    Policy,
+    Activation, ClassicalController, ClassicalGains, Controller, LayerWeights, MAX_WIDTH, Network,
+    OutputKind, Policy,
 };
-use qube_hil::qube::{MAX_HISTORY, Measurement, OBSERVATION_SIZE, PlantModel, Profile, State};
-use qube_hil::safety::{ForesightSettings, IdentifiedQube, SafetyBox};
+use qube_hil::qube::{
+    DomainParameter, MAX_HISTORY, Measurement, OBSERVATION_SIZE, PlantModel, Profile, QubeModel,
+    State,
+};
+use qube_hil::safety::{ForesightSettings, IdentifiedQube, Limit, SafetyBox};
 use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, RolloutOutcome, TickSettings};
 
@@ -108,10 +111,19 @@ fn driven(
     clock: &dyn Clock,
     motion: &mut dyn Motion,
 ) -> RolloutOutcome {
+    driven_until(device, clock, motion, &AtomicBool::new(false))
+}
+
+/// Drives a motion like [`driven`], with a flag that stops it.
+fn driven_until(
+    device: &mut Watched<impl Device>,
+    clock: &dyn Clock,
+    motion: &mut dyn Motion,
+    stop: &AtomicBool,
+) -> RolloutOutcome {
     let (mut producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
     ALLOCATIONS.set(0);
-    let stop = AtomicBool::new(false);
-    let report = drive(device, clock, motion, Some(&mut producer), &stop).expect("it arms");
+    let report = drive(device, clock, motion, Some(&mut producer), stop).expect("it arms");
     assert_eq!(ALLOCATIONS.get(), 0, "{:?}", report.outcome);
     report.outcome
 }
@@ -212,20 +224,67 @@ fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
     });
 }
 
-/// Homes an emulated Qube in virtual time and runs a rollout on it, whose settings `change` adapts;
-/// checks that neither allocates and that the policy had the motor.
+/// Homes an emulated Qube in virtual time and runs a rollout on it, whose settings `change` adapts,
+/// until it ends or `stop` is set; checks that neither allocates and that the policy had the motor.
+/// Returns the outcome of the rollout.
 #[track_caller]
-fn runs_without_allocating(
+fn runs_until(
     emulator: EmulatorSettings,
-    policy: Policy,
+    policy: impl Controller,
     change: impl Fn(TickSettings) -> TickSettings,
-) {
+    stop: &AtomicBool,
+) -> RolloutOutcome {
     let clock = VirtualClock::default();
     let mut device = Watched::new(SerialLink::in_process(emulator, clock.clone()));
     let rig = homed(&mut device, &clock, HomingMethod::Stops);
     let mut rollout = Tick::new(&change(settings(rig, 600)), policy);
-    let outcome = driven(&mut device, &clock, &mut rollout);
+    let outcome = driven_until(&mut device, &clock, &mut rollout, stop);
     assert!(outcome.steps > 0, "no policy ran: {outcome:?}");
+    outcome
+}
+
+/// Homes and runs like [`runs_until`], without a stop.
+#[track_caller]
+fn runs_without_allocating(
+    emulator: EmulatorSettings,
+    policy: impl Controller,
+    change: impl Fn(TickSettings) -> TickSettings,
+) -> RolloutOutcome {
+    runs_until(emulator, policy, change, &AtomicBool::new(false))
+}
+
+/// These settings under foresight, which knows the nominal Qube exactly.
+fn guarded(settings: TickSettings) -> TickSettings {
+    let nominal = Profile::exact("nominal", &QubeModel::NOMINAL);
+    let identified = Some(IdentifiedQube::of(&nominal, &PlantModel::QUBE));
+    let foresight = Some(ForesightSettings { identified, ..ForesightSettings::default() });
+    TickSettings { safety_box: SafetyBox::GUARDED, foresight, ..settings }
+}
+
+/// Time at which a policy has had an emulated Qube without a fault for 0.6 s, s by the device's
+/// clock.
+fn in_the_rollout_s() -> f64 {
+    struct Noting(ClassicalController, VirtualClock, Option<u64>);
+
+    impl Controller for &mut Noting {
+        fn start(&mut self) {
+            self.0.start();
+            self.2 = Some(self.1.now_ns());
+        }
+
+        fn voltage_v(&mut self, state: &State) -> f64 {
+            self.0.voltage_v(state)
+        }
+    }
+
+    let clock = VirtualClock::default();
+    let link = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
+    let mut device = Watched::new(link);
+    let rig = homed(&mut device, &clock, HomingMethod::Stops);
+    let classical = ClassicalController::new(ClassicalGains::default());
+    let mut policy = Noting(classical, clock.clone(), None);
+    driven(&mut device, &clock, &mut Tick::new(&guarded(settings(rig, 1)), &mut policy));
+    policy.2.expect("the policy ran") as f64 * 1e-9 + 0.6
 }
 
 #[test]
@@ -260,6 +319,106 @@ fn a_rollout_under_foresight_allocates_nothing() {
             ..settings
         });
     }
+}
+
+#[test]
+fn a_rollout_that_a_fault_ends_allocates_nothing() {
+    use EmulatorFault as F;
+    let after_s = in_the_rollout_s();
+    let mut named = 0;
+    for fault in [
+        F::Silent { after_s },
+        F::FrozenAlpha { after_s },
+        F::FrozenTheta { after_s },
+        F::StuckTheta { after_s },
+        F::JumpTheta { after_s, counts: 600 },
+        F::JumpAlpha { after_s, counts: -600 },
+        F::DriftingTheta { after_s, counts_s: 3000 },
+        F::DeadMotor { after_s },
+        F::BlockedArm { after_s },
+        F::StuckOutput { after_s, voltage_v: 3.0 },
+        F::AmplifierFault { after_s },
+        F::LapsingAmplifierFault { after_s, lasts_s: 0.003 },
+        F::StallError { after_s },
+        F::QubeAbsent { after_s },
+        F::SwitchedOffAndOn { after_s, off_s: 0.1 },
+        F::Unplugged { after_s },
+        F::PowerLoss { after_s },
+        F::BrownOut { after_s },
+        F::BoardRestart { after_s },
+        F::EmergencyStop { after_s },
+    ] {
+        let emulator = EmulatorSettings { fault: Some(fault), ..EmulatorSettings::default() };
+        let outcome = runs_without_allocating(emulator, classical(), guarded);
+        println!("{fault:?}: {:?} after {} steps", outcome.ending, outcome.steps);
+        assert_ne!(outcome.ending, Ending::Completed, "{fault:?}");
+        named += u32::from(matches!(outcome.ending, Ending::Fault(_)));
+    }
+    // The guard may have ended the policy before some of these faults are known.
+    assert!(named >= 15, "{named} of 20 faults are named");
+}
+
+#[test]
+fn a_rollout_that_loses_samples_allocates_nothing() {
+    let fault = Some(EmulatorFault::Garble { every: 7 });
+    let emulator = EmulatorSettings { fault, ..EmulatorSettings::default() };
+    let outcome = runs_without_allocating(emulator, classical(), guarded);
+    assert!(outcome.missed_deadlines > 50, "{outcome:?}");
+}
+
+/// The classical controller, which raises the flag of a stop in its 60th tick.
+struct Stopping<'a>(ClassicalController, u32, &'a AtomicBool);
+
+impl Controller for Stopping<'_> {
+    fn voltage_v(&mut self, state: &State) -> f64 {
+        self.1 += 1;
+        self.2.fetch_or(self.1 == 60, Ordering::Relaxed);
+        self.0.voltage_v(state)
+    }
+}
+
+#[test]
+fn a_rollout_that_is_stopped_allocates_nothing() {
+    let stop = AtomicBool::new(false);
+    let policy = Stopping(ClassicalController::new(ClassicalGains::default()), 0, &stop);
+    let outcome = runs_until(EmulatorSettings::default(), policy, guarded, &stop);
+    assert_eq!((outcome.ending, outcome.steps), (Ending::Stopped, 60));
+}
+
+#[test]
+fn a_rollout_that_contradicts_its_profile_allocates_nothing() {
+    let lab = Profile::lab();
+    let mut model = lab.model();
+    let length_m = model.parameters.get(DomainParameter::PendulumLength);
+    model.parameters.set(DomainParameter::PendulumLength, 1.3 * length_m);
+    let emulator = EmulatorSettings { model, seed: 3, ..EmulatorSettings::default() };
+    let identified = Some(IdentifiedQube::of(&lab, &PlantModel::QUBE));
+    let foresight = ForesightSettings { identified, ..ForesightSettings::default() };
+    let outcome = runs_without_allocating(emulator, classical(), |settings| TickSettings {
+        foresight: Some(foresight),
+        ..guarded(settings)
+    });
+    assert_eq!(outcome.ending, Ending::LeftBox(Limit::Unpredicted));
+}
+
+/// Full voltage in turn in both directions, which warms the motor and hardly moves the arm.
+struct Trembling(u32);
+
+impl Controller for Trembling {
+    fn voltage_v(&mut self, _: &State) -> f64 {
+        self.0 += 1;
+        if (self.0 / 2).is_multiple_of(2) { 5.0 } else { -5.0 }
+    }
+}
+
+#[test]
+fn a_rollout_that_overheats_the_motor_allocates_nothing() {
+    let emulator = EmulatorSettings::default();
+    let outcome = runs_without_allocating(emulator, Trembling(0), |settings| TickSettings {
+        max_steps: 2500,
+        ..guarded(settings)
+    });
+    assert_eq!(outcome.ending, Ending::LeftBox(Limit::MotorLoad));
 }
 
 #[test]
