@@ -320,6 +320,23 @@ fn a_stop_brakes_at_once() {
 }
 
 #[test]
+fn settling_that_finds_no_rest_ends_after_15_s() {
+    let mut device = PlantDevice::new(State::default());
+    // Light blows to and fro at the pendulum's own pace keep it swinging.
+    device.blow = |sample, state| match sample % 58 {
+        0 => state.alpha_dot += 0.4,
+        29 => state.alpha_dot -= 0.4,
+        _ => (),
+    };
+    let (report, records) = rollout(&mut device, classical(), false);
+    assert_eq!(report.outcome.ending, Ending::Fault(Fault::SettlingTimedOut));
+    assert_eq!(records.iter().position(|record| record.phase != Phase::Settling), Some(1500));
+    assert_eq!(records[1500].phase, Phase::Braking);
+    let settled_ns = records[1500].deadline_ns - records[0].deadline_ns;
+    assert_eq!(settled_ns, 15_000_000_000);
+}
+
+#[test]
 fn lost_samples_are_held_over_and_a_silent_link_ends_the_rollout() {
     let mut device = PlantDevice::new(State::default());
     device.disturbance = Box::new(|tick| (tick % 20 < 2).then_some(TestFault::Lost));

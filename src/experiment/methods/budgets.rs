@@ -244,7 +244,10 @@ fn row_name(method: Method, budget: u32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::methods::samples::{experiment, run};
+    use crate::experiment::methods::samples::{experiment, record, run, swings};
+    use crate::policy::{Excitation, ExcitationShape, Policy};
+    use crate::session::recording_in;
+    use crate::telemetry::{Ending, Fault};
 
     #[test]
     fn a_method_knows_the_first_budget_of_its_recommendations() {
@@ -257,6 +260,43 @@ mod tests {
             let first = recommendations.first() * recommendations.rollouts_each();
             assert_eq!(method.first_budget(run.recipe), first, "{}", method.name());
         }
+    }
+
+    #[test]
+    fn a_repetition_without_a_recommendation_says_why_the_policy_is_robusts() {
+        let root = tempfile::tempdir().unwrap();
+        let experiment = experiment(root.path(), vec![Method::Posterior]);
+        let settings = experiment.settings().methods.as_ref().unwrap();
+        let run = run(&experiment, Method::Posterior, Access::ReadOnly);
+        record(&run, (0, 0), Ending::Completed, 300, swings);
+        let recordings = run.folder.join("recordings");
+        let scored = root.path().join("scored.mcap");
+        std::fs::rename(recording_in(&recordings, 0, 0), &scored).unwrap();
+        for rollout in 0..2 {
+            for attempt in 0..=run.recipe.settings.extent.repetitions {
+                let void = Ending::Fault(Fault::EncoderFrozen);
+                record(&run, (rollout, attempt), void, 300, swings);
+            }
+        }
+        std::fs::write(run.folder.join("refused-2.txt"), "nothing moves").unwrap();
+        // The scored policy with its rollout.
+        let recommendation = run.without_identification();
+        let series = run.series(&recommendation, 2, settings.trainings);
+        let policy = series.folders.policy(0).policy();
+        std::fs::create_dir_all(policy.parent().unwrap()).unwrap();
+        let excitation = Excitation::of_rollout(ExcitationShape::Chirp, 1.5, 0);
+        std::fs::write(&policy, Policy::Excitation(excitation).to_bytes()).unwrap();
+        let folder = series.folders.rollouts(0, &run.plant.name);
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::rename(scored, recording_in(&folder, 0, 0)).unwrap();
+
+        let trial = Trial { plant: 0, method: Method::Posterior, number: 0 };
+        let results = experiment.at_budgets(settings, trial, Access::ReadOnly).unwrap();
+        // The budgets are 0, 2 and 5; the recordings for the last are missing.
+        let [(1, result)] = results.as_slice() else { panic!("{results:?}") };
+        assert_eq!(result.fallback.as_deref(), Some("nothing moves"));
+        let rows = experiment.budget_results(settings).unwrap();
+        assert_eq!(rows.iter().map(RecipeResult::fallbacks).collect::<Vec<_>>(), [1]);
     }
 
     struct Counted {
