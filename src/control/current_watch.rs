@@ -1,6 +1,6 @@
 //! Compares the motor's current with its voltage to detect a disconnected or badly connected motor.
 //!
-//! The limits are a Qube's. Those of another plant are multiplied by
+//! The least currents are a Qube's. Those of another plant are multiplied by
 //! [`PlantModel::current_per_qube_current`], which is exactly 1 for a Qube.
 
 use crate::qube::{Measurement, PlantModel};

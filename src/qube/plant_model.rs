@@ -186,10 +186,12 @@ impl PlantModel {
     }
 
     /// The current of this plant's motor at rest for each ampere of a Qube's motor, at the same
-    /// voltage. Limits of a current that were chosen for a Qube are multiplied by this number.
+    /// voltage, at most 1. Least currents that were chosen for a Qube are multiplied by this
+    /// number; a motor of lower resistance draws more than they demand.
     #[must_use]
     pub fn current_per_qube_current(&self) -> f64 {
-        DomainParameters::NOMINAL.motor_resistance_ohm / self.parameters.motor_resistance_ohm
+        let nominal_ohm = DomainParameters::NOMINAL.motor_resistance_ohm;
+        (nominal_ohm / self.parameters.motor_resistance_ohm).min(1.0)
     }
 
     /// The torque of this plant's motor for each N m of a Qube's motor, at the same voltage.
@@ -261,6 +263,10 @@ struct Positive(#[serde(deserialize_with = "positive")] f64);
 #[derive(Clone, Copy, Deserialize)]
 struct Mass(#[serde(deserialize_with = "mass")] f64);
 
+/// A winding's resistance, ohm.
+#[derive(Clone, Copy, Deserialize)]
+struct Resistance(#[serde(deserialize_with = "resistance")] f64);
+
 /// A length, m.
 #[derive(Clone, Copy, Deserialize)]
 struct Length(#[serde(deserialize_with = "length")] f64);
@@ -271,6 +277,12 @@ struct NotNegative(#[serde(deserialize_with = "not_negative")] f64);
 
 fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, 1e-6..=1e3)
+}
+
+/// A motor of more than 50 ohm draws too little current, of which a sample has whole milliamperes,
+/// to be told from a dead one.
+fn resistance<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    within(deserializer, 1e-6..=50.0)
 }
 
 fn mass<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
@@ -292,7 +304,7 @@ fn not_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Er
 #[expect(non_snake_case, reason = "the symbols of the thesis")]
 struct NamedParameters {
     g: Positive,
-    R_m: Positive,
+    R_m: Resistance,
     k_m: Positive,
     D_r: NotNegative,
     D_p: NotNegative,

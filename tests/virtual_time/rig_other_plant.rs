@@ -3,13 +3,16 @@
 //! commands train a policy for it and run it.
 
 use std::path::Path;
+use std::sync::Arc;
 
+use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::policy::Policy;
 use qube_hil::qube::PlantModel;
 use qube_hil::recording::{Recording, read};
 use qube_hil::replay::rerun;
+use qube_hil::rig::{Rig, RigSettings};
 use qube_hil::safety::SafetyBox;
-use qube_hil::telemetry::{Ending, Phase};
+use qube_hil::telemetry::{Ending, Fault, Phase};
 
 use crate::program::program;
 
@@ -89,7 +92,7 @@ fn a_larger_pendulum_is_trained_for_run_within_its_limits_and_replayed() {
 }
 
 #[test]
-fn a_motor_of_higher_resistance_is_neither_dead_nor_badly_connected() {
+fn a_motor_of_higher_resistance_is_no_bad_contact_and_is_found_when_it_is_dead() {
     let directory = tempfile::tempdir().unwrap();
     let directory = directory.path();
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("plants/furuta-130.toml");
@@ -106,6 +109,13 @@ fn a_motor_of_higher_resistance_is_neither_dead_nor_badly_connected() {
             .args(["--clock", "virtual", "--rollouts", "1", "--out", resistance])
             .assert()
             .success();
+
+        // A motor without a supply is still found.
+        let fault = Some(EmulatorFault::DeadMotor { after_s: 0.0 });
+        let dead = EmulatorSettings { model: plant.nominal(), fault, ..Default::default() };
+        let settings = RigSettings { plant, ..RigSettings::emulated(dead.of_plant(&plant)) };
+        let refused = Rig::open(&settings, &Arc::default()).map(drop).unwrap_err();
+        assert_eq!(refused.fault(), Some(Fault::MotorDead), "{refused}");
     }
 }
 
