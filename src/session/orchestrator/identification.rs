@@ -249,7 +249,8 @@ impl Session {
         let is_initial = (observations.len() as u32) < INITIAL_AROUND;
         let purpose = if is_initial { Purpose::Initial } else { Purpose::Search };
         let mut strategy = self.settings.search()?;
-        let psi = strategy.propose(&observations, &[], 1)?.remove(0);
+        let skipped = self.points_without_observation()?;
+        let psi = strategy.propose(&observations, &skipped, 1)?.remove(0);
         self.append_proposal(Proposal::of(purpose, psi), on_event)
     }
 

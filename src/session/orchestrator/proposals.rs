@@ -100,6 +100,15 @@ impl Session {
         Ok(informing.map(|it| it.observation()).collect())
     }
 
+    /// The points of the searched candidates whose policy was trained without psi, except the point
+    /// exactly as identified. The search learns nothing from them and does not propose them again.
+    pub(super) fn points_without_observation(&mut self) -> Result<Vec<Vec<f64>>, SessionError> {
+        let as_identified = self.settings.psi.as_identified();
+        let without_psi = self.searched()?.filter(|it| it.model_without_psi.is_some());
+        let points = without_psi.map(|it| it.candidate.point);
+        Ok(points.filter(|point| *point != as_identified).collect())
+    }
+
     /// The searched candidate with the highest mean return; in a tie, the one proposed last.
     pub(super) fn incumbent(&mut self) -> Result<Candidate, SessionError> {
         self.searched()?
