@@ -1,5 +1,6 @@
 //! A real or emulated Qube that Python drives, one voltage at a time.
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::mem::ManuallyDrop;
 use std::path::PathBuf;
@@ -12,6 +13,7 @@ use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, State as QubeState, observation};
+use qube_hil::rig::MotorMemory;
 use qube_hil::telemetry::{Ending, Fault, MotorState};
 
 use crate::POLL_INTERVAL;
@@ -98,7 +100,11 @@ impl Device {
                 shown(ms)
             )));
         }
-        let (settings, plan) = qube_hil::commands::rollouts_asked(options).map_err(bad_settings)?;
+        let (mut settings, plan) =
+            qube_hil::commands::rollouts_asked(options).map_err(bad_settings)?;
+        if let Some(port) = settings.device.name() {
+            settings.recovery.motor = lock(&MOTORS).entry(port).or_default().clone();
+        }
         let requests = Requests {
             exchange: Arc::new(Exchange::default()),
             stop: Arc::new(AtomicBool::new(false)),
@@ -510,6 +516,10 @@ fn served(state: &State) -> PyResult<&DeviceThread> {
 fn closed() -> PyErr {
     ClosedError::new_err("the Qube is closed: make another environment")
 }
+
+/// Heat of the motor of each port that this process has opened, so that a device that is opened
+/// again does not take a warm motor for a cold one.
+static MOTORS: Mutex<BTreeMap<String, MotorMemory>> = Mutex::new(BTreeMap::new());
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
