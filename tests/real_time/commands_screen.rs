@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use crate::busy_computer::in_real_time;
-use crate::shared::say_skipped;
+use crate::shared::{isolate, say_skipped};
 
 /// Time that suffices on any computer that is merely busy.
 const PATIENCE: Duration = Duration::from_secs(600);
@@ -32,14 +32,11 @@ impl Tmux {
         let socket = directory.join("tmux").display().to_string();
         let tmux = Self { socket };
         let shell = ["new-session", "-d", "-x", "80", "-y", "24", "env", "PS1=ready> ", "sh"];
-        let output = Command::new("tmux")
-            .args(["-S", &tmux.socket, "-f", "/dev/null"])
-            .args(shell)
-            .current_dir(directory)
-            .env("XDG_STATE_HOME", directory)
-            .env_remove("TMUX")
-            .output()
-            .unwrap();
+        let mut command = Command::new("tmux");
+        command.args(["-S", &tmux.socket, "-f", "/dev/null"]).args(shell);
+        command.current_dir(directory).env_remove("TMUX");
+        isolate(&mut command, directory);
+        let output = command.output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         tmux.wait_for("ready>");
         Some(tmux)

@@ -83,7 +83,8 @@ impl Call {
                 "--lib" => program = Some("lib".to_owned()),
                 "--ignored" => only_ignored = true,
                 "--package" | "-p" => return None,
-                "--features" | "--test-threads" => drop(words.next()),
+                "--features" | "--test-threads" | "--skip" | "--manifest-path" | "--target"
+                | "--profile" => drop(words.next()),
                 _ if word.starts_with(['-', '"', '$']) => {}
                 _ => filters.push(word.to_owned()),
             }

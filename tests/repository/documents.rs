@@ -7,6 +7,7 @@ use std::os::unix::fs::symlink;
 use std::path::{Component, Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use crate::shared::isolate;
 use crate::tree::root;
 
 /// Names of folders whose pages, if any, do not belong to the repository's.
@@ -208,15 +209,11 @@ fn every_block_of_commands_runs_or_says_why_not() {
             assert!(rest.is_empty(), "{place}: ```{info} is neither run nor not-run: REASON");
             let commands = commands(language, &text);
             assert!(!commands.is_empty(), "{place} has no commands");
-            let output = Command::new("bash")
-                .args(["-euo", "pipefail", "-c", &commands])
-                .current_dir(folder.path())
-                .env("PATH", &path)
-                .env("XDG_STATE_HOME", folder.path().join("state"))
-                .env_remove("STATE_DIRECTORY")
-                .stdin(Stdio::null())
-                .output()
-                .unwrap();
+            let mut command = Command::new("bash");
+            command.args(["-euo", "pipefail", "-c", &commands]).env("PATH", &path);
+            command.current_dir(folder.path()).stdin(Stdio::null());
+            isolate(&mut command, folder.path());
+            let output = command.output().unwrap();
             assert!(
                 output.status.success(),
                 "{place} ends with {}\n{commands}{}{}",
