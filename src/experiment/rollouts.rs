@@ -30,8 +30,8 @@ impl RolloutResult {
         Self { return_: None, behaviour: Behaviour::Fault, quietness: Quietness::NONE };
 }
 
-/// The state of a rollout according to the recordings in its folder.
-enum AttemptState {
+/// The state of a rollout by the recordings in its folder.
+enum RecordedState {
     /// An attempt has a result.
     Scored {
         /// Result of the attempt.
@@ -48,7 +48,7 @@ enum AttemptState {
     },
 }
 
-impl AttemptState {
+impl RecordedState {
     /// The result of a rollout that needs no further attempt; `None` for one that does.
     fn finished(&self) -> Option<RolloutResult> {
         match self {
@@ -71,13 +71,13 @@ fn state_of(
     rollouts: &Path,
     rollout: u32,
     repetitions: u32,
-) -> Result<AttemptState, ExperimentError> {
+) -> Result<RecordedState, ExperimentError> {
     for attempt in 0..=repetitions {
         let path = recording_in(rollouts, rollout, attempt);
         let recorded = match read(&path) {
             Ok(recorded) => recorded,
-            Err(RecordingError::Unreadable { .. }) => return Ok(AttemptState::Due { attempt }),
-            Err(error) if error.is_absence() => return Ok(AttemptState::Due { attempt }),
+            Err(RecordingError::Unreadable { .. }) => return Ok(RecordedState::Due { attempt }),
+            Err(error) if error.is_absence() => return Ok(RecordedState::Due { attempt }),
             Err(error) => return Err(error.into()),
         };
         // A file in the wrong place would count a rollout twice, or for another policy.
@@ -87,13 +87,13 @@ fn state_of(
             (Verdict::Result { return_, .. }, Some(behaviour)) => {
                 let quietness = Quietness::of(&recorded.ticks, &recorded.header.settings.plant);
                 let result = RolloutResult { return_: Some(return_), behaviour, quietness };
-                return Ok(AttemptState::Scored { result, recording: path });
+                return Ok(RecordedState::Scored { result, recording: path });
             }
-            (Verdict::Unfinished, _) => return Ok(AttemptState::Due { attempt }),
+            (Verdict::Unfinished, _) => return Ok(RecordedState::Due { attempt }),
             _ => {}
         }
     }
-    Ok(AttemptState::Void)
+    Ok(RecordedState::Void)
 }
 
 /// The results of several rollouts in a folder; `None` where some are missing.
@@ -128,8 +128,8 @@ pub(super) fn scored_recording(
     repetitions: u32,
 ) -> Result<Option<PathBuf>, ExperimentError> {
     Ok(match state_of(folder, rollout, repetitions)? {
-        AttemptState::Scored { recording, .. } => Some(recording),
-        AttemptState::Void | AttemptState::Due { .. } => None,
+        RecordedState::Scored { recording, .. } => Some(recording),
+        RecordedState::Void | RecordedState::Due { .. } => None,
     })
 }
 
@@ -176,9 +176,9 @@ impl Repeated<'_> {
         make(self.folder)?;
         loop {
             let attempt = match state_of(self.folder, self.plan.rollout, self.repetitions)? {
-                AttemptState::Scored { result, .. } => return Ok(result),
-                AttemptState::Void => return Ok(RolloutResult::FAULT),
-                AttemptState::Due { attempt } => attempt,
+                RecordedState::Scored { result, .. } => return Ok(result),
+                RecordedState::Void => return Ok(RolloutResult::FAULT),
+                RecordedState::Due { attempt } => attempt,
             };
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped.into());

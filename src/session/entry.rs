@@ -83,7 +83,7 @@ pub enum Entry {
     /// The search around an identified Qube ended.
     #[serde(rename = "settled")]
     SearchEnded {
-        /// Return that one more candidate was expected to gain over the verified policy.
+        /// Return that one more candidate was estimated to gain over the verified policy.
         expected_gain: f64,
     },
     /// A rig was taken out after a fault; the other rigs make its rollouts.

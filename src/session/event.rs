@@ -48,20 +48,20 @@ pub enum SessionEvent<'a> {
     },
     /// The recordings of the verification left the profile as it was, for this reason.
     NotUpdated(&'a str),
-    /// The search around the identified Qube ended, because one more candidate was expected to gain
+    /// The search around the identified Qube ended, because one more candidate was estimated to gain
     /// too little, or because the largest number of candidates was reached.
     SearchEnded {
-        /// Return that one more candidate was expected to gain.
+        /// Return that one more candidate was estimated to gain.
         expected_gain: f64,
-        /// Source of this expectation.
+        /// Source of this estimate.
         source: GainSource,
     },
-    /// The search continues after a verified policy, because one more candidate is expected to gain
+    /// The search continues after a verified policy, because one more candidate is estimated to gain
     /// this return.
     SearchContinues {
-        /// Return that one more candidate is expected to gain.
+        /// Return that one more candidate is estimated to gain.
         expected_gain: f64,
-        /// Source of this expectation.
+        /// Source of this estimate.
         source: GainSource,
         /// Gain in return below which the search ends.
         smallest_gain: f64,

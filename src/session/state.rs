@@ -101,6 +101,32 @@ pub enum Identification {
     Refused(String),
 }
 
+impl Identification {
+    /// Whether the Qube is identified and its profile is in doubt: the verdict on its fit names
+    /// effects that the model lacks, or no profile fits the recordings since then.
+    #[must_use]
+    pub fn is_doubted(&self) -> bool {
+        match self {
+            Self::Found { doubts, failed_refit, .. } => {
+                !doubts.is_empty() || failed_refit.is_some()
+            }
+            Self::None | Self::Refused(_) => false,
+        }
+    }
+
+    /// Largest number of recordings that a profile was fitted to, whether the fit succeeded or not;
+    /// 0 if the Qube is not identified.
+    #[must_use]
+    pub fn fitted_recordings(&self) -> u32 {
+        match self {
+            Self::Found { recordings, failed_refit, .. } => {
+                failed_refit.as_ref().map_or(*recordings, |failed| failed.recordings)
+            }
+            Self::None | Self::Refused(_) => 0,
+        }
+    }
+}
+
 /// The reason why an entry cannot follow the earlier ones.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum EntryError {
@@ -146,32 +172,6 @@ pub enum EntryError {
     /// An identification of these recordings is not due.
     #[error("these recordings cannot update the profile now")]
     RecordingsNotDue,
-}
-
-impl Identification {
-    /// Whether the Qube is identified and its profile is in doubt: the verdict on its fit names
-    /// effects that the model lacks, or no profile fits the recordings since then.
-    #[must_use]
-    pub fn is_doubted(&self) -> bool {
-        match self {
-            Self::Found { doubts, failed_refit, .. } => {
-                !doubts.is_empty() || failed_refit.is_some()
-            }
-            Self::None | Self::Refused(_) => false,
-        }
-    }
-
-    /// Largest number of recordings that a profile was fitted to, whether the fit succeeded or not;
-    /// 0 if the Qube is not identified.
-    #[must_use]
-    pub fn fitted_recordings(&self) -> u32 {
-        match self {
-            Self::Found { recordings, failed_refit, .. } => {
-                failed_refit.as_ref().map_or(*recordings, |failed| failed.recordings)
-            }
-            Self::None | Self::Refused(_) => 0,
-        }
-    }
 }
 
 /// The state of a session: the result of applying the ledger's entries one after the other.
@@ -370,7 +370,9 @@ impl SessionState {
     fn profiles_before(&self, recordings: u32) -> Result<&[StoredProfile], EntryError> {
         match &self.identification {
             Identification::None => Ok(&[]),
-            Identification::Found { recordings: before, profiles, .. } if recordings > *before => {
+            Identification::Found { profiles, .. }
+                if recordings > self.identification.fitted_recordings() =>
+            {
                 Ok(profiles)
             }
             _ => Err(EntryError::IdentifiedAlready),

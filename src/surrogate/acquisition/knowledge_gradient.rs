@@ -1,7 +1,7 @@
 use nalgebra::DVector;
 
 use super::log_sum_exp::log_sum_exp;
-use super::{Acquisition, Extent};
+use super::{Acquisition, Computed};
 use crate::surrogate::GaussianProcess;
 use crate::surrogate::factor::dot;
 use crate::surrogate::normal::{log_density, log_distribution, log_improvement};
@@ -74,7 +74,7 @@ impl<'a> LogKnowledgeGradient<'a> {
         Self { process, means, further, next_noise: sorted[sorted.len() / 2], noise }
     }
 
-    fn evaluate(&self, point: &[f64], extent: Extent) -> (f64, Vec<f64>) {
+    fn evaluate(&self, point: &[f64], computed: Computed) -> (f64, Vec<f64>) {
         let data = self.process.data();
         let (n, scale) = (data.len(), data.scale());
         let cross = self.process.cross(point);
@@ -123,7 +123,7 @@ impl<'a> LogKnowledgeGradient<'a> {
             })
             .collect();
         let log_sum = log_sum_exp(&terms);
-        if extent == Extent::Value || !log_sum.is_finite() {
+        if computed == Computed::Value || !log_sum.is_finite() {
             return (log_sum + scale.ln(), vec![0.0; d_mean.len()]);
         }
 
@@ -171,11 +171,11 @@ impl<'a> LogKnowledgeGradient<'a> {
 
 impl Acquisition for LogKnowledgeGradient<'_> {
     fn value(&self, point: &[f64]) -> f64 {
-        self.evaluate(point, Extent::Value).0
+        self.evaluate(point, Computed::Value).0
     }
 
     fn value_and_gradient(&self, point: &[f64]) -> (f64, Vec<f64>) {
-        self.evaluate(point, Extent::ValueAndGradient)
+        self.evaluate(point, Computed::ValueAndGradient)
     }
 }
 

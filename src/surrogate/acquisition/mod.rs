@@ -36,7 +36,7 @@ pub trait Acquisition {
 
 /// The part of an acquisition function that is computed.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Extent {
+enum Computed {
     Value,
     ValueAndGradient,
 }

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::log_expected_improvement::logarithm_and_slopes;
 use super::log_sum_exp::log_sum_exp;
-use super::{Acquisition, Extent};
+use super::{Acquisition, Computed};
 use crate::surrogate::factor::{Factor, dot};
 use crate::surrogate::normal::draw;
 use crate::surrogate::{GaussianProcess, SurrogateError};
@@ -79,7 +79,7 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
         Ok(Self { process: all, noiseless, draws })
     }
 
-    fn evaluate(&self, point: &[f64], extent: Extent) -> (f64, Vec<f64>) {
+    fn evaluate(&self, point: &[f64], computed: Computed) -> (f64, Vec<f64>) {
         let cross = self.process.cross(point);
         let white = self.noiseless.whiten(&cross.values);
         let (variance, at_rest) = self.process.variance_left(white.norm_squared());
@@ -95,7 +95,7 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
         let log_sum = log_sum_exp(&each.iter().map(|(log, _, _)| *log).collect::<Vec<_>>());
         let scale = self.process.data().scale();
         let value = log_sum - (each.len() as f64).ln() + (scale * deviation).ln();
-        if extent == Extent::Value {
+        if computed == Computed::Value {
             return (value, Vec::new());
         }
         // With the share exp(log_s - log_sum) of each draw s, the derivative of the value is
@@ -118,11 +118,11 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
 
 impl Acquisition for LogNoisyExpectedImprovement<'_> {
     fn value(&self, point: &[f64]) -> f64 {
-        self.evaluate(point, Extent::Value).0
+        self.evaluate(point, Computed::Value).0
     }
 
     fn value_and_gradient(&self, point: &[f64]) -> (f64, Vec<f64>) {
-        self.evaluate(point, Extent::ValueAndGradient)
+        self.evaluate(point, Computed::ValueAndGradient)
     }
 }
 
