@@ -322,10 +322,10 @@ fn a_stop_brakes_at_once() {
 #[test]
 fn settling_that_finds_no_rest_ends_after_15_s() {
     let mut device = PlantDevice::new(State::default());
-    // Light blows to and fro at the pendulum's own pace keep it swinging.
-    device.blow = |sample, state| match sample % 58 {
-        0 => state.alpha_dot += 0.4,
-        29 => state.alpha_dot -= 0.4,
+    // A rollout needs 0.3 s of rest, and light blows to and fro come every 0.25 s.
+    device.blow = |sample, state| match sample % 50 {
+        0 => state.alpha_dot += 0.8,
+        25 => state.alpha_dot -= 0.8,
         _ => (),
     };
     let (report, records) = rollout(&mut device, classical(), false);
