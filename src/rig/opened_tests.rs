@@ -1,4 +1,3 @@
-use super::super::{Connect, TimedDevice};
 use super::*;
 use crate::clock::VirtualClock;
 use crate::device::emulator::EmulatorSettings;
@@ -7,6 +6,7 @@ use crate::policy::{ClassicalController, ClassicalGains, Policy};
 use crate::preflight::TOO_SLOW_US;
 use crate::qube::Measurement;
 use crate::recording::samples;
+use crate::rig::{Connect, TimedDevice};
 use crate::safety::{Guard, GuardConsent, SafetyBox};
 use crate::storage::MachineDisk;
 use crate::telemetry::{RolloutHeader, TickSettings};
