@@ -44,13 +44,15 @@ mod doubt;
 mod error;
 mod motor_memory;
 mod opened;
+mod press;
 mod rollout;
 mod settings;
 
 pub use doubt::{Doubt, DoubtStore};
 pub use error::{RigError, RigSettingError};
 pub use motor_memory::MotorMemory;
-pub use opened::{Pressed, Rig};
+pub use opened::Rig;
+pub use press::Pressed;
 pub use rollout::Recorded;
 pub use settings::{
     ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, MAX_NOT_BEGUN, Recovery, RigSettings,

@@ -9,7 +9,7 @@ use super::{ClockChoice, DeviceChoice, Doubt, DoubtStore, MotorMemory, RigError,
 use crate::clock::{Clock, RealtimeRefusals};
 use crate::control::{
     ControlError, ControlThread, DriveReport, HelloRetries, HomingMethod, HomingSettings,
-    PressKind, PressOutcome, Scheduling, StopPress, drive_warm, fault_after,
+    Scheduling, fault_after,
 };
 use crate::device::emulator::EmulatedQube;
 use crate::device::{DeviceError, Identity, LinkFault};
@@ -21,9 +21,7 @@ use crate::preflight::{
 use crate::qube::PlantModel;
 use crate::recording::Viewer;
 use crate::safety::{HardwareLimits, IdentifiedQube, MotorHeat};
-use crate::telemetry::{
-    CheckResult, Consequence, Ending, Fault, MeasuredLink, MotorState, Preflight,
-};
+use crate::telemetry::{CheckResult, Consequence, Fault, MeasuredLink, MotorState, Preflight};
 
 /// Pauses before the second and third attempt at homing, ns. A link or computer that is late for
 /// two seconds does not use up all attempts.
@@ -68,7 +66,7 @@ pub struct Rig {
     _emulator: Option<EmulatedQube>,
 }
 
-fn motor_state(is_off_confirmed: bool) -> MotorState {
+pub(super) fn motor_state(is_off_confirmed: bool) -> MotorState {
     if is_off_confirmed { MotorState::Off } else { MotorState::Unconfirmed }
 }
 
@@ -78,19 +76,6 @@ impl Drop for Rig {
             memory.store(self.control.motor_heat().ok(), clock.now_ns());
         }
     }
-}
-
-/// The result of pressing the arm against its stop.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pressed {
-    /// Ending of the motion.
-    pub ending: Ending,
-    /// Motion of the arm.
-    pub outcome: PressOutcome,
-    /// Fault that ended the press, or that only the whole press shows, as [`fault_after`] finds it.
-    pub fault: Option<Fault>,
-    /// Whether the device confirmed that its motor is off. Otherwise nobody knows it.
-    pub is_off_confirmed: bool,
 }
 
 impl Rig {
@@ -292,38 +277,6 @@ impl Rig {
     #[must_use]
     pub fn link(&self) -> Option<&MeasuredLink> {
         self.link.as_ref()
-    }
-
-    /// Presses the arm outward against the stop that it touches, with `push_v` volts for at most
-    /// `ticks` control periods.
-    ///
-    /// # Errors
-    /// The device has not answered a hello, a fault is latched, the board has restarted, so that its
-    /// zeros are void, or the device could not be armed.
-    pub fn press(&mut self, push_v: f64, ticks: u32, kind: PressKind) -> Result<Pressed, RigError> {
-        let (plant, calibration) = (self.plant, self.measured.calibration);
-        let is_hardware = self.is_hardware();
-        let before = self.identity.clone();
-        let pressed = self.control.lend(move |device, clock, heat, stop| {
-            let identity = device.hello()?;
-            if !before.is_same_start(&identity) {
-                return Err(DeviceError::Restarted { port: identity.port });
-            }
-            let mut press = StopPress::new(&plant, calibration, push_v, ticks, kind);
-            let report = drive_warm(device, clock, &mut press, heat, None, stop)?;
-            Ok(Pressed {
-                ending: report.outcome.ending,
-                outcome: press.outcome(),
-                fault: fault_after(&report, is_hardware),
-                is_off_confirmed: report.disarmed.is_ok(),
-            })
-        })?;
-        let pressed = pressed.map_err(|error: DeviceError| self.in_doubt(error))?;
-        self.motor.set(motor_state(pressed.is_off_confirmed));
-        if let Some(fault) = pressed.fault {
-            self.latch(fault);
-        }
-        Ok(pressed)
     }
 
     /// Whether the device's port is gone. A board that answers without its Qube, or is silent at

@@ -1,0 +1,52 @@
+use super::opened::motor_state;
+use super::{Rig, RigError};
+use crate::control::{PressKind, PressOutcome, StopPress, drive_warm, fault_after};
+use crate::device::DeviceError;
+use crate::telemetry::{Ending, Fault};
+
+/// The result of pressing the arm against its stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pressed {
+    /// Ending of the motion.
+    pub ending: Ending,
+    /// Motion of the arm.
+    pub outcome: PressOutcome,
+    /// Fault that ended the press, or that only the whole press shows, as [`fault_after`] finds it.
+    pub fault: Option<Fault>,
+    /// Whether the device confirmed that its motor is off. Otherwise nobody knows it.
+    pub is_off_confirmed: bool,
+}
+
+impl Rig {
+    /// Presses the arm outward against the stop that it touches, with `push_v` volts for at most
+    /// `ticks` control periods.
+    ///
+    /// # Errors
+    /// The device has not answered a hello, a fault is latched, the board has restarted, so that its
+    /// zeros are void, or the device could not be armed.
+    pub fn press(&mut self, push_v: f64, ticks: u32, kind: PressKind) -> Result<Pressed, RigError> {
+        let (plant, calibration) = (self.plant, self.measured.calibration);
+        let is_hardware = self.is_hardware();
+        let before = self.identity.clone();
+        let pressed = self.control.lend(move |device, clock, heat, stop| {
+            let identity = device.hello()?;
+            if !before.is_same_start(&identity) {
+                return Err(DeviceError::Restarted { port: identity.port });
+            }
+            let mut press = StopPress::new(&plant, calibration, push_v, ticks, kind);
+            let report = drive_warm(device, clock, &mut press, heat, None, stop)?;
+            Ok(Pressed {
+                ending: report.outcome.ending,
+                outcome: press.outcome(),
+                fault: fault_after(&report, is_hardware),
+                is_off_confirmed: report.disarmed.is_ok(),
+            })
+        })?;
+        let pressed = pressed.map_err(|error: DeviceError| self.in_doubt(error))?;
+        self.motor.set(motor_state(pressed.is_off_confirmed));
+        if let Some(fault) = pressed.fault {
+            self.latch(fault);
+        }
+        Ok(pressed)
+    }
+}
