@@ -206,7 +206,11 @@ impl Card {
             let _ = writeln!(text, "{function} {calls}");
         }
         if text != self.written {
-            std::fs::write(file, &text).expect("the state of the amplifier is written");
+            // The process may end at any instant; the file is then the last whole state.
+            let unfinished = format!("{file}.unfinished");
+            std::fs::write(&unfinished, &text)
+                .and_then(|()| std::fs::rename(&unfinished, &file))
+                .expect("the state of the amplifier is written");
             self.written = text;
         }
     }
