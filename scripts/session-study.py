@@ -2,14 +2,19 @@
 """Runs sessions on several emulated Qubes in virtual time and prints a row for each plant, which docs/results.md
 quotes. Needs Python 3.11 and a release build.
 
-usage: scripts/session-study.py [--plants lab,gap,delay,drawn,play] [--seeds N] [--first S] [--method M]
+usage: scripts/session-study.py [--plants NAME,...] [--seeds N] [--first S] [--method M]
                                 [--parallel P] [--out FOLDER]
 
   lab     profiles/lab.toml, whose delay is 10 ms
   gap     lab with 1.5 times its friction, dead zones, cable and delay, and parameters 1.5 times as far from nominal
   delay   lab with a delay of 16 ms
   drawn   each number of lab within 15 per cent except gravity, with other numbers for each session
-  play    lab with a backlash of 1 degree between motor and arm, which no simulation of the program has
+
+The plants of scripts/comparison/beyond.toml, which have effects that no simulation of the program has:
+  play        lab with a backlash of 1 degree between motor and arm
+  presliding  friction that yields over 0.03 rad before it slides, with half as much again near standstill
+  cable       a cable that lags by 0.5 mN m and is slack on one side
+  warm        a winding that grows by 30 % a watt, and an arm encoder that is off by up to 0.02 rad
 
 The columns: the sessions that ended with a verified policy, of all; then, of these, the number whose policy balanced in
 all of its verification rollouts, the mean return, the real rollouts (median and most), the motion of the Qube from
@@ -57,6 +62,9 @@ def plant(name, folder, seed):
         "delay": lambda: [*lab, "--delay-ms", "16"],
         "drawn": lambda: ["--profile", str(drawn(folder, seed))],
         "play": lambda: [*lab, "--play-deg", "1"],
+        "presliding": lambda: [*lab, "--effect", "presliding_rad=0.03", "--effect", "stribeck=0.5"],
+        "cable": lambda: [*lab, "--effect", "hysteresis_n_m=0.0005", "--effect", "slack=1"],
+        "warm": lambda: [*lab, "--effect", "warming_per_w=0.3", "--effect", "eccentricity_rad=0.02"],
     }[name]()
 
 
@@ -111,7 +119,7 @@ def session(folder, name, method, seed):
 
 def main():
     parser = argparse.ArgumentParser(usage=__doc__)
-    parser.add_argument("--plants", default="lab,gap,delay,drawn,play")
+    parser.add_argument("--plants", default="lab,gap,delay,drawn,play,presliding,cable,warm")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=3000)
     parser.add_argument("--method", default="identified")
@@ -119,8 +127,8 @@ def main():
     parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("session-study"))
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
-    print("plant  sessions  all balance  mean return  real rollouts: median, most  motion, s: median, most  doubted  "
-          "V a tick: median, most  sign changes/s: median, most  nominal", flush=True)
+    print("plant      sessions  all balance  mean return  real rollouts: median, most  motion, s: median, most  "
+          "doubted  V a tick: median, most  sign changes/s: median, most  nominal", flush=True)
     for name in asked.plants.split(","):
         seeds = range(asked.first, asked.first + asked.seeds)
         with ThreadPoolExecutor(asked.parallel) as pool:
@@ -135,7 +143,7 @@ def main():
                                        for of in ("real", "motion_s", "change_v", "sign_changes_per_s"))
         doubted = sum(it["doubted"] for it in done)
         sessions = f"{len(done)} of {len(results)}"
-        print(f"{name:6} {sessions:>8}  {good:11}  {statistics.mean(it['mean'] for it in done):11.1f}  "
+        print(f"{name:10} {sessions:>8}  {good:11}  {statistics.mean(it['mean'] for it in done):11.1f}  "
               f"{statistics.median(real):21g}, {max(real):4}  {statistics.median(motion):17.1f}, {max(motion):4.1f}  "
               f"{doubted:7}  {statistics.median(change):16.2f}, {max(change):4.2f}  "
               f"{statistics.median(signs):22.1f}, {max(signs):4.1f}  "
