@@ -5,61 +5,27 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 
-use super::between_motions::{MotorCooling, RestMonitor};
-use super::latched_fault::{LatchedFault, ShownRollout};
-use super::reconnect::{HelloRetries, greet_until_answered};
-use super::{
-    ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
-    Motion, Moved, ThreadGone, Tick, drive_warm,
-};
+use super::device_owner::{DeviceOwner, Homed};
+use super::latched_fault::LatchedFault;
+use super::reconnect::HelloRetries;
+use super::{ControlError, DriveReport, HomingSettings, ThreadGone};
 use crate::clock::{Clock, RealtimeRefusals, enter_realtime};
-use crate::device::{Device, DeviceError, Identity};
-use crate::estimation::MeasuredRig;
+use crate::device::{Device, Identity};
 use crate::policy::Controller;
 use crate::safety::MotorHeat;
 use crate::telemetry::{Fault, TickRecord, TickSettings};
 
-/// The result of a homing.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Homed {
-    /// Zeros of the encoders and angles of the stops; `None` unless homing completed.
-    pub rig: Option<MeasuredRig>,
-    /// Distance between the stops, rad; `None` unless both were touched.
-    pub travel_rad: Option<f64>,
-}
-
 /// Time between two looks at the fault that a running rollout may have latched.
 const LATCHED_FAULT_POLL: Duration = Duration::from_millis(20);
 
-/// A command to the thread. It carries everything that the motion needs, so that the tick neither
-/// allocates nor loads a file.
-enum Command {
-    Hello(HelloRetries),
-    Cool,
-    TellHeat,
-    SetHeat(MotorHeat),
-    Home(Box<HomingSettings>),
-    Rollout(Box<TickSettings>, Box<dyn Controller>, rtrb::Producer<TickRecord>),
-    Lend(Borrower),
-}
+/// A task for the control thread. It carries everything that a motion needs, so that the tick
+/// neither allocates nor loads a file.
+type Task = Box<dyn FnOnce(&mut DeviceOwner) + Send>;
 
-/// A task that uses the device, its clock, the motor's heat and the request to stop.
-type Borrower = Box<dyn FnOnce(&mut dyn Device, &dyn Clock, &mut MotorHeat, &AtomicBool) + Send>;
-
-enum Event {
-    /// Identity of the device, and whether it is hardware.
-    Identified(Result<Identity, DeviceError>, bool),
-    Homed(Result<(DriveReport, Homed), ControlError>),
-    Finished(Result<DriveReport, ControlError>),
-    Returned(Result<(), ControlError>),
-    Heat(MotorHeat),
-}
-
-/// Handle of the thread that owns the device. The thread executes one command at a time; in between
-/// the amplifier is off.
+/// Handle of the thread that owns the device. The thread carries out one task at a time; in
+/// between the amplifier is off.
 pub struct ControlThread {
-    commands: Option<Sender<Command>>,
-    events: Receiver<Event>,
+    tasks: Option<Sender<Task>>,
     handle: Option<JoinHandle<()>>,
     realtime: RealtimeRefusals,
     is_hardware: AtomicBool,
@@ -82,13 +48,12 @@ impl ControlThread {
     /// # Errors
     /// The operating system cannot start a thread.
     pub fn spawn(
-        mut device: Box<dyn Device>,
+        device: Box<dyn Device>,
         clock: Arc<dyn Clock>,
         scheduling: Scheduling,
         stop: Arc<AtomicBool>,
     ) -> std::io::Result<Self> {
-        let (commands, inbox) = bounded::<Command>(1);
-        let (outbox, events) = bounded::<Event>(1);
+        let (tasks, inbox) = bounded::<Task>(1);
         let (ready, readiness) = bounded(1);
         let latched = Arc::new(LatchedFault::default());
         let shown = Arc::clone(&latched);
@@ -98,19 +63,14 @@ impl ControlThread {
                 Scheduling::Ordinary => RealtimeRefusals::default(),
             };
             let _ = ready.send(report);
-            let mut kept = KeptBetweenCommands::default();
-            for command in inbox {
-                let (device, clock) = (device.as_mut(), clock.as_ref());
-                let event = execute(&mut kept, command, device, clock, &stop, &shown);
-                if outbox.send(event).is_err() {
-                    return;
-                }
+            let mut owner = DeviceOwner::new(device, clock, stop, shown);
+            for task in inbox {
+                task(&mut owner);
             }
         })?;
         let realtime = readiness.recv().unwrap_or_default();
         Ok(Self {
-            commands: Some(commands),
-            events,
+            tasks: Some(tasks),
             handle: Some(handle),
             realtime,
             is_hardware: AtomicBool::new(true),
@@ -139,13 +99,10 @@ impl ControlThread {
     /// # Errors
     /// As for [`hello`](Self::hello).
     pub fn hello_until_answered(&self, retries: HelloRetries) -> Result<Identity, ControlError> {
-        match self.ask(Command::Hello(retries))? {
-            Event::Identified(result, is_hardware) => {
-                self.is_hardware.store(is_hardware, Ordering::Relaxed);
-                Ok(result?)
-            }
-            _ => Err(ThreadGone.into()),
-        }
+        let (identified, is_hardware) =
+            self.ask(move |owner| (owner.hello(retries), owner.is_hardware()))?;
+        self.is_hardware.store(is_hardware, Ordering::Relaxed);
+        Ok(identified?)
     }
 
     /// Whether the device counted as hardware after the last hello, by [`Device::is_hardware`];
@@ -163,10 +120,7 @@ impl ControlThread {
     /// The thread is gone; the device has not answered a hello since the start or since a fault, or
     /// could not be armed.
     pub fn home(&self, settings: HomingSettings) -> Result<(DriveReport, Homed), ControlError> {
-        match self.ask(Command::Home(Box::new(settings)))? {
-            Event::Homed(result) => result,
-            _ => Err(ThreadGone.into()),
-        }
+        self.ask(move |owner| owner.home(&settings))?
     }
 
     /// Runs one rollout to its end and writes a record of each tick to `records`. Before it, arm
@@ -182,14 +136,14 @@ impl ControlThread {
         &self,
         settings: TickSettings,
         controller: Box<dyn Controller>,
-        records: rtrb::Producer<TickRecord>,
+        mut records: rtrb::Producer<TickRecord>,
         on_latched: &mut dyn FnMut(Fault),
     ) -> Result<DriveReport, ControlError> {
-        self.order(Command::Rollout(Box::new(settings), controller, records))?;
+        let result = self.begin(move |owner| owner.rollout(&settings, controller, &mut records))?;
         let mut is_told = false;
-        let event = loop {
-            match self.events.recv_timeout(LATCHED_FAULT_POLL) {
-                Ok(event) => break event,
+        loop {
+            match result.recv_timeout(LATCHED_FAULT_POLL) {
+                Ok(finished) => return finished,
                 Err(RecvTimeoutError::Disconnected) => return Err(ThreadGone.into()),
                 Err(RecvTimeoutError::Timeout) => {}
             }
@@ -197,10 +151,6 @@ impl ControlThread {
                 is_told = true;
                 on_latched(fault);
             }
-        };
-        match event {
-            Event::Finished(result) => result,
-            _ => Err(ThreadGone.into()),
         }
     }
 
@@ -209,7 +159,7 @@ impl ControlThread {
     /// # Errors
     /// The thread is gone.
     pub fn set_motor(&self, heat: MotorHeat) -> Result<(), ThreadGone> {
-        self.ask(Command::SetHeat(heat)).map(|_| ())
+        self.ask(move |owner| owner.set_motor(heat))
     }
 
     /// The motor's heat at this moment.
@@ -217,10 +167,7 @@ impl ControlThread {
     /// # Errors
     /// The thread is gone.
     pub fn motor_heat(&self) -> Result<MotorHeat, ThreadGone> {
-        match self.ask(Command::TellHeat)? {
-            Event::Heat(heat) => Ok(heat),
-            _ => Err(ThreadGone),
-        }
+        self.ask(DeviceOwner::motor_heat)
     }
 
     /// Waits until the motor is cool enough for the next motion, or `stop` is set. Returns the heat
@@ -229,10 +176,7 @@ impl ControlThread {
     /// # Errors
     /// The thread is gone.
     pub fn cool_motor(&self) -> Result<MotorHeat, ThreadGone> {
-        match self.ask(Command::Cool)? {
-            Event::Heat(heat) => Ok(heat),
-            _ => Err(ThreadGone),
-        }
+        self.ask(DeviceOwner::cool_motor)
     }
 
     /// Lends the device to a task between motions, once the motor is cool enough. The task runs on
@@ -249,198 +193,39 @@ impl ControlThread {
         + Send
         + 'static,
     ) -> Result<R, ControlError> {
+        self.ask(move |owner| owner.lend(task))?
+    }
+
+    /// Has the thread carry out a task, and returns its result.
+    fn ask<R: Send + 'static>(
+        &self,
+        task: impl FnOnce(&mut DeviceOwner) -> R + Send + 'static,
+    ) -> Result<R, ThreadGone> {
+        self.begin(task)?.recv().map_err(|_| ThreadGone)
+    }
+
+    /// Hands a task to the thread, and returns the channel of its result.
+    fn begin<R: Send + 'static>(
+        &self,
+        task: impl FnOnce(&mut DeviceOwner) -> R + Send + 'static,
+    ) -> Result<Receiver<R>, ThreadGone> {
         let (results, result) = bounded(1);
-        let borrower: Borrower = Box::new(move |device, clock, heat, stop| {
-            // The receiver waits below, and the channel has room for one result.
-            let _ = results.send(task(device, clock, heat, stop));
+        let task: Task = Box::new(move |owner| {
+            // The channel has room for the one result, and nobody need wait for it.
+            let _ = results.send(task(owner));
         });
-        match self.ask(Command::Lend(borrower))? {
-            Event::Returned(Ok(())) => result.recv().map_err(|_| ThreadGone.into()),
-            Event::Returned(Err(refused)) => Err(refused),
-            _ => Err(ThreadGone.into()),
-        }
-    }
-
-    fn order(&self, command: Command) -> Result<(), ThreadGone> {
-        let commands = self.commands.as_ref().ok_or(ThreadGone)?;
-        commands.send(command).map_err(|_| ThreadGone)
-    }
-
-    fn ask(&self, command: Command) -> Result<Event, ThreadGone> {
-        self.order(command)?;
-        self.events.recv().map_err(|_| ThreadGone)
+        self.tasks.as_ref().ok_or(ThreadGone)?.send(task).map_err(|_| ThreadGone)?;
+        Ok(result)
     }
 }
 
 impl Drop for ControlThread {
     fn drop(&mut self) {
-        self.commands = None;
+        self.tasks = None;
         if let Some(handle) = self.handle.take() {
             let _ = handle.join();
         }
     }
-}
-
-/// Knowledge that the thread keeps from one command to the next.
-#[derive(Default)]
-struct KeptBetweenCommands {
-    state: ControlState,
-    motor: MotorCooling,
-    rest_monitor: RestMonitor,
-}
-
-fn execute(
-    kept: &mut KeptBetweenCommands,
-    command: Command,
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-    latched: &LatchedFault,
-) -> Event {
-    let KeptBetweenCommands { state, motor, rest_monitor } = kept;
-    match command {
-        Command::Hello(retries) => {
-            let identified = greet_until_answered(device, clock, stop, retries);
-            let answered = identified.is_ok();
-            // The cable is the same after a hello.
-            let waits_for = rest_monitor.waits_for;
-            *rest_monitor = RestMonitor { waits_for, ..RestMonitor::default() };
-            if let Ok(identity) = &identified {
-                rest_monitor.port.clone_from(&identity.port);
-            }
-            state.take(if answered { ControlEvent::Hello } else { ControlEvent::NoAnswer });
-            Event::Identified(identified, device.is_hardware())
-        }
-        Command::Cool => {
-            motor.cool_down(clock, stop);
-            Event::Heat(motor.heat)
-        }
-        Command::TellHeat => {
-            motor.cool(clock);
-            Event::Heat(motor.heat)
-        }
-        Command::SetHeat(heat) => {
-            *motor = MotorCooling::off_from_now(heat, clock);
-            Event::Heat(motor.heat)
-        }
-        Command::Home(settings) => {
-            let home = allowed(state, ControlEvent::Home);
-            // A homing that is refused does not wait until the motor has cooled.
-            if home.is_ok() {
-                motor.cool_down(clock, stop);
-            }
-            rest_monitor.encoders = settings.plant.encoders;
-            let mut homing = match state {
-                ControlState::Cleared => Homing::after_fault(&settings),
-                _ => Homing::new(&settings),
-            };
-            let driven = home.and_then(|()| {
-                drive_and_adopt_state(state, motor, device, clock, &mut homing, None, stop)
-            });
-            let driven =
-                driven.map(|report| keep_at_rest(report, state, rest_monitor, device, clock, stop));
-            let homed = Homed { rig: homing.measured(), travel_rad: homing.travel_rad() };
-            Event::Homed(driven.map(|report| (report, homed)))
-        }
-        Command::Rollout(settings, controller, mut records) => {
-            let before = *state;
-            let driven = allowed(state, ControlEvent::Rollout).and_then(|()| {
-                motor.cool_down(clock, stop);
-                if let Err(error) = rest_monitor.compare(&settings, device, clock, stop) {
-                    *state = before;
-                    if matches!(error, ControlError::Device(_)) {
-                        state.take(ControlEvent::NoAnswer);
-                    }
-                    return Err(error);
-                }
-                let mut rollout = ShownRollout::new(Tick::new(&settings, controller), latched);
-                drive_and_adopt_state(
-                    state,
-                    motor,
-                    device,
-                    clock,
-                    &mut rollout,
-                    Some(&mut records),
-                    stop,
-                )
-            });
-            rest_monitor.left_at = Err(Moved::Unseen);
-            Event::Finished(
-                driven.map(|report| keep_at_rest(report, state, rest_monitor, device, clock, stop)),
-            )
-        }
-        Command::Lend(borrower) => {
-            let lent = allowed(state, ControlEvent::Check).map(|()| {
-                motor.cool_down(clock, stop);
-                borrower(device, clock, &mut motor.heat, stop);
-                motor.switched_off(clock);
-                state.take(ControlEvent::Checked);
-            });
-            Event::Returned(lent)
-        }
-    }
-}
-
-/// Applies a command to the state table.
-///
-/// # Errors
-/// The table refuses the command.
-fn allowed(state: &mut ControlState, wanted: ControlEvent) -> Result<(), ControlError> {
-    match state.take(wanted) {
-        ControlAction::Refuse => Err(ControlError::Refused { wanted, state: *state }),
-        _ => Ok(()),
-    }
-}
-
-/// Drives a motion and adopts the state of control in which the motion ends, or latches a fault if
-/// the device has not confirmed that its amplifier is off.
-///
-/// # Errors
-/// The device could not be armed; the fault is latched.
-fn drive_and_adopt_state(
-    state: &mut ControlState,
-    motor: &mut MotorCooling,
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    motion: &mut dyn Motion,
-    records: Option<&mut rtrb::Producer<TickRecord>>,
-    stop: &AtomicBool,
-) -> Result<DriveReport, ControlError> {
-    let driven = drive_warm(device, clock, motion, &mut motor.heat, records, stop);
-    motor.switched_off(clock);
-    match driven {
-        Ok(report) => {
-            *state = motion.control_state();
-            if report.disarmed.is_err() {
-                state.take(ControlEvent::NoAnswer);
-            }
-            Ok(report)
-        }
-        Err(error) => {
-            state.take(ControlEvent::NoAnswer);
-            Err(error.into())
-        }
-    }
-}
-
-/// Watches after a motion without a fault where arm and pendulum come to rest. A device whose samples
-/// say that its motor is on has not switched it off, whatever it answered.
-fn keep_at_rest(
-    mut report: DriveReport,
-    state: &mut ControlState,
-    rest_monitor: &mut RestMonitor,
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-) -> DriveReport {
-    if *state == ControlState::Ready
-        && let Err(stays_armed) =
-            rest_monitor.keep(report.last_measurement.as_ref(), device, clock, stop)
-    {
-        state.take(ControlEvent::NoAnswer);
-        report.disarmed = Err(stays_armed);
-    }
-    report
 }
 
 #[cfg(test)]
@@ -448,7 +233,7 @@ mod tests {
     use super::super::plant_device::{PlantDevice, TestFault};
     use super::*;
     use crate::control::RING_CAPACITY;
-    use crate::device::LinkFault;
+    use crate::device::{DeviceError, LinkFault};
     use crate::estimation::Calibration;
     use crate::estimation::EstimatorSettings;
     use crate::policy::{ClassicalController, ClassicalGains, Policy};

@@ -1,0 +1,228 @@
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use super::between_motions::{MotorCooling, RestMonitor};
+use super::latched_fault::{LatchedFault, ShownRollout};
+use super::reconnect::{HelloRetries, greet_until_answered};
+use super::{
+    ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
+    Motion, Moved, Tick, drive_warm,
+};
+use crate::clock::Clock;
+use crate::device::{Device, DeviceError, Identity};
+use crate::estimation::MeasuredRig;
+use crate::policy::Controller;
+use crate::safety::MotorHeat;
+use crate::telemetry::{TickRecord, TickSettings};
+
+/// The result of a homing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Homed {
+    /// Zeros of the encoders and angles of the stops; `None` unless homing completed.
+    pub rig: Option<MeasuredRig>,
+    /// Distance between the stops, rad; `None` unless both were touched.
+    pub travel_rad: Option<f64>,
+}
+
+/// The owner of the device on the control thread: carries out one motion at a time and keeps what
+/// the next one needs to know. Between motions the amplifier is off.
+pub(super) struct DeviceOwner {
+    device: Box<dyn Device>,
+    clock: Arc<dyn Clock>,
+    stop: Arc<AtomicBool>,
+    latched: Arc<LatchedFault>,
+    state: ControlState,
+    motor: MotorCooling,
+    rest_monitor: RestMonitor,
+}
+
+impl DeviceOwner {
+    /// The owner of a device that has answered nothing yet. `stop` ends every motion and wait;
+    /// `latched` shows other threads the fault of a rollout.
+    pub fn new(
+        device: Box<dyn Device>,
+        clock: Arc<dyn Clock>,
+        stop: Arc<AtomicBool>,
+        latched: Arc<LatchedFault>,
+    ) -> Self {
+        Self {
+            device,
+            clock,
+            stop,
+            latched,
+            state: ControlState::default(),
+            motor: MotorCooling::default(),
+            rest_monitor: RestMonitor::default(),
+        }
+    }
+
+    /// Whether the device counts as hardware.
+    pub fn is_hardware(&self) -> bool {
+        self.device.is_hardware()
+    }
+
+    /// Sets the motor's rating and heat.
+    pub fn set_motor(&mut self, heat: MotorHeat) {
+        self.motor = MotorCooling::off_from_now(heat, &*self.clock);
+    }
+
+    /// The motor's heat at this moment.
+    pub fn motor_heat(&mut self) -> MotorHeat {
+        self.motor.cool(&*self.clock);
+        self.motor.heat
+    }
+
+    /// Waits until the motor is cool enough for the next motion, and returns its heat.
+    pub fn cool_motor(&mut self) -> MotorHeat {
+        self.motor.cool_down(&*self.clock, &self.stop);
+        self.motor.heat
+    }
+
+    /// Sends hellos until the device answers.
+    ///
+    /// # Errors
+    /// As for [`greet_until_answered`].
+    pub fn hello(&mut self, retries: HelloRetries) -> Result<Identity, DeviceError> {
+        let identified = greet_until_answered(&mut *self.device, &*self.clock, &self.stop, retries);
+        // The cable is the same after a hello.
+        let waits_for = self.rest_monitor.waits_for;
+        self.rest_monitor = RestMonitor { waits_for, ..RestMonitor::default() };
+        if let Ok(identity) = &identified {
+            self.rest_monitor.port.clone_from(&identity.port);
+        }
+        let answered = identified.is_ok();
+        self.state.take(if answered { ControlEvent::Hello } else { ControlEvent::NoAnswer });
+        identified
+    }
+
+    /// Measures the zeros of the encoders and, unless the operator has put the arm into the middle,
+    /// the stops.
+    ///
+    /// # Errors
+    /// The state of control refuses a homing, or the device could not be armed.
+    pub fn home(
+        &mut self,
+        settings: &HomingSettings,
+    ) -> Result<(DriveReport, Homed), ControlError> {
+        // A homing that is refused does not wait until the motor has cooled.
+        self.take(ControlEvent::Home)?;
+        self.cool_motor();
+        self.rest_monitor.encoders = settings.plant.encoders;
+        let mut homing = match self.state {
+            ControlState::Cleared => Homing::after_fault(settings),
+            _ => Homing::new(settings),
+        };
+        let report = self.drive(&mut homing, None)?;
+        let report = self.keep_at_rest(report);
+        Ok((report, Homed { rig: homing.measured(), travel_rad: homing.travel_rad() }))
+    }
+
+    /// Runs one rollout to its end, and writes a record of each tick to `records`.
+    ///
+    /// # Errors
+    /// The state of control refuses a rollout, arm or pendulum are not at rest where the last
+    /// motion left them, or the device could not be armed.
+    pub fn rollout(
+        &mut self,
+        settings: &TickSettings,
+        controller: Box<dyn Controller>,
+        records: &mut rtrb::Producer<TickRecord>,
+    ) -> Result<DriveReport, ControlError> {
+        let driven = self.drive_from_rest(settings, controller, records);
+        // Where the last motion ended says nothing about the time after this rollout.
+        self.rest_monitor.left_at = Err(Moved::Unseen);
+        Ok(self.keep_at_rest(driven?))
+    }
+
+    /// Drives a rollout if arm and pendulum are at rest where the last motion left them.
+    fn drive_from_rest(
+        &mut self,
+        settings: &TickSettings,
+        controller: Box<dyn Controller>,
+        records: &mut rtrb::Producer<TickRecord>,
+    ) -> Result<DriveReport, ControlError> {
+        let before = self.state;
+        self.take(ControlEvent::Rollout)?;
+        self.cool_motor();
+        let (device, clock) = (&mut *self.device, &*self.clock);
+        if let Err(error) = self.rest_monitor.compare(settings, device, clock, &self.stop) {
+            self.state = before;
+            if matches!(error, ControlError::Device(_)) {
+                self.state.take(ControlEvent::NoAnswer);
+            }
+            return Err(error);
+        }
+        let latched = Arc::clone(&self.latched);
+        let mut rollout = ShownRollout::new(Tick::new(settings, controller), &latched);
+        self.drive(&mut rollout, Some(records))
+    }
+
+    /// Lends the device to a task between motions, once the motor is cool enough.
+    ///
+    /// # Errors
+    /// The state of control refuses a loan.
+    pub fn lend<R>(
+        &mut self,
+        task: impl FnOnce(&mut dyn Device, &dyn Clock, &mut MotorHeat, &AtomicBool) -> R,
+    ) -> Result<R, ControlError> {
+        self.take(ControlEvent::Check)?;
+        self.cool_motor();
+        let result = task(&mut *self.device, &*self.clock, &mut self.motor.heat, &self.stop);
+        self.motor.switched_off(&*self.clock);
+        self.state.take(ControlEvent::Checked);
+        Ok(result)
+    }
+
+    /// Applies a command to the state table.
+    ///
+    /// # Errors
+    /// The table refuses the command.
+    fn take(&mut self, wanted: ControlEvent) -> Result<(), ControlError> {
+        match self.state.take(wanted) {
+            ControlAction::Refuse => Err(ControlError::Refused { wanted, state: self.state }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Drives a motion and adopts the state of control in which the motion ends, or latches a fault
+    /// if the device has not confirmed that its amplifier is off.
+    ///
+    /// # Errors
+    /// The device could not be armed; the fault is latched.
+    fn drive(
+        &mut self,
+        motion: &mut dyn Motion,
+        records: Option<&mut rtrb::Producer<TickRecord>>,
+    ) -> Result<DriveReport, ControlError> {
+        let (device, clock) = (&mut *self.device, &*self.clock);
+        let driven = drive_warm(device, clock, motion, &mut self.motor.heat, records, &self.stop);
+        self.motor.switched_off(clock);
+        match driven {
+            Ok(report) => {
+                self.state = motion.control_state();
+                if report.disarmed.is_err() {
+                    self.state.take(ControlEvent::NoAnswer);
+                }
+                Ok(report)
+            }
+            Err(error) => {
+                self.state.take(ControlEvent::NoAnswer);
+                Err(error.into())
+            }
+        }
+    }
+
+    /// Watches after a motion without a fault where arm and pendulum come to rest. A device whose
+    /// samples say that its motor is on has not switched it off, whatever it answered.
+    fn keep_at_rest(&mut self, mut report: DriveReport) -> DriveReport {
+        if self.state == ControlState::Ready {
+            let (last, device) = (report.last_measurement.as_ref(), &mut *self.device);
+            let kept = self.rest_monitor.keep(last, device, &*self.clock, &self.stop);
+            if let Err(stays_armed) = kept {
+                self.state.take(ControlEvent::NoAnswer);
+                report.disarmed = Err(stays_armed);
+            }
+        }
+        report
+    }
+}
