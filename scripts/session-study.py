@@ -16,6 +16,12 @@ The plants of scripts/comparison/beyond.toml, which have effects that no simulat
   cable       a cable that lags by 0.5 mN m and is slack on one side
   warm        a winding that grows by 30 % a watt, and an arm encoder that is off by up to 0.02 rad
 
+The plants of scripts/comparison/other-forms.toml, for whose effects no verdict looks:
+  tilt        lab on a base that is tilted by 0.03 rad
+  ripple      a motor whose torque changes by 20 % twelve times a turn
+  bearing     dry friction of 0.2 mN m in the pendulum's bearing
+  stiffening  a cable with a cubic term of 0.5 mN m/rad^3
+
 The columns: the sessions that ended with a verified policy, of all; then, of these, the number whose policy balanced in
 all of its verification rollouts, the mean return, the real rollouts (median and most), the motion of the Qube from
 homed to policy chosen (s, median and most: settling, policy and braking of these real rollouts), the number of sessions
@@ -65,6 +71,10 @@ def plant(name, folder, seed):
         "presliding": lambda: [*lab, "--effect", "presliding_rad=0.03", "--effect", "stribeck=0.5"],
         "cable": lambda: [*lab, "--effect", "hysteresis_n_m=0.0005", "--effect", "slack=1"],
         "warm": lambda: [*lab, "--effect", "warming_per_w=0.3", "--effect", "eccentricity_rad=0.02"],
+        "tilt": lambda: [*lab, "--effect", "tilt_rad=0.03"],
+        "ripple": lambda: [*lab, "--effect", "ripple=0.2"],
+        "bearing": lambda: [*lab, "--effect", "pendulum_friction_n_m=0.0002"],
+        "stiffening": lambda: [*lab, "--effect", "cubic_n_m_rad3=0.0005"],
     }[name]()
 
 
@@ -119,7 +129,9 @@ def session(folder, name, method, seed):
 
 def main():
     parser = argparse.ArgumentParser(usage=__doc__)
-    parser.add_argument("--plants", default="lab,gap,delay,drawn,play,presliding,cable,warm")
+    parser.add_argument(
+        "--plants", default="lab,gap,delay,drawn,play,presliding,cable,warm,tilt,ripple,bearing,stiffening"
+    )
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=3000)
     parser.add_argument("--method", default="identified")

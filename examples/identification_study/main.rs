@@ -2,12 +2,13 @@
 //! truth, and its verdict on plants inside and outside the model class.
 //!
 //! ```text
-//! cargo run --release --example identification_study [PLANTS [SEED [MOTION ...]]]
+//! cargo run --release --example identification_study [other-forms] [PLANTS [SEED [MOTION ...]]]
 //! ```
 //!
 //! For each of PLANTS seeds from SEED on (by default 50 seeds from 2000 on) the program draws a
 //! Qube, records motions of 10 s at 100 Hz, and fits a model to them: once with the Qube as drawn,
-//! and once with an effect outside the model class added, which is one of five in turn. A MOTION is
+//! and once with an effect outside the model class added, which is one of five in turn; after the
+//! word `other-forms` it is one of four for which the verdict does not look. A MOTION is
 //! the form and the largest voltage of an excitation, or `policy:FILE` for a rollout; the default
 //! is `chirp:1.5 chirp:1.5`. The program prints a line for each plant, then tables of the counts.
 //! The limits of the verdict were chosen on seeds from 100 on.
@@ -21,6 +22,7 @@ use std::collections::BTreeMap;
 
 use motion::Motion;
 use plant::Beyond;
+use qube_hil::device::emulator::Effects;
 use qube_hil::elementary::normal_pair;
 use qube_hil::identification::{
     Estimate, Identified, IdentifyError, MissingEffect, ModelVerdict, PredictionBand, Unknown,
@@ -83,6 +85,19 @@ fn outside(seed: u64, rng: &mut ChaCha8Rng) -> Beyond {
         2 => Beyond::Hysteresis(8e-4 * size, 0.2),
         3 => Beyond::Warming(0.25 * size),
         _ => Beyond::Eccentric(0.02 * size),
+    }
+}
+
+/// The effect for this seed for which the verdict does not look, with half to all of a size that
+/// moves a Qube about as much as those of [`outside`].
+fn of_another_form(seed: u64, rng: &mut ChaCha8Rng) -> Beyond {
+    let size = 0.5 + 0.5 * rng.random::<f64>();
+    let none = Effects::NONE;
+    match seed % 4 {
+        0 => Beyond::OtherForm("tilt", Effects { tilt_rad: 0.03 * size, ..none }),
+        1 => Beyond::OtherForm("ripple", Effects { ripple: 0.2 * size, ..none }),
+        2 => Beyond::OtherForm("bearing", Effects { pendulum_friction_n_m: 2e-4 * size, ..none }),
+        _ => Beyond::OtherForm("stiffening", Effects { cubic_n_m_rad3: 5e-4 * size, ..none }),
     }
 }
 
@@ -200,7 +215,11 @@ fn coverage(found: &Identified, truth: &QubeModel) -> Vec<(Unknown, bool)> {
 }
 
 fn main() {
-    let mut words = std::env::args().skip(1);
+    let mut words = std::env::args().skip(1).peekable();
+    let added = match words.next_if(|word| word == "other-forms") {
+        Some(_) => of_another_form,
+        None => outside,
+    };
     let [plants, first_seed] = DEFAULTS
         .map(|default| words.next().map_or(default, |text| text.parse().expect("a number")));
     let mut motions: Vec<Motion> = words.map(|text| Motion::named(&text)).collect();
@@ -212,7 +231,7 @@ fn main() {
     for seed in first_seed..first_seed + plants {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let truth = drawn(&mut rng);
-        for beyond in [Beyond::Nothing, outside(seed, &mut rng)] {
+        for beyond in [Beyond::Nothing, added(seed, &mut rng)] {
             let found = identified(&truth, beyond, &motions);
             let row = rows.entry(beyond.name()).or_default();
             row.add(&found);

@@ -3,7 +3,10 @@
 
 use std::collections::VecDeque;
 
-use qube_hil::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, State, quantised};
+use qube_hil::device::emulator::{Effects, EmulatedPlant, EmulatorSettings};
+use qube_hil::qube::{
+    CONTROL_PERIOD_NS, CONTROL_PERIOD_S, NonidealDynamics, QubeModel, State, quantised,
+};
 
 use crate::mechanics::{Mechanics, SLIDING_RAD_S};
 
@@ -23,6 +26,8 @@ pub enum Beyond {
     Warming(f64),
     /// Arm encoder off its centre: amplitude of its error, rad.
     Eccentric(f64),
+    /// An effect of the emulated Qube of a form for which the verdict does not look, with its name.
+    OtherForm(&'static str, Effects),
 }
 
 impl Beyond {
@@ -35,6 +40,7 @@ impl Beyond {
             Self::Hysteresis(..) => "hysteresis",
             Self::Warming(_) => "warming",
             Self::Eccentric(_) => "eccentric",
+            Self::OtherForm(name, _) => name,
         }
     }
 }
@@ -42,8 +48,58 @@ impl Beyond {
 /// Number of integration steps in a control period.
 pub const STEPS: u32 = 400;
 
-/// A simulated Qube with its command delay and at most one effect outside the model class.
-pub struct Plant {
+/// A Qube with its command delay and at most one effect outside the model class.
+pub enum Plant {
+    /// A Qube that this file simulates.
+    Simulated(Box<SimulatedPlant>),
+    /// The emulated Qube, with the time at which its next period begins, us.
+    Emulated(Box<EmulatedPlant>, u64),
+}
+
+impl Plant {
+    /// A Qube at rest with the arm at the angle `theta`, rad. With an effect of another form it is
+    /// let go there 20 s before.
+    pub fn at_rest(model: &QubeModel, beyond: Beyond, theta: f64) -> Self {
+        let Beyond::OtherForm(_, effects) = beyond else {
+            return Self::Simulated(Box::new(SimulatedPlant::at_rest(model, beyond, theta)));
+        };
+        let start = Some(State { theta, ..State::default() });
+        let settings =
+            EmulatorSettings { model: *model, effects, start, ..EmulatorSettings::default() };
+        let mut plant = Box::new(EmulatedPlant::new(&settings));
+        plant.advance_to(SETTLING_US);
+        Self::Emulated(plant, SETTLING_US)
+    }
+
+    /// The angles that the encoders count, with the true velocities.
+    pub fn measured(&self) -> State {
+        match self {
+            Self::Simulated(plant) => plant.measured(),
+            Self::Emulated(plant, _) => {
+                let State { theta, alpha, .. } = plant.state();
+                State { theta: quantised(theta), alpha: quantised(alpha), ..plant.state() }
+            }
+        }
+    }
+
+    /// Advances by one control period with this command, V.
+    pub fn advance(&mut self, command_v: f64) {
+        match self {
+            Self::Simulated(plant) => plant.advance(command_v),
+            Self::Emulated(plant, time_us) => {
+                plant.set_voltage(command_v);
+                *time_us += CONTROL_PERIOD_NS / 1000;
+                plant.advance_to(*time_us);
+            }
+        }
+    }
+}
+
+/// Time in which an emulated Qube comes to rest, us.
+const SETTLING_US: u64 = 20_000_000;
+
+/// A simulated Qube whose effects this file and its mechanics contain.
+pub struct SimulatedPlant {
     model: QubeModel,
     beyond: Beyond,
     mechanics: Mechanics,
@@ -53,9 +109,8 @@ pub struct Plant {
     commands_v: VecDeque<f64>,
 }
 
-impl Plant {
-    /// A Qube at rest with the arm at the angle `theta`, rad.
-    pub fn at_rest(model: &QubeModel, beyond: Beyond, theta: f64) -> Self {
+impl SimulatedPlant {
+    fn at_rest(model: &QubeModel, beyond: Beyond, theta: f64) -> Self {
         Self {
             model: *model,
             beyond,
@@ -65,8 +120,7 @@ impl Plant {
         }
     }
 
-    /// The angles that the encoders count, with the true velocities.
-    pub fn measured(&self) -> State {
+    fn measured(&self) -> State {
         let state = self.mechanics.state;
         let theta = match self.beyond {
             Beyond::Play(_) => self.mechanics.motor_rad(),
@@ -78,8 +132,7 @@ impl Plant {
         State { theta: quantised(theta), alpha: quantised(state.alpha), ..state }
     }
 
-    /// Advances by one control period with this command, V.
-    pub fn advance(&mut self, command_v: f64) {
+    fn advance(&mut self, command_v: f64) {
         self.commands_v.push_front(command_v);
         self.commands_v.truncate(8);
         let step_s = CONTROL_PERIOD_S / f64::from(STEPS);
@@ -111,7 +164,7 @@ impl Plant {
                 let torque = mechanics.motor_torque(voltage_v) - mechanics.cable_torque();
                 mechanics.turn(torque - lag - friction, step_s);
             }
-            Beyond::Nothing | Beyond::Warming(_) | Beyond::Eccentric(_) => {
+            Beyond::Nothing | Beyond::Warming(_) | Beyond::Eccentric(_) | Beyond::OtherForm(..) => {
                 let torque = mechanics.motor_torque(voltage_v) - mechanics.cable_torque();
                 mechanics.turn(torque - friction, step_s);
             }

@@ -45,7 +45,8 @@ pub struct EmulatedArguments {
     play_deg: Option<f64>,
 
     /// Effect that the simulations of training and identification lack: presliding_rad, stribeck,
-    /// hysteresis_n_m, slack, warming_per_w or eccentricity_rad (docs/hardware.md), for instance
+    /// hysteresis_n_m, slack, warming_per_w, eccentricity_rad, tilt_rad, ripple,
+    /// pendulum_friction_n_m or cubic_n_m_rad3 (docs/hardware.md), for instance
     /// presliding_rad=0.02; may be repeated
     #[arg(long, value_name = "NAME=VALUE", value_parser = effect)]
     effect: Vec<(String, f64)>,

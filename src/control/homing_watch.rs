@@ -98,7 +98,7 @@ impl Runaway {
     /// Takes the next state, with alpha relative to hanging, and the previous voltage, V; returns
     /// whether something other than the motor has moved the arm for `RUNAWAY_TICKS`.
     pub fn lasts(&mut self, state: &State, voltage_v: f64) -> bool {
-        let swings = state.alpha.sin().abs() + state.alpha_dot.abs() / 15.0 > THROWING_SWING;
+        let swings = libm::sin(state.alpha).abs() + state.alpha_dot.abs() / 15.0 > THROWING_SWING;
         let against = state.theta_dot * voltage_v < 0.0;
         let runs = against && !swings && state.theta_dot.abs() > RUNAWAY_RAD_S;
         self.ticks = if runs { self.ticks + 1 } else { 0 };

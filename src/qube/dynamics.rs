@@ -116,12 +116,27 @@ impl<T: Scalar> Dynamics<T> {
 }
 
 impl Dynamics {
+    /// The accelerations that two torques alone cause with the pendulum at `alpha`, rad: one on
+    /// the arm and one about the pendulum's bearing, N m.
+    #[must_use]
+    pub fn acceleration_by(&self, alpha: f64, [arm_n_m, pendulum_n_m]: [f64; 2]) -> Acceleration {
+        let (sin, cos) = libm::sincos(alpha);
+        let m11 = self.arm_inertia + self.quarter_inertia * sin * sin;
+        let m12 = self.coupling * cos;
+        let m22 = self.pendulum_inertia;
+        let determinant = m11 * m22 - m12 * m12;
+        Acceleration {
+            theta: (m22 * arm_n_m - m12 * pendulum_n_m) / determinant,
+            alpha: (m11 * pendulum_n_m - m12 * arm_n_m) / determinant,
+        }
+    }
+
     /// The state after an inelastic impact that stops the arm at `theta`. The pendulum swings
     /// freely about its bearing, so the impact conserves its angular momentum there,
     /// m12 theta' + m22 alpha'.
     #[must_use]
     pub fn with_arm_stopped(&self, state: State, theta: f64) -> State {
-        let coupling = self.coupling * state.alpha.cos();
+        let coupling = self.coupling * libm::cos(state.alpha);
         let alpha_dot = state.alpha_dot + coupling / self.pendulum_inertia * state.theta_dot;
         State { theta, theta_dot: 0.0, alpha_dot, ..state }
     }
@@ -130,7 +145,7 @@ impl Dynamics {
     /// momentum about the arm's axis, m11 theta' + m12 alpha'.
     #[must_use]
     pub fn with_pendulum_stopped(&self, state: State, alpha: f64) -> State {
-        let (sin, cos) = state.alpha.sin_cos();
+        let (sin, cos) = libm::sincos(state.alpha);
         let inertia = self.arm_inertia + self.quarter_inertia * sin * sin;
         let theta_dot = state.theta_dot + self.coupling * cos / inertia * state.alpha_dot;
         State { alpha, alpha_dot: 0.0, theta_dot, ..state }
@@ -141,5 +156,33 @@ impl<T: Scalar> EquationsOfMotion<T> for Dynamics<T> {
     #[inline(always)]
     fn acceleration(&self, state: &State<T>, voltage_v: T) -> Acceleration<T> {
         self.acceleration_under(state, self.torque_per_volt * voltage_v)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn torques_do_work_on_the_axes_that_they_turn() {
+        let dynamics = Dynamics::<f64>::new(&DomainParameters::NOMINAL);
+        let torques_n_m = [1e-3, -4e-4];
+        for number in 0..20 {
+            let x = f64::from(number);
+            let state =
+                State { theta: 0.0, alpha: x, theta_dot: 3.0 * x.sin(), alpha_dot: 5.0 * x.cos() };
+            let by = dynamics.acceleration_by(state.alpha, torques_n_m);
+            // The change of the energy in a short time, with the angles as they are.
+            let after = |time_s: f64| State {
+                theta_dot: state.theta_dot + time_s * by.theta,
+                alpha_dot: state.alpha_dot + time_s * by.alpha,
+                ..state
+            };
+            let step_s = 1e-4;
+            let power_w = (dynamics.energy(&after(step_s)) - dynamics.energy(&after(-step_s)))
+                / (2.0 * step_s);
+            let expected_w = torques_n_m[0] * state.theta_dot + torques_n_m[1] * state.alpha_dot;
+            assert!((power_w - expected_w).abs() < 1e-9, "{power_w} and {expected_w}");
+        }
     }
 }

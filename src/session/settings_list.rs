@@ -193,6 +193,10 @@ impl SessionSettings {
             slack,
             warming_per_w,
             eccentricity_rad,
+            tilt_rad,
+            ripple,
+            pendulum_friction_n_m,
+            cubic_n_m_rad3,
         } = &mut all.emulated.effects;
         none_is(presliding_rad, 0.01);
         none_is(stribeck, 0.2);
@@ -200,6 +204,10 @@ impl SessionSettings {
         none_is(slack, 0.2);
         none_is(warming_per_w, 0.02);
         none_is(eccentricity_rad, 0.005);
+        none_is(tilt_rad, 0.005);
+        none_is(ripple, 0.05);
+        none_is(pendulum_friction_n_m, 0.00005);
+        none_is(cubic_n_m_rad3, 0.0001);
         all.extent.baseline = true;
         all.extent.pending = all.extent.pending.max(1);
         all.preset.get_or_insert(self.preset());

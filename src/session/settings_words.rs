@@ -23,7 +23,7 @@ pub(super) fn words(key: &str) -> Option<&'static Words> {
     WORDS.iter().filter(is_end).max_by_key(|words| words.key.len())
 }
 
-const WORDS: [Words; 108] = [
+const WORDS: [Words; 112] = [
     of("name", "", "Name of the session; its folder's by default"),
     of("seed", "", "Seed from which every random number follows"),
     of("model", "", "Model whose psi the search varies where no Qube is identified"),
@@ -181,6 +181,18 @@ const WORDS: [Words; 108] = [
         "effects.eccentricity_rad",
         "rad",
         "Largest error of the arm's encoder, which is off its centre",
+    ),
+    of("effects.tilt_rad", "rad", "Angle between the arm's axis and the vertical"),
+    of(
+        "effects.ripple",
+        "fraction",
+        "Largest deviation of the motor's torque from its mean over a turn",
+    ),
+    of("effects.pendulum_friction_n_m", "N m", "Dry friction in the pendulum's bearing"),
+    of(
+        "effects.cubic_n_m_rad3",
+        "N m/rad^3",
+        "Cubic term of the cable's torque, which makes it stiffer the farther it is bent",
     ),
     of("parameters.g", "m/s^2", "Gravitational acceleration"),
     of("parameters.R_m", "ohm", "Resistance of the motor"),

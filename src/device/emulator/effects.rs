@@ -1,10 +1,11 @@
 //! Effects of a real Qube that the equations of the library omit. Only the emulated plant has these
 //! effects, so that identification and training meet differences that their model cannot express.
 
+use libm::{exp, sin, sincos};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::qube::{Acceleration, Dynamics, EquationsOfMotion, NonidealDynamics, State};
+use crate::qube::{DomainParameters, Dynamics, NonidealDynamics, State};
 
 /// Velocity at which Stribeck's additional friction has fallen to 1/e, rad/s.
 const STRIBECK_VELOCITY_RAD_S: f64 = 0.3;
@@ -19,6 +20,16 @@ const CABLE_YIELD_RAD: f64 = 0.1;
 
 /// Time constant of the winding's temperature, s.
 const WINDING_S: f64 = 20.0;
+
+/// Number of periods of the motor's torque ripple in a turn of the arm.
+const RIPPLES_PER_TURN: f64 = 12.0;
+
+/// Velocity at which the friction of the pendulum's bearing has reached three quarters of its
+/// torque, rad/s.
+const PENDULUM_SLIDING_RAD_S: f64 = 0.05;
+
+/// Angle of the arm at which the arm points down the slope of a tilted base, rad.
+const DOWNHILL_RAD: f64 = 1.0;
 
 /// Angle of the arm at which an encoder off its centre has no error, rad.
 const ECCENTRIC_ZERO_RAD: f64 = -0.7;
@@ -52,6 +63,20 @@ pub struct Effects {
     /// Largest angle error of an arm encoder that is mounted off its centre, rad.
     #[serde(skip_serializing_if = "is_zero")]
     pub eccentricity_rad: f64,
+    /// Angle between the arm's axis and the vertical, rad: the base is not level, and gravity acts
+    /// on the arm, too.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub tilt_rad: f64,
+    /// Largest deviation of the motor's torque from its mean over a turn, as a fraction of it.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub ripple: f64,
+    /// Torque of the dry friction in the pendulum's bearing, N m.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub pendulum_friction_n_m: f64,
+    /// Cubic term of the cable's torque about its rest angle, N m/rad^3: a cable that becomes
+    /// stiffer the farther it is bent.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub cubic_n_m_rad3: f64,
 }
 
 fn is_zero(value: &f64) -> bool {
@@ -67,11 +92,15 @@ impl Effects {
         slack: 0.0,
         warming_per_w: 0.0,
         eccentricity_rad: 0.0,
+        tilt_rad: 0.0,
+        ripple: 0.0,
+        pendulum_friction_n_m: 0.0,
+        cubic_n_m_rad3: 0.0,
     };
 
     /// Each effect with its name and the largest value that an emulated Qube accepts.
     #[must_use]
-    pub fn named(&mut self) -> [(&'static str, &mut f64, f64); 6] {
+    pub fn named(&mut self) -> [(&'static str, &mut f64, f64); 10] {
         [
             ("presliding_rad", &mut self.presliding_rad, 0.2),
             ("stribeck", &mut self.stribeck, 2.0),
@@ -79,6 +108,10 @@ impl Effects {
             ("slack", &mut self.slack, 1.0),
             ("warming_per_w", &mut self.warming_per_w, 1.0),
             ("eccentricity_rad", &mut self.eccentricity_rad, 0.1),
+            ("tilt_rad", &mut self.tilt_rad, 0.1),
+            ("ripple", &mut self.ripple, 0.5),
+            ("pendulum_friction_n_m", &mut self.pendulum_friction_n_m, 0.001),
+            ("cubic_n_m_rad3", &mut self.cubic_n_m_rad3, 0.002),
         ]
     }
 
@@ -119,13 +152,21 @@ pub(super) struct ActingEffects {
     /// Copper loss of the winding, W, averaged with the time constant `WINDING_S`, so that it
     /// follows the winding's temperature.
     slow_loss_w: f64,
+    /// The arm's friction without the back-EMF, N m s/rad.
+    rotary_damping_n_m_s: f64,
+    /// Largest torque of gravity on a horizontal axis of the arm, N m: of the arm, whose mass
+    /// counts as concentrated in its middle, and of the pendulum at its end.
+    arm_gravity_n_m: f64,
 }
 
 impl ActingEffects {
     /// The effects of a cold plant at rest; `None` if all are switched off.
-    pub fn new(effects: Effects) -> Option<Self> {
+    pub fn new(effects: Effects, parameters: &DomainParameters) -> Option<Self> {
+        let arm_mass_kg = 0.5 * parameters.rotary_mass_kg + parameters.pendulum_mass_kg;
         (effects != Effects::NONE).then_some(Self {
             effects,
+            rotary_damping_n_m_s: parameters.rotary_damping_n_m_s,
+            arm_gravity_n_m: arm_mass_kg * parameters.rotary_length_m * parameters.gravity_m_s2,
             friction_strain: 0.0,
             cable_strain: 0.0,
             slow_loss_w: 0.0,
@@ -141,7 +182,7 @@ impl ActingEffects {
 
     /// The angle that the arm's encoder counts at the true angle `theta`, rad.
     pub fn counted_theta(&self, theta: f64) -> f64 {
-        theta + self.effects.eccentricity_rad * (theta - ECCENTRIC_ZERO_RAD).sin()
+        theta + self.effects.eccentricity_rad * sin(theta - ECCENTRIC_ZERO_RAD)
     }
 
     /// The plant's equations without the terms that these effects replace.
@@ -151,26 +192,61 @@ impl ActingEffects {
         NonidealDynamics { coulomb_torque, ..*dynamics }
     }
 
-    /// The state after the torques of the effects have acted on the arm for `step_s`, s.
-    pub fn push(&mut self, dynamics: &NonidealDynamics, state: State, step_s: f64) -> State {
-        let torque_n_m = self.torque_n_m(dynamics, &state, step_s);
-        // The equations are linear in the torque, so the difference of two accelerations is the
-        // effects' part; as their torques are small, an Euler step suffices.
-        let unit = Dynamics { torque_per_volt: 1.0, ..dynamics.ideal };
-        let with: Acceleration = unit.acceleration(&state, torque_n_m);
-        let without: Acceleration = unit.acceleration(&state, 0.0);
+    /// The state after the torques of the effects have acted for `step_s`, s, with `voltage_v` at
+    /// the motor.
+    pub fn push(
+        &mut self,
+        dynamics: &NonidealDynamics,
+        state: State,
+        voltage_v: f64,
+        step_s: f64,
+    ) -> State {
+        let [arm_n_m, pendulum_n_m] = self.gravity_n_m(dynamics, &state);
+        let arm_n_m = arm_n_m
+            + self.arm_n_m(dynamics, &state, step_s)
+            + self.ripple_n_m(dynamics, &state, voltage_v);
+        let pendulum_n_m = pendulum_n_m - self.pendulum_friction_n_m(&state);
+        // The torques are small, so an Euler step suffices.
+        let added = dynamics.ideal.acceleration_by(state.alpha, [arm_n_m, pendulum_n_m]);
         State {
-            theta_dot: state.theta_dot + step_s * (with.theta - without.theta),
-            alpha_dot: state.alpha_dot + step_s * (with.alpha - without.alpha),
+            theta_dot: state.theta_dot + step_s * added.theta,
+            alpha_dot: state.alpha_dot + step_s * added.alpha,
             ..state
         }
     }
 
-    fn torque_n_m(&mut self, dynamics: &NonidealDynamics, state: &State, step_s: f64) -> f64 {
+    /// The torques of gravity on arm and pendulum that a tilted base adds, N m.
+    fn gravity_n_m(&self, dynamics: &NonidealDynamics, state: &State) -> [f64; 2] {
+        let (sin_tilt, cos_tilt) = sincos(self.effects.tilt_rad);
+        let (sin_alpha, cos_alpha) = sincos(state.alpha);
+        let (across, along) = sincos(DOWNHILL_RAD - state.theta);
+        let pendulum_n_m = dynamics.ideal.gravity_torque;
+        let arm = self.arm_gravity_n_m * across - pendulum_n_m * sin_alpha * along;
+        let pendulum = sin_tilt * cos_alpha * across + (1.0 - cos_tilt) * sin_alpha;
+        [sin_tilt * arm, pendulum_n_m * pendulum]
+    }
+
+    /// The torque by which the motor's ripple adds to its mean torque, N m.
+    fn ripple_n_m(&self, dynamics: &NonidealDynamics, state: &State, voltage_v: f64) -> f64 {
+        let Dynamics { torque_per_volt, arm_damping, .. } = dynamics.ideal;
+        let back_emf_damping = arm_damping - self.rotary_damping_n_m_s;
+        let driven_v = dynamics.effective_voltage(voltage_v);
+        let motor_n_m = torque_per_volt * driven_v - back_emf_damping * state.theta_dot;
+        self.effects.ripple * sin(RIPPLES_PER_TURN * state.theta) * motor_n_m
+    }
+
+    /// The dry friction of the pendulum's bearing, N m.
+    fn pendulum_friction_n_m(&self, state: &State) -> f64 {
+        let x = state.alpha_dot / PENDULUM_SLIDING_RAD_S;
+        self.effects.pendulum_friction_n_m * x / (1.0 / 3.0 + x.abs())
+    }
+
+    /// The torque of friction and cable on the arm beyond that of the equations, N m.
+    fn arm_n_m(&mut self, dynamics: &NonidealDynamics, state: &State, step_s: f64) -> f64 {
         let Effects { presliding_rad, stribeck, hysteresis_n_m, slack, .. } = self.effects;
         let velocity = state.theta_dot;
         let slow = velocity / STRIBECK_VELOCITY_RAD_S;
-        let more = stribeck * (-slow * slow).exp();
+        let more = stribeck * exp(-slow * slow);
         let friction = if presliding_rad > 0.0 {
             let largest = 1.0 + more;
             self.friction_strain =
@@ -181,9 +257,10 @@ impl ActingEffects {
             dynamics.coulomb_torque * more * x / (1.0 / 3.0 + x.abs())
         };
         self.cable_strain = strained(self.cable_strain, velocity / CABLE_YIELD_RAD, 1.0, step_s);
-        let beyond_rest = (state.theta - dynamics.cable_rest).min(0.0);
-        let lacking = slack * dynamics.cable_stiffness * beyond_rest;
-        lacking - friction - hysteresis_n_m * self.cable_strain
+        let bent = state.theta - dynamics.cable_rest;
+        let lacking = slack * dynamics.cable_stiffness * bent.min(0.0);
+        let stiffening = self.effects.cubic_n_m_rad3 * bent.powi(3);
+        lacking - friction - hysteresis_n_m * self.cable_strain - stiffening
     }
 }
 
@@ -267,6 +344,81 @@ mod tests {
     }
 
     #[test]
+    fn gravity_on_a_tilted_base_is_the_slope_of_its_potential() {
+        let parameters = DomainParameters::NOMINAL;
+        let tilt_rad = 0.08;
+        let acting =
+            ActingEffects::new(Effects { tilt_rad, ..Effects::NONE }, &parameters).unwrap();
+        let dynamics = NonidealDynamics::new(&QubeModel::NOMINAL);
+        // The energy that a tilt adds, J, from the places of both masses.
+        let energy = |theta: f64, alpha: f64| {
+            let (arm_m, half_m) = (parameters.rotary_length_m, 0.5 * parameters.pendulum_length_m);
+            let outward = [theta.cos(), theta.sin(), 0.0];
+            let sideward = [-theta.sin(), theta.cos(), 0.0];
+            let [down_x, down_y] = [DOWNHILL_RAD.cos(), DOWNHILL_RAD.sin()];
+            let added = [tilt_rad.sin() * down_x, tilt_rad.sin() * down_y, 1.0 - tilt_rad.cos()];
+            let along = |place: [f64; 3]| -> f64 {
+                place.iter().zip(added).map(|(place, added)| place * added).sum()
+            };
+            let up = [0.0, 0.0, 1.0];
+            let pendulum: [f64; 3] = std::array::from_fn(|axis| {
+                arm_m * outward[axis]
+                    + half_m * (alpha.sin() * sideward[axis] - alpha.cos() * up[axis])
+            });
+            let arm = outward.map(|part| 0.5 * arm_m * part);
+            let masses =
+                [(parameters.pendulum_mass_kg, pendulum), (parameters.rotary_mass_kg, arm)];
+            let lifted: f64 = masses.iter().map(|(kg, place)| kg * along(*place)).sum();
+            -parameters.gravity_m_s2 * lifted
+        };
+        let step = 1e-5;
+        for number in 0..50 {
+            let (theta, alpha) = (f64::from(number).sin(), 3.0 * f64::from(number).cos());
+            let [arm, pendulum] =
+                acting.gravity_n_m(&dynamics, &State { theta, alpha, ..State::default() });
+            let slope = |low: f64, high: f64| (low - high) / (2.0 * step);
+            let of_theta = slope(energy(theta - step, alpha), energy(theta + step, alpha));
+            let of_alpha = slope(energy(theta, alpha - step), energy(theta, alpha + step));
+            assert!((arm - of_theta).abs() < 1e-9, "{arm} and {of_theta}");
+            assert!((pendulum - of_alpha).abs() < 1e-9, "{pendulum} and {of_alpha}");
+        }
+    }
+
+    #[test]
+    fn a_dry_bearing_holds_the_pendulum_beside_the_vertical() {
+        let start = State { alpha: 0.3, ..State::default() };
+        let effects = Effects { pendulum_friction_n_m: 5e-4, ..Effects::NONE };
+        let settings = EmulatorSettings { effects, start: Some(start), ..Default::default() };
+        let mut plant = EmulatedPlant::new(&settings);
+        plant.advance_to(3_000_000);
+        let gravity_n_m = Dynamics::<f64>::new(&DomainParameters::NOMINAL).gravity_torque;
+        let held = |state: State| state.alpha_dot.abs() < 0.02 && state.alpha.abs() > 0.002;
+        assert!(held(plant.state()), "{:?}", plant.state());
+        assert!(plant.state().alpha.abs() < 5e-4 / gravity_n_m, "{:?}", plant.state());
+    }
+
+    #[test]
+    fn a_motor_with_ripple_has_its_mean_torque_over_a_turn() {
+        let acting = ActingEffects::new(
+            Effects { ripple: 0.3, ..Effects::NONE },
+            &DomainParameters::NOMINAL,
+        )
+        .unwrap();
+        let dynamics = NonidealDynamics::new(&QubeModel::NOMINAL);
+        let torques: Vec<f64> = (0..360)
+            .map(|degrees| {
+                let theta = f64::from(degrees).to_radians();
+                acting.ripple_n_m(&dynamics, &State { theta, ..State::default() }, 2.0)
+            })
+            .collect();
+        let mean = torques.iter().sum::<f64>() / 360.0;
+        let most = torques.iter().copied().fold(0.0, f64::max);
+        assert!(mean.abs() < 1e-12, "{mean}");
+        let expected = 0.3 * 2.0 * dynamics.ideal.torque_per_volt;
+        assert!((most - expected).abs() < 0.01 * expected, "{most} and {expected}");
+    }
+
+    #[test]
     fn a_strain_slips_at_its_largest() {
         let mut strain = 0.0;
         for _ in 0..100_000 {
@@ -278,8 +430,11 @@ mod tests {
 
     #[test]
     fn a_winding_that_loses_power_grows_in_resistance() {
-        let mut acting =
-            ActingEffects::new(Effects { warming_per_w: 0.3, ..Effects::NONE }).unwrap();
+        let mut acting = ActingEffects::new(
+            Effects { warming_per_w: 0.3, ..Effects::NONE },
+            &DomainParameters::NOMINAL,
+        )
+        .unwrap();
         let factor = (0..1_000_000).map(|_| acting.resistance_factor(0.5, 1e-4)).last().unwrap();
         assert!((factor - 1.15).abs() < 2e-3, "{factor}");
     }

@@ -58,7 +58,8 @@ impl FaultProgress {
         if let (Stage::During, EmulatorFault::DriftingTheta { counts_s, .. }) = (self.stage, fault)
         {
             let counted = u64::from(self.theta_shift.unsigned_abs()) + 1;
-            let after_us = counted.saturating_mul(1_000_000) / u64::from(counts_s.unsigned_abs());
+            let counts_s = u64::from(counts_s.unsigned_abs()).max(1);
+            let after_us = counted.saturating_mul(1_000_000) / counts_s;
             return Some(fault.onset_us().saturating_add(after_us));
         }
         let lasts_s = match fault {

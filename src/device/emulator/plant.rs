@@ -97,7 +97,7 @@ impl EmulatedPlant {
         let dynamics = NonidealDynamics::new(&model);
         let state = start.unwrap_or(State { theta, ..State::default() });
         let play = (play_rad > 0.0).then(|| Play::new(play_rad, &state));
-        let effects = ActingEffects::new(effects);
+        let effects = ActingEffects::new(effects, &model.parameters);
         let mut longest_step_us =
             if play.is_some() { PLAY_STEP_US } else { accurate_step_us(&dynamics) };
         if effects.is_some() {
@@ -178,7 +178,7 @@ impl EmulatedPlant {
                 Some(play) => play.step(&equations, before, push_v, step_s),
             };
             if let Some(effects) = &mut self.effects {
-                self.state = effects.push(&self.dynamics, self.state, step_s);
+                self.state = effects.push(&self.dynamics, self.state, push_v, step_s);
                 if let Some(play) = &mut self.play {
                     play.follow(&self.state);
                 }

@@ -107,8 +107,8 @@ impl Play {
         if side * closing_rad_s > 0.0 {
             // The impact conserves m12 theta' + m22 alpha' (m is the mass matrix), because the
             // pendulum swings freely about its bearing.
-            let coupling = arm.ideal.coupling * state.alpha.cos();
-            let sin = state.alpha.sin();
+            let (sin, cos) = libm::sincos(state.alpha);
+            let coupling = arm.ideal.coupling * cos;
             let arm_inertia = arm.ideal.arm_inertia + arm.ideal.quarter_inertia * sin * sin
                 - coupling * coupling / arm.ideal.pendulum_inertia;
             let gained_rad_s = closing_rad_s * rotor_inertia / (rotor_inertia + arm_inertia);
