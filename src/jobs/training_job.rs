@@ -23,8 +23,8 @@ impl TrainingJob {
         let mut job = self.clone();
         // The number of threads does not change the result.
         job.settings.threads = 1;
-        let json = serde_json::to_vec(&job).unwrap_or_default();
-        checksum(&json)
+        let json = serde_json::to_vec(&job);
+        checksum(&json.expect("plain structs with text keys always become JSON"))
     }
 }
 

@@ -16,8 +16,7 @@ pub struct TrainedBytesError(String);
 
 impl Trained {
     /// The result as safetensors, without the distribution, the seed and the settings, which the
-    /// reader knows. If the library cannot write them there are no bytes, which
-    /// [`Self::from_bytes`] refuses.
+    /// reader knows.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let returns = [self.best_return, self.final_return].into_iter();
@@ -30,11 +29,12 @@ impl Trained {
             ("returns", Dtype::F64, returns.flat_map(f64::to_le_bytes).collect()),
             ("curve", Dtype::F64, curve.flat_map(f64::to_le_bytes).collect()),
         ];
-        let views = tensors.iter().filter_map(|(name, dtype, bytes)| {
+        let views = tensors.iter().map(|(name, dtype, bytes)| {
             let count = bytes.len() * 8 / dtype.bitsize();
-            Some((*name, TensorView::new(*dtype, vec![count], bytes).ok()?))
+            let view = TensorView::new(*dtype, vec![count], bytes);
+            (*name, view.expect("a tensor of as many numbers as its bytes hold"))
         });
-        safetensors::serialize(views, None).unwrap_or_default()
+        safetensors::serialize(views, None).expect("tensors with names of their own")
     }
 
     /// Restores a result from the bytes that [`Self::to_bytes`] made. The caller passes the

@@ -150,12 +150,15 @@ impl Network {
     /// policy file, and pairs that bound no entry as an empty list, as in an ONNX graph.
     ///
     /// # Errors
-    /// The number of pairs is neither 0 nor the number of entries, or a lower bound is not at most
-    /// its upper bound.
+    /// The number of pairs is neither 0 nor the number of entries, a lower bound is not at most its
+    /// upper bound, or no finite number lies between the two.
     pub fn with_bounds(self, bounds: Vec<[f32; 2]>) -> Result<Self, NetworkError> {
         let (given, entries) = (bounds.len(), self.sizes[0]);
         let fits = given == entries || given == 0;
-        if !fits || !bounds.iter().all(|[lower, upper]| lower <= upper) {
+        let bounds_a_number = |[lower, upper]: &[f32; 2]| {
+            lower <= upper && *lower < f32::INFINITY && *upper > f32::NEG_INFINITY
+        };
+        if !fits || !bounds.iter().all(bounds_a_number) {
             return Err(NetworkError::Bounds { given, entries });
         }
         let open = Self::OPEN_BOUNDS;

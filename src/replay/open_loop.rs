@@ -27,7 +27,7 @@ pub fn longest_step_s(model: &QubeModel) -> f64 {
 
 /// Shortest of the steps that [`longest_step_s`] returns, s; a model that needs shorter ones has
 /// far more friction than any table-top pendulum.
-const SHORTEST_STEP_S: f64 = LONGEST_STEP_S / 15.0;
+const SHORTEST_STEP_S: f64 = LONGEST_STEP_S / 16.0;
 
 /// The motion of a model under the voltages of a log, and its distance from the log's own motion.
 #[derive(Clone, Debug, PartialEq)]

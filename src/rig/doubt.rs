@@ -88,7 +88,8 @@ impl DoubtStore {
     /// Stores a doubt. If that fails, the doubt lasts until the program ends.
     pub fn store(&self, doubt: &Doubt) {
         let path = self.path(&doubt.board);
-        let bytes = serde_json::to_vec(doubt).unwrap_or_default();
+        let bytes =
+            serde_json::to_vec(doubt).expect("plain structs with text keys always become JSON");
         if let Err(error) = self.write(&path, &bytes) {
             tracing::warn!(
                 "{}: the doubt about this Qube cannot be stored and ends with this program ({error}): drive it no \

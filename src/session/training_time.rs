@@ -61,8 +61,8 @@ impl TrainingTime {
         disk: &dyn Disk,
         path: &Path,
     ) -> Result<(), WriteError> {
-        // The structure has only numbers, so that its serialisation cannot fail.
-        let text = serde_json::to_string(times).unwrap_or_default();
+        let text =
+            serde_json::to_string(times).expect("plain structs with text keys always become JSON");
         write_whole(disk, path, text.as_bytes())
     }
 

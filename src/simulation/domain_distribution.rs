@@ -174,7 +174,7 @@ impl DomainDistribution {
     ///
     /// # Errors
     /// A value of the model cannot be simulated, such as a delay that is too long, or `spread` is
-    /// negative.
+    /// negative or not a number.
     pub fn around(
         model: &QubeModel,
         spread: f64,
@@ -183,8 +183,11 @@ impl DomainDistribution {
         let mut around = Self::constant(model);
         for quantity in Quantity::all() {
             let mean = model.get(quantity);
-            // The standard deviation is at most the distance to the nearer end of the range.
-            let standard_deviation = (spread * mean.abs()).min(reach(quantity, mean));
+            // The standard deviation is at most the distance to the nearer end of the range. `min`
+            // would make the largest one of a spread that is not a number.
+            let wanted = spread * mean.abs();
+            let most = reach(quantity, mean);
+            let standard_deviation = if wanted > most { most } else { wanted };
             around = around.with(quantity, family.with_moments(mean, standard_deviation))?;
         }
         Ok(around)

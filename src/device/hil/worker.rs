@@ -240,7 +240,8 @@ fn wake(counter: &OwnedFd) -> bool {
     }
 }
 
-/// Serves requests and jobs until [`Job::End`] has been served.
+/// Serves requests and jobs until [`Job::End`] has been served, or no request can be noticed any
+/// more. Either way the amplifier is off and the card closed at the end.
 fn serve(
     mut panel: Panel,
     shared: &Shared,
@@ -294,6 +295,8 @@ fn serve(
             }
         }
     }
+    let _ = panel.off();
+    panel.close();
 }
 
 /// The workers whose amplifiers are switched off when the process ends.

@@ -150,6 +150,14 @@ pub enum ImportError {
         /// Limit that was asked for.
         limit: f32,
     },
+    /// The corner of the velocity filter is no frequency of such a filter.
+    #[error(
+        "was trained with a velocity filter of {corner_rad_s} rad/s: give a number above 0, at most 1000000"
+    )]
+    Corner {
+        /// Corner frequency that was given, rad/s.
+        corner_rad_s: f64,
+    },
     /// Another program wrote the file, and the caller gives no conventions for it.
     #[error("does not say which voltage an output of 1 is: give the action scale in volts")]
     NoActionScale,
@@ -186,6 +194,9 @@ impl From<PolicyFault> for ImportError {
         Self::Metadata(fault.to_string())
     }
 }
+
+/// Largest corner frequency of a velocity filter in the record of a policy, rad/s.
+const LARGEST_CORNER_RAD_S: f64 = 1e6;
 
 /// Conventions of a network that the file of another program does not contain.
 #[derive(Clone, Debug, PartialEq)]
@@ -278,6 +289,9 @@ impl Layers {
     pub fn policy(self, conventions: &ForeignConventions) -> Result<NetworkPolicy, ImportError> {
         let ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation } =
             conventions;
+        if !(*corner_rad_s > 0.0 && *corner_rad_s <= LARGEST_CORNER_RAD_S) {
+            return Err(ImportError::Corner { corner_rad_s: *corner_rad_s });
+        }
         let clipped = match clip_observation {
             Some(limit) => self.clipped(*limit)?,
             None => self,

@@ -4,6 +4,7 @@
 use serde_json::Value;
 
 use super::*;
+use crate::policy::Policy;
 use crate::storage::ProtobufMessage as Message;
 
 const MODELS: [(&str, &[u8]); 4] = [
@@ -363,6 +364,19 @@ fn a_clip_of_the_observation_is_kept_or_asked_for() {
         let refused = from_onnx(bytes, Some(&foreign(5.0, Some(limit))));
         assert!(matches!(refused, Err(ImportError::Clip { .. })));
     }
+}
+
+#[test]
+fn a_velocity_filter_that_no_policy_file_can_hold_is_refused() {
+    let (_, bytes) = MODELS[0];
+    for corner_rad_s in [0.0, -1.0, 1e7, f64::NAN, f64::INFINITY] {
+        let conventions = ForeignConventions { corner_rad_s, ..foreign(5.0, None) };
+        let refused = from_onnx(bytes, Some(&conventions));
+        assert!(matches!(refused, Err(ImportError::Corner { .. })), "{corner_rad_s}");
+    }
+    let conventions = ForeignConventions { corner_rad_s: 1e6, ..foreign(5.0, None) };
+    let policy = Policy::Network(from_onnx(bytes, Some(&conventions)).unwrap());
+    assert!(Policy::from_bytes(&policy.to_bytes()).is_ok());
 }
 
 #[test]

@@ -26,7 +26,8 @@ pub(super) fn watch(
         let watcher = std::thread::Builder::new()
             .name("doctor".into())
             .spawn_scoped(scope, || (enter_realtime(), lateness(seconds, stop)))?;
-        let (realtime, (ticks, lateness_us)) = watcher.join().unwrap_or_default();
+        let watched = watcher.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        let (realtime, (ticks, lateness_us)) = watched;
         Ok((realtime, diagnosis(ticks, &lateness_us)))
     })
 }
