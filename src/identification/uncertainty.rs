@@ -86,7 +86,8 @@ impl Evidence {
     pub fn of(fit: &Fit<'_>, short_noise: [Noise; 3]) -> Self {
         let reduced = fit.reduced();
         let inflation = inflation(fit, &reduced);
-        let (information, _) = total(fit, &by_recording(fit, &reduced, inflation));
+        let (information, _) =
+            total(fit.unknowns, fit.plant, &by_recording(fit, &reduced, inflation));
         let rest = Unknown::from(Nonideality::CableRest);
         let rest_scatter = fit.own_scatter().cable_rest_rad / rest.prior(fit.plant).std;
         Self { information, inflation, short_noise, rest_scatter }
@@ -107,7 +108,7 @@ impl Evidence {
     /// these units, over the directions that `held_out` determines.
     pub fn contradiction(&self, held_out: &Fit<'_>) -> f64 {
         let groups = by_recording(held_out, &held_out.reduced(), self.inflation);
-        let (information, gradient) = total(held_out, &groups);
+        let (information, gradient) = total(held_out.unknowns, held_out.plant, &groups);
         let eigen = SymmetricEigen::new(information);
         let eigenvalues = eigen.eigenvalues.iter().enumerate();
         let determined: Vec<usize> =
@@ -193,8 +194,8 @@ impl Evidence {
 
 /// The sum of information and gradient of several recordings, in units of prior standard
 /// deviations.
-fn total(fit: &Fit<'_>, groups: &[Reduced]) -> Reduced {
-    let stds = prior_stds(fit.unknowns, fit.plant);
+fn total(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> Reduced {
+    let stds = prior_stds(unknowns, plant);
     let mut information = DMatrix::zeros(stds.len(), stds.len());
     let mut gradient = DVector::zeros(stds.len());
     for (own, pull) in groups {
@@ -271,13 +272,7 @@ fn scatter(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> f64 
         return 1.0;
     }
     let stds = prior_stds(unknowns, plant);
-    let mut information = DMatrix::zeros(stds.len(), stds.len());
-    for (own, _) in groups {
-        information += own;
-    }
-    let scaled = DMatrix::from_fn(stds.len(), stds.len(), |row, column| {
-        information[(row, column)] * stds[row] * stds[column]
-    });
+    let (scaled, _) = total(unknowns, plant, groups);
     let eigen = SymmetricEigen::new(scaled);
     let (mut squares, mut directions) = (0.0, 0.0);
     for (column, &value) in eigen.eigenvalues.iter().enumerate().filter(|(_, value)| **value > 1.0)

@@ -210,10 +210,6 @@ impl Strategy for BayRn {
             best_evaluated_return: evaluated[best_evaluated],
         })
     }
-
-    fn name(&self) -> &'static str {
-        "bayrn"
-    }
 }
 
 #[cfg(test)]

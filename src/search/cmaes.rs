@@ -205,10 +205,6 @@ impl Strategy for CmaEs {
     fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
         best_evaluated(&self.search_box, data)
     }
-
-    fn name(&self) -> &'static str {
-        "cmaes"
-    }
 }
 
 #[cfg(test)]

@@ -100,8 +100,4 @@ impl Strategy for CrossEntropy {
     fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
         best_evaluated(&self.search_box, data)
     }
-
-    fn name(&self) -> &'static str {
-        "cem"
-    }
 }

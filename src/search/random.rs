@@ -34,10 +34,6 @@ impl Strategy for RandomSearch {
     fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
         best_evaluated(&self.search_box, data)
     }
-
-    fn name(&self) -> &'static str {
-        "random"
-    }
 }
 
 /// Search along a scrambled Sobol sequence, which covers the box more evenly than random points.
@@ -68,10 +64,6 @@ impl Strategy for SobolSearch {
 
     fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
         best_evaluated(&self.search_box, data)
-    }
-
-    fn name(&self) -> &'static str {
-        "sobol"
     }
 }
 

@@ -26,9 +26,6 @@ pub trait Strategy: Send {
     /// # Errors
     /// The data is empty, or [`Strategy::propose`] would fail on it.
     fn best(&self, data: &[Observation]) -> Result<Best, SearchError>;
-
-    /// The name by which users choose the strategy.
-    fn name(&self) -> &'static str;
 }
 
 /// The recommendation of a strategy.

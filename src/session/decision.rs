@@ -21,8 +21,6 @@ pub enum Decision {
     EndBelow {
         /// Number of the candidate that verified the policy.
         verification: u32,
-        /// Mean return of the verified policy.
-        verified: f64,
         /// Smallest gain that is worth a candidate.
         smallest_gain: f64,
     },
@@ -129,12 +127,12 @@ fn is_full(candidates: &[ScoredCandidate], largest: u32) -> bool {
 /// Decides the next move; all rollouts of `candidates` must be finished. `largest` is the largest
 /// number of searched candidates.
 ///
-/// The candidate of the highest [`rank`](ScoredCandidate::rank), in a tie the latest, is verified at
-/// once if all its rollouts succeeded. A candidate whose verification failed, or was loud, counts as
-/// loud. If every rollout of the verification succeeded too, the search continues only while the
-/// policy is loud ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or the estimated
-/// gain of one more candidate is at least the fraction [`WORTHWHILE_GAIN`] of the verified return.
-/// If one failed, the search continues in any case.
+/// The candidate of the highest [`rank`](ScoredCandidate::rank), in a tie the latest, is verified
+/// at once if all its rollouts succeeded. A candidate whose verification failed, or was loud,
+/// counts as loud. If every rollout of the verification succeeded too, the search continues only
+/// while the policy is loud ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or the
+/// estimated gain of one more candidate is at least the fraction [`WORTHWHILE_GAIN`] of the
+/// verified return. If one failed, the search continues in any case.
 ///
 /// At the largest number of candidates the best one is verified, unless it is verified already,
 /// whether or not its rollouts succeeded, and the search ends.
@@ -163,9 +161,8 @@ pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
         Some(_) if is_full => Decision::End,
         Some(verified) if succeeds(verified) => {
             let verification = verified.candidate.number;
-            let verified = verified.mean_return().unwrap_or(0.0);
-            let smallest_gain = WORTHWHILE_GAIN * verified;
-            Decision::EndBelow { verification, verified, smallest_gain }
+            let smallest_gain = WORTHWHILE_GAIN * verified.mean_return().unwrap_or(0.0);
+            Decision::EndBelow { verification, smallest_gain }
         }
         Some(_) => Decision::Propose,
     }
@@ -239,7 +236,7 @@ mod tests {
         candidates.push(scored(2, Purpose::Search, 1.0, &[GOOD]));
         assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 2 });
         candidates.push(scored(3, Purpose::Incumbent, 1.0, &[GOOD; 5]));
-        let end = Decision::EndBelow { verification: 3, verified: 540.0, smallest_gain: 5.4 };
+        let end = Decision::EndBelow { verification: 3, smallest_gain: 5.4 };
         assert_eq!(decide(&candidates, 10), end);
         assert_eq!(decide(&candidates, 2), Decision::End);
         // A candidate that is better than the verified one is verified too.
@@ -265,7 +262,7 @@ mod tests {
             loud(scored(2, Purpose::Incumbent, 0.0, &[GOOD; 5])),
         ];
         // It is all there is.
-        let end = Decision::EndBelow { verification: 2, verified: 540.0, smallest_gain: 5.4 };
+        let end = Decision::EndBelow { verification: 2, smallest_gain: 5.4 };
         assert_eq!(decide(&candidates, 10), end);
         candidates.push(scored(3, Purpose::Search, 1.0, &[BAD]));
         assert_eq!(decide(&candidates, 10), end);
@@ -299,7 +296,7 @@ mod tests {
             decide(&candidates, 10)
         };
         assert_eq!(of(Some(1)), Decision::Verify { candidate: 3 });
-        let end = Decision::EndBelow { verification: 2, verified: 540.0, smallest_gain: 5.4 };
+        let end = Decision::EndBelow { verification: 2, smallest_gain: 5.4 };
         assert_eq!(of(Some(3)), end);
         // A ledger of an older program names no candidate.
         assert_eq!(of(None), end);

@@ -1,24 +1,10 @@
 use libm::{exp, sqrt};
 
-use super::distribution::{held_in_range, largest_standard_deviation};
+use super::distribution::held_in_range;
 use super::{Direction, DomainDistribution, Family, Psi, PsiTarget};
 use crate::qube::{Nonideality, Quantity};
 
 impl DomainDistribution {
-    /// The distribution of the model `opt-nominal`: quantities that psi names follow psi, the
-    /// others are nominal.
-    #[must_use]
-    pub fn opt_nominal(psi: &Psi, family: Family) -> Self {
-        Self::nominal().shaped_by(psi, family)
-    }
-
-    /// The distribution of the model `opt-handcrafted`: quantities that psi names follow psi, the
-    /// others are as in `handcrafted`.
-    #[must_use]
-    pub fn opt_handcrafted(psi: &Psi, family: Family) -> Self {
-        Self::handcrafted(family).shaped_by(psi, family)
-    }
-
     /// Applies psi to the distribution. A quantity that psi names gets a distribution of this
     /// family with psi's mean and standard deviation; if psi names only one of the two, the other
     /// stays. Then the shifts along the directions, the common width and the lag of the command
@@ -42,10 +28,8 @@ impl DomainDistribution {
             }
             let own = self.get(quantity);
             let mean = mean.unwrap_or(own.mean());
-            let standard_deviation = standard_deviation
-                .unwrap_or(own.standard_deviation())
-                .min(largest_standard_deviation(quantity, mean));
-            self.distributions[quantity.index()] = family.with_moments(mean, standard_deviation);
+            let deviation = standard_deviation.unwrap_or(own.standard_deviation());
+            self = self.moments(quantity, mean, deviation, family);
         }
         for (number, axis) in (1..=PsiTarget::SHIFTS).zip(axes) {
             if let Some(shift) = psi.get(PsiTarget::Shift(number as u8)) {
@@ -133,9 +117,12 @@ mod tests {
             assert_eq!(is_random(&DomainDistribution::handcrafted(family)), [true; 9]);
             let partly = DomainDistribution::nominal_handcrafted(family);
             assert_eq!(is_random(&partly), masses_and_lengths);
-            let opt = DomainDistribution::opt_nominal(&psi, family);
+            let opt = DomainDistribution::nominal().shaped_by(&psi, family);
             assert_eq!(is_random(&opt), masses_and_lengths);
-            assert_eq!(is_random(&DomainDistribution::opt_handcrafted(&psi, family)), [true; 9]);
+            assert_eq!(
+                is_random(&DomainDistribution::handcrafted(family).shaped_by(&psi, family)),
+                [true; 9]
+            );
         }
     }
 
@@ -143,7 +130,7 @@ mod tests {
     fn psi_shapes_the_parameter_that_it_names() {
         let point = [0.020, 0.001, 0.090, 0.002, 0.120, 0.003, 0.080, 0.004];
         let psi = PsiSpace::thesis().psi(&point).unwrap();
-        let opt = DomainDistribution::opt_nominal(&psi, Family::Normal);
+        let opt = DomainDistribution::nominal().shaped_by(&psi, Family::Normal);
         for (parameter, mean, standard_deviation) in [
             (DomainParameter::PendulumMass, 0.020, 0.001),
             (DomainParameter::RotaryMass, 0.090, 0.002),
@@ -176,7 +163,8 @@ mod tests {
             };
             let (psi, nonidealities) = (at_corner(&thesis), at_corner(&nonidealities));
             for family in [Family::Normal, Family::Uniform] {
-                let distribution = DomainDistribution::opt_handcrafted(&psi, family)
+                let distribution = DomainDistribution::handcrafted(family)
+                    .shaped_by(&psi, family)
                     .shaped_by(&nonidealities, family);
                 for quantity in Quantity::all() {
                     assert_eq!(distribution.get(quantity).check(quantity), Ok(()));

@@ -168,7 +168,7 @@ impl Session {
                 let incumbent = &self.ledger.state().candidates()[candidate as usize];
                 self.append_proposal(Proposal::again(incumbent), on_event)
             }
-            Decision::EndBelow { verification, smallest_gain, .. } => {
+            Decision::EndBelow { verification, smallest_gain } => {
                 let verification = &scored[verification as usize];
                 let quietness = &verification.quietness;
                 if let Some(figures) = quietness.figures().filter(|_| quietness.is_loud()) {
@@ -194,8 +194,8 @@ impl Session {
     }
 
     /// Fits the Qube anew after it has contradicted its profile. If that gives no new profile,
-    /// proposes another excitation, if one is left; returns whether it did. Under a profile that is not
-    /// trusted the guard would take the Qube for an unknown one and end nearly every swing-up.
+    /// proposes another excitation, if one is left; returns whether it did. Under a profile that is
+    /// not trusted the guard would take the Qube for an unknown one and end nearly every swing-up.
     fn fits_or_excites_again(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),

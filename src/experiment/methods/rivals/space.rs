@@ -2,8 +2,8 @@ use nalgebra::DVector;
 use rand_chacha::ChaCha8Rng;
 
 use super::gaussian::standard_normal;
-use crate::qube::{DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
-use crate::simulation::{DomainDistribution, MAX_COMMAND_DELAY_S};
+use crate::qube::{DomainParameter, PlantModel, Quantity, QubeModel};
+use crate::simulation::{DomainDistribution, range_of_draws};
 
 /// Standard deviation of the logarithm of a damping before any data: published values differ by a
 /// factor of 50.
@@ -150,9 +150,8 @@ impl Coordinate {
     /// Smallest and largest entry of the coordinate that can be simulated, both within
     /// [`FARTHEST`] of 0.
     fn range(&self) -> (f64, f64) {
-        let Quantity::Nonideality(term) = self.quantity else { return (-FARTHEST, FARTHEST) };
-        let (smallest, largest) = term.range().into_inner();
-        let largest = if term == Nonideality::CommandDelay { MAX_COMMAND_DELAY_S } else { largest };
+        let Quantity::Nonideality(_) = self.quantity else { return (-FARTHEST, FARTHEST) };
+        let (smallest, largest) = range_of_draws(self.quantity, self.centre);
         // A rounding error must not leave the range.
         let entry = |value: f64| (value - self.centre) / self.deviation;
         let inside = 1e-9;
