@@ -21,7 +21,7 @@ mod plant;
 use std::collections::BTreeMap;
 
 use motion::Motion;
-use plant::Beyond;
+use plant::{Beyond, NOTHING};
 use qube_hil::device::emulator::Effects;
 use qube_hil::elementary::normal_pair;
 use qube_hil::identification::{
@@ -231,7 +231,8 @@ fn main() {
     for seed in first_seed..first_seed + plants {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let truth = drawn(&mut rng);
-        for beyond in [Beyond::Nothing, added(seed, &mut rng)] {
+        let beyond = added(seed, &mut rng);
+        for beyond in [beyond.without(), beyond] {
             let found = identified(&truth, beyond, &motions);
             let row = rows.entry(beyond.name()).or_default();
             row.add(&found);
@@ -239,14 +240,14 @@ fn main() {
                 row.predict(found, &truth, beyond, &motions);
             }
             println!("{seed} {:12} {}", beyond.name(), describe(&found));
-            if let (Beyond::Nothing, Ok(found)) = (beyond, &found) {
+            if let (NOTHING, Ok(found)) = (beyond.name(), &found) {
                 intervals.extend(coverage(found, &truth));
             }
         }
     }
     println!("\n{:12} {:>7} {:>8} {:>12}   named", "effect", "plants", "doubted", "within band");
     rows.iter().for_each(|(name, row)| row.line(name));
-    let with_effect = || rows.iter().filter(|(name, _)| **name != Beyond::Nothing.name());
+    let with_effect = || rows.iter().filter(|(name, _)| **name != NOTHING);
     let sum = |count: fn(&Row) -> u32| with_effect().map(|(_, row)| count(row)).sum::<u32>();
     let within = percent([0, 1].map(|index| with_effect().map(|(_, r)| r.predicted[index]).sum()));
     let (plants, doubted) = (sum(|row| row.plants), sum(|row| row.doubted));

@@ -30,11 +30,22 @@ pub enum Beyond {
     OtherForm(&'static str, Effects),
 }
 
+/// The name of a plant without an effect.
+pub const NOTHING: &str = "nothing";
+
 impl Beyond {
+    /// The same plant without its effect.
+    pub fn without(self) -> Self {
+        match self {
+            Self::OtherForm(..) => Self::OtherForm(NOTHING, Effects::NONE),
+            _ => Self::Nothing,
+        }
+    }
+
     /// The name in tables.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Nothing => "nothing",
+            Self::Nothing => NOTHING,
             Self::Play(_) => "play",
             Self::Presliding(_) => "presliding",
             Self::Hysteresis(..) => "hysteresis",

@@ -513,7 +513,9 @@ mod tests {
             let some = plain.clone().with_bounds(bounds).unwrap();
             assert_eq!(some.bounds()[1..3], [[lower, upper], [-5.0, upper]]);
         }
-        for wrong in [vec![[0.0, 1.0]; 6], vec![[1.0, 0.0]; 7], vec![[f32::NAN, 1.0]; 7]] {
+        let no_number = [vec![[f32::INFINITY; 2]; 7], vec![[f32::NEG_INFINITY; 2]; 7]];
+        let wrong = [vec![[0.0, 1.0]; 6], vec![[1.0, 0.0]; 7], vec![[f32::NAN, 1.0]; 7]];
+        for wrong in wrong.into_iter().chain(no_number) {
             let refused = plain.clone().with_bounds(wrong);
             assert!(matches!(refused, Err(NetworkError::Bounds { entries: 7, .. })));
         }

@@ -427,6 +427,11 @@ pub(super) mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         assert_eq!(exact.sample(&mut rng), model);
         model.nonidealities.command_delay_s = 0.05;
+        for spread in [-0.1, f64::NAN] {
+            assert!(
+                DomainDistribution::around(&QubeModel::NOMINAL, spread, Family::Normal).is_err()
+            );
+        }
         let refused = DomainDistribution::around(&model, 0.1, Family::Normal).unwrap_err();
         assert!(refused.to_string().contains("delay"), "{refused}");
     }
