@@ -14,7 +14,7 @@ use qube_hil::jobs::{Executor, JobEvent, LocalExecutor, TrainingJob};
 use qube_hil::learning::TrainSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::recording::read;
-use qube_hil::rig::{ClockChoice, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
+use qube_hil::rig::{ClockChoice, NotBegun, Rig, RigSettings};
 use qube_hil::safety::SafetyBox;
 use qube_hil::scoring::Latencies;
 use qube_hil::session::RolloutPlan;
@@ -48,12 +48,10 @@ fn lateness_us(rig: &mut Rig, path: &Path) -> LatencySummary {
     for _ in 0..ROLLOUTS {
         // If the host of this virtual machine takes the processors for long, the pendulum may move
         // unseen between two rollouts, and the rig must start again.
-        let mut tries = 0;
+        let mut not_begun = NotBegun::default();
         while let Err(error) = rig.rollout(&MachineDisk, path, plan.header(), &policy) {
-            assert!(matches!(error, RigError::NotBegun { .. }), "{error}");
-            assert!(tries < MAX_NOT_BEGUN, "after {tries} new starts: {error}");
+            assert!(not_begun.may_repeat(&error), "{error}");
             rig.start_again().unwrap();
-            tries += 1;
         }
         let recording = read(path).unwrap();
         assert!(recording.ticks.len() > 600, "{} ticks", recording.ticks.len());

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use qube_hil::qube::{RewardWeights, State as QubeState};
 use qube_hil::recording::read;
-use qube_hil::rig::{ClockChoice, MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
+use qube_hil::rig::{ClockChoice, NotBegun, Recorded, Rig, RigError, RigSettings};
 use qube_hil::scoring::return_of;
 use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
@@ -153,7 +153,7 @@ impl Server {
     }
 
     fn episode(&mut self, rig: &mut Rig, order: &Order) -> Result<Episode, RigError> {
-        let mut tries = 0;
+        let mut not_begun = NotBegun::default();
         let Recorded { path, outcome } = loop {
             if !self.is_homed {
                 // If this stops or fails, `is_homed` stays false, and the next episode tries again.
@@ -161,10 +161,7 @@ impl Server {
                 self.is_homed = true;
             }
             match self.rollout(rig, order) {
-                Err(RigError::NotBegun { .. }) if tries < MAX_NOT_BEGUN => {
-                    self.is_homed = false;
-                    tries += 1;
-                }
+                Err(error) if not_begun.may_repeat(&error) => self.is_homed = false,
                 Err(error) => {
                     self.is_homed = !error.is_of_rig();
                     return Err(error);

@@ -21,7 +21,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::recording::{Recording, read};
-use crate::rig::{MAX_NOT_BEGUN, Rig, RigError};
+use crate::rig::{NotBegun, Rig};
 use crate::safety::SafetyBox;
 use crate::scoring::{Verdict, VoidReason, score_recording};
 use crate::session::RolloutPlan;
@@ -190,7 +190,7 @@ impl Soaked {
         warn_without_realtime(rig.realtime());
 
         let ticks_wanted = (arguments.hours * 3600e9 / CONTROL_PERIOD_NS as f64).ceil() as u64;
-        let mut not_begun = 0;
+        let mut not_begun = NotBegun::default();
         while self.ticks < ticks_wanted && !stop.requested() {
             let rollout = self.rollouts as u32;
             let path = folder.path.join(format!("rollout-{rollout}.mcap"));
@@ -202,9 +202,8 @@ impl Soaked {
                 ..RolloutPlan::single("soak", &arguments.policy.to_string_lossy())
             };
             match rig.rollout(&MachineDisk, &path, plan.header(), policy) {
-                Ok(_) => not_begun = 0,
-                Err(RigError::NotBegun { .. }) if not_begun < MAX_NOT_BEGUN => {
-                    not_begun += 1;
+                Ok(_) => not_begun.begun(),
+                Err(error) if not_begun.may_repeat(&error) => {
                     rig.start_again().map_err(failed)?;
                     continue;
                 }

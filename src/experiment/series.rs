@@ -8,7 +8,7 @@ use super::{ExperimentError, Made, Plant, Recipe, RolloutResult};
 use crate::jobs::{CHOSEN_OF_STARTS, Competition, Executor, TrainingJob, TrainingScore};
 use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_on_new_starts};
 use crate::policy::{Policy, PolicyError, PolicyFault};
-use crate::rig::{MAX_NOT_BEGUN, Rig, RigError, RigSettings};
+use crate::rig::{NotBegun, Rig, RigError, RigSettings};
 use crate::session::{EmulatedQubeSettings, RolloutPlan, SeedFor, SessionError, derived_seed};
 use crate::simulation::{DomainDistribution, Psi, PsiError, SimulationSettings};
 use crate::storage::{MachineDisk, write_whole};
@@ -185,7 +185,7 @@ impl PolicySeries<'_> {
         rollouts: u32,
     ) -> Result<Ran, ExperimentError> {
         let settings = RigSettings { homing: self.recipe.settings.homing, ..self.rig.clone() };
-        let mut not_begun = 0;
+        let mut not_begun = NotBegun::default();
         self.run(policy, plant, rollouts, |_, _, record| {
             let opened = match rig.take() {
                 Some(opened) => opened,
@@ -193,20 +193,18 @@ impl PolicySeries<'_> {
             };
             let opened = rig.insert(opened);
             match record(opened) {
-                // A rollout that could not begin is due again, at most `MAX_NOT_BEGUN` times in a
-                // row.
-                Err(ExperimentError::Session(SessionError::Rig(RigError::NotBegun { .. })))
-                    if not_begun < MAX_NOT_BEGUN =>
+                // A rollout that could not begin is due again.
+                Err(ExperimentError::Session(SessionError::Rig(ref error)))
+                    if not_begun.may_repeat(error) =>
                 {
-                    not_begun += 1;
                     opened.start_again()?;
                 }
                 Ok(Ending::Fault(_)) => {
-                    not_begun = 0;
+                    not_begun.begun();
                     opened.start_again()?;
                 }
                 Ok(_) => {
-                    not_begun = 0;
+                    not_begun.begun();
                     opened.check_off()?;
                 }
                 Err(error) => {

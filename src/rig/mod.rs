@@ -43,6 +43,7 @@ mod connection;
 mod doubt;
 mod error;
 mod motor_memory;
+mod not_begun;
 mod opened;
 mod press;
 mod rollout;
@@ -51,10 +52,10 @@ mod settings;
 pub use doubt::{Doubt, DoubtStore};
 pub use error::{RigError, RigSettingError};
 pub use motor_memory::MotorMemory;
+pub use not_begun::NotBegun;
 pub use opened::Rig;
 pub use press::Pressed;
 pub use rollout::Recorded;
 pub use settings::{
-    ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, MAX_NOT_BEGUN, Recovery, RigSettings,
-    TimedDevice,
+    ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, Recovery, RigSettings, TimedDevice,
 };

@@ -12,10 +12,6 @@ use crate::safety::{Guard, HardwareLimits, IdentifiedQube};
 /// Time for which the program tries to reach a lost link again, s.
 pub const LINK_PATIENCE_S: f64 = 30.0;
 
-/// Number of rollouts in a row that may fail to begin, because of the link or because counts have
-/// moved; the next failure ends the work.
-pub const MAX_NOT_BEGUN: u32 = 3;
-
 /// The connection to a Qube.
 #[derive(Clone, Debug)]
 pub enum DeviceChoice {

@@ -11,7 +11,7 @@ use crate::commands::screen::{Progress, time_left};
 use crate::commands::stop::Stop;
 use crate::commands::{command_hints, failures, warn_without_realtime};
 use crate::control::HomingMethod;
-use crate::rig::{MAX_NOT_BEGUN, Recorded, Rig, RigError, RigSettings};
+use crate::rig::{NotBegun, Recorded, Rig, RigError, RigSettings};
 use crate::session::RolloutPlan;
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};
@@ -171,17 +171,16 @@ impl RolloutSeries<'_> {
     fn rollout(&mut self, mut rig: Rig, rollout: u32) -> Result<(Rig, Recorded), Failure> {
         let plan = RolloutPlan { rollout, ..self.plan.clone() };
         let path = self.directory.join(format!("rollout-{rollout}.mcap"));
-        let mut tries = 0;
+        let mut not_begun = NotBegun::default();
         loop {
             match rig.rollout(&MachineDisk, &path, plan.header(), self.controller.file(rollout)) {
                 Ok(recorded) => return Ok((rig, recorded)),
-                Err(error @ RigError::NotBegun { .. }) if tries < MAX_NOT_BEGUN => {
+                Err(error) if not_begun.may_repeat(&error) => {
                     print_message(&format!("rollout {rollout} is repeated: {error}"));
                     rig = match rig.start_again() {
                         Ok(()) => rig,
                         Err(error) => self.reopened(rig, error)?,
                     };
-                    tries += 1;
                 }
                 Err(error) => rig = self.reopened(rig, error)?,
             }

@@ -8,7 +8,7 @@ use crate::identification::{DRIFT_ROLLOUTS, Drift};
 use crate::policy::{EXCITATION_STEPS, Policy};
 use crate::qube::QubeModel;
 use crate::recording::{Recording, RecordingError, read_on};
-use crate::rig::{ClockChoice, MAX_NOT_BEGUN, Rig, RigError, RigSettings};
+use crate::rig::{ClockChoice, NotBegun, Rig, RigError, RigSettings};
 use crate::safety::Limit;
 use crate::scoring::{Verdict, score_recording};
 use crate::session::finished_rollout::{check_origin, check_policy};
@@ -31,13 +31,19 @@ pub(super) struct SessionRig {
     /// First recordings of this rig that this process entered into the ledger, until there are
     /// enough to estimate the drift.
     first_recordings: Vec<Recording>,
-    /// Number of rollouts in a row that could not begin.
-    not_begun: u32,
+    /// Counter of the rollouts in a row that could not begin.
+    not_begun: NotBegun,
 }
 
 impl SessionRig {
     pub(super) fn of(settings: RigSettings, profile: Option<QubeModel>) -> Self {
-        Self { settings, opened: None, profile, first_recordings: Vec::new(), not_begun: 0 }
+        Self {
+            settings,
+            opened: None,
+            profile,
+            first_recordings: Vec::new(),
+            not_begun: NotBegun::default(),
+        }
     }
 }
 
@@ -316,7 +322,7 @@ impl Session {
         let mut failed = Vec::new();
         for (index, result) in results {
             match result {
-                Ok(()) => self.rigs[index].not_begun = 0,
+                Ok(()) => self.rigs[index].not_begun.begun(),
                 Err(error) => failed.push((index, error)),
             }
         }
@@ -393,9 +399,7 @@ impl Session {
     /// Starts the rig again after a rollout that could not begin. Nothing of that rollout is on
     /// disk, so it is the next step again.
     fn try_again(&mut self, turn: &Turn, error: RigError) -> Result<(), SessionError> {
-        let not_begun = &mut self.rigs[turn.index].not_begun;
-        *not_begun += 1;
-        if *not_begun > MAX_NOT_BEGUN {
+        if !self.rigs[turn.index].not_begun.may_repeat(&error) {
             return Err(error.into());
         }
         self.start_again(turn, error)
