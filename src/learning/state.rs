@@ -24,8 +24,7 @@ pub(super) struct TrainingState<'a> {
     pub best: Network,
     /// Mean return of the best network in its evaluation; minus infinity before the first one.
     pub best_return: f64,
-    /// Score of the best network: its mean return, with the full weight on voltage changes if that
-    /// weight is above 0.
+    /// Score of the best network in its evaluation; minus infinity before the first one.
     pub best_score: f64,
     pub curve: Vec<TrainUpdate>,
 }

@@ -71,10 +71,8 @@ pub fn train_from(
     let mut training = TrainingState::new(distribution, settings, None, seed);
     training.policy.network = start.clone();
     training.best = start;
-    let (evaluation, smooth_return) = training.evaluate();
-    training.best_return = evaluation.mean_return();
-    let is_weighted = settings.voltage_change_weight > 0.0;
-    training.best_score = if is_weighted { smooth_return } else { training.best_return };
+    let Scored { evaluation, score } = training.evaluate();
+    (training.best_score, training.best_return) = (score, evaluation.mean_return());
     finished(training, None, stop, on_update)
 }
 
@@ -109,6 +107,13 @@ pub(super) fn perform(
     Ok(())
 }
 
+/// An evaluation during training, with the score by which the best network is chosen.
+pub(super) struct Scored {
+    pub evaluation: Evaluation,
+    /// Mean return, with the full weight on voltage changes if that weight is above 0.
+    pub score: f64,
+}
+
 impl TrainingState<'_> {
     /// Performs one update of Algorithm 1 (Eilers 2019): collect, optimise, evaluate. Returns
     /// `None` if the update diverged: the policy is then that of the update before, and the
@@ -138,10 +143,8 @@ impl TrainingState<'_> {
             self.policy.network = before;
             return Ok(None);
         }
-        let (evaluation, smooth_return) = self.evaluate();
+        let Scored { evaluation, score } = self.evaluate();
         let mean_return = evaluation.mean_return();
-        let is_weighted = self.settings.voltage_change_weight > 0.0;
-        let score = if is_weighted { smooth_return } else { mean_return };
         if score > self.best_score {
             (self.best_score, self.best_return) = (score, mean_return);
             self.best = self.policy.network.clone();
@@ -179,9 +182,8 @@ impl TrainingState<'_> {
         }
     }
 
-    /// Runs the policy without exploration from the fixed starts. Returns the evaluation and the
-    /// mean return with the full weight on voltage changes.
-    pub fn evaluate(&self) -> (Evaluation, f64) {
+    /// Runs the policy without exploration from the fixed starts.
+    pub fn evaluate(&self) -> Scored {
         let starts = usize::from(self.settings.evaluation_starts);
         let weight = self.settings.voltage_change_weight;
         let plant = &self.settings.simulation.plant;
@@ -198,7 +200,9 @@ impl TrainingState<'_> {
                 smooth_return += f64::from(reward * smoothness[start].factor(voltage_v, weight));
             },
         );
-        (evaluation, smooth_return / starts as f64)
+        let score =
+            if weight > 0.0 { smooth_return / starts as f64 } else { evaluation.mean_return() };
+        Scored { evaluation, score }
     }
 
     /// The policy without exploration; its physics inputs are those of the Qubes of the first

@@ -65,7 +65,7 @@ impl<'a> Workbench<'a> {
     /// Evaluates the policy from the fixed starts and returns the mean return.
     #[must_use]
     pub fn evaluate(&self) -> f64 {
-        self.training.evaluate().0.mean_return()
+        self.training.evaluate().evaluation.mean_return()
     }
 
     /// Performs one complete update.
