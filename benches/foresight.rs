@@ -46,12 +46,7 @@ fn rollout(model: &QubeModel, seed: u64) -> Vec<Tick> {
     for _ in 0..STEPS {
         let state = qubes[0].state.lane(0);
         let sent_v = qubes[0].sent_v().map(|sent_v| sent_v[0]);
-        let state = State {
-            theta: f64::from(state.theta),
-            alpha: f64::from(state.alpha),
-            theta_dot: f64::from(state.theta_dot),
-            alpha_dot: f64::from(state.alpha_dot),
-        };
+        let state: State = state.into();
         let voltage_v = limited_to(policy.voltage_v(&state) as f32, MAX_VOLTAGE_V as f32);
         policy.applied(f64::from(voltage_v));
         ticks.push(Tick { state, sent_v, voltage_v });

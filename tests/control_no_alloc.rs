@@ -424,7 +424,7 @@ fn a_rollout_that_overheats_the_motor_allocates_nothing() {
 #[test]
 fn the_trial_of_the_brake_allocates_nothing() {
     let mut foresight = ForesightSettings::default().foresight(None, &PlantModel::QUBE);
-    let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+    let at_rest = State::default();
     let outward = State { theta: 1.9, theta_dot: 20.0, ..at_rest };
     IN_THE_LOOP.set(true);
     ALLOCATIONS.set(0);

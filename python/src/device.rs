@@ -395,13 +395,7 @@ impl Device {
         state: &QubeState,
         slot: &Slot,
     ) -> Bound<'py, PyArray1<f32>> {
-        let single = QubeState {
-            theta: state.theta as f32,
-            alpha: state.alpha as f32,
-            theta_dot: state.theta_dot as f32,
-            alpha_dot: state.alpha_dot as f32,
-        };
-        let observed = observation(&single).into_iter();
+        let observed = observation(&state.cast()).into_iter();
         let commands = slot.commands.into_iter().take(self.history);
         PyArray1::from_iter(py, observed.chain(commands))
     }

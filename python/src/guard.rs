@@ -46,8 +46,7 @@ impl Guard {
     /// Begins an episode of the Qube in this lane. `guarded` has the angles that the simulation
     /// shows to the guard, rad; the velocities count as 0.
     pub fn begin(&mut self, lane: usize, guarded: State<f32>) {
-        let State { theta, alpha, .. } = guarded;
-        let state = State { theta: theta.into(), alpha: alpha.into(), ..State::default() };
+        let state = State { theta_dot: 0.0, alpha_dot: 0.0, ..State::from(guarded) };
         self.lanes[lane] = Guarded { state, sent_v: [0.0; MAX_HISTORY], took_over: false };
     }
 
@@ -78,13 +77,10 @@ impl Guard {
     /// simulation shows to the guard, rad and rad/s.
     pub fn observe(&mut self, lane: usize, guarded: State<f32>) {
         let state = &mut self.lanes[lane].state;
-        let (theta, alpha) = (guarded.theta.into(), guarded.alpha.into());
+        let guarded: State = guarded.into();
         *state = match &self.filter {
-            Some(filter) => through_filters(state, theta, alpha, filter),
-            None => {
-                let (theta_dot, alpha_dot) = (guarded.theta_dot.into(), guarded.alpha_dot.into());
-                State { theta, alpha, theta_dot, alpha_dot }
-            }
+            Some(filter) => through_filters(state, guarded.theta, guarded.alpha, filter),
+            None => guarded,
         };
     }
 

@@ -232,13 +232,7 @@ impl Network {
     /// The voltage for a state, V, without a limit.
     #[must_use]
     pub fn voltage_v(&mut self, state: &State) -> f64 {
-        let state = State {
-            theta: state.theta as f32,
-            alpha: state.alpha as f32,
-            theta_dot: state.theta_dot as f32,
-            alpha_dot: state.alpha_dot as f32,
-        };
-        f64::from(dispatch(Infer { network: self, input: Input::State(state) }))
+        f64::from(dispatch(Infer { network: self, input: Input::State(state.cast()) }))
     }
 
     /// The voltage for a whole observation, V, without a limit. It has the same bits as
@@ -476,12 +470,7 @@ mod tests {
         let mut network = network(&[6, 64, 64, 1]);
         for state in states() {
             let expected = network.voltage_v(&state);
-            let single = State {
-                theta: state.theta as f32,
-                alpha: state.alpha as f32,
-                theta_dot: state.theta_dot as f32,
-                alpha_dot: state.alpha_dot as f32,
-            };
+            let single = state.cast();
             for level in Level::ALL {
                 let infer = Infer { network: &mut network, input: Input::State(single) };
                 assert_eq!(f64::from(dispatch_at(level, infer)), expected, "{level:?}");

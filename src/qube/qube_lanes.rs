@@ -32,7 +32,7 @@ impl QubeLanes {
     /// Nominal Qubes that hang at rest.
     #[must_use]
     pub fn hanging() -> Self {
-        let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+        let at_rest = State::default();
         Self {
             state: State::all(&at_rest),
             dynamics: NonidealDynamics::all(&NonidealDynamics::new(&QubeModel::NOMINAL)),

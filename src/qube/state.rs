@@ -39,6 +39,18 @@ impl State {
     }
 }
 
+/// The same state in double precision.
+impl From<State<f32>> for State {
+    fn from(state: State<f32>) -> Self {
+        Self {
+            theta: state.theta.into(),
+            alpha: state.alpha.into(),
+            theta_dot: state.theta_dot.into(),
+            alpha_dot: state.alpha_dot.into(),
+        }
+    }
+}
+
 /// The angle in (-pi, pi] that differs from `angle_rad` by whole turns, rad.
 #[must_use]
 #[inline(always)]
@@ -51,6 +63,14 @@ pub fn wrap_angle<T: Scalar>(angle_rad: T) -> T {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_state_in_single_precision_is_the_same_in_double_precision() {
+        let single = State { theta: 0.1, alpha: -3.2, theta_dot: 1e-7, alpha_dot: 25.3_f32 };
+        let double: State = single.into();
+        assert_eq!(double.theta, f64::from(0.1_f32));
+        assert_eq!(double.cast(), single);
+    }
 
     #[test]
     fn wrapped_angles_lie_in_the_half_open_interval() {

@@ -20,7 +20,6 @@ impl Particle {
     /// A particle with a full supply and without estimation errors.
     #[must_use]
     pub fn exact(model: QubeModel) -> Self {
-        let error = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
-        Self { model, positive_share: 1.0, negative_share: 1.0, error }
+        Self { model, positive_share: 1.0, negative_share: 1.0, error: State::default() }
     }
 }

@@ -28,7 +28,7 @@ impl Block {
     /// Sixteen nominal Qubes that hang at rest. `largest_v` is the largest voltage of their motors,
     /// V.
     pub(super) fn hanging(largest_v: f32) -> Self {
-        let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+        let at_rest = State::default();
         Self {
             qubes: QubeLanes::hanging_limited_to(largest_v),
             lanes: SeenLanes::both(&at_rest),

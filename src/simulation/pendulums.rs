@@ -2,7 +2,7 @@ use super::block::{Block, Environment, Observe, Step};
 use super::lane_observer::ObserverLanes;
 use super::sensors::Sensors;
 use super::{LaneStatus, MAX_COMMAND_DELAY_S, SimulationSettings, Trajectory};
-use crate::elementary::{Level, Scalar, dispatch_at};
+use crate::elementary::{Level, dispatch_at};
 use crate::qube::{BLOCK, MAX_HISTORY, State};
 
 /// Number of lanes in a block; the number of lanes of [`Pendulums`] is a multiple of it.
@@ -85,12 +85,7 @@ impl Pendulums {
         let Trajectory { model, start } = trajectory;
         let delays = 0.0..=MAX_COMMAND_DELAY_S;
         assert!(delays.contains(&model.nonidealities.command_delay_s), "delay: {delays:?} s");
-        let state: State<f32> = State {
-            theta: f32::from_f64(start.theta),
-            alpha: f32::from_f64(start.alpha),
-            theta_dot: f32::from_f64(start.theta_dot),
-            alpha_dot: f32::from_f64(start.alpha_dot),
-        };
+        let state = start.cast();
         let seen = self.environment.sensors.first(&state);
         self.blocks[lane / BLOCK].restart(lane % BLOCK, model, &state, &seen);
         if let Some(observers) = self.observers.get_mut(lane / BLOCK) {

@@ -123,7 +123,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         let groups = count.div_ceil(GROUP * BLOCK);
         let largest_v = brake.largest_v() as f32;
         let mut qubes = vec![QubeLanes::hanging_limited_to(largest_v); groups * GROUP];
-        let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+        let at_rest = State::default();
         // Copies of the last particle fill up the last group.
         let of_lane = |lane: usize| &particles[lane.min(particles.len() - 1)];
         for lane in 0..groups * GROUP * BLOCK {

@@ -94,21 +94,16 @@ fn clearance_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
         let share = if positive { particle.positive_share } else { particle.negative_share };
         share * command_v.clamp(-5.0, 5.0)
     };
+    let mut seen: State = case.state.into();
     let mut state = State {
-        theta: f64::from(case.state.theta) + error.theta,
-        alpha: f64::from(case.state.alpha) + error.alpha,
-        theta_dot: f64::from(case.state.theta_dot) + error.theta_dot,
-        alpha_dot: f64::from(case.state.alpha_dot) + error.alpha_dot,
+        theta: seen.theta + error.theta,
+        alpha: seen.alpha + error.alpha,
+        theta_dot: seen.theta_dot + error.theta_dot,
+        alpha_dot: seen.alpha_dot + error.alpha_dot,
     };
     // Oldest first; the last command belongs to the current period.
     let mut commands_v: Vec<f64> = case.sent_v.iter().rev().map(|&v| arriving(v.into())).collect();
     let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);
-    let mut seen = State {
-        theta: f64::from(case.state.theta),
-        alpha: f64::from(case.state.alpha),
-        theta_dot: f64::from(case.state.theta_dot),
-        alpha_dot: f64::from(case.state.alpha_dot),
-    };
     // The filter's lag makes the estimated velocities older than the angles.
     let ago = (particle.model.nonidealities.command_delay_s / CONTROL_PERIOD_S).floor() as usize;
     let before_v = commands_v[commands_v.len().saturating_sub(1 + ago).min(commands_v.len() - 1)];
@@ -291,7 +286,7 @@ fn a_state_that_is_not_a_number_does_not_hold() {
     let particles = [Particle::exact(QubeModel::NOMINAL); 3];
     let mut foresight =
         Foresight::new(&particles, CentringBrake::default(), ENDS, PREDICTION_HORIZON);
-    let at_rest = State { theta: 0.0, alpha: 0.0, theta_dot: 0.0, alpha_dot: 0.0 };
+    let at_rest = State::default();
     let case = Case { state: at_rest, sent_v: [0.0; MAX_HISTORY], voltage_v: 1.0 };
     let outlook = predict(&mut foresight, &case);
     assert!(outlook.holds && outlook.periods < 10, "{outlook:?}");
@@ -327,12 +322,7 @@ fn a_brake_that_is_not_late_takes_energy_from_every_qube() {
                 + dynamics.ideal.torque_per_volt * brake.potential_v_rad(state.theta)
                 + 0.5 * dynamics.cable_stiffness * stretch * stretch
         };
-        let mut state = State {
-            theta: case.state.theta.into(),
-            alpha: case.state.alpha.into(),
-            theta_dot: case.state.theta_dot.into(),
-            alpha_dot: case.state.alpha_dot.into(),
-        };
+        let mut state: State = case.state.into();
         for _ in 0..20_000 {
             let next = runge_kutta_4(&dynamics, state, brake.voltage_v(&state), 1e-5);
             assert!(energy_j(&next) <= energy_j(&state) + 1e-7, "{state:?} of {particle:?}");

@@ -107,15 +107,9 @@ fn side_by_side(
                 Some(_) => pendulums.seen(lane),
                 None => pendulums.state(lane),
             };
-            let number = |value: f32| f64::from(value);
-            motions[lane].states.push(State {
-                theta: number(seen.theta),
-                alpha: number(seen.alpha),
-                theta_dot: number(seen.theta_dot),
-                alpha_dot: number(seen.alpha_dot),
-            });
+            motions[lane].states.push(seen.into());
             // A recording has the voltage that the motor gets, within its limit.
-            let applied_v = number(voltages_v[lane]).clamp(-largest_v, largest_v);
+            let applied_v = f64::from(voltages_v[lane]).clamp(-largest_v, largest_v);
             motions[lane].voltages_v.push(applied_v);
         }
         pendulums.step(&voltages_v, &mut rewards, &mut statuses, &mut observations);

@@ -43,13 +43,7 @@ fn excitation_of(model: QubeModel, shape: ExcitationShape, number: u32) -> Demon
     let (mut voltages_v, mut rewards) = (vec![0.0; lanes], vec![0.0; lanes]);
     let mut statuses = vec![LaneStatus::Running; lanes];
     let states = (0..EXCITATION_STEPS).map(|_| {
-        let seen = pendulums.state(0);
-        let state = State {
-            theta: f64::from(seen.theta),
-            alpha: f64::from(seen.alpha),
-            theta_dot: f64::from(seen.theta_dot),
-            alpha_dot: f64::from(seen.alpha_dot),
-        };
+        let state: State = pendulums.state(0).into();
         let voltage_v = excitation.voltage_v(&state);
         voltages_v.fill(voltage_v as f32);
         pendulums.step(&voltages_v, &mut rewards, &mut statuses, &mut observations);
