@@ -11,7 +11,8 @@ use qube_hil::learning::simulated_sensors;
 use qube_hil::policy::SimulatedSensors;
 use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity};
 use qube_hil::simulation::{
-    DomainDistribution, LANES_MULTIPLE, LaneStatus, Pendulums, SimulationSettings, Trajectory,
+    DomainDistribution, LANES_MULTIPLE, LaneStatus, Observations, Pendulums, SimulationSettings,
+    Trajectory,
 };
 
 use crate::distribution::{Around, Qubes, read_qubes};
@@ -392,7 +393,6 @@ impl Lanes {
 
     /// The first of the first `count` lanes with an observation that is not a finite number.
     pub fn first_not_finite(&self, count: usize) -> Option<usize> {
-        let lanes = self.pendulums.lanes();
         // Zero times a finite number is zero, zero times any other is NaN. Sums in lanes are faster
         // than a test of each number.
         let (blocks, _) = self.observations.as_chunks::<LANES_MULTIPLE>();
@@ -403,28 +403,25 @@ impl Lanes {
         if sums == [0.0; LANES_MULTIPLE] {
             return None;
         }
-        (0..count).find(|lane| {
-            !self.observations.iter().skip(*lane).step_by(lanes).all(|entry| entry.is_finite())
-        })
+        let observations = self.observations_by_lane();
+        (0..count).find(|lane| !observations.of_lane(*lane).all(f32::is_finite))
     }
 
     /// Copies the observation in a lane to `row`.
     fn observation(&self, lane: usize, row: &mut [f32]) {
-        let lanes = self.pendulums.lanes();
-        for (feature, value) in row.iter_mut().enumerate() {
-            *value = self.observations[feature * lanes + lane];
-        }
+        self.observations_by_lane().copy_lane(lane, row);
     }
 
     /// Copies the observations of the first lanes to `rows`, lane by lane.
     fn write_observations(&self, rows: &mut [f32]) {
-        let (lanes, size) = (self.pendulums.lanes(), self.pendulums.observation_size());
-        let features: Vec<&[f32]> = self.observations.chunks_exact(lanes).collect();
-        for (lane, row) in rows.chunks_exact_mut(size).enumerate() {
-            for (value, feature) in row.iter_mut().zip(&features) {
-                *value = feature[lane];
-            }
+        let observations = self.observations_by_lane();
+        for (lane, row) in rows.chunks_exact_mut(self.pendulums.observation_size()).enumerate() {
+            observations.copy_lane(lane, row);
         }
+    }
+
+    fn observations_by_lane(&self) -> Observations<'_> {
+        Observations::new(&self.observations, self.pendulums.lanes())
     }
 }
 

@@ -13,7 +13,7 @@ use super::smoothness::SmoothnessFactor;
 use super::transition::{End, ExtraInputs, Observation, Transition, estimate_advantages, inputs};
 use crate::elementary::{dispatch, exp, normal_pair};
 use crate::qube::MAX_STEPS;
-use crate::simulation::{DomainDistribution, LaneStatus, Pendulums, Trajectory};
+use crate::simulation::{DomainDistribution, LaneStatus, Observations, Pendulums, Trajectory};
 
 /// The transitions of one update, one trajectory after the other, each in order of time.
 pub(super) struct Batch {
@@ -114,16 +114,17 @@ impl Collector<'_> {
         pendulums.observe(&mut observations[..observed]);
         for step in 0..MAX_STEPS {
             outputs(self.policy, &observations, &mut means);
+            let seen = Observations::new(&observations, width);
             for (lane, explorer) in explorers.iter_mut().enumerate() {
                 let action = std.mul_add(explorer.noise(), means[lane]);
                 voltages_v[lane] = VOLTS_PER_OUTPUT * action;
                 let transition = &mut transitions[lane * MAX_STEPS + step];
-                transition.observation = observation(&observations, lane, width);
+                transition.observation = observation(&seen, lane);
                 transition.action = action;
                 let z = (action - means[lane]) * inverse_std;
                 transition.log_probability = gaussian_log_probability(z, log_std);
                 if let Some(entry) = further_of.get_mut(lane * MAX_STEPS + step) {
-                    *entry = extra_inputs(&observations, lane, width);
+                    *entry = extra_inputs(&seen, lane);
                 }
             }
             let own = &mut observations[..observed];
@@ -136,10 +137,11 @@ impl Collector<'_> {
                 match statuses[lane] {
                     LaneStatus::Running if !is_last => continue,
                     LaneStatus::Running | LaneStatus::TimeUp => {
+                        let seen = Observations::new(&observations, width);
                         truncated.push(Truncated {
                             place: ends.len(),
-                            observation: observation(&observations, lane, width),
-                            extra_inputs: extra_inputs(&observations, lane, width),
+                            observation: observation(&seen, lane),
+                            extra_inputs: extra_inputs(&seen, lane),
                         });
                     }
                     LaneStatus::LeftBox => {}
@@ -257,19 +259,17 @@ impl Explorer {
     }
 }
 
-fn observation(observations: &[f32], lane: usize, lanes: usize) -> Observation {
+fn observation(observations: &Observations<'_>, lane: usize) -> Observation {
     let mut observation = Observation::default();
-    for (entry, of_lanes) in observation.iter_mut().zip(observations.chunks_exact(lanes)) {
-        *entry = of_lanes[lane];
-    }
+    observations.copy_lane(lane, &mut observation);
     observation
 }
 
-fn extra_inputs(observations: &[f32], lane: usize, lanes: usize) -> ExtraInputs {
+fn extra_inputs(observations: &Observations<'_>, lane: usize) -> ExtraInputs {
     let mut extra_inputs = ExtraInputs::default();
-    let beyond = observations.chunks_exact(lanes).skip(MAX_OBSERVATION_SIZE);
-    for (entry, of_lanes) in extra_inputs.iter_mut().zip(beyond) {
-        *entry = of_lanes[lane];
+    let beyond = observations.of_lane(lane).skip(MAX_OBSERVATION_SIZE);
+    for (entry, feature) in extra_inputs.iter_mut().zip(beyond) {
+        *entry = feature;
     }
     extra_inputs
 }

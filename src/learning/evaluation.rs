@@ -1,5 +1,7 @@
 use crate::policy::Network;
-use crate::simulation::{DomainDistribution, Evaluation, SimulationSettings, evaluate};
+use crate::simulation::{
+    DomainDistribution, Evaluation, Observations, SimulationSettings, evaluate,
+};
 
 /// Evaluates a policy in the form in which it is deployed, from `starts` starts that its training
 /// has not seen. The evaluations during training overestimate the best policy, so a published
@@ -18,10 +20,9 @@ pub fn evaluate_on_new_starts(
 ) -> Evaluation {
     let mut network = network.clone();
     let mut actor = |observations: &[f32], voltages_v: &mut [f32]| {
-        let lanes = voltages_v.len();
+        let observations = Observations::new(observations, voltages_v.len());
         for (lane, voltage_v) in voltages_v.iter_mut().enumerate() {
-            let observation: Vec<f32> =
-                observations.iter().skip(lane).step_by(lanes).copied().collect();
+            let observation: Vec<f32> = observations.of_lane(lane).collect();
             *voltage_v = network.voltage_of_observation_v(&observation);
         }
     };

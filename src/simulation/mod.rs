@@ -26,6 +26,7 @@ mod evaluation;
 mod lane_observer;
 mod lane_status;
 mod model;
+mod observations;
 mod pendulums;
 #[cfg(test)]
 mod pendulums_tests;
@@ -47,6 +48,7 @@ pub use domain_distribution::{DomainDistribution, Family};
 pub use evaluation::{Actor, Evaluation, evaluate, evaluate_with};
 pub use lane_status::LaneStatus;
 pub use model::{Model, ProfileSettings};
+pub use observations::Observations;
 pub use pendulums::{LANES_MULTIPLE, Pendulums};
 pub use psi::Psi;
 pub use psi_dimension::{PsiDimension, PsiTarget};

@@ -13,9 +13,10 @@ pub const LANES_MULTIPLE: usize = BLOCK;
 /// by one control period.
 ///
 /// Slices with one entry for each lane have length [`Self::lanes`]. Observations are feature-major,
-/// `[observation_size][lanes]`: feature `f` of lane `i` is entry `f * lanes + i`. The features are
-/// those of [`crate::qube::observation`], then the last commands as fractions of 5 V, newest first;
-/// commands before the start of a trajectory count as zero. The numbers of a lane depend on its own
+/// `[observation_size][lanes]`: feature `f` of lane `i` is entry `f * lanes + i`
+/// ([`super::Observations`] reads them lane by lane). The features are those of
+/// [`crate::qube::observation`], then the last commands as fractions of 5 V, newest first; commands
+/// before the start of a trajectory count as zero. The numbers of a lane depend on its own
 /// trajectory and voltages alone, and have the same bits on every instruction set.
 #[derive(Clone, Debug)]
 pub struct Pendulums {

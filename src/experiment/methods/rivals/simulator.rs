@@ -1,7 +1,9 @@
 use crate::policy::Network;
 use crate::qube::{CONTROL_PERIOD_S, MAX_STEPS, PlantModel, QubeModel, State};
 use crate::replay::{MotionLog, MotionSample};
-use crate::simulation::{LaneStatus, Pendulums, SensorModel, SimulationSettings, Trajectory};
+use crate::simulation::{
+    LaneStatus, Observations, Pendulums, SensorModel, SimulationSettings, Trajectory,
+};
 
 /// Number of Qubes that are simulated side by side.
 const LANES: usize = 256;
@@ -96,9 +98,7 @@ fn side_by_side(
         for lane in 0..models.len() {
             voltages_v[lane] = match &mut policy {
                 Some(policy) => {
-                    for (feature, of_lanes) in observed.iter_mut().zip(observations.chunks(lanes)) {
-                        *feature = of_lanes[lane];
-                    }
+                    Observations::new(&observations, lanes).copy_lane(lane, &mut observed);
                     policy.voltage_of_observation_v(&observed)
                 }
                 None => recorded_v as f32,
