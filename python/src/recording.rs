@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyString};
-use qube_hil::qube::Measurement;
+use qube_hil::qube::{Measurement, volts};
 use qube_hil::recording::{Completeness, Recording, column, read};
 use qube_hil::scoring::return_of;
 use qube_hil::telemetry::TickRecord;
@@ -63,7 +63,7 @@ fn columns<'py>(py: Python<'py>, recording: &Recording) -> PyResult<Bound<'py, P
     column!(column::THETA_DOT_RAD_S, |tick| tick.state.theta_dot);
     column!(column::ALPHA_DOT_RAD_S, |tick| tick.state.alpha_dot);
     column!("wanted_v", |tick| tick.wanted_v.unwrap_or(f64::NAN));
-    column!(column::VOLTAGE_V, |tick| f64::from(tick.voltage_mv) / 1000.0);
+    column!(column::VOLTAGE_V, |tick| tick.voltage_v());
     let weights = &recording.header.reward;
     column!("reward", |tick| return_of(std::slice::from_ref(tick), weights));
     column!("has_sample", |tick| tick.measurement.is_some());
@@ -77,7 +77,7 @@ fn columns<'py>(py: Python<'py>, recording: &Recording) -> PyResult<Bound<'py, P
         |tick: &TickRecord| tick.measurement.map(|sample| calibration.tachometer_rad_s(&sample));
     column!("tachometer_rad_s", |tick| tachometer(tick).unwrap_or(f64::NAN));
     column!("current_a", sampled(|sample| sample.current_a.into()));
-    column!(column::APPLIED_V, sampled(|sample| f64::from(sample.applied_mv) / 1000.0));
+    column!(column::APPLIED_V, sampled(|sample| volts(sample.applied_mv)));
     let sample_to_act = |sample: &Measurement| sample.sample_to_act_us.map_or(f64::NAN, f64::from);
     column!("sample_to_act_us", sampled(sample_to_act));
     column!("lateness_us", |tick| 1e-3 * tick.lateness_ns as f64);

@@ -11,7 +11,7 @@ use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOu
 use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
-use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, Measurement, State};
+use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, Measurement, State, volts};
 use crate::safety::{
     Brake, Contradiction, Foreseen, ForeseenAngle, ForesightSettings, Guard, Limit,
     TrustedForesight, clamp_to_mv,
@@ -540,7 +540,7 @@ impl<C: Controller> Motion for Tick<C> {
         } else if self.phase == Phase::Running {
             self.angle = self.foresight.as_ref().and_then(TrustedForesight::angle);
         }
-        self.estimator.send(f64::from(self.voltage_mv) / 1000.0);
+        self.estimator.send(volts(self.voltage_mv));
         self.periods_in_phase += 1;
         TickOutput { wanted_v: Some(wanted_v), ..self.output() }
     }

@@ -239,7 +239,7 @@ impl Feed {
             since_ns as f64 * 1e-9,
             tick.state.theta,
             tick.state.alpha,
-            f64::from(tick.voltage_mv) / 1000.0,
+            tick.voltage_v(),
             f64::from(tick.phase.number()),
             rollout.number as f64,
         ];

@@ -52,7 +52,7 @@ pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
 pub use lanes::{BLOCK, InLanes, Lanes};
 pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V};
 pub use measurement::{Measurement, Status};
-pub use motor_driver::applied_voltage_mv;
+pub use motor_driver::{applied_voltage_mv, volts};
 pub use motor_rating::MotorRating;
 pub use nonidealities::{
     MAX_CABLE_DRIFT_RAD_PER_MIN, ModelError, NonidealDynamics, Nonidealities, QubeModel,

@@ -13,6 +13,12 @@ pub fn applied_voltage_mv(commanded_mv: i16) -> i16 {
     applied_mv.clamp(i16::MIN.into(), i16::MAX.into()) as i16
 }
 
+/// Converts a voltage from mV to V.
+#[must_use]
+pub fn volts(voltage_mv: i16) -> f64 {
+    f64::from(voltage_mv) / 1000.0
+}
+
 /// Quotient by a positive number, rounded to nearest, halves away from zero.
 fn rounded_quotient(dividend: i32, divisor: i32) -> i32 {
     (dividend + dividend.signum() * (divisor / 2)) / divisor

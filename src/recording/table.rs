@@ -122,7 +122,7 @@ pub fn csv_table(recording: &Recording) -> String {
 fn row(recording: &Recording, tick: &TickRecord, first_ns: u64) -> [Field; COLUMNS.len()] {
     let header = &recording.header;
     let state = &tick.state;
-    let voltage_v = f64::from(tick.voltage_mv) / 1000.0;
+    let voltage_v = tick.voltage_v();
     let is_running = tick.phase == Phase::Running;
     let measurement = tick.measurement.as_ref();
     let angles_rad = measurement.map(|it| header.settings.calibration.angles_rad(it));

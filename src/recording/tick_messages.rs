@@ -230,7 +230,7 @@ impl CommandMessage {
         let mut not_finite = NotFinite::default();
         Self {
             wanted_v: record.wanted_v.and_then(|wanted_v| not_finite.keep("wanted_v", wanted_v)),
-            voltage_v: f64::from(record.voltage_mv) / 1000.0,
+            voltage_v: record.voltage_v(),
             voltage_mv: record.voltage_mv,
             not_finite: not_finite.into_text(),
         }

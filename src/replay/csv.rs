@@ -3,7 +3,7 @@ use thiserror::Error;
 use super::MotionSample;
 use super::motion_log::{device_time_s, with_turns_of};
 use super::motion_sample::MAX_INTERRUPTION_S;
-use crate::qube::{State, applied_voltage_mv};
+use crate::qube::{State, applied_voltage_mv, volts};
 use crate::recording::column;
 use crate::telemetry::Phase;
 
@@ -145,7 +145,7 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
             let text = row.split(',').nth(places[COLUMNS.len() - 1]).map_or("", str::trim);
             COMMANDED.check(line, text, sample.voltage_v)?;
             let commanded_mv = (1000.0 * sample.voltage_v).round() as i16;
-            sample.voltage_v = f64::from(applied_voltage_mv(commanded_mv)) / 1000.0;
+            sample.voltage_v = volts(applied_voltage_mv(commanded_mv));
         }
         if let Some(reported) = &reported {
             let time_us = reported.replace(line, row, &mut sample)?;
@@ -341,7 +341,7 @@ mod tests {
         let samples = parse_csv(text).unwrap();
         let found: Vec<_> =
             samples.iter().map(|it| (it.time_s, it.state.theta, it.voltage_v)).collect();
-        let applied_v = f64::from(applied_voltage_mv(100)) / 1000.0;
+        let applied_v = volts(applied_voltage_mv(100));
         assert_eq!(found, [(0.01, 2.0, applied_v), (0.03, 3.0, applied_v)]);
         assert!(applied_v != 0.1 && (applied_v - 0.1).abs() < 0.013, "{applied_v}");
     }

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use super::MotionSample;
 use super::csv::{CsvError, parse_csv};
-use crate::qube::{PlantModel, State, applied_voltage_mv};
+use crate::qube::{PlantModel, State, applied_voltage_mv, volts};
 use crate::recording::{self, Recording, RecordingError, is_recording};
 use crate::safety::Limit;
 use crate::storage::read_text;
@@ -161,7 +161,7 @@ impl MotionLog {
             let start_us = *start_us.get_or_insert(measurement.device_time_us);
             let time_s = device_time_s(measurement.device_time_us, start_us);
             if samples.last().is_none_or(|last| time_s > last.time_s) {
-                let voltage_v = f64::from(applied_voltage_mv(tick.voltage_mv)) / 1000.0;
+                let voltage_v = volts(applied_voltage_mv(tick.voltage_mv));
                 let (theta, counted) =
                     recording.header.settings.calibration.angles_rad(measurement);
                 let alpha = with_turns_of(tick.state.alpha, counted);

@@ -9,7 +9,7 @@ use crate::policy::{
 };
 use crate::qube::{
     CONTROL_PERIOD_NS, DomainParameters, Dynamics, Measurement, Nonidealities, PlantModel,
-    QubeModel, RAD_PER_COUNT, State, Status, control_step, counts,
+    QubeModel, RAD_PER_COUNT, State, Status, control_step, counts, volts,
 };
 use crate::recording::samples::{POLICY, header, outcome};
 use crate::recording::{Recording, RolloutWriter, parse};
@@ -126,7 +126,7 @@ fn recorded_under(
             let outcome = RolloutOutcome { ending, ..outcome() };
             return parse(&writer.finish(&outcome).unwrap()).unwrap();
         }
-        plant = control_step(&dynamics, plant, f64::from(output.voltage_mv) / 1000.0);
+        plant = control_step(&dynamics, plant, volts(output.voltage_mv));
     }
     unreachable!()
 }

@@ -84,9 +84,9 @@ impl Quietness {
     /// Adds one tick and the change of the voltage since the tick before.
     fn add_tick(&mut self, before: &TickRecord, tick: &TickRecord, plant: &PlantModel) {
         let (last_mv, now_mv) = (before.voltage_mv, tick.voltage_mv);
-        let voltage_v = volts(now_mv);
+        let voltage_v = tick.voltage_v();
         self.ticks += 1;
-        self.changes_v += (voltage_v - volts(last_mv)).abs();
+        self.changes_v += (voltage_v - before.voltage_v()).abs();
         self.sign_changes += u64::from(i32::from(last_mv) * i32::from(now_mv) < 0);
         self.squares_v2 += voltage_v * voltage_v;
         self.losses_w += copper_loss_w(voltage_v, tick.state.theta_dot, plant);
@@ -123,10 +123,6 @@ impl Quietness {
             copper_loss_w: self.losses_w / ticks,
         })
     }
-}
-
-fn volts(millivolts: i16) -> f64 {
-    f64::from(millivolts) / 1000.0
 }
 
 /// Copper loss I^2 R of the plant's nominal winding, W, with the current computed from voltage and

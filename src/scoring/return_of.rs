@@ -11,7 +11,7 @@ pub fn return_of(ticks: &[TickRecord], weights: &RewardWeights) -> f64 {
     ticks
         .iter()
         .filter(|tick| tick.phase == Phase::Running)
-        .map(|tick| weights.reward(&tick.state, f64::from(tick.voltage_mv) / 1000.0))
+        .map(|tick| weights.reward(&tick.state, tick.voltage_v()))
         .fold(0.0, |sum, reward| sum + reward)
 }
 

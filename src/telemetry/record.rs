@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use crate::qube::{Measurement, State};
+use crate::qube::{Measurement, State, volts};
 
 /// The phase of a rollout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -84,6 +84,14 @@ pub struct TickRecord {
     /// written, by the host's clock, ns. Without a sample, and in the last tick of a motion,
     /// nothing is written, and the time ends with the decision.
     pub turnaround_ns: u64,
+}
+
+impl TickRecord {
+    /// Voltage that was sent or held, V (see [`Self::voltage_mv`]).
+    #[must_use]
+    pub fn voltage_v(&self) -> f64 {
+        volts(self.voltage_mv)
+    }
 }
 
 #[cfg(test)]

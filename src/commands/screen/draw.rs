@@ -271,7 +271,7 @@ fn draw_rollout(frame: &mut Frame, area: Rect, rollout: &RolloutState, styles: S
     // A step lasts 10 ms.
     let seconds = f64::from(rollout.steps) * 0.01;
     let state = &rollout.tick.state;
-    let voltage_v = f64::from(rollout.tick.voltage_mv) / 1000.0;
+    let voltage_v = rollout.tick.voltage_v();
     let lines = [
         Line::styled(format!("{phase}, {seconds:.1} s"), styles.strong()),
         quantity(
