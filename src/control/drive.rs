@@ -194,9 +194,7 @@ impl TickCounts {
     fn count(&mut self, record: &TickRecord, pushed: bool) {
         self.ticks += 1;
         self.steps += u32::from(record.phase == Phase::Running);
-        self.missed_deadlines += record.skipped_periods;
-        self.missed_deadlines +=
-            u32::from(record.measurement.is_none() || record.lateness_ns > CONTROL_PERIOD_NS);
+        self.missed_deadlines += record.missed_deadlines();
         self.records_lost += u64::from(!pushed);
         self.last_measurement = record.measurement.or(self.last_measurement);
     }

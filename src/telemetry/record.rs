@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use crate::qube::{Measurement, State, volts};
+use crate::qube::{CONTROL_PERIOD_NS, Measurement, State, volts};
 
 /// The phase of a rollout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -92,11 +92,31 @@ impl TickRecord {
     pub fn voltage_v(&self) -> f64 {
         volts(self.voltage_mv)
     }
+
+    /// Number of deadlines that this tick missed: each skipped period, and the tick itself if it
+    /// was late by more than a period or had no valid sample.
+    #[must_use]
+    pub fn missed_deadlines(&self) -> u32 {
+        let is_missed = self.measurement.is_none() || self.lateness_ns > CONTROL_PERIOD_NS;
+        self.skipped_periods.saturating_add(is_missed.into())
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn late_skipped_and_blind_ticks_are_missed_deadlines() {
+        let sampled = TickRecord { measurement: Some(Default::default()), ..TickRecord::default() };
+        assert_eq!(sampled.missed_deadlines(), 0);
+        let late = TickRecord { lateness_ns: CONTROL_PERIOD_NS + 1, ..sampled };
+        assert_eq!(late.missed_deadlines(), 1);
+        let late_and_blind = TickRecord { measurement: None, ..late };
+        assert_eq!(late_and_blind.missed_deadlines(), 1);
+        let after_skipped = TickRecord { skipped_periods: 2, ..late };
+        assert_eq!(after_skipped.missed_deadlines(), 3);
+    }
 
     #[test]
     fn each_phase_has_the_name_that_is_written() {
