@@ -12,7 +12,7 @@ use super::failures;
 use super::printable::print_message;
 use crate::experiment::{ExperimentFolder, is_irreplaceable};
 use crate::session::{FolderError, SessionPaths};
-use crate::storage::{Disk, Existing, FolderLock, MachineDisk, write_new, write_whole};
+use crate::storage::{Disk, Existing, FolderLock, MachineDisk, folder_of, write_new, write_whole};
 
 /// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
 const ROOM_BYTES: usize = 1 << 18;
@@ -217,14 +217,6 @@ impl Drop for OutputFolder {
 /// The number of a recording named `rollout-NUMBER.mcap`; `None` for any other name.
 fn rollout_of(name: &OsStr) -> Option<u64> {
     name.to_str()?.strip_prefix("rollout-")?.strip_suffix(".mcap")?.parse().ok()
-}
-
-/// The folder that contains a file of this path; `.` for a name alone.
-pub fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    }
 }
 
 /// Checks that a file can be created in a folder, and that the disk has enough space.

@@ -4,13 +4,13 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use super::destination::folder_of;
 use super::emulated_arguments::EmulatedArguments;
 use super::exit::Failure;
 use super::output::Output;
 use super::plant_file::PlantArgument;
 use super::stop::Stop;
 use crate::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, UsbBridge, Wiring};
+use crate::storage::folder_of;
 
 /// Serve an emulated Qube on a pseudo-terminal (pty) that any program can open like a serial port
 ///

@@ -5,7 +5,7 @@ use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use serde_json::json;
 
-use super::destination::{OutputFile, check_folder, folder_of};
+use super::destination::{OutputFile, check_folder};
 use super::estimator_arguments::{EstimatorArguments, Sensors};
 use super::exit::Failure;
 use super::failures;
@@ -31,7 +31,7 @@ use crate::simulation::{
     DomainDistribution, Family, MAX_COMMAND_DELAY_S, Model, ProfileSettings, Psi, SensorModel,
     SimulationSettings,
 };
-use crate::storage::Existing;
+use crate::storage::{Existing, folder_of};
 
 /// Train one policy in randomised simulation
 ///

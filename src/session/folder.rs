@@ -7,8 +7,8 @@ use thiserror::Error;
 
 use super::SessionPaths;
 use crate::storage::{
-    Disk, FolderLock, MachineDisk, WriteError, file_exists, is_unfinished_of, remove_unfinished,
-    write_whole,
+    Disk, FolderLock, MachineDisk, WriteError, file_exists, folder_of, is_unfinished_of,
+    remove_unfinished, write_whole,
 };
 
 /// An error of a session's folder.
@@ -233,8 +233,7 @@ fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
 /// # Errors
 /// The folder cannot be read, or the file cannot be renamed.
 pub fn put_aside(disk: &dyn Disk, recording: &Path) -> Result<(), FolderError> {
-    let named = recording.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let folder = named.unwrap_or(Path::new("."));
+    let folder = folder_of(recording);
     let names = disk.names(folder).map_err(io(folder))?;
     let mut asides =
         (1..).map(|number| recording.with_extension(format!("unfinished-{number}.mcap")));

@@ -204,9 +204,15 @@ impl Drop for FolderLock {
 /// # Errors
 /// The storage failed.
 pub fn sync_name(disk: &dyn Disk, path: &Path) -> io::Result<()> {
+    disk.sync_folder(folder_of(path))
+}
+
+/// The folder that contains a file of this path; `.` for a name alone.
+#[must_use]
+pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => disk.sync_folder(parent),
-        _ => disk.sync_folder(Path::new(".")),
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
     }
 }
 
@@ -300,13 +306,13 @@ pub fn is_unfinished_of(disk: &dyn Disk, path: &Path, of: &Path) -> bool {
     };
     let names = path.file_name().zip(of.file_name());
     let belongs = names.and_then(|(name, of)| belongs(name, of)) == Some(true);
-    belongs && path.parent() == of.parent() && !disk.is_link(path)
+    belongs && folder_of(path) == folder_of(of) && !disk.is_link(path)
 }
 
 /// Removes the unfinished files that killed processes left when they wrote the file `of`; ignores
 /// errors. The caller makes sure that no other process is writing `of`.
 pub fn remove_unfinished(disk: &dyn Disk, of: &Path) {
-    let folder = of.parent().unwrap_or(Path::new("."));
+    let folder = folder_of(of);
     for name in disk.names(folder).unwrap_or_default() {
         let path = folder.join(name);
         if is_unfinished_of(disk, &path, of) {
@@ -371,6 +377,15 @@ mod tests {
             }
         });
         assert_eq!(MachineDisk.names(directory.path()).unwrap().len(), 4);
+    }
+
+    #[test]
+    fn a_name_alone_is_in_the_working_folder() {
+        for (path, folder) in [("a/b/c", "a/b"), ("/c", "/"), ("./c", "."), ("c", "."), ("", ".")] {
+            assert_eq!(folder_of(Path::new(path)), Path::new(folder), "{path}");
+        }
+        let [file, partial] = ["a.toml", "./a.toml.7-0.unfinished"].map(Path::new);
+        assert!(is_unfinished_of(&MachineDisk, partial, file));
     }
 
     #[test]
