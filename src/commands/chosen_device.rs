@@ -14,7 +14,8 @@ use crate::preflight::doctor::may_be_serial;
 use crate::qube::{MotorRating, PlantModel, Profile};
 use crate::rig::{ClockChoice, DeviceChoice, RigSettings};
 use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
-use crate::session::{QubeFile, file_checksum};
+use crate::session::QubeFile;
+use crate::storage::checksum_of;
 
 /// Name of the embedded emulator in `--device`.
 pub const EMULATED: &str = "emulated";
@@ -126,7 +127,7 @@ impl ChosenDevice {
     /// `none` without a profile.
     pub fn guard_profile(&self) -> String {
         let text = self.profile.as_ref().and_then(|profile| serde_json::to_vec(profile).ok());
-        text.map_or_else(|| "none".to_owned(), |text| file_checksum(&text))
+        text.map_or_else(|| "none".to_owned(), |text| checksum_of(&text))
     }
 
     /// Checks that resumed work keeps the guard and the homing that it began with, because its

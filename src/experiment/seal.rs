@@ -1,21 +1,20 @@
 //! The last line of an `experiment.toml`: a checksum of the lines above it. The checksum reveals a
 //! changed setting before it mixes the results of two experiments.
 
-use crate::session::file_checksum;
+use crate::storage::checksum_of;
 
 const MARK: &str = "# checksum of the lines above, as this experiment began: ";
 
 /// The settings with the checksum below them.
 pub(super) fn sealed(settings: &str) -> String {
-    format!("{settings}{MARK}{}\n", file_checksum(settings.as_bytes()))
+    format!("{settings}{MARK}{}\n", checksum_of(settings.as_bytes()))
 }
 
 /// Whether the lines above the checksum are unchanged and no line follows it. A file without a
 /// checksum, as early versions wrote it, passes.
 pub(super) fn is_unchanged(text: &str) -> bool {
-    text.rsplit_once(MARK).is_none_or(|(settings, checksum)| {
-        file_checksum(settings.as_bytes()) == checksum.trim_end()
-    })
+    text.rsplit_once(MARK)
+        .is_none_or(|(settings, checksum)| checksum_of(settings.as_bytes()) == checksum.trim_end())
 }
 
 #[cfg(test)]

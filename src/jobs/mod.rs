@@ -25,7 +25,6 @@
 //! # Ok::<(), qube_hil::jobs::JobError>(())
 //! ```
 
-mod checksum;
 mod competition;
 mod error;
 mod executor;

@@ -1,8 +1,8 @@
 use serde::{Deserialize, Serialize};
 
-use super::checksum::checksum;
 use crate::learning::TrainSettings;
 use crate::simulation::DomainDistribution;
+use crate::storage::checksum_of;
 
 /// A training as data: the same job gives the same policy and learning curve, bit for bit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,7 +24,7 @@ impl TrainingJob {
         // The number of threads does not change the result.
         job.settings.threads = 1;
         let json = serde_json::to_vec(&job);
-        checksum(&json.expect("plain structs with text keys always become JSON"))
+        checksum_of(&json.expect("plain structs with text keys always become JSON"))
     }
 }
 

@@ -8,7 +8,7 @@ pub enum Entry {
     /// The session began with these settings: the first line. Ledgers of older programs lack it;
     /// such a session can be read, and cannot be continued.
     Begun {
-        /// The checksum of `session.toml`, as [`super::file_checksum`] computes it.
+        /// The checksum of `session.toml`, as [`crate::storage::checksum_of`] computes it.
         settings: String,
         /// Whether the checksum of each later line includes that of the line before it, so that no
         /// line can be removed unnoticed. Ledgers of older programs are not chained.
@@ -60,8 +60,8 @@ pub enum Entry {
         verdict: String,
         /// Names of the effects that the verdict says are missing.
         doubts: Vec<String>,
-        /// The checksum of the profile, as [`super::file_checksum`] computes it. The checksum
-        /// protects the file, which determines the guard.
+        /// The checksum of the profile, as [`crate::storage::checksum_of`] computes it. It protects
+        /// the file, which determines the guard.
         checksum: String,
     },
     /// The Qube could not be identified from its recordings; the search continues as for an unknown

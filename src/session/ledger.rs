@@ -2,17 +2,15 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::str::Utf8Error;
 
-use crc::{CRC_32_ISO_HDLC, CRC_64_XZ, Crc};
+use crc::{CRC_32_ISO_HDLC, Crc};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{Entry, EntryError, SessionState};
 use crate::storage::{Disk, DiskFile, sync_name};
 
-/// The checksum of whole files. It has more bits than a line's checksum, because files are longer.
-const FILE_CHECKSUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
-
-/// The checksum of a line's entry.
+/// The checksum of a line's entry. It has fewer bits than [`crate::storage::checksum_of`], the
+/// checksum of whole files, because a line is shorter.
 const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// The reason why a ledger cannot be used.
@@ -200,13 +198,6 @@ impl Ledger {
     }
 }
 
-/// The checksum of a whole file, 16 hexadecimal digits, with which a ledger recognises its own
-/// `session.toml` and profiles.
-#[must_use]
-pub fn file_checksum(bytes: &[u8]) -> String {
-    format!("{:016x}", FILE_CHECKSUM.checksum(bytes))
-}
-
 fn encode(entry: &Entry, chain: &mut Chain) -> serde_json::Result<String> {
     let json = serde_json::value::to_raw_value(entry)?;
     let crc32 = chain.checksum(json.get());
@@ -306,7 +297,7 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
 mod tests {
     use super::*;
     use crate::session::Purpose;
-    use crate::storage::MachineDisk;
+    use crate::storage::{MachineDisk, checksum_of};
 
     fn sample() -> Vec<Entry> {
         vec![
@@ -410,7 +401,7 @@ mod tests {
         let finished =
             |rollout, attempt| Entry::RolloutFinished { candidate: 0, rollout, attempt, rig: None };
         let trained = Entry::Trained { candidate: 0 };
-        let begun = || Entry::Begun { settings: file_checksum(b"seed = 1"), chained: false };
+        let begun = || Entry::Begun { settings: checksum_of(b"seed = 1"), chained: false };
         parse(lines(&[begun(), proposed(0), trained.clone()]).as_bytes()).unwrap();
         for (entries, line) in [
             (vec![begun(), begun()], 2),
@@ -432,7 +423,7 @@ mod tests {
 
     #[test]
     fn a_line_that_was_removed_or_moved_is_found() {
-        let begun = |chained| Entry::Begun { settings: file_checksum(b"seed = 1"), chained };
+        let begun = |chained| Entry::Begun { settings: checksum_of(b"seed = 1"), chained };
         let entries = |chained| [&[begun(chained)], &sample()[..]].concat();
         let whole = lines(&entries(true));
         assert_eq!(parse(whole.as_bytes()).unwrap().entries, entries(true));

@@ -80,7 +80,7 @@ pub use finished_rollout::{check_origin, check_policy, finished_rollout};
 pub use folder::{FolderError, SessionFolder, put_aside};
 pub use header::RolloutPlan;
 pub use identification_settings::IdentificationSettings;
-pub use ledger::{DamagedLine, Ledger, LedgerError, Parsed, file_checksum, parse as parse_ledger};
+pub use ledger::{DamagedLine, Ledger, LedgerError, Parsed, parse as parse_ledger};
 pub use library_watchdog::LibraryWatchdog;
 pub use orchestrator::{Session, keep_on_board};
 pub use paths::{PolicyPaths, SessionPaths, recording_in};

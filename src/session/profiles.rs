@@ -1,8 +1,8 @@
 use std::io::ErrorKind;
 
-use super::{FolderError, SessionError, SessionPaths, StoredProfile, file_checksum};
+use super::{FolderError, SessionError, SessionPaths, StoredProfile};
 use crate::qube::Profile;
-use crate::storage::{Disk, SETTINGS_BYTES};
+use crate::storage::{Disk, SETTINGS_BYTES, checksum_of};
 
 /// Reads a profile that a session identified from the session's folder.
 ///
@@ -20,7 +20,7 @@ pub fn identified_profile(
         ErrorKind::FileTooLarge => lost(source.to_string()),
         _ => FolderError::Io { path: path.clone(), source }.into(),
     })?;
-    if file_checksum(&bytes) != *checksum {
+    if checksum_of(&bytes) != *checksum {
         return Err(lost("it was changed".into()));
     }
     let text = String::from_utf8(bytes).map_err(|error| lost(error.to_string()))?;

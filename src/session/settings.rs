@@ -280,7 +280,7 @@ mod tests {
 
     use super::*;
     use crate::learning::{curve_csv, train};
-    use crate::session::file_checksum;
+    use crate::storage::checksum_of;
 
     #[test]
     fn the_surrogate_takes_over_when_the_initial_candidates_are_known() {
@@ -313,7 +313,7 @@ mod tests {
         let going = AtomicBool::new(false);
         let trained = train(&distribution, &training, 1, None, &going, |_| {}).unwrap();
         let result = format!("{:?}{}", trained.final_network, curve_csv(&trained.curve));
-        let checksums = [text, result].map(|it| file_checksum(it.as_bytes()));
+        let checksums = [text, result].map(|it| checksum_of(it.as_bytes()));
         assert_eq!(checksums, ["4e4ea45622bbbab1", "a3a95b5a3e850a9d"]);
     }
 }

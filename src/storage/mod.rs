@@ -5,10 +5,12 @@
 //! that use Protocol Buffers are written by [`ProtobufMessage`]. The room imports nothing.
 
 mod bounded;
+mod checksum;
 mod machine_disk;
 mod protobuf;
 
 pub use bounded::{SETTINGS_BYTES, open_regular, read_bounded, read_text};
+pub use checksum::checksum_of;
 pub use machine_disk::MachineDisk;
 pub use protobuf::ProtobufMessage;
 

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::jobs::checksum::checksum;
+use crate::storage::checksum_of;
 
 /// The reason why the bytes of a file are refused: the file is of another kind, half-written or
 /// damaged.
@@ -33,7 +33,7 @@ pub(super) fn unsealed<'a>(kind: &'static str, bytes: &'a [u8]) -> Result<&'a [u
 }
 
 fn first_line(kind: &str, payload: &[u8]) -> String {
-    format!("qube-hil {kind} 1 {}\n", checksum(payload))
+    format!("qube-hil {kind} 1 {}\n", checksum_of(payload))
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@ use std::time::Duration;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::{StartError, Starter, WorkerCount, log_folder};
-use crate::jobs::checksum::checksum;
 use crate::jobs::folder::JobFolder;
+use crate::storage::checksum_of;
 
 /// Name of the scheduler in messages.
 const SLURM: &str = "Slurm";
@@ -66,7 +66,7 @@ impl SlurmStarter {
     #[must_use]
     pub fn new(options: SlurmOptions, work: String, folder: &JobFolder) -> Self {
         let root = folder.root().to_string_lossy();
-        let name = format!("qube-hil-{}", checksum(root.as_bytes()));
+        let name = format!("qube-hil-{}", checksum_of(root.as_bytes()));
         Self { options, work, name }
     }
 

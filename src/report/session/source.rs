@@ -16,9 +16,9 @@ use crate::scoring::{Latencies, Verdict, score_recording};
 use crate::session::{
     BestPolicy, Candidate, Entry, FolderError, Identification, Purpose, ScoredCandidate,
     ScoredRollout, SessionPaths, SessionSettings, SessionState, SessionView, Step, TrainingTime,
-    file_checksum, finished_rollout, identified_profile, next_step,
+    finished_rollout, identified_profile, next_step,
 };
-use crate::storage::{Disk, SETTINGS_BYTES};
+use crate::storage::{Disk, SETTINGS_BYTES, checksum_of};
 
 /// Largest number of recordings of each kind beside which the identified Qube is simulated.
 pub(super) const COMPARED: usize = 3;
@@ -343,7 +343,7 @@ impl SessionSource {
 /// Whether these are not the settings that the first entry of the ledger names.
 fn changed(settings: &[u8], entries: &[Entry]) -> bool {
     match entries.first() {
-        Some(Entry::Begun { settings: began, .. }) => *began != file_checksum(settings),
+        Some(Entry::Begun { settings: began, .. }) => *began != checksum_of(settings),
         _ => false,
     }
 }
@@ -378,7 +378,7 @@ mod tests {
 
     #[test]
     fn settings_that_the_session_did_not_begin_with_are_noticed() {
-        let begun = [Entry::Begun { settings: file_checksum(b"seed = 1"), chained: true }];
+        let begun = [Entry::Begun { settings: checksum_of(b"seed = 1"), chained: true }];
         assert!(!changed(b"seed = 1", &begun));
         assert!(changed(b"seed = 2", &begun));
         assert!(!changed(b"seed = 2", &[]));

@@ -18,9 +18,9 @@ use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
     Entry, Finished, FolderError, GainSource, Identification, Purpose, ScoredCandidate,
-    SessionError, SessionEvent, StoredProfile, file_checksum, identified_profile,
+    SessionError, SessionEvent, StoredProfile, identified_profile,
 };
-use crate::storage::write_whole;
+use crate::storage::{checksum_of, write_whole};
 
 impl Session {
     /// Guards an emulated Qube as an unidentified one if the session will identify it, because a
@@ -361,7 +361,7 @@ impl Session {
         let text = toml::to_string_pretty(&profile).map_err(io)?;
         write_whole(self.folder.disk(), &path, text.as_bytes())?;
         let verdict = found.assessment.verdict.name().to_owned();
-        let checksum = file_checksum(text.as_bytes());
+        let checksum = checksum_of(text.as_bytes());
         let doubted = doubts.clone();
         self.ledger.append(Entry::Identified { recordings, verdict, doubts, checksum })?;
         on_event(SessionEvent::Identified { recordings, doubts: &doubted });

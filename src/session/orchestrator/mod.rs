@@ -24,7 +24,7 @@ use training_ahead::TrainingAhead;
 use super::seeds::SeedFor;
 use super::{
     Candidate, Entry, Finished, FolderError, Ledger, LedgerError, ScoredCandidate, ScoredRollout,
-    SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState, Step, file_checksum,
+    SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState, Step,
     finished_rollout, next_step,
 };
 use crate::control::HomingMethod;
@@ -33,7 +33,7 @@ use crate::qube::QubeModel;
 use crate::recording::{Recording, read_on};
 use crate::rig::{ClockChoice, Doubt, RigSettings};
 use crate::scoring::{Verdict, score};
-use crate::storage::SETTINGS_BYTES;
+use crate::storage::{SETTINGS_BYTES, checksum_of};
 use crate::telemetry::Ending;
 
 /// A session in its folder, which performs the method's algorithm ([`next_step`]) step by step.
@@ -471,7 +471,7 @@ fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError>
         .disk()
         .read(&path, SETTINGS_BYTES)
         .map_err(|source| FolderError::Io { path: path.clone(), source })?;
-    let found = file_checksum(&bytes);
+    let found = checksum_of(&bytes);
     match ledger.entries().first() {
         None if folder.has_candidates()? => {
             Err(SessionError::BeginningLost { path: folder.paths().ledger() })
