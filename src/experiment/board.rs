@@ -44,7 +44,7 @@ impl Experiment {
         }
         for path in &paths {
             match read(path) {
-                Ok(recording) => return Ok(recording.header.device.get("serial").cloned()),
+                Ok(recording) => return Ok(recording.header.board().map(str::to_owned)),
                 // A crash may have left a recording that will be made again.
                 Err(RecordingError::Unreadable { .. }) => {}
                 Err(error) if error.is_absence() => {}
@@ -67,6 +67,7 @@ mod tests {
     use crate::rig::DeviceChoice;
     use crate::session::SessionSettings;
     use crate::simulation::Model;
+    use crate::telemetry::DeviceFacts;
 
     fn experiment(root: &Path, device: DeviceChoice, board: Option<&str>) -> Experiment {
         let plant = Plant { name: "device".into(), emulated: Default::default(), vary: 0.0 };
@@ -95,7 +96,7 @@ mod tests {
         let folder = experiment.folder().policies("nominal").rollouts(policy, "device");
         std::fs::create_dir_all(&folder).unwrap();
         let mut header = samples::header();
-        header.device.insert("serial".into(), serial.into());
+        header.device.insert(DeviceFacts::SERIAL, serial);
         let path = recording_in(&folder, 0, 0);
         let writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
         writer.finish(&samples::outcome()).unwrap();

@@ -8,8 +8,8 @@ use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{Measurement, PlantModel, RewardWeights, State, Status};
 use crate::safety::{Limit, MotorHeat, SafetyBox};
 use crate::telemetry::{
-    CheckResult, Ending, LatencySummary, Phase, Preflight, RolloutHeader, RolloutOutcome,
-    TickRecord, TickSettings,
+    CheckResult, DeviceFacts, Ending, LatencySummary, Phase, Preflight, RolloutHeader,
+    RolloutOutcome, TickRecord, TickSettings,
 };
 
 pub(crate) const POLICY: &[u8] = b"not a policy, but these very bytes";
@@ -26,7 +26,7 @@ pub(crate) fn header() -> RolloutHeader {
         started_unix_ns: None,
         program_version: "0.1.0".to_owned(),
         git_revision: "unknown".to_owned(),
-        device: BTreeMap::from([("kind".to_owned(), "emulator".to_owned())]),
+        device: DeviceFacts::from_iter([(DeviceFacts::KIND, "emulator")]),
         preflight: Preflight::Done(vec![
             CheckResult::pass("latency", "sample p50 0.92 ms"),
             CheckResult::fail("motor-sign", "-0.1 rad", "turn it round"),

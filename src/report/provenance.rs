@@ -35,7 +35,7 @@ fn facts(header: &RolloutHeader) -> Vec<(String, String)> {
         ("plant".into(), settings.plant.name.to_string()),
     ];
     facts.extend(
-        header.device.iter().map(|(name, value)| (format!("device: {name}"), value.clone())),
+        header.device.iter().map(|(name, value)| (format!("device: {name}"), value.to_owned())),
     );
     let inverted: Vec<&str> = [
         ("arm", calibration.theta_inverted),

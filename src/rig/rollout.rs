@@ -1,4 +1,3 @@
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,7 +12,9 @@ use crate::qube::State;
 use crate::recording::Recorder;
 use crate::safety::{ForesightSettings, Guard, Limit, SafetyBox};
 use crate::storage::Disk;
-use crate::telemetry::{Ending, Fault, MeasuredLink, RolloutHeader, RolloutOutcome, TickSettings};
+use crate::telemetry::{
+    DeviceFacts, Ending, Fault, MeasuredLink, RolloutHeader, RolloutOutcome, TickSettings,
+};
 
 /// A rollout whose recording is complete on disk.
 #[derive(Debug)]
@@ -175,7 +176,7 @@ impl Rig {
         };
         let header = RolloutHeader {
             started_unix_ns: self.wall_time_ns(),
-            device: self.device_by_name(),
+            device: self.device_facts(),
             preflight: self.preflight.clone(),
             motor_heat: Some(self.control.cool_motor()?),
             hard_stop_accepted: self.is_hardware() && settings.safety_box.guard.is_box(),
@@ -239,7 +240,7 @@ impl Rig {
         }
     }
 
-    fn device_by_name(&self) -> BTreeMap<String, String> {
+    fn device_facts(&self) -> DeviceFacts {
         let identity = &self.identity;
         let link = self.link.as_ref();
         // The recorded samples already contain the effect of these figures, so a replay does not
@@ -252,22 +253,17 @@ impl Rig {
             ]
         });
         let itself = [
-            ("kind", identity.kind.clone()),
-            ("serial", identity.serial.clone()),
+            (DeviceFacts::KIND, identity.kind.clone()),
+            (DeviceFacts::SERIAL, identity.serial.clone()),
             ("firmware_version", identity.firmware_version.clone()),
             ("protocol_version", identity.protocol_version.to_string()),
-            ("port", identity.port.clone()),
+            (DeviceFacts::PORT, identity.port.clone()),
         ];
         let clock = (!self.has_device_clock).then(|| {
             let age_ms = unknown_age_s(self.link()) * 1e3;
             ("sample_age", format!("unknown, no clock; up to {age_ms:.1} ms assumed"))
         });
-        itself
-            .into_iter()
-            .chain(link)
-            .chain(clock)
-            .map(|(name, value)| (name.to_owned(), value))
-            .collect()
+        itself.into_iter().chain(link).chain(clock).collect()
     }
 }
 

@@ -5,7 +5,7 @@ use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{MAX_STEPS, PlantModel, RewardWeights};
 use crate::recording::FORMAT_VERSION;
 use crate::safety::SafetyBox;
-use crate::telemetry::{Preflight, RolloutHeader, TickRules, TickSettings};
+use crate::telemetry::{DeviceFacts, Preflight, RolloutHeader, TickRules, TickSettings};
 
 /// The plan of a rollout: its place among the others, its policy, and its rules.
 #[derive(Clone, Debug)]
@@ -67,7 +67,7 @@ impl RolloutPlan {
             started_unix_ns: None,
             program_version: env!("CARGO_PKG_VERSION").into(),
             git_revision: env!("QUBE_HIL_GIT_REVISION").into(),
-            device: BTreeMap::new(),
+            device: DeviceFacts::default(),
             preflight: Preflight::Unknown,
             motor_heat: None,
             hard_stop_accepted: false,

@@ -3,7 +3,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Fault, LatencySummary, Phase, Preflight};
+use super::{DeviceFacts, Fault, LatencySummary, Phase, Preflight};
 use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
 use crate::qube::{PlantModel, RewardWeights};
 use crate::safety::{Contradiction, Foreseen, ForesightSettings, Limit, MotorHeat, SafetyBox};
@@ -124,9 +124,8 @@ pub struct RolloutHeader {
     pub program_version: String,
     /// Revision that the program was built from, or `unknown`.
     pub git_revision: String,
-    /// Facts about the device by name: its identity (kind, serial, firmware version, protocol
-    /// version, port), and where it was measured the timing of its link.
-    pub device: BTreeMap<String, String>,
+    /// Facts about the device.
+    pub device: DeviceFacts,
     /// Check of the device before the rollout.
     #[serde(default)]
     pub preflight: Preflight,
@@ -149,7 +148,7 @@ impl RolloutHeader {
     /// Serial number of the board that the device named; `None` for a device that names none.
     #[must_use]
     pub fn board(&self) -> Option<&str> {
-        self.device.get("serial").map(String::as_str)
+        self.device.serial()
     }
 }
 

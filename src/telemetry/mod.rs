@@ -11,12 +11,14 @@
 //! assert_eq!(Fault::LinkGone.consequence(), Consequence::Reconnect);
 //! ```
 
+mod device_facts;
 mod fault;
 mod header;
 mod latency_summary;
 mod preflight;
 mod record;
 
+pub use device_facts::DeviceFacts;
 pub use fault::{Consequence, Fault, MotorState, fault_table};
 pub use header::{Ending, RolloutHeader, RolloutOutcome, TickRules, TickSettings};
 pub use latency_summary::LatencySummary;

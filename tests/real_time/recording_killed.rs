@@ -37,7 +37,7 @@ fn header() -> RolloutHeader {
         started_unix_ns: Some(1_700_000_000_000_000_000),
         program_version: "0".to_owned(),
         git_revision: "unknown".to_owned(),
-        device: BTreeMap::new(),
+        device: Default::default(),
         preflight: Default::default(),
         motor_heat: None,
         hard_stop_accepted: false,

@@ -88,7 +88,8 @@ fn a_rollout_through_it_is_recorded_with_its_link_and_replays_the_same() {
     let verdict = score(&MachineDisk, Path::new(&path)).unwrap();
     assert!(matches!(verdict, Verdict::Result { .. }), "{verdict:?}");
     let recording = read(&path).unwrap();
-    assert_eq!(recording.header.device["sample_time_us"], link.sample_time_us.to_string());
+    let sample_time_us = recording.header.device.get("sample_time_us");
+    assert_eq!(sample_time_us, Some(link.sample_time_us.to_string().as_str()));
     assert!(rerun(&recording, classical()).agrees());
     let outcome = recording.outcome.as_ref().unwrap();
     // An act follows its sample well within the 20 ms that foresight allows for and a device

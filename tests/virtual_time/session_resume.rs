@@ -10,6 +10,7 @@ use qube_hil::recording::{Recording, RolloutWriter, read};
 use qube_hil::rig::ClockChoice;
 use qube_hil::session::{Entry, SessionPaths, parse_ledger, recorded_clock};
 use qube_hil::storage::MachineDisk;
+use qube_hil::telemetry::DeviceFacts;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::shared::command_in;
@@ -440,8 +441,8 @@ fn a_session_of_a_real_qube_is_not_resumed_on_an_emulated_one() {
     // The first recording as a real Qube's board would have made it.
     let path = directory.path().join("mine/candidates/000/rollout-0-attempt-0.mcap");
     let Recording { mut header, policy, ticks, outcome, .. } = read(&path).unwrap();
-    header.device.insert("kind".into(), "atmega328p".into());
-    let board = header.device["serial"].clone();
+    header.device.insert(DeviceFacts::KIND, "atmega328p");
+    let board = header.board().unwrap().to_owned();
     std::fs::remove_file(&path).unwrap();
     let mut writer = RolloutWriter::create(&MachineDisk, &path, header, &policy).unwrap();
     ticks.iter().for_each(|tick| writer.write(tick).unwrap());

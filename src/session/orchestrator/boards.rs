@@ -1,12 +1,11 @@
 //! Keeps a session on the boards that made its first recordings.
 
-use std::collections::BTreeMap;
-
 use super::Session;
 use crate::device::{EMULATOR_KIND, IN_PROCESS};
 use crate::recording::read_on;
 use crate::rig::{DeviceChoice, RigSettings};
 use crate::session::SessionError;
+use crate::telemetry::DeviceFacts;
 
 /// Binds a real rig to the board that made its first recording. A profile is dropped where the
 /// settings name no board.
@@ -27,10 +26,10 @@ pub fn keep_on_board(settings: &mut RigSettings, before: String) -> Result<(), S
 /// Whether the embedded emulated Qube may have made a recording whose header describes its device
 /// so. A Qube that `emulate` serves at a port with a name of its own is another one; at a port
 /// without one, `/dev/pts/N`, it cannot be told from the embedded one of real time.
-fn may_be_embedded(device: &BTreeMap<String, String>) -> bool {
-    let is_emulator = device.get("kind").is_none_or(|kind| kind == EMULATOR_KIND);
-    let is_unnamed = |port: &String| port == IN_PROCESS || port.starts_with("/dev/pts/");
-    is_emulator && device.get("port").is_none_or(is_unnamed)
+fn may_be_embedded(device: &DeviceFacts) -> bool {
+    let is_emulator = device.kind().is_none_or(|kind| kind == EMULATOR_KIND);
+    let is_unnamed = |port: &str| port == IN_PROCESS || port.starts_with("/dev/pts/");
+    is_emulator && device.port().is_none_or(is_unnamed)
 }
 
 impl Session {
@@ -43,12 +42,12 @@ impl Session {
     pub fn on_the_same_boards(mut self) -> Result<Self, SessionError> {
         for index in 0..self.rigs.len() {
             let Some(device) = self.first_device(self.number_of(index))? else { continue };
-            let Some(before) = device.get("serial").cloned() else { continue };
+            let Some(before) = device.serial().map(str::to_owned) else { continue };
             let settings = &mut self.rigs[index].settings;
             if !settings.is_hardware() {
                 let is_emulator = matches!(settings.device, DeviceChoice::Emulated);
                 if is_emulator && !may_be_embedded(&device) {
-                    let port = device.get("port").cloned().unwrap_or_default();
+                    let port = device.port().unwrap_or_default().to_owned();
                     return Err(SessionError::EmulatedInPlace { before, port });
                 }
                 continue;
@@ -64,15 +63,12 @@ impl Session {
     /// # Errors
     /// The recording cannot be read.
     pub fn board(&self, rig: Option<u32>) -> Result<Option<String>, SessionError> {
-        Ok(self.first_device(rig)?.and_then(|device| device.get("serial").cloned()))
+        Ok(self.first_device(rig)?.and_then(|device| device.serial().map(str::to_owned)))
     }
 
     /// The device that made the first finished recording of this rig, or of any rig if `rig` is
     /// `None`, as the recording describes it. `None` if there is no such recording.
-    fn first_device(
-        &self,
-        rig: Option<u32>,
-    ) -> Result<Option<BTreeMap<String, String>>, SessionError> {
+    fn first_device(&self, rig: Option<u32>) -> Result<Option<DeviceFacts>, SessionError> {
         let first = self.ledger.state().candidates().iter().find_map(|it| {
             let finished = it.finished.iter().find(|it| rig.is_none() || it.rig == rig)?;
             Some(self.recording(it.number, finished.rollout, finished.attempt))
@@ -128,9 +124,11 @@ mod tests {
             session.ledger.append(entry).unwrap();
         }
         let mut header = samples::header();
-        for (name, value) in [("serial", "one"), ("port", port), ("kind", EMULATOR_KIND)] {
-            header.device.insert(name.into(), value.into());
-        }
+        header.device = DeviceFacts::from_iter([
+            (DeviceFacts::SERIAL, "one"),
+            (DeviceFacts::PORT, port),
+            (DeviceFacts::KIND, EMULATOR_KIND),
+        ]);
         let path = session.recording(0, 0, 0);
         let writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
         writer.finish(&samples::outcome()).unwrap();
