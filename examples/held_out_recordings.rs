@@ -16,7 +16,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use qube_hil::identification::{
-    HorizonError, Regime, Unknown, comes_upright, horizon_error, identify, regime_error, series_of,
+    HorizonError, PredictionRegime, Unknown, comes_upright, horizon_error, identify, regime_error,
+    series_of,
 };
 use qube_hil::qube::{Profile, QubeModel};
 use qube_hil::replay::MotionLog;
@@ -52,8 +53,8 @@ type Scores = [Pool; 3];
 fn score(scores: &mut Scores, log: &MotionLog, model: &QubeModel) {
     let log = std::slice::from_ref(log);
     if comes_upright(&log[0]) {
-        scores[0].add(&regime_error(log, model, Regime::Swing));
-        scores[1].add(&regime_error(log, model, Regime::Balance));
+        scores[0].add(&regime_error(log, model, PredictionRegime::Swing));
+        scores[1].add(&regime_error(log, model, PredictionRegime::Balance));
     } else {
         scores[2].add(&horizon_error(log, model, CHIRP_S));
     }

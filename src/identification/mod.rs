@@ -78,8 +78,8 @@ pub use identify::{Cause, Identified, IdentifyError, Sign, identify};
 pub use next_excitation::{ExpectedExcitation, excitation_after, next_excitations};
 pub use offsets::{Offset, Scatter};
 pub use prediction::{
-    HorizonError, KNOWN_S, PredictionBand, Regime, horizon_error, prediction_errors, regime_error,
-    start_state,
+    HorizonError, KNOWN_S, PredictionBand, PredictionRegime, PredictionTimes, horizon_error,
+    prediction_errors, regime_error, start_state,
 };
 pub use recordings::{
     FittableRecordings, IncompleteRecording, LeftOut, Recordings, RecordingsError, duplicate,

@@ -1,3 +1,5 @@
+use std::ops::RangeInclusive;
+
 use super::fit::Fit;
 use super::residuals::Noise;
 use super::stretch::{Stretch, duration_of, first_of_windows, is_upright};
@@ -10,6 +12,9 @@ pub const KNOWN_S: f64 = 0.2;
 /// Length of the part from which the start state of the prediction of a swing is estimated, s:
 /// short compared with the time in which the motion of a swing-up changes.
 const SWING_KNOWN_S: f64 = 0.05;
+
+/// Length of the prediction of a swing, s.
+const SWING_HORIZON_S: f64 = 0.5;
 
 /// Cosine of the pendulum's angle that separates balancing from swinging: 26 degrees from the top.
 const BALANCING_COS: f64 = -0.9;
@@ -72,15 +77,8 @@ pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> H
         let samples = &log.samples;
         let last_start_s =
             samples[0].time_s + (duration_of(samples) - KNOWN_S - horizon_s).max(0.0) + 1e-9;
-        let mut next_s = samples[first_of_windows(samples)].time_s.min(last_start_s);
-        for (first, sample) in samples.iter().enumerate() {
-            if sample.time_s > last_start_s {
-                break;
-            }
-            if sample.time_s + 1e-9 < next_s {
-                continue;
-            }
-            next_s += EVERY_S;
+        let first_start_s = samples[first_of_windows(samples)].time_s.min(last_start_s);
+        for first in starts(samples, first_start_s..=last_start_s) {
             let known = Stretch::from(samples, first, KNOWN_S);
             let (start, known_samples) = state_at(&known, &log.plant, model);
             let all = Stretch::from(samples, first, KNOWN_S + horizon_s);
@@ -101,10 +99,27 @@ pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> H
     }
 }
 
+/// Indices of the samples at which predictions begin: one every 0.1 s, from the first of these
+/// times to the last, s.
+fn starts(
+    samples: &[MotionSample],
+    times_s: RangeInclusive<f64>,
+) -> impl Iterator<Item = usize> + '_ {
+    let (mut next_s, last_s) = times_s.into_inner();
+    let in_time = samples.iter().enumerate().take_while(move |(_, it)| it.time_s <= last_s);
+    in_time.filter_map(move |(index, sample)| {
+        if sample.time_s + 1e-9 < next_s {
+            return None;
+        }
+        next_s += EVERY_S;
+        Some(index)
+    })
+}
+
 /// A regime of the pendulum in a recording in which it comes upright. Each regime has its own
 /// horizon, at which the predictions are scored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Regime {
+pub enum PredictionRegime {
     /// The pendulum is more than 26 degrees from the top throughout the prediction, which lasts 0.5
     /// s.
     Swing,
@@ -112,7 +127,16 @@ pub enum Regime {
     Balance,
 }
 
-impl Regime {
+/// The times of a prediction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PredictionTimes {
+    /// Length of the part from which the start state is estimated, s.
+    pub known_s: f64,
+    /// Length of the prediction, s.
+    pub horizon_s: f64,
+}
+
+impl PredictionRegime {
     /// Both regimes.
     pub const ALL: [Self; 2] = [Self::Swing, Self::Balance];
 
@@ -125,12 +149,12 @@ impl Regime {
         }
     }
 
-    /// Length of the part from which the start state is estimated, and the horizon, s.
+    /// The times of the regime's predictions.
     #[must_use]
-    pub fn times_s(self) -> [f64; 2] {
+    pub fn times(self) -> PredictionTimes {
         match self {
-            Self::Swing => [SWING_KNOWN_S, 0.5],
-            Self::Balance => [KNOWN_S, 0.1],
+            Self::Swing => PredictionTimes { known_s: SWING_KNOWN_S, horizon_s: SWING_HORIZON_S },
+            Self::Balance => PredictionTimes { known_s: KNOWN_S, horizon_s: 0.1 },
         }
     }
 
@@ -144,19 +168,24 @@ impl Regime {
 /// pendulum comes upright. Only the last sample of each prediction counts, unlike in
 /// [`horizon_error`], where all samples do.
 #[must_use]
-pub fn regime_error(logs: &[MotionLog], model: &QubeModel, regime: Regime) -> HorizonError {
-    let [known_s, horizon_s] = regime.times_s();
+pub fn regime_error(
+    logs: &[MotionLog],
+    model: &QubeModel,
+    regime: PredictionRegime,
+) -> HorizonError {
+    let times = regime.times();
     let (mut squares, mut predictions) = ([0.0; 2], 0_usize);
     for log in logs.iter().filter(|log| is_upright(&log.samples)) {
-        for [theta, alpha] in end_errors(log, model, regime, [known_s, horizon_s]) {
-            squares[0] += theta * theta;
-            squares[1] += alpha * alpha;
+        for AngleError { theta_rad, alpha_rad } in end_errors(log, model, regime, times) {
+            squares[0] += theta_rad * theta_rad;
+            squares[1] += alpha_rad * alpha_rad;
             predictions += 1;
         }
     }
     let [theta_rad, alpha_rad] =
         squares.map(|square: f64| (square / predictions.max(1) as f64).sqrt());
-    HorizonError { horizon_s, rms: AngleError { theta_rad, alpha_rad }, predictions }
+    let rms = AngleError { theta_rad, alpha_rad };
+    HorizonError { horizon_s: times.horizon_s, rms, predictions }
 }
 
 /// The band about a prediction of half a second in which nine tenths of the errors lie, as the fitted
@@ -164,74 +193,75 @@ pub fn regime_error(logs: &[MotionLog], model: &QubeModel, regime: Regime) -> Ho
 /// model lacks an effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PredictionBand {
-    /// Half the width of the band of theta and of that of alpha, rad.
-    pub half_widths_rad: [f64; 2],
+    /// Half the widths of the bands of theta and alpha.
+    pub half_widths: AngleError,
     /// Number of predictions from which the band is computed.
     pub predictions: usize,
 }
 
 impl PredictionBand {
-    /// The band that these errors (theta and alpha, rad) show; `None` of fewer than ten.
+    /// The band that these errors show; `None` of fewer than ten.
     #[must_use]
-    pub fn of(errors: &[[f64; 2]]) -> Option<Self> {
+    pub fn of(errors: &[AngleError]) -> Option<Self> {
         if errors.len() < 10 {
             return None;
         }
-        let half_width = |angle: usize| {
-            let mut sizes: Vec<f64> = errors.iter().map(|error| error[angle].abs()).collect();
+        let half_width_rad = |angle: fn(&AngleError) -> f64| {
+            let mut sizes: Vec<f64> = errors.iter().map(|error| angle(error).abs()).collect();
             sizes.sort_by(f64::total_cmp);
             // Of n errors of the same kind, a further one is below the k-th with the chance
             // k / (n + 1).
             let rank = (BAND_SHARE * (sizes.len() + 1) as f64).ceil() as usize;
             sizes[rank.min(sizes.len()) - 1]
         };
-        Some(Self { half_widths_rad: [0, 1].map(half_width), predictions: errors.len() })
+        let half_widths = AngleError {
+            theta_rad: half_width_rad(|error| error.theta_rad),
+            alpha_rad: half_width_rad(|error| error.alpha_rad),
+        };
+        Some(Self { half_widths, predictions: errors.len() })
     }
 
     /// The shares of these errors of theta and alpha that lie within the band, 0 to 1; NaN without
     /// errors.
     #[must_use]
-    pub fn shares_within(&self, errors: &[[f64; 2]]) -> [f64; 2] {
-        [0, 1].map(|angle| {
-            let within = errors.iter().filter(|it| it[angle].abs() <= self.half_widths_rad[angle]);
+    pub fn shares_within(&self, errors: &[AngleError]) -> [f64; 2] {
+        let share = |angle: fn(&AngleError) -> f64| {
+            let half_width_rad = angle(&self.half_widths);
+            let within = errors.iter().filter(|error| angle(error).abs() <= half_width_rad);
             within.count() as f64 / errors.len() as f64
-        })
+        };
+        [share(|error| error.theta_rad), share(|error| error.alpha_rad)]
     }
 }
 
-/// The errors at the end of predictions of half a second that begin every 0.1 s: theta and alpha,
-/// rad. Where the pendulum comes upright in a recording, only the predictions of its swings count.
+/// The errors at the end of predictions of half a second that begin every 0.1 s. Where the pendulum
+/// comes upright in a recording, only the predictions of its swings count.
 ///
 /// # Panics
 /// Panics as [`start_state`] does.
 #[must_use]
-pub fn prediction_errors(log: &MotionLog, model: &QubeModel) -> Vec<[f64; 2]> {
-    if is_upright(&log.samples) {
-        end_errors(log, model, Regime::Swing, Regime::Swing.times_s())
+pub fn prediction_errors(log: &MotionLog, model: &QubeModel) -> Vec<AngleError> {
+    let swing = PredictionRegime::Swing;
+    let times = if is_upright(&log.samples) {
+        swing.times()
     } else {
-        end_errors(log, model, Regime::Swing, [KNOWN_S, 0.5])
-    }
+        PredictionTimes { known_s: KNOWN_S, ..swing.times() }
+    };
+    end_errors(log, model, swing, times)
 }
 
-/// Errors of the last sample of each prediction in a regime: theta and alpha, rad.
+/// Errors of the last sample of each prediction in a regime.
 fn end_errors(
     log: &MotionLog,
     model: &QubeModel,
-    regime: Regime,
-    [known_s, horizon_s]: [f64; 2],
-) -> Vec<[f64; 2]> {
+    regime: PredictionRegime,
+    PredictionTimes { known_s, horizon_s }: PredictionTimes,
+) -> Vec<AngleError> {
     let samples = &log.samples;
     let last_start_s = samples[samples.len() - 1].time_s - known_s - horizon_s + 1e-9;
-    let mut next_s = samples[first_of_windows(samples)].time_s;
+    let first_start_s = samples[first_of_windows(samples)].time_s;
     let mut errors = Vec::new();
-    for (first, sample) in samples.iter().enumerate() {
-        if sample.time_s > last_start_s {
-            break;
-        }
-        if sample.time_s + 1e-9 < next_s {
-            continue;
-        }
-        next_s += EVERY_S;
+    for first in starts(samples, first_start_s..=last_start_s) {
         let known = Stretch::from(samples, first, known_s);
         let all = Stretch::from(samples, first, known_s + horizon_s);
         if !samples[known.end - 1..all.end].iter().all(|sample| regime.contains(sample)) {
@@ -241,7 +271,10 @@ fn end_errors(
         let simulated = all.simulate(model, start);
         if let (Some(simulated), Some(sample)) = (simulated.last(), all.samples().last()) {
             let measured = &sample.state;
-            errors.push([simulated.theta - measured.theta, simulated.alpha - measured.alpha]);
+            errors.push(AngleError {
+                theta_rad: simulated.theta - measured.theta,
+                alpha_rad: simulated.alpha - measured.alpha,
+            });
         }
     }
     errors
@@ -267,15 +300,29 @@ mod tests {
     }
 
     #[test]
+    fn predictions_begin_every_tenth_of_a_second_within_their_times() {
+        let sample = |index: u32| MotionSample {
+            time_s: 0.01 * f64::from(index),
+            state: State::default(),
+            voltage_v: 0.0,
+        };
+        let samples: Vec<MotionSample> = (0..100).map(sample).collect();
+        let indices: Vec<usize> = starts(&samples, 0.04..=0.3).collect();
+        assert_eq!(indices, [4, 14, 24]);
+        assert_eq!(starts(&samples, 1.0..=2.0).next(), None);
+    }
+
+    #[test]
     fn a_band_holds_nine_tenths_of_errors_of_the_same_kind() {
-        assert_eq!(PredictionBand::of(&[[0.1, 0.1]; 9]), None);
-        let errors: Vec<[f64; 2]> =
-            (1..=99).map(|size| [f64::from(size), -0.1 * f64::from(size)]).collect();
+        let error = |theta_rad, alpha_rad| AngleError { theta_rad, alpha_rad };
+        assert_eq!(PredictionBand::of(&[error(0.1, 0.1); 9]), None);
+        let errors: Vec<AngleError> =
+            (1..=99).map(|size| error(f64::from(size), -0.1 * f64::from(size))).collect();
         let band = PredictionBand::of(&errors).unwrap();
-        assert_eq!(band.half_widths_rad[0], 90.0);
-        assert!((band.half_widths_rad[1] - 9.0).abs() < 1e-12);
+        assert_eq!(band.half_widths.theta_rad, 90.0);
+        assert!((band.half_widths.alpha_rad - 9.0).abs() < 1e-12);
         assert_eq!(band.predictions, 99);
-        let further = [[89.0, 0.0], [-90.0, 9.5], [90.5, 0.0], [0.0, -8.0]];
+        let further = [error(89.0, 0.0), error(-90.0, 9.5), error(90.5, 0.0), error(0.0, -8.0)];
         assert_eq!(band.shares_within(&further), [0.75, 0.75]);
         assert!(band.shares_within(&[])[0].is_nan());
     }

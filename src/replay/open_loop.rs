@@ -38,7 +38,7 @@ pub struct OpenLoop {
     pub rmse: AngleError,
 }
 
-/// Root mean square errors of the angles over all samples; NaN without samples. Differences are not
+/// Errors of the two angles, of one state or the root mean squares of many. Differences are not
 /// wrapped: a turn too many is an error of 2 pi.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AngleError {
@@ -113,14 +113,15 @@ pub fn simulate_from(
 }
 
 impl OpenLoop {
-    /// Root mean square distance of the simulation from the first samples of the log.
+    /// Root mean square distance of the simulation from the first samples of the log; NaN without
+    /// samples.
     #[must_use]
     pub fn error_of(&self, first_samples: &[MotionSample]) -> AngleError {
         error_between(first_samples, &self.simulated)
     }
 }
 
-/// Root mean square distance of states from the samples of equal index.
+/// Root mean square distance of states from the samples of equal index; NaN without samples.
 fn error_between(samples: &[MotionSample], states: &[State]) -> AngleError {
     let error = |angle: fn(&State) -> f64| {
         let pairs = samples.iter().zip(states);

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use qube_hil::control::{ArmInput, SensorWatch};
 use qube_hil::estimation::Calibration;
-use qube_hil::identification::{Regime, Unknown, horizon_error, identify, regime_error};
+use qube_hil::identification::{PredictionRegime, Unknown, horizon_error, identify, regime_error};
 use qube_hil::qube::{CONTROL_PERIOD_S, Measurement, PlantModel, QubeModel, RAD_PER_COUNT};
 use qube_hil::replay::{AngleError, MotionLog, simulate_from_first_state};
 use qube_hil::safety::MotorHeat;
@@ -134,11 +134,11 @@ fn a_model_fitted_to_chirps_and_swing_ups_predicts_swing_ups_that_it_was_not_fit
     let all: Vec<Unknown> = Unknown::all().collect();
     let found = identify(&fitted, &all, &QubeModel::NOMINAL).unwrap();
     let error = |regime| regime_error(&held_out, &found.model, regime);
-    let (swing, balance) = (error(Regime::Swing), error(Regime::Balance));
+    let (swing, balance) = (error(PredictionRegime::Swing), error(PredictionRegime::Balance));
     eprintln!("held out: swing {swing:?}, balance {balance:?}");
     assert!(swing.rms.theta_rad <= 0.09 && swing.rms.alpha_rad <= 0.14, "{swing:?}");
     assert!(balance.rms.theta_rad <= 0.025 && balance.rms.alpha_rad <= 0.03, "{balance:?}");
-    let nominal = regime_error(&held_out, &QubeModel::NOMINAL, Regime::Swing);
+    let nominal = regime_error(&held_out, &QubeModel::NOMINAL, PredictionRegime::Swing);
     assert!(nominal.rms.theta_rad > 0.3, "{nominal:?}");
 }
 

@@ -6,7 +6,7 @@ use super::predictions::Predictions;
 use super::text::combination_text;
 use crate::identification::{
     Estimate, ExpectedExcitation, HorizonError, Identified, IncompleteRecording, LeftOut,
-    PredictionBand, Recordings, Regime,
+    PredictionBand, PredictionRegime, Recordings,
 };
 
 /// The result as `--json` prints it, without the wall time and the path of the profile.
@@ -65,23 +65,26 @@ fn horizon(error: &HorizonError) -> Value {
     })
 }
 
-fn phase((regime, error): &(Regime, HorizonError)) -> Value {
+fn phase((regime, error): &(PredictionRegime, HorizonError)) -> Value {
     let mut value = horizon(error);
     value["phase"] = json!(regime.name());
     value
 }
 
 fn band(predictions: &Predictions) -> Value {
-    let Some(PredictionBand { half_widths_rad: [theta, alpha], predictions: count }) =
-        predictions.band
-    else {
+    let Some(PredictionBand { half_widths, predictions: count }) = predictions.band else {
         return Value::Null;
     };
     let held_out = predictions.within.map(|within| {
         let [theta, alpha] = within.shares;
         json!({ "theta": theta, "alpha": alpha, "predictions": within.predictions })
     });
-    json!({ "theta_rad": theta, "alpha_rad": alpha, "predictions": count, "held_out": held_out })
+    json!({
+        "theta_rad": half_widths.theta_rad,
+        "alpha_rad": half_widths.alpha_rad,
+        "predictions": count,
+        "held_out": held_out,
+    })
 }
 
 fn excitation(excitation: &ExpectedExcitation) -> Value {

@@ -1,11 +1,11 @@
 use std::path::PathBuf;
 
 use crate::identification::{
-    HorizonError, Identified, PredictionBand, Regime, comes_upright, horizon_error,
+    HorizonError, Identified, PredictionBand, PredictionRegime, comes_upright, horizon_error,
     prediction_errors, regime_error, series_of,
 };
 use crate::qube::QubeModel;
-use crate::replay::MotionLog;
+use crate::replay::{AngleError, MotionLog};
 
 /// Horizons at which the table shows the predictions of recordings whose pendulum stays down, such
 /// as chirps and steps, s. The longest is the rest of an excitation of 10 s after the 0.2 s from
@@ -76,7 +76,7 @@ impl Predictions {
 }
 
 /// The errors of the predictions of half a second in all these recordings.
-fn pooled(logs: &[MotionLog], models: &[QubeModel]) -> Vec<[f64; 2]> {
+fn pooled(logs: &[MotionLog], models: &[QubeModel]) -> Vec<AngleError> {
     let pairs = logs.iter().zip(models);
     pairs.flat_map(|(log, model)| prediction_errors(log, model)).collect()
 }
@@ -89,8 +89,8 @@ pub struct PredictionErrors {
     /// Errors of the recordings whose pendulum never comes upright, in the order of
     /// [`HORIZONS_S`].
     pub horizons: [HorizonError; 3],
-    /// Errors of the other recordings, in the order of [`Regime::ALL`].
-    pub regimes: [(Regime, HorizonError); 2],
+    /// Errors of the other recordings, in the order of [`PredictionRegime::ALL`].
+    pub regimes: [(PredictionRegime, HorizonError); 2],
 }
 
 impl PredictionErrors {
@@ -104,14 +104,17 @@ impl PredictionErrors {
                 .collect();
             HorizonError::pooled(horizon_s, &parts)
         };
-        let regime = |regime: Regime| {
+        let regime = |regime: PredictionRegime| {
             let parts: Vec<HorizonError> = pairs()
                 .map(|(log, model)| regime_error(std::slice::from_ref(log), model, regime))
                 .collect();
-            let [_, horizon_s] = regime.times_s();
-            (regime, HorizonError::pooled(horizon_s, &parts))
+            (regime, HorizonError::pooled(regime.times().horizon_s, &parts))
         };
-        Self { group, horizons: HORIZONS_S.map(horizon), regimes: Regime::ALL.map(regime) }
+        Self {
+            group,
+            horizons: HORIZONS_S.map(horizon),
+            regimes: PredictionRegime::ALL.map(regime),
+        }
     }
 
     /// The errors over the longest horizon, `None` if no recording is that long.

@@ -120,9 +120,10 @@ fn rms_errors(errors: &PredictionErrors) -> String {
 
 /// The band of the predictions and the share of held-out errors within it.
 fn band_lines(predictions: &Predictions) -> String {
-    let Some(PredictionBand { half_widths_rad: [theta, alpha], .. }) = predictions.band else {
+    let Some(PredictionBand { half_widths, .. }) = predictions.band else {
         return String::new();
     };
+    let (theta, alpha) = (half_widths.theta_rad, half_widths.alpha_rad);
     let mut text = format!(
         "\nAfter 0.5 s, 90 % of the fitted recordings are within theta {theta:.4} and alpha {alpha:.4} rad of a prediction.\n"
     );

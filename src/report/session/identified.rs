@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use super::SessionSource;
 use super::source::{COMPARED, ComparedMotion};
-use crate::identification::{Regime, regime_error, start_state};
+use crate::identification::{PredictionRegime, regime_error, start_state};
 use crate::qube::{Profile, Quantity, QubeModel};
 use crate::replay::simulate_from;
 use crate::report::chart::{Axis, Chart, Mark, Series, Style};
@@ -130,7 +130,7 @@ fn add_predictions(page: &mut Page, source: &SessionSource, model: &QubeModel) {
             motion.name.as_str().into(),
             if motion.fitted { "fitted" } else { "held out" }.into(),
         ];
-        for regime in Regime::ALL {
+        for regime in PredictionRegime::ALL {
             let error = regime_error(logs, model, regime);
             let figure = |value: f64| Cell::number((error.predictions > 0).then_some(value), 3);
             row.extend([figure(error.rms.theta_rad), figure(error.rms.alpha_rad)]);
