@@ -15,6 +15,7 @@ mod awake;
 mod monotonic;
 mod punctual;
 mod realtime;
+mod timespec;
 mod virtual_clock;
 
 #[cfg(test)]
@@ -23,6 +24,7 @@ pub use awake::{AwakeProcessors, CPU_DMA_LATENCY};
 pub use monotonic::MonotonicClock;
 pub use punctual::PunctualClock;
 pub use realtime::{RealtimeRefusals, enter_realtime};
+pub(crate) use timespec::timespec;
 pub use virtual_clock::VirtualClock;
 
 /// Nanoseconds: a point in time, counted from an arbitrary fixed origin, or a duration.

@@ -10,7 +10,7 @@ use super::port_fd::PortFd;
 use super::port_holder::holder_of;
 use super::port_name::{available_ports, stable_port_name};
 use super::{DeviceError, LinkFault, SerialLink, Transport};
-use crate::clock::{Clock, Nanoseconds};
+use crate::clock::{Clock, Nanoseconds, timespec};
 
 /// Time that an Uno or Mega may need before it answers, ns: opening the port restarts the board,
 /// and its boot loader listens for up to two seconds.
@@ -48,11 +48,7 @@ impl Tty {
 
     /// Time until the deadline; zero if it has passed.
     fn timeout(&self, deadline_ns: Nanoseconds) -> Timespec {
-        let wait_ns = deadline_ns.saturating_sub(self.clock.now_ns());
-        Timespec {
-            tv_sec: (wait_ns / 1_000_000_000) as i64,
-            tv_nsec: (wait_ns % 1_000_000_000) as _,
-        }
+        timespec(deadline_ns.saturating_sub(self.clock.now_ns()))
     }
 }
 

@@ -13,7 +13,7 @@ use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, ptsname, unlo
 use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 
 use super::{Board, EmulatorSettings, UsbBridge};
-use crate::clock::{Clock, MonotonicClock, Nanoseconds, enter_realtime};
+use crate::clock::{Clock, MonotonicClock, Nanoseconds, enter_realtime, timespec};
 
 /// Interval at which the server clears the exclusive mode of its port, us.
 const HOUSEKEEPING_US: u64 = 100_000;
@@ -265,11 +265,7 @@ impl<'a> Server<'a> {
     /// Time from the present until `wake_us` of the board's clock; zero if that has passed.
     fn timeout(&self, wake_us: u64) -> Timespec {
         let wake_ns = self.start_ns.saturating_add(wake_us.saturating_mul(1000));
-        let wait_ns = wake_ns.saturating_sub(MonotonicClock.now_ns());
-        Timespec {
-            tv_sec: (wait_ns / 1_000_000_000) as i64,
-            tv_nsec: (wait_ns % 1_000_000_000) as _,
-        }
+        timespec(wake_ns.saturating_sub(MonotonicClock.now_ns()))
     }
 
     fn serve(&mut self, pty: &Pty) -> io::Result<Served> {

@@ -3,7 +3,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
-use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::event::{EventfdFlags, PollFd, PollFlags, eventfd, poll};
 use rustix::io::Errno;
 
 use super::card::Calling;
@@ -11,7 +11,7 @@ use super::library::Library;
 use super::panel::{NoSample, Panel};
 use super::thread;
 use super::{HilAddress, HilError};
-use crate::clock::{Clock, Nanoseconds, enter_realtime};
+use crate::clock::{Clock, Nanoseconds, enter_realtime, timespec};
 use crate::device::Identity;
 use crate::qube::Measurement;
 
@@ -157,12 +157,8 @@ impl Worker {
             if left_ns == 0 {
                 return None;
             }
-            let timeout = Timespec {
-                tv_sec: (left_ns / 1_000_000_000) as i64,
-                tv_nsec: (left_ns % 1_000_000_000) as _,
-            };
             let mut ready = [PollFd::new(&self.shared.answered, PollFlags::IN)];
-            match poll(&mut ready, Some(&timeout)) {
+            match poll(&mut ready, Some(&timespec(left_ns))) {
                 Ok(_) | Err(Errno::INTR) => {}
                 Err(_) => return None,
             }
