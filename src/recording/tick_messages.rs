@@ -46,20 +46,15 @@ pub(super) struct MeasurementMessage {
     /// The stall lasted and the Qube switched its motor off.
     stall_error: bool,
     /// The emergency-stop switch is open, or was since the last hello.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     emergency_stop: bool,
     /// The board knows of an emergency-stop switch.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     stop_switch_fitted: bool,
     /// Bits of the numbers that are not finite, by name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "String")]
     not_finite: Option<String>,
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde hands a field over by reference")]
-fn is_false(flag: &bool) -> bool {
-    !flag
 }
 
 /// The estimated state that the controller saw.

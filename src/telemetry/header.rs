@@ -134,7 +134,7 @@ pub struct RolloutHeader {
     pub motor_heat: Option<MotorHeat>,
     /// Whether a real Qube ran under the box alone, without foresight. The operator then accepted
     /// on the command line that the arm may reach its hard stop.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub hard_stop_accepted: bool,
     /// Name of the policy.
     pub policy: String,
@@ -216,10 +216,6 @@ pub struct RolloutOutcome {
     pub lateness_us: LatencySummary,
     /// Time from sample to act by the device's clock, microseconds.
     pub sample_to_act_us: LatencySummary,
-}
-
-fn is_false(flag: &bool) -> bool {
-    !flag
 }
 
 fn is_zero(count: &u32) -> bool {
