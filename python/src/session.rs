@@ -120,7 +120,7 @@ fn read(folder: PathBuf) -> Result<Value, String> {
         .map(|it| {
             let files = below.candidate(it.candidate.number);
             let recordings = it.candidate.finished.iter();
-            let recordings = recordings.map(|one| files.rollout(one.rollout, one.attempt));
+            let recordings = recordings.map(|one| files.rollout(one.of_policy()));
             json!({
                 "number": it.candidate.number,
                 "purpose": it.candidate.purpose,

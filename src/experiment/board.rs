@@ -3,7 +3,7 @@
 use super::{Experiment, ExperimentError};
 use crate::recording::{RecordingError, read};
 use crate::rig::RigSettings;
-use crate::session::{SessionPaths, SessionView, keep_on_board, recording_in};
+use crate::session::{RolloutAttempt, SessionPaths, SessionView, keep_on_board, recording_in};
 use crate::storage::MachineDisk;
 
 impl Experiment {
@@ -34,13 +34,14 @@ impl Experiment {
             for candidate in view.state().candidates() {
                 let recorded = candidate.finished.iter();
                 let of_candidate = search.candidate(candidate.number);
-                paths.extend(recorded.map(|it| of_candidate.rollout(it.rollout, it.attempt)));
+                paths.extend(recorded.map(|it| of_candidate.rollout(it.of_policy())));
             }
         }
         for recipe in &settings.recipes {
             let folders = self.folder().policies(&recipe.name);
             let folder = |policy| folders.rollouts(policy, &settings.plants[0].name);
-            paths.extend((0..settings.policies).map(|policy| recording_in(&folder(policy), 0, 0)));
+            let first = |policy| recording_in(&folder(policy), RolloutAttempt::FIRST);
+            paths.extend((0..settings.policies).map(first));
         }
         for path in &paths {
             match read(path) {
@@ -97,7 +98,7 @@ mod tests {
         std::fs::create_dir_all(&folder).unwrap();
         let mut header = samples::header();
         header.device.insert(DeviceFacts::SERIAL, serial);
-        let path = recording_in(&folder, 0, 0);
+        let path = recording_in(&folder, RolloutAttempt::FIRST);
         let writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
         writer.finish(&samples::outcome()).unwrap();
     }
@@ -126,7 +127,7 @@ mod tests {
         {
             let begun = experiment(root.path(), port(), None);
             let folder = begun.folder().policies("nominal").rollouts(0, "device");
-            let path = recording_in(&folder, 0, 0);
+            let path = recording_in(&folder, RolloutAttempt::FIRST);
             let aside = path.with_extension("aside");
             std::fs::rename(&path, &aside).unwrap();
             std::os::unix::fs::symlink(&path, &path).unwrap();

@@ -7,7 +7,8 @@ use crate::recording::{RecordingError, read};
 use crate::rig::Rig;
 use crate::scoring::{Behaviour, Quietness, Verdict, score_recording};
 use crate::session::{
-    PolicyPaths, RolloutPlan, SessionError, check_origin, check_policy, put_aside, recording_in,
+    PolicyPaths, RolloutAttempt, RolloutPlan, SessionError, check_origin, check_policy, put_aside,
+    recording_in,
 };
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;
@@ -73,7 +74,8 @@ fn state_of(
     repetitions: u32,
 ) -> Result<RecordedState, ExperimentError> {
     for attempt in 0..=repetitions {
-        let path = recording_in(rollouts, rollout, attempt);
+        let its = RolloutAttempt { rollout, attempt };
+        let path = recording_in(rollouts, its);
         let recorded = match read(&path) {
             Ok(recorded) => recorded,
             Err(RecordingError::Unreadable { .. }) => return Ok(RecordedState::Due { attempt }),
@@ -81,7 +83,7 @@ fn state_of(
             Err(error) => return Err(error.into()),
         };
         // A file in the wrong place would count a rollout twice, or for another policy.
-        check_origin(&recorded, &path, None, [rollout, attempt])?;
+        check_origin(&recorded, &path, None, its)?;
         check_policy(&recorded, &MachineDisk, &policy_beside(rollouts))?;
         match (score_recording(&recorded), Behaviour::of(&recorded)) {
             (Verdict::Result { return_, .. }, Some(behaviour)) => {
@@ -183,7 +185,8 @@ impl Repeated<'_> {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped.into());
             }
-            let path = recording_in(self.folder, self.plan.rollout, attempt);
+            let path =
+                recording_in(self.folder, RolloutAttempt { rollout: self.plan.rollout, attempt });
             if MachineDisk.exists(&path) {
                 put_aside(&MachineDisk, &path)?;
             }
@@ -204,7 +207,7 @@ mod tests {
     fn a_recording_that_cannot_be_looked_at_is_not_made_again() {
         let directory = tempfile::tempdir().unwrap();
         assert!(!is_complete(directory.path(), 0, 0).unwrap());
-        let path = recording_in(directory.path(), 0, 0);
+        let path = recording_in(directory.path(), RolloutAttempt::FIRST);
         std::os::unix::fs::symlink(&path, &path).unwrap();
         assert!(is_complete(directory.path(), 0, 0).is_err());
     }

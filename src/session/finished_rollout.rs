@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use super::{Finished, PolicyPaths, SessionError};
+use super::{Finished, PolicyPaths, RolloutAttempt, SessionError};
 use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy};
 use crate::recording::Recording;
 use crate::scoring::{Verdict, read_finished};
@@ -16,16 +16,16 @@ pub fn finished_rollout(
     disk: &dyn Disk,
     paths: &PolicyPaths,
     candidate: u32,
-    &Finished { rollout, attempt, .. }: &Finished,
+    finished: &Finished,
 ) -> Result<(Recording, Verdict), SessionError> {
-    let path = paths.rollout(rollout, attempt);
+    let path = paths.rollout(finished.of_policy());
     let (recording, verdict) = read_finished(disk, &path)?;
-    check_origin(&recording, &path, Some(candidate), [rollout, attempt])?;
+    check_origin(&recording, &path, Some(candidate), finished.of_policy())?;
     check_policy(&recording, disk, &paths.policy())?;
     Ok((recording, verdict))
 }
 
-/// Checks that a recording is of the candidate, the rollout and the attempt with these numbers.
+/// Checks that a recording is of this attempt at a rollout of the candidate with this number.
 /// `None`: the caller does not know the candidate.
 ///
 /// # Errors
@@ -34,11 +34,12 @@ pub fn check_origin(
     recording: &Recording,
     path: &Path,
     candidate: Option<u32>,
-    [rollout, attempt]: [u32; 2],
+    attempt: RolloutAttempt,
 ) -> Result<(), SessionError> {
     let header = &recording.header;
     let is_its_candidate = candidate.is_none() || header.candidate == candidate;
-    if is_its_candidate && (header.rollout, header.attempt) == (rollout, attempt) {
+    let recorded = RolloutAttempt { rollout: header.rollout, attempt: header.attempt };
+    if is_its_candidate && recorded == attempt {
         return Ok(());
     }
     let of_candidate = match header.candidate {

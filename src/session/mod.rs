@@ -31,6 +31,7 @@
 //! # Ok::<(), EntryError>(())
 //! ```
 
+mod attempt;
 mod configuration;
 mod configuration_error;
 mod decision;
@@ -69,6 +70,7 @@ mod toml_message;
 mod training_time;
 mod view;
 
+pub use attempt::{AttemptId, RolloutAttempt};
 pub use configuration_error::ConfigurationError;
 pub use decision::{GainSource, SearchEnd, WORTHWHILE_GAIN};
 pub use emulated_qube::{EmulatedQubeError, EmulatedQubeSettings};

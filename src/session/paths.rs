@@ -1,5 +1,7 @@
 use std::path::{Path, PathBuf};
 
+use super::RolloutAttempt;
+
 /// The paths of a session's files.
 ///
 /// ```text
@@ -119,15 +121,29 @@ impl PolicyPaths {
         self.folder.join("training-times.json")
     }
 
-    /// Path of the recording of one attempt of one rollout.
+    /// Path of the recording of an attempt at a rollout.
     #[must_use]
-    pub fn rollout(&self, rollout: u32, attempt: u32) -> PathBuf {
-        recording_in(&self.folder, rollout, attempt)
+    pub fn rollout(&self, attempt: RolloutAttempt) -> PathBuf {
+        recording_in(&self.folder, attempt)
     }
 }
 
-/// Path, in a folder of recordings, of the recording of one attempt of one rollout.
+/// Path, in a folder of recordings, of the recording of an attempt at a rollout.
 #[must_use]
-pub fn recording_in(folder: &Path, rollout: u32, attempt: u32) -> PathBuf {
+pub fn recording_in(folder: &Path, RolloutAttempt { rollout, attempt }: RolloutAttempt) -> PathBuf {
     folder.join(format!("rollout-{rollout}-attempt-{attempt}.mcap"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::AttemptId;
+
+    #[test]
+    fn the_rollout_precedes_the_attempt_in_the_name_of_a_recording() {
+        let third = AttemptId { candidate: 7, rollout: 1, attempt: 2 };
+        let paths = SessionPaths::new(Path::new("session")).candidate(third.candidate);
+        let recording = Path::new("session/candidates/007/rollout-1-attempt-2.mcap");
+        assert_eq!(paths.rollout(third.of_policy()), recording);
+    }
 }

@@ -105,7 +105,7 @@ impl SessionReport {
         for ScoredCandidate { candidate, .. } in &candidates {
             let of_candidate = paths.candidate(candidate.number);
             for finished in &candidate.finished {
-                let path = of_candidate.rollout(finished.rollout, finished.attempt);
+                let path = of_candidate.rollout(finished.of_policy());
                 let recording = read_on(folder.disk(), &path)?;
                 report.latencies.add(&recording.ticks);
                 report.observer_resets +=

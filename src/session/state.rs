@@ -1,6 +1,6 @@
 use thiserror::Error;
 
-use super::{Entry, Purpose};
+use super::{AttemptId, Entry, Purpose, RolloutAttempt};
 
 /// A candidate of a session, as the ledger's entries describe it.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,6 +48,20 @@ pub struct Finished {
     pub attempt: u32,
     /// Number of the rig that made the rollout, from 1; `None` if the session has a single rig.
     pub rig: Option<u32>,
+}
+
+impl Finished {
+    /// The attempt that has the result, among those of the candidate's policy.
+    #[must_use]
+    pub fn of_policy(&self) -> RolloutAttempt {
+        RolloutAttempt { rollout: self.rollout, attempt: self.attempt }
+    }
+
+    /// The attempt that has the result; `candidate` is the number of the candidate.
+    #[must_use]
+    pub fn of_candidate(&self, candidate: u32) -> AttemptId {
+        AttemptId { candidate, rollout: self.rollout, attempt: self.attempt }
+    }
 }
 
 /// A profile that a session identified, as a file in its folder.
@@ -282,7 +296,7 @@ impl SessionState {
                 candidate.trained = true;
             }
             Entry::RolloutFinished { candidate, rollout, attempt, rig } => {
-                let candidate = self.candidate_due(candidate, rollout, attempt)?;
+                let candidate = self.candidate_due(AttemptId { candidate, rollout, attempt })?;
                 candidate.finished.push(Finished { rollout, attempt, rig });
                 (candidate.void, candidate.void_before) = (0, 0);
             }
@@ -327,7 +341,7 @@ impl SessionState {
                 self.gain_at_end = Some(expected_gain);
             }
             Entry::RolloutVoid { candidate, rollout, attempt, .. } => {
-                self.candidate_due(candidate, rollout, attempt)?.void += 1;
+                self.candidate_due(AttemptId { candidate, rollout, attempt })?.void += 1;
             }
             Entry::RigTakenOut { rig, ref reason } => {
                 if self.is_taken_out(rig) {
@@ -383,16 +397,12 @@ impl SessionState {
         self.candidates.get_mut(number as usize).ok_or(EntryError::NoSuchCandidate)
     }
 
-    /// The candidate with this number, if this attempt of this rollout is the next one that is due.
-    fn candidate_due(
-        &mut self,
-        number: u32,
-        rollout: u32,
-        attempt: u32,
-    ) -> Result<&mut Candidate, EntryError> {
-        let candidate = self.candidate(number)?;
-        let due = (candidate.finished.len() as u32, candidate.void);
-        if candidate.trained && (rollout, attempt) == due {
+    /// The candidate of this attempt, if the attempt is the next one that is due.
+    fn candidate_due(&mut self, attempt: AttemptId) -> Result<&mut Candidate, EntryError> {
+        let candidate = self.candidate(attempt.candidate)?;
+        let due =
+            RolloutAttempt { rollout: candidate.finished.len() as u32, attempt: candidate.void };
+        if candidate.trained && attempt.of_policy() == due {
             Ok(candidate)
         } else {
             Err(EntryError::NotDue)

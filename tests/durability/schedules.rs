@@ -15,8 +15,8 @@ use qube_hil::safety::SafetyBox;
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::search::StrategyKind;
 use qube_hil::session::{
-    Entry, Extent, Session, SessionError, SessionFolder, SessionPaths, SessionSettings,
-    parse_ledger,
+    Entry, Extent, RolloutAttempt, Session, SessionError, SessionFolder, SessionPaths,
+    SessionSettings, parse_ledger,
 };
 use qube_hil::storage::Disk;
 use rand::{RngExt, SeedableRng};
@@ -301,7 +301,7 @@ impl Schedule {
                 continue;
             };
             let paths = SessionPaths::new(&root()).candidate(candidate);
-            let verdict = score(disk, &paths.rollout(rollout, attempt)).unwrap();
+            let verdict = score(disk, &paths.rollout(RolloutAttempt { rollout, attempt })).unwrap();
             if matches!(entry, Entry::RolloutFinished { .. }) {
                 assert!(matches!(verdict, Verdict::Result { .. }), "{verdict:?}");
                 finished.push((candidate, rollout));

@@ -10,7 +10,7 @@ use qube_hil::recording::read;
 use qube_hil::rig::{Recovery, RigSettings};
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::session::{
-    Entry, Extent, Ledger, Session, SessionError, SessionFolder, SessionSettings,
+    Entry, Extent, Ledger, RolloutAttempt, Session, SessionError, SessionFolder, SessionSettings,
 };
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Fault, Preflight};
@@ -82,7 +82,11 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
             })
             .collect();
         let [candidate] = voids[..] else { panic!("{fault}: {entries:?}") };
-        let kept = score(&MachineDisk, &folder.paths().candidate(candidate).rollout(0, 0)).unwrap();
+        let kept = score(
+            &MachineDisk,
+            &folder.paths().candidate(candidate).rollout(RolloutAttempt::FIRST),
+        )
+        .unwrap();
         assert!(matches!(kept, Verdict::Void { .. }), "{fault}: {kept:?}");
 
         run(folder, None).unwrap();
@@ -172,8 +176,11 @@ fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
         // After the acknowledgement the Qube was examined before the rollout, although it is
         // emulated.
         let Some(&Entry::RolloutVoid { candidate, rollout, .. }) = before.last() else { panic!() };
-        let path =
-            SessionFolder::open(&root).unwrap().paths().candidate(candidate).rollout(rollout, 1);
+        let path = SessionFolder::open(&root)
+            .unwrap()
+            .paths()
+            .candidate(candidate)
+            .rollout(RolloutAttempt { rollout, attempt: 1 });
         let preflight = read(&path).unwrap().header.preflight;
         assert!(matches!(preflight, Preflight::Done(_)), "{preflight:?}");
     }

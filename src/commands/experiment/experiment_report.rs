@@ -18,7 +18,7 @@ use crate::recording::read;
 use crate::replay::SimulatedSpecimen;
 use crate::report::{NamedRollouts, RolloutView, methods_page, recipes_page};
 use crate::scoring::criterion::SUCCESS_RETURN;
-use crate::session::{FolderError, recording_in};
+use crate::session::{FolderError, RolloutAttempt, recording_in};
 use crate::simulation::DomainDistribution;
 use crate::storage::{Disk, MachineDisk, write_whole};
 
@@ -136,7 +136,9 @@ fn examples(results: &Results) -> NamedRollouts {
         let worst = result.policies.iter().min_by(order);
         let others = worst.filter(|worst| best.is_some_and(|best| best.number != worst.number));
         for policy in best.into_iter().chain(others) {
-            let attempts = (0..).map(|attempt| recording_in(&policy.recordings, 0, attempt));
+            let attempts = (0..).map(|attempt| {
+                recording_in(&policy.recordings, RolloutAttempt { rollout: 0, attempt })
+            });
             let Some(path) = attempts.take_while(|path| path.exists()).last() else { continue };
             let Ok(recording) = read(&path) else { continue };
             let name = format!("{} on {}, policy {}", result.recipe, result.plant, policy.number);

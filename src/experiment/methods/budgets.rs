@@ -246,7 +246,7 @@ mod tests {
     use super::*;
     use crate::experiment::methods::samples::{experiment, record, run, swings};
     use crate::policy::{Excitation, ExcitationShape, Policy};
-    use crate::session::recording_in;
+    use crate::session::{RolloutAttempt, recording_in};
     use crate::telemetry::{Ending, Fault};
 
     #[test]
@@ -268,14 +268,14 @@ mod tests {
         let experiment = experiment(root.path(), vec![Method::Posterior]);
         let settings = experiment.settings().methods.as_ref().unwrap();
         let run = run(&experiment, Method::Posterior, Access::ReadOnly);
-        record(&run, (0, 0), Ending::Completed, 300, swings);
+        record(&run, RolloutAttempt::FIRST, Ending::Completed, 300, swings);
         let recordings = run.folder.join("recordings");
         let scored = root.path().join("scored.mcap");
-        std::fs::rename(recording_in(&recordings, 0, 0), &scored).unwrap();
+        std::fs::rename(recording_in(&recordings, RolloutAttempt::FIRST), &scored).unwrap();
         for rollout in 0..2 {
             for attempt in 0..=run.recipe.settings.extent.repetitions {
                 let void = Ending::Fault(Fault::EncoderFrozen);
-                record(&run, (rollout, attempt), void, 300, swings);
+                record(&run, RolloutAttempt { rollout, attempt }, void, 300, swings);
             }
         }
         std::fs::write(run.folder.join("refused-2.txt"), "nothing moves").unwrap();
@@ -288,7 +288,7 @@ mod tests {
         std::fs::write(&policy, Policy::Excitation(excitation).to_bytes()).unwrap();
         let folder = series.folders.rollouts(0, &run.plant.name);
         std::fs::create_dir_all(&folder).unwrap();
-        std::fs::rename(scored, recording_in(&folder, 0, 0)).unwrap();
+        std::fs::rename(scored, recording_in(&folder, RolloutAttempt::FIRST)).unwrap();
 
         let trial = Trial { plant: 0, method: Method::Posterior, number: 0 };
         let results = experiment.at_budgets(settings, trial, Access::ReadOnly).unwrap();

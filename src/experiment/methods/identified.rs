@@ -290,6 +290,7 @@ mod tests {
     use crate::experiment::methods::Method;
     use crate::experiment::methods::samples::{experiment, record, run, swings};
     use crate::qube::State;
+    use crate::session::RolloutAttempt;
     use crate::telemetry::{Ending, Fault};
 
     /// A motion, the ending of its recording, and the number of its steps.
@@ -310,7 +311,7 @@ mod tests {
         let settings = experiment.settings().methods.as_ref().unwrap();
         for (number, (motion, ending, steps)) in (0..).zip(recorded) {
             for attempt in 0..=run.recipe.settings.extent.repetitions {
-                record(&run, (number, attempt), *ending, *steps, motion);
+                record(&run, RolloutAttempt { rollout: number, attempt }, *ending, *steps, motion);
             }
         }
         check(&FromRecordings::new(&run, settings, Width::Posterior, Further::Rollouts));

@@ -154,7 +154,7 @@ mod tests {
     use super::*;
     use crate::experiment::methods::samples::{experiment, record, run, swings};
     use crate::experiment::methods::{Access, Method};
-    use crate::session::recording_in;
+    use crate::session::{RolloutAttempt, recording_in};
     use crate::telemetry::{Ending, Fault};
 
     #[test]
@@ -165,12 +165,15 @@ mod tests {
         let recordings = MethodRecordings::of(&run);
         let void = Ending::Fault(Fault::EncoderFrozen);
         for attempt in 0..=recordings.repetitions() {
-            record(&run, (0, attempt), void, 300, swings);
+            record(&run, RolloutAttempt { rollout: 0, attempt }, void, 300, swings);
         }
-        record(&run, (1, 0), void, 300, swings);
-        record(&run, (1, 1), Ending::Completed, 300, swings);
+        record(&run, RolloutAttempt { rollout: 1, attempt: 0 }, void, 300, swings);
+        record(&run, RolloutAttempt { rollout: 1, attempt: 1 }, Ending::Completed, 300, swings);
         assert_eq!(recordings.complete_from(0, 2).unwrap(), 2);
         assert_eq!(recordings.path(0).unwrap(), None);
-        assert_eq!(recordings.path(1).unwrap(), Some(recording_in(&recordings.folder(), 1, 1)));
+        assert_eq!(
+            recordings.path(1).unwrap(),
+            Some(recording_in(&recordings.folder(), RolloutAttempt { rollout: 1, attempt: 1 }))
+        );
     }
 }

@@ -9,7 +9,7 @@ use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings, Plant,
 use crate::qube::{Measurement, PlantModel, State};
 use crate::recording::{RolloutWriter, samples};
 use crate::rig::{DeviceChoice, RigSettings};
-use crate::session::{SessionSettings, recording_in};
+use crate::session::{RolloutAttempt, SessionSettings, recording_in};
 use crate::simulation::Model;
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Phase, RolloutHeader, RolloutOutcome, TickRecord};
@@ -63,16 +63,17 @@ pub fn swings(time_s: f64) -> State {
 /// sign.
 pub fn record(
     run: &MethodRun,
-    (rollout, attempt): (u32, u32),
+    attempt: RolloutAttempt,
     ending: Ending,
     steps: u32,
     motion: impl Fn(f64) -> State,
 ) {
     let folder = run.folder.join("recordings");
     std::fs::create_dir_all(&folder).unwrap();
+    let path = recording_in(&folder, attempt);
+    let RolloutAttempt { rollout, attempt } = attempt;
     let mut header = RolloutHeader { candidate: None, rollout, attempt, ..samples::header() };
     header.settings.calibration.theta_zero_counts = 0;
-    let path = recording_in(&folder, rollout, attempt);
     let mut writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
     let encoders = PlantModel::QUBE.encoders;
     for tick in 0..steps {

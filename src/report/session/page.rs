@@ -218,7 +218,7 @@ fn add_faults(page: &mut Page, source: &SessionSource) {
             .void
             .iter()
             .map(|it| {
-                let numbers = [it.candidate, it.rollout, it.attempt]
+                let numbers = [it.attempt.candidate, it.attempt.rollout, it.attempt.attempt]
                     .map(|number| Cell::Number(number.to_string()));
                 numbers.into_iter().chain([it.reason.as_str().into()]).collect()
             })

@@ -14,9 +14,9 @@ use crate::report::ReportError;
 use crate::report::rollout::RolloutView;
 use crate::scoring::{Latencies, Verdict, score_recording};
 use crate::session::{
-    BestPolicy, Candidate, Entry, FolderError, Identification, Purpose, ScoredCandidate,
-    ScoredRollout, SessionPaths, SessionSettings, SessionState, SessionView, Step, TrainingTime,
-    finished_rollout, identified_profile, next_step,
+    AttemptId, BestPolicy, Candidate, Entry, FolderError, Identification, PolicyPaths, Purpose,
+    ScoredCandidate, ScoredRollout, SessionPaths, SessionSettings, SessionState, SessionView, Step,
+    TrainingTime, finished_rollout, identified_profile, next_step,
 };
 use crate::storage::{Disk, SETTINGS_BYTES, checksum_of};
 
@@ -67,12 +67,8 @@ pub struct SessionSource {
 /// An attempt of a rollout that a fault has ended.
 #[derive(Debug)]
 pub(super) struct VoidAttempt {
-    /// Number of its candidate.
-    pub(super) candidate: u32,
-    /// Number of the rollout among those of the candidate, from 0.
-    pub(super) rollout: u32,
-    /// Number of the attempt, from 0.
-    pub(super) attempt: u32,
+    /// Numbers of its candidate, of the rollout and of the attempt.
+    pub(super) attempt: AttemptId,
     /// The fault, or the reason why the recording does not show it.
     pub(super) reason: String,
 }
@@ -200,11 +196,8 @@ impl SessionSource {
         let mut rollouts = Vec::new();
         for finished in &candidate.finished {
             for attempt in 0..finished.attempt {
-                self.read_void(
-                    disk,
-                    &of_candidate.rollout(finished.rollout, attempt),
-                    [number, finished.rollout, attempt],
-                );
+                let attempt = AttemptId { candidate: number, rollout: finished.rollout, attempt };
+                self.read_void(disk, &of_candidate, attempt);
             }
             match finished_rollout(disk, &of_candidate, number, finished) {
                 Ok((recording, verdict)) => {
@@ -216,14 +209,14 @@ impl SessionSource {
         }
         for attempt in 0..candidate.void {
             let rollout = candidate.finished.len() as u32;
-            let path = of_candidate.rollout(rollout, attempt);
-            self.read_void(disk, &path, [number, rollout, attempt]);
+            let attempt = AttemptId { candidate: number, rollout, attempt };
+            self.read_void(disk, &of_candidate, attempt);
         }
         self.candidates.push(ScoredCandidate::new(candidate, rollouts));
     }
 
-    fn read_void(&mut self, disk: &dyn Disk, path: &Path, [candidate, rollout, attempt]: [u32; 3]) {
-        let read = read_on(disk, path).map(|recording| {
+    fn read_void(&mut self, disk: &dyn Disk, of_candidate: &PolicyPaths, attempt: AttemptId) {
+        let read = read_on(disk, &of_candidate.rollout(attempt.of_policy())).map(|recording| {
             self.time_line.add_rollout(&recording);
             score_recording(&recording)
         });
@@ -232,7 +225,7 @@ impl SessionSource {
             Ok(_) => "the ledger counts it as void, but its recording does not show why".into(),
             Err(error) => error.to_string(),
         };
-        self.void.push(VoidAttempt { candidate, rollout, attempt, reason });
+        self.void.push(VoidAttempt { attempt, reason });
     }
 
     fn add(&mut self, candidate: &Candidate, recording: &Recording) {

@@ -71,7 +71,7 @@ impl Session {
     fn first_device(&self, rig: Option<u32>) -> Result<Option<DeviceFacts>, SessionError> {
         let first = self.ledger.state().candidates().iter().find_map(|it| {
             let finished = it.finished.iter().find(|it| rig.is_none() || it.rig == rig)?;
-            Some(self.recording(it.number, finished.rollout, finished.attempt))
+            Some(self.recording(finished.of_candidate(it.number)))
         });
         let Some(first) = first else { return Ok(None) };
         Ok(Some(read_on(self.folder.disk(), &first)?.header.device))
@@ -87,7 +87,7 @@ mod tests {
     use crate::device::emulator::EmulatorSettings;
     use crate::qube::Profile;
     use crate::recording::{RolloutWriter, samples};
-    use crate::session::{Entry, Purpose, SessionFolder, SessionSettings};
+    use crate::session::{AttemptId, Entry, Purpose, SessionFolder, SessionSettings};
     use crate::storage::MachineDisk;
 
     /// A session on a real Qube whose file names this board and a profile.
@@ -129,7 +129,7 @@ mod tests {
             (DeviceFacts::PORT, port),
             (DeviceFacts::KIND, EMULATOR_KIND),
         ]);
-        let path = session.recording(0, 0, 0);
+        let path = session.recording(AttemptId { candidate: 0, rollout: 0, attempt: 0 });
         let writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
         writer.finish(&samples::outcome()).unwrap();
     }

@@ -17,8 +17,8 @@ use crate::replay::MotionLog;
 use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
-    Entry, Finished, FolderError, GainSource, Identification, Purpose, ScoredCandidate,
-    SessionError, SessionEvent, StoredProfile, identified_profile,
+    Entry, FolderError, GainSource, Identification, Purpose, ScoredCandidate, SessionError,
+    SessionEvent, StoredProfile, identified_profile,
 };
 use crate::storage::{checksum_of, write_whole};
 
@@ -300,8 +300,8 @@ impl Session {
             purpose.informs() || (state.gain_at_end().is_some() && purpose.verifies())
         };
         for candidate in state.candidates().iter().filter(|it| is_used(it.purpose)) {
-            for &Finished { rollout, attempt, .. } in &candidate.finished {
-                let path = self.recording(candidate.number, rollout, attempt);
+            for finished in &candidate.finished {
+                let path = self.recording(finished.of_candidate(candidate.number));
                 data.add(&read_on(self.folder.disk(), &path)?, candidate.number);
             }
         }

@@ -23,8 +23,8 @@ use training_ahead::TrainingAhead;
 
 use super::seeds::SeedFor;
 use super::{
-    Candidate, Entry, Finished, FolderError, Ledger, LedgerError, ScoredCandidate, ScoredRollout,
-    SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState, Step,
+    AttemptId, Candidate, Entry, Finished, FolderError, Ledger, LedgerError, ScoredCandidate,
+    ScoredRollout, SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState, Step,
     finished_rollout, next_step,
 };
 use crate::control::HomingMethod;
@@ -46,7 +46,7 @@ pub struct Session {
     /// The rigs that make the rollouts: one, or several that share the session.
     rigs: Vec<SessionRig>,
     /// Verdicts on the recordings read so far, and their quietness, by candidate, rollout and attempt.
-    scored: HashMap<(u32, u32, u32), ScoredRollout>,
+    scored: HashMap<AttemptId, ScoredRollout>,
     stop: Arc<AtomicBool>,
     executor: Arc<dyn Executor>,
     /// Trainings that run beside the rollouts; `None` unless the search proposes while returns are
@@ -243,11 +243,13 @@ impl Session {
                 Step::Decide => self.decide(on_event)?,
                 Step::Train { candidates } => self.train(&candidates, on_event)?,
                 Step::Rollout { candidate, rollout, attempt } => {
-                    self.roll_out(candidate, rollout, attempt, on_event)?;
+                    self.roll_out(AttemptId { candidate, rollout, attempt }, on_event)?;
                 }
                 Step::GiveUp { candidate, rollout } => match self.attempt_again(candidate, rollout)
                 {
-                    Some(attempt) => self.roll_out(candidate, rollout, attempt, on_event)?,
+                    Some(attempt) => {
+                        self.roll_out(AttemptId { candidate, rollout, attempt }, on_event)?;
+                    }
                     None => {
                         let given_up = self.given_up(candidate, rollout);
                         let index = self.index_of(rollout);
@@ -309,7 +311,7 @@ impl Session {
         else {
             return Ok(());
         };
-        let path = self.recording(candidate, rollout, attempt);
+        let path = self.recording(AttemptId { candidate, rollout, attempt });
         // Without the recording the fault is unknown here; the store of doubts on the computer that
         // drove the board still has it.
         let Some(recording) = read_on(self.folder.disk(), &path).ok() else { return Ok(()) };
@@ -400,8 +402,8 @@ impl Session {
         Ok(scored.filter(|it| it.candidate.purpose.is_searched()))
     }
 
-    fn recording(&self, candidate: u32, rollout: u32, attempt: u32) -> PathBuf {
-        self.folder.paths().candidate(candidate).rollout(rollout, attempt)
+    fn recording(&self, attempt: AttemptId) -> PathBuf {
+        self.folder.paths().candidate(attempt.candidate).rollout(attempt.of_policy())
     }
 
     fn policy_path(&self, candidate: u32) -> PathBuf {
@@ -413,14 +415,14 @@ impl Session {
         candidate: u32,
         finished: &Finished,
     ) -> Result<ScoredRollout, SessionError> {
-        let key = (candidate, finished.rollout, finished.attempt);
-        if let Some(scored) = self.scored.get(&key) {
+        let attempt = finished.of_candidate(candidate);
+        if let Some(scored) = self.scored.get(&attempt) {
             return Ok(scored.clone());
         }
         let (disk, paths) = (self.folder.disk(), self.folder.paths().candidate(candidate));
         let (recording, verdict) = finished_rollout(disk, &paths, candidate, finished)?;
         let scored = ScoredRollout::of(&recording, verdict);
-        self.scored.insert(key, scored.clone());
+        self.scored.insert(attempt, scored.clone());
         Ok(scored)
     }
 
@@ -439,8 +441,8 @@ impl Session {
         let tries = self.settings.extent.repetitions + 1;
         // The attempts of rigs that were taken out count too, so there may be more than `tries`.
         let attempts = self.ledger.state().candidates()[candidate as usize].void;
-        let last = attempts.saturating_sub(1);
-        let last = score(self.folder.disk(), &self.recording(candidate, rollout, last));
+        let last = AttemptId { candidate, rollout, attempt: attempts.saturating_sub(1) };
+        let last = score(self.folder.disk(), &self.recording(last));
         let reason = match last {
             Ok(Verdict::Void { reason }) => reason.to_string(),
             Ok(_) | Err(_) => "its recording cannot be read".into(),

@@ -16,7 +16,8 @@ use crate::session::folder::put_aside;
 use crate::session::plan::{identifying, wanted_rollouts};
 use crate::session::seeds::{SeedFor, derived_seed};
 use crate::session::{
-    Entry, Identification, RolloutPlan, ScoredRollout, SessionError, SessionEvent, rig_of_rollout,
+    AttemptId, Entry, Identification, RolloutPlan, ScoredRollout, SessionError, SessionEvent,
+    rig_of_rollout,
 };
 use crate::telemetry::Ending;
 
@@ -55,9 +56,7 @@ fn span_of(number: Option<u32>) -> tracing::Span {
 /// An attempt of a rollout and the index of the rig that makes it.
 #[derive(Clone, Copy, Debug)]
 struct Turn {
-    candidate: u32,
-    rollout: u32,
-    attempt: u32,
+    attempt: AttemptId,
     index: usize,
 }
 
@@ -108,12 +107,10 @@ impl Session {
     /// other rigs. Enters them into the ledger in order, up to the first without a result.
     pub(super) fn roll_out(
         &mut self,
-        candidate: u32,
-        rollout: u32,
-        attempt: u32,
+        due: AttemptId,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let turns = self.turns(candidate, rollout, attempt);
+        let turns = self.turns(due);
         let mut missing = Vec::new();
         for turn in &turns {
             if !self.takes_over(turn)? {
@@ -125,7 +122,7 @@ impl Session {
                 return self.take_out(turn.index, error, on_event);
             }
         }
-        for &Turn { candidate, rollout, index, .. } in &missing {
+        for &Turn { attempt: AttemptId { candidate, rollout, .. }, index } in &missing {
             let rig = self.number_of(index);
             on_event(SessionEvent::RolloutBegins { candidate, rollout, rig });
         }
@@ -151,18 +148,18 @@ impl Session {
 
     /// The rollout that is due, and the next ones, each on another rig, that can be made at the
     /// same time.
-    fn turns(&self, candidate: u32, rollout: u32, attempt: u32) -> Vec<Turn> {
+    fn turns(&self, due: AttemptId) -> Vec<Turn> {
         let state = self.ledger.state();
-        let purpose = state.candidates()[candidate as usize].purpose;
+        let purpose = state.candidates()[due.candidate as usize].purpose;
         let identifies = identifying(state, self.settings.identification.as_ref());
         let wanted = wanted_rollouts(purpose, &self.settings.extent, identifies);
-        let mut turns = vec![Turn { candidate, rollout, attempt, index: self.index_of(rollout) }];
-        for rollout in rollout + 1..wanted {
+        let mut turns = vec![Turn { attempt: due, index: self.index_of(due.rollout) }];
+        for rollout in due.rollout + 1..wanted {
             let index = self.index_of(rollout);
             if turns.iter().any(|turn| turn.index == index) {
                 break;
             }
-            turns.push(Turn { candidate, rollout, attempt: 0, index });
+            turns.push(Turn { attempt: AttemptId { rollout, attempt: 0, ..due }, index });
         }
         turns
     }
@@ -172,7 +169,7 @@ impl Session {
     /// cut off by a crash or a loss of power, is put aside, because no entry of the ledger refers
     /// to it yet.
     fn takes_over(&self, turn: &Turn) -> Result<bool, SessionError> {
-        let path = self.recording(turn.candidate, turn.rollout, turn.attempt);
+        let path = self.recording(turn.attempt);
         let disk = self.folder.disk();
         if !disk.exists(&path) {
             return Ok(false);
@@ -197,8 +194,9 @@ impl Session {
             put_aside(disk, &path)?;
             return Ok(false);
         }
-        check_origin(&recording, &path, Some(turn.candidate), [turn.rollout, turn.attempt])?;
-        check_policy(&recording, disk, &self.policy_path(turn.candidate))?;
+        let candidate = turn.attempt.candidate;
+        check_origin(&recording, &path, Some(candidate), turn.attempt.of_policy())?;
+        check_policy(&recording, disk, &self.policy_path(candidate))?;
         Ok(true)
     }
 
@@ -208,7 +206,7 @@ impl Session {
         turn: &Turn,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let Turn { candidate, rollout, attempt, index } = *turn;
+        let Turn { attempt: AttemptId { candidate, rollout, attempt }, index } = *turn;
         self.ready_rig(index, SeedFor::Emulator { candidate, rollout, attempt }, on_event)?;
         // The rig's last rollout may have ended with a fault that is not in the ledger, because
         // another rig's fault ended the round first.
@@ -271,7 +269,7 @@ impl Session {
             let Entry::RolloutFinished { candidate, rollout, attempt, .. } = *entry else {
                 return false;
             };
-            let scored = self.scored.get(&(candidate, rollout, attempt));
+            let scored = self.scored.get(&AttemptId { candidate, rollout, attempt });
             let Some(Verdict::Result { outcome, .. }) = scored.map(|it| &it.verdict) else {
                 return false;
             };
@@ -281,13 +279,13 @@ impl Session {
 
     /// Records these rollouts side by side; returns the errors with the indices of their rigs.
     fn record(&mut self, turns: &[Turn]) -> Result<Vec<(usize, RigError)>, SessionError> {
-        let Some(&Turn { candidate, .. }) = turns.first() else { return Ok(Vec::new()) };
-        let policy = self.policy(candidate)?;
+        let Some(first) = turns.first() else { return Ok(Vec::new()) };
+        let policy = self.policy(first.attempt.candidate)?;
         let disk = self.folder.shared_disk();
         let recordings: Vec<_> = turns
             .iter()
             .map(|turn| {
-                let path = self.recording(candidate, turn.rollout, turn.attempt);
+                let path = self.recording(turn.attempt);
                 let span = span_of(self.number_of(turn.index));
                 (turn.index, path, self.plan_of(turn, &policy).header(), span)
             })
@@ -331,18 +329,19 @@ impl Session {
 
     /// The plan of a rollout of a candidate's policy, given in the format of its file.
     fn plan_of(&self, turn: &Turn, policy: &[u8]) -> RolloutPlan {
-        let candidate = &self.ledger.state().candidates()[turn.candidate as usize];
+        let AttemptId { candidate: number, rollout, attempt } = turn.attempt;
+        let candidate = &self.ledger.state().candidates()[number as usize];
         let (policy, steps) = match Policy::from_bytes(policy) {
             Ok(Policy::Excitation(excitation)) => {
                 (format!("excitation by {}", excitation.shape().name()), EXCITATION_STEPS)
             }
-            _ => (format!("candidate {}", turn.candidate), self.settings.extent.steps),
+            _ => (format!("candidate {number}"), self.settings.extent.steps),
         };
         RolloutPlan {
             session: self.settings.name.clone(),
-            candidate: Some(turn.candidate),
-            rollout: turn.rollout,
-            attempt: turn.attempt,
+            candidate: Some(number),
+            rollout,
+            attempt,
             psi: self.settings.psi.with_names(&candidate.point),
             seed: self.settings.seed,
             policy,
@@ -359,9 +358,9 @@ impl Session {
         turn: &Turn,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<bool, SessionError> {
-        let Turn { candidate, rollout, attempt, index } = *turn;
+        let Turn { attempt: AttemptId { candidate, rollout, attempt }, index } = *turn;
         let rig = self.number_of(index);
-        let path = self.recording(candidate, rollout, attempt);
+        let path = self.recording(turn.attempt);
         let recording = read_on(self.folder.disk(), &path)?;
         let verdict = score_recording(&recording);
         let purpose = self.ledger.state().candidates()[candidate as usize].purpose;
@@ -389,7 +388,7 @@ impl Session {
         }
         let has_result = matches!(verdict, Verdict::Result { .. });
         let scored = ScoredRollout::of(&recording, verdict);
-        self.scored.insert((candidate, rollout, attempt), scored);
+        self.scored.insert(turn.attempt, scored);
         if has_result {
             self.watch_drift(index, recording, on_event);
         }
@@ -412,8 +411,8 @@ impl Session {
             // The operator requested a stop; the fault before it is in the ledger.
             RigError::Stopped { .. } => SessionError::Stopped,
             source => SessionError::NotStartedAgain {
-                candidate: turn.candidate,
-                rollout: turn.rollout,
+                candidate: turn.attempt.candidate,
+                rollout: turn.attempt.rollout,
                 fault: reason.to_string(),
                 source: Box::new(source),
             },

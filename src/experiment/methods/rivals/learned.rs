@@ -251,6 +251,7 @@ mod tests {
     use super::*;
     use crate::experiment::methods::samples::{experiment, record, run, swings};
     use crate::experiment::methods::{Access, Method};
+    use crate::session::RolloutAttempt;
     use crate::telemetry::{Ending, Fault};
 
     #[test]
@@ -261,9 +262,15 @@ mod tests {
         let run = run(&experiment, method, Access::ReadOnly);
         let settings = experiment.settings().methods.as_ref().unwrap();
         for attempt in 0..=run.recipe.settings.extent.repetitions {
-            record(&run, (0, attempt), Ending::Fault(Fault::EncoderFrozen), 300, swings);
+            record(
+                &run,
+                RolloutAttempt { rollout: 0, attempt },
+                Ending::Fault(Fault::EncoderFrozen),
+                300,
+                swings,
+            );
         }
-        record(&run, (1, 0), Ending::Completed, 250, swings);
+        record(&run, RolloutAttempt { rollout: 1, attempt: 0 }, Ending::Completed, 250, swings);
         let rival = FromRival::new(&run, settings, RivalKind::SimOpt);
         let demonstrations = rival.demonstrations(2).unwrap();
         let lengths: Vec<usize> = demonstrations.iter().map(|it| it.log.samples.len()).collect();

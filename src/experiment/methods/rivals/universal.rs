@@ -209,7 +209,7 @@ mod tests {
     use super::*;
     use crate::experiment::methods::samples::{experiment, record, run, swings};
     use crate::experiment::methods::{Access, Method};
-    use crate::session::recording_in;
+    use crate::session::{RolloutAttempt, recording_in};
     use crate::telemetry::Ending;
 
     /// Candidates of a search whose return falls with the distance from known inputs, in 14
@@ -264,11 +264,12 @@ mod tests {
         let run = run(&experiment, method, Access::ReadOnly);
         let settings = experiment.settings().methods.as_ref().unwrap();
         let mut universal = FromUniversalPolicy::new(&run, settings);
-        record(&run, (0, 0), Ending::Completed, 300, swings);
+        record(&run, RolloutAttempt::FIRST, Ending::Completed, 300, swings);
         universal.read_candidates(2).unwrap();
         assert_eq!(universal.candidates.count(), 1);
-        std::fs::remove_file(recording_in(&run.folder.join("recordings"), 0, 0)).unwrap();
-        record(&run, (1, 0), Ending::Completed, 300, swings);
+        std::fs::remove_file(recording_in(&run.folder.join("recordings"), RolloutAttempt::FIRST))
+            .unwrap();
+        record(&run, RolloutAttempt { rollout: 1, attempt: 0 }, Ending::Completed, 300, swings);
         universal.read_candidates(2).unwrap();
         assert_eq!(universal.candidates.count(), 2);
         assert_eq!(universal.candidates.evaluated(1).len(), 1);
