@@ -6,7 +6,7 @@ use crate::recording::{RecordingError, Unreadable};
 use crate::rig::RigSettings;
 use crate::safety::{Guard, HardwareRefusal, Limit};
 use crate::session::{PowerTest, PowerWarning, power_warning};
-use crate::telemetry::{CheckResult, Fault};
+use crate::telemetry::{CheckResult, Fault, Hint};
 
 /// The command that helps after a fault; `None` if there is none.
 pub fn after_fault(fault: Fault) -> Option<&'static str> {
@@ -37,17 +37,17 @@ pub fn after_limit(limit: Limit) -> Option<&'static str> {
 /// remedy.
 pub fn remedy(result: &CheckResult) -> Option<String> {
     let remedy = result.remedy.clone()?;
-    Some(match result.name.as_str() {
-        "arm-sign" | "pendulum-sign" | "motor-sign" => {
+    Some(match result.hint {
+        Some(Hint::FindSigns) => {
             format!("qube-hil check --device PORT --write, or by hand {remedy}")
         }
-        "watchdog" if remedy.contains("firmware") => {
+        Some(Hint::TestConformance) => {
             format!("{remedy} with qube-hil check --conformance --device PORT")
         }
-        "latency" if remedy.contains("busy") => {
+        Some(Hint::TestTiming) => {
             format!("{remedy}. qube-hil doctor tests this computer's timing")
         }
-        _ => remedy,
+        None => remedy,
     })
 }
 
@@ -116,6 +116,15 @@ pub fn before_driving(power: Option<&PowerTest>) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_remedy_names_the_command_that_helps_with_it() {
+        let failed = CheckResult::fail("watchdog", "motor still on", "flash the firmware");
+        assert_eq!(remedy(&failed).as_deref(), Some("flash the firmware"));
+        let told = remedy(&failed.with_hint(Some(Hint::TestConformance))).unwrap();
+        assert!(told.starts_with("flash the firmware with qube-hil check --conformance"), "{told}");
+        assert_eq!(remedy(&CheckResult::pass("watchdog", "")), None);
+    }
 
     #[test]
     fn only_a_contradicted_profile_asks_for_a_new_one() {

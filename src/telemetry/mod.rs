@@ -22,5 +22,5 @@ pub use device_facts::DeviceFacts;
 pub use fault::{Consequence, Fault, MotorState, fault_table};
 pub use header::{Ending, RolloutHeader, RolloutOutcome, TickRules, TickSettings};
 pub use latency_summary::LatencySummary;
-pub use preflight::{CheckResult, CheckVerdict, MeasuredLink, Preflight};
+pub use preflight::{CheckResult, CheckVerdict, Hint, MeasuredLink, Preflight};
 pub use record::{Phase, TickRecord};

@@ -14,6 +14,20 @@ pub struct CheckResult {
     /// Advice to the operator on how to remedy a failure; `None` unless the check failed.
     #[serde(rename = "cure", default, skip_serializing_if = "Option::is_none")]
     pub remedy: Option<String>,
+    /// Help with this remedy; recordings do not contain it. `None` if there is none.
+    #[serde(skip)]
+    pub hint: Option<Hint>,
+}
+
+/// Help with the remedy of a failed check, for which a program may have a command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hint {
+    /// A search for the signs of encoders and motor writes the right ones into the Qube's file.
+    FindSigns,
+    /// A test shows whether the board conforms to the protocol.
+    TestConformance,
+    /// A test shows whether the computer keeps time.
+    TestTiming,
 }
 
 /// The verdict of a check.
@@ -57,7 +71,13 @@ pub enum Preflight {
 impl CheckResult {
     /// A check that passed.
     pub fn pass(name: &str, value: impl Into<String>) -> Self {
-        Self { name: name.into(), verdict: CheckVerdict::Pass, value: value.into(), remedy: None }
+        Self {
+            name: name.into(),
+            verdict: CheckVerdict::Pass,
+            value: value.into(),
+            remedy: None,
+            hint: None,
+        }
     }
 
     /// A failed check with its remedy.
@@ -67,12 +87,25 @@ impl CheckResult {
             verdict: CheckVerdict::Fail,
             value: value.into(),
             remedy: Some(remedy.into()),
+            hint: None,
         }
+    }
+
+    /// The same result with help with its remedy.
+    #[must_use]
+    pub fn with_hint(self, hint: Option<Hint>) -> Self {
+        Self { hint, ..self }
     }
 
     /// A check that was not done, with the reason `why`.
     pub fn skipped(name: &str, why: impl Into<String>) -> Self {
-        Self { name: name.into(), verdict: CheckVerdict::Skipped, value: why.into(), remedy: None }
+        Self {
+            name: name.into(),
+            verdict: CheckVerdict::Skipped,
+            value: why.into(),
+            remedy: None,
+            hint: None,
+        }
     }
 
     /// Whether the check failed.

@@ -5,7 +5,7 @@ use crate::clock::{Clock, Nanoseconds};
 use crate::control::{LONGEST_SAMPLE_TIMEOUT_NS, LatencyHistogram, SAMPLE_TIMEOUT_NS};
 use crate::device::{Device, DeviceError, Identity, LinkFault};
 use crate::preflight::latency_timer::{latency_timer_ms, latency_timer_remedy};
-use crate::telemetry::{CheckResult, LatencySummary, MeasuredLink};
+use crate::telemetry::{CheckResult, Hint, LatencySummary, MeasuredLink};
 
 /// Number of samples for the check of the link in an examination.
 pub(super) const SAMPLES: u32 = 600;
@@ -191,15 +191,15 @@ pub(super) fn latency(port: &str, round_trips: &RoundTrips) -> CheckResult {
         }
         return CheckResult::pass(NAME, value);
     }
-    let remedy = match latency_timer_ms(port) {
-        Some(timer_ms) if timer_ms > 1 => latency_timer_remedy(port),
-        _ => format!(
-            "99 of 100 samples must take less than {:.1} ms. Close other programs that keep this computer \
-             busy, and plug the board in without a hub",
-            LONGEST_SAMPLE_TIMEOUT_NS as f64 * 1e-6
-        ),
-    };
-    CheckResult::fail(NAME, value, remedy)
+    if latency_timer_ms(port).is_some_and(|timer_ms| timer_ms > 1) {
+        return CheckResult::fail(NAME, value, latency_timer_remedy(port));
+    }
+    let remedy = format!(
+        "99 of 100 samples must take less than {:.1} ms. Close other programs that keep this computer \
+         busy, and plug the board in without a hub",
+        LONGEST_SAMPLE_TIMEOUT_NS as f64 * 1e-6
+    );
+    CheckResult::fail(NAME, value, remedy).with_hint(Some(Hint::TestTiming))
 }
 
 #[cfg(test)]

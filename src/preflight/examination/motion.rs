@@ -7,7 +7,7 @@ use crate::control::{SignProbe, drive_warm, fault_after};
 use crate::device::Device;
 use crate::estimation::Calibration;
 use crate::safety::MotorHeat;
-use crate::telemetry::{CheckResult, Ending, Fault};
+use crate::telemetry::{CheckResult, Ending, Fault, Hint};
 
 /// Increment of the push, V. Pushes alternate in direction, and an arm that the last push did not
 /// move gets at most this much beyond its friction.
@@ -343,6 +343,7 @@ fn sign_verdicts(seen: &Evidence, signs: Calibration, are_new: bool) -> Vec<Chec
             format!("{of} = {is} is wrong: {follows} of the arm's motion"),
             format!("in qube.toml: {of} = {should}"),
         )
+        .with_hint(Some(Hint::FindSigns))
     };
     vec![
         verdict(ARM_SIGN, "theta_inverted", signs.theta_inverted, right.theta_inverted),

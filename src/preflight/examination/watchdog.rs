@@ -9,7 +9,7 @@ use crate::control::VOLTAGE_TOLERANCE_MV;
 use crate::device::{Device, DeviceError};
 use crate::qube::{Measurement, applied_voltage_mv};
 use crate::safety::clamp_to_mv;
-use crate::telemetry::CheckResult;
+use crate::telemetry::{CheckResult, Hint};
 
 pub(super) const NAME: &str = "watchdog";
 
@@ -102,9 +102,15 @@ fn try_once(
     port: &str,
 ) -> Result<Option<WatchdogTest>, Interruption> {
     let is_board = device.has_device_clock();
-    let (latest_us, remedy) =
-        if is_board { (LATEST_US, REMEDY) } else { (LIBRARY_LATEST_US, LIBRARY_REMEDY) };
-    let failed = |value: String| Ok(Some(WatchdogTest::failed(value, remedy)));
+    let (latest_us, remedy, hint) = if is_board {
+        (LATEST_US, REMEDY, Some(Hint::TestConformance))
+    } else {
+        (LIBRARY_LATEST_US, LIBRARY_REMEDY, None)
+    };
+    let failed = |value: String| {
+        let result = CheckResult::fail(NAME, value, remedy).with_hint(hint);
+        Ok(Some(WatchdogTest { result, expired_ms: None }))
+    };
     let Some(before) = sampled(device, clock, port)? else { return Ok(None) };
     let voltage_mv = clamp_to_mv(VOLTAGE_V, VOLTAGE_V).unwrap_or(0);
     match device.act(voltage_mv, before.device_time_us) {
