@@ -2,12 +2,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::last_ticks::LastTicks;
 use super::latency::LatencyHistogram;
-use super::{Motion, TickInput};
+use super::{DeviceLoss, Motion, TickInput};
 use crate::clock::Clock;
-use crate::device::{Device, DeviceError, LinkFault};
+use crate::device::{Device, DeviceError};
 use crate::qube::{CONTROL_PERIOD_NS, Measurement};
 use crate::safety::MotorHeat;
-use crate::telemetry::{Ending, Phase, RolloutOutcome, TickRecord};
+use crate::telemetry::{Ending, MotorState, Phase, RolloutOutcome, TickRecord};
 
 /// Time that a tick waits for its sample, ns, unless a measurement has shown that the link needs
 /// longer. An act that follows a sample at 6 ms still leaves well before the next tick. Without a
@@ -33,6 +33,17 @@ pub struct DriveReport {
     /// disarm, its watchdog switches the amplifier off; on a board at most 55 ms after the last arm
     /// or act.
     pub disarmed: Result<(), DeviceError>,
+}
+
+impl DriveReport {
+    /// State of the motor after the motion.
+    #[must_use]
+    pub fn motor(&self) -> MotorState {
+        match self.disarmed {
+            Ok(()) => MotorState::Off,
+            Err(_) => MotorState::Unconfirmed,
+        }
+    }
 }
 
 /// Arms the device, runs one motion at 100 Hz on absolute deadlines until the motion ends, and
@@ -98,9 +109,7 @@ pub fn drive_warm(
             skipped_periods,
             stop_requested: stop.load(Ordering::Relaxed),
             measurement: sample.ok(),
-            link_gone: sample == Err(LinkFault::Gone),
-            board_restarted: sample == Err(LinkFault::Restarted),
-            qube_off: sample == Err(LinkFault::QubeOff),
+            device_loss: sample.err().and_then(DeviceLoss::of),
             motor_overheated: heat.is_overheated(),
         };
 
@@ -211,7 +220,7 @@ mod tests {
     use super::super::{Homing, HomingMethod, HomingSettings};
     use super::*;
     use crate::clock::{AwakeProcessors, Nanoseconds, VirtualClock, openings_of};
-    use crate::device::Identity;
+    use crate::device::{Identity, LinkFault};
     use crate::qube::State;
 
     /// Virtual time, with a file in place of `/dev/cpu_dma_latency`.

@@ -1,12 +1,11 @@
-use super::ControlState;
+use super::{ControlState, DeviceLoss};
 use crate::qube::{Measurement, State};
 use crate::safety::{Contradiction, Foreseen};
 use crate::telemetry::{Ending, Phase};
 
 /// Input of one tick. A recording determines every field, so that replay can decide the tick again:
-/// `link_gone`, `board_restarted` and `qube_off` follow from the rollout's ending, and
-/// `motor_overheated` from the motor's heat at the start and the recorded ticks. The other fields
-/// are recorded.
+/// `device_loss` follows from the rollout's ending, and `motor_overheated` from the motor's heat at
+/// the start and the recorded ticks. The other fields are recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TickInput {
     /// Deadline of the tick by the host's clock, ns.
@@ -19,12 +18,8 @@ pub struct TickInput {
     pub stop_requested: bool,
     /// The sample; `None` if no valid one came in time.
     pub measurement: Option<Measurement>,
-    /// Whether the port is gone, so that no later sample will come.
-    pub link_gone: bool,
-    /// Whether the device has restarted; it then requires a new hello.
-    pub board_restarted: bool,
-    /// Whether the board has reported that its Qube does not answer.
-    pub qube_off: bool,
+    /// Reason why no later sample will come either; there is no sample then.
+    pub device_loss: Option<DeviceLoss>,
     /// Whether the motor must cool down, by the heat computed from the samples and voltages before
     /// this tick.
     pub motor_overheated: bool,

@@ -100,14 +100,8 @@ impl Watch {
 
     /// Checks one tick's input; returns the first alarm.
     pub fn check(&mut self, input: &TickInput) -> Option<Alarm> {
-        if input.link_gone {
-            return Some(Alarm::SwitchOff(Fault::LinkGone));
-        }
-        if input.board_restarted {
-            return Some(Alarm::SwitchOff(Fault::BoardRestarted));
-        }
-        if input.qube_off {
-            return Some(Alarm::SwitchOff(Fault::QubeOff));
+        if let Some(loss) = input.device_loss {
+            return Some(Alarm::SwitchOff(loss.fault()));
         }
         let last_valid_ns = *self.last_valid_ns.get_or_insert(input.deadline_ns);
         let Some(measurement) = &input.measurement else {
@@ -148,6 +142,7 @@ impl Watch {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::DeviceLoss;
     use crate::qube::{Measurement, Status};
 
     const PERIOD_NS: u64 = 10_000_000;
@@ -236,7 +231,8 @@ mod tests {
 
     #[test]
     fn a_qube_that_is_switched_off_is_named_at_once() {
-        let off = TickInput { measurement: None, qube_off: true, ..input(1) };
+        let off =
+            TickInput { measurement: None, device_loss: Some(DeviceLoss::QubeOff), ..input(1) };
         assert_eq!(Watch::default().check(&off), Some(Alarm::SwitchOff(Fault::QubeOff)));
     }
 
@@ -295,7 +291,7 @@ mod tests {
         let hot = TickInput { motor_overheated: true, ..input(0) };
         let alarm = Watch::default().check(&hot);
         assert_eq!(alarm, Some(Alarm::Brake(Fault::MotorOverheated)));
-        let gone = TickInput { link_gone: true, ..hot };
+        let gone = TickInput { device_loss: Some(DeviceLoss::LinkGone), ..hot };
         assert_eq!(Watch::default().check(&gone), Some(Alarm::SwitchOff(Fault::LinkGone)));
     }
 

@@ -1,9 +1,9 @@
-use crate::control::{Motion, Tick, TickInput};
+use crate::control::{DeviceLoss, Motion, Tick, TickInput};
 use crate::policy::{Controller, Policy, PolicyFault};
 use crate::recording::Recording;
 use crate::safety::{Contradiction, Foreseen, ForeseenAngle, Guard};
 use crate::scoring::return_of;
-use crate::telemetry::{Ending, Fault, Phase, TickRecord};
+use crate::telemetry::{Ending, Phase, TickRecord};
 
 /// The result of a replay: the recorded decisions compared with the recomputed ones.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,7 +101,8 @@ pub fn controller_of(recording: &Recording) -> Result<Policy, PolicyFault> {
 pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
     let mut tick = Tick::new(&recording.header.settings, policy);
     let outcome_ending = recording.outcome.as_ref().map(|outcome| outcome.ending);
-    let ended_by = |fault| outcome_ending == Some(Ending::Fault(fault));
+    let ended_by = |loss: &DeviceLoss| outcome_ending == Some(Ending::Fault(loss.fault()));
+    let loss_at_end = DeviceLoss::ALL.into_iter().find(ended_by);
     let knows_guard = recording.header.settings.safety_box.guard != Guard::Envelope;
     let is_known = |tick: &&TickRecord| knows_guard || tick.phase != Phase::Braking;
     let known = recording.ticks.iter().take_while(is_known).count();
@@ -116,10 +117,9 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
     let mut ending = None;
     let mut guard_approach: Option<GuardApproach> = None;
     for (index, recorded) in compared.iter().enumerate() {
-        // A recording has no fields for a link that is gone, a board that has restarted and a Qube
-        // that is off. They happen only in the last tick, which has no sample, because they end the
-        // rollout, and the outcome names them. The last tick of a recording whose end is missing
-        // may be an earlier one.
+        // A recording has no field for the loss of the device. It happens only in the last tick,
+        // which has no sample, because it ends the rollout, and the outcome names it. The last tick
+        // of a recording whose end is missing may be an earlier one.
         let may_be_the_end = index + 1 == recording.ticks.len() && recorded.measurement.is_none();
         let output = tick.decide(&TickInput {
             deadline_ns: recorded.deadline_ns,
@@ -127,9 +127,7 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
             skipped_periods: recorded.skipped_periods,
             stop_requested: recorded.stop_requested,
             measurement: recorded.measurement,
-            link_gone: may_be_the_end && ended_by(Fault::LinkGone),
-            board_restarted: may_be_the_end && ended_by(Fault::BoardRestarted),
-            qube_off: may_be_the_end && ended_by(Fault::QubeOff),
+            device_loss: loss_at_end.filter(|_| may_be_the_end),
             motor_overheated: heat.is_some_and(|heat| heat.is_overheated()),
         });
         if let Some(heat) = &mut heat {

@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use super::{controller_of, rerun};
-use crate::control::{Motion, Tick, TickInput};
+use crate::control::{DeviceLoss, Motion, Tick, TickInput};
 use crate::estimation::{EstimatorSettings, ObserverSettings};
 use crate::policy::{
     ClassicalController, ClassicalGains, Controller, External, LayerWeights, Network,
@@ -104,7 +104,7 @@ fn recorded_under(
         let input = TickInput {
             deadline_ns,
             measurement,
-            link_gone,
+            device_loss: link_gone.then_some(DeviceLoss::LinkGone),
             motor_overheated,
             ..TickInput::default()
         };

@@ -66,10 +66,6 @@ pub struct Rig {
     _emulator: Option<EmulatedQube>,
 }
 
-pub(super) fn motor_state(is_off_confirmed: bool) -> MotorState {
-    if is_off_confirmed { MotorState::Off } else { MotorState::Unconfirmed }
-}
-
 impl Drop for Rig {
     fn drop(&mut self) {
         if let Some((memory, clock)) = &self.motor_memory {
@@ -492,10 +488,12 @@ impl Rig {
                 self.last_fault.set(None);
                 Ok(())
             }
-            (Some(Fault::TravelWrong), _) if report.disarmed.is_ok() => Err(RigError::Travel {
-                travel_rad: found.travel_rad.unwrap_or_default(),
-                expected_rad: homing.expected_travel_rad(),
-            }),
+            (Some(Fault::TravelWrong), _) if report.motor() == MotorState::Off => {
+                Err(RigError::Travel {
+                    travel_rad: found.travel_rad.unwrap_or_default(),
+                    expected_rad: homing.expected_travel_rad(),
+                })
+            }
             (Some(fault), _) => {
                 let motor = self.motor.get();
                 let doubt = fault.leaves_doubt().then(|| Box::new(self.doubt(fault)));
@@ -526,7 +524,7 @@ impl Rig {
     /// Remembers the state of the motor after a motion and latches the motion's fault, which is
     /// returned.
     pub(super) fn react_to(&self, report: &DriveReport) -> Option<Fault> {
-        self.motor.set(motor_state(report.disarmed.is_ok()));
+        self.motor.set(report.motor());
         let fault = fault_after(report, self.is_hardware());
         if let Some(fault) = fault {
             self.latch(fault);

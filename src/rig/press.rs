@@ -1,8 +1,7 @@
-use super::opened::motor_state;
 use super::{Rig, RigError};
 use crate::control::{PressKind, PressOutcome, StopPress, drive_warm, fault_after};
 use crate::device::DeviceError;
-use crate::telemetry::{Ending, Fault};
+use crate::telemetry::{Ending, Fault, MotorState};
 
 /// The result of pressing the arm against its stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,8 +12,8 @@ pub struct Pressed {
     pub outcome: PressOutcome,
     /// Fault that ended the press, or that only the whole press shows, as [`fault_after`] finds it.
     pub fault: Option<Fault>,
-    /// Whether the device confirmed that its motor is off. Otherwise nobody knows it.
-    pub is_off_confirmed: bool,
+    /// State of the motor after the press.
+    pub motor: MotorState,
 }
 
 impl Rig {
@@ -39,11 +38,11 @@ impl Rig {
                 ending: report.outcome.ending,
                 outcome: press.outcome(),
                 fault: fault_after(&report, is_hardware),
-                is_off_confirmed: report.disarmed.is_ok(),
+                motor: report.motor(),
             })
         })?;
         let pressed = pressed.map_err(|error: DeviceError| self.in_doubt(error))?;
-        self.motor.set(motor_state(pressed.is_off_confirmed));
+        self.motor.set(pressed.motor);
         if let Some(fault) = pressed.fault {
             self.latch(fault);
         }

@@ -1,7 +1,7 @@
 //! Decides how the search around an identified Qube continues.
 
-use super::ScoredCandidate;
 use super::settings::INITIAL_AROUND;
+use super::{CandidateRank, ScoredCandidate};
 
 /// Smallest gain that is worth one more candidate, as a fraction of the verified return.
 pub const WORTHWHILE_GAIN: f64 = 0.01;
@@ -143,11 +143,11 @@ pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
     let verification_of = |searched: &ScoredCandidate| {
         candidates.iter().find(|it| it.candidate.runs_policy_of(&searched.candidate))
     };
-    let mut best: Option<(&ScoredCandidate, (bool, f64))> = None;
+    let mut best: Option<(&ScoredCandidate, CandidateRank)> = None;
     for it in searched() {
-        let Some((own, mean)) = it.rank() else { continue };
+        let Some(mut rank) = it.rank() else { continue };
         let verified = verification_of(it).and_then(ScoredCandidate::rank);
-        let rank = (own && verified.is_none_or(|(quiet_success, _)| quiet_success), mean);
+        rank.succeeds_quietly &= verified.is_none_or(|verified| verified.succeeds_quietly);
         if best.is_none_or(|(_, so_far)| rank >= so_far) {
             best = Some((it, rank));
         }

@@ -105,4 +105,4 @@ pub use state::{
 };
 pub(crate) use toml_message::toml_message;
 pub use training_time::{TrainingTime, TrainingTimesError};
-pub use view::{RigResults, ScoredCandidate, ScoredRollout, SessionView};
+pub use view::{CandidateRank, RigResults, ScoredCandidate, ScoredRollout, SessionView};

@@ -118,6 +118,16 @@ impl RigResults {
     }
 }
 
+/// The rank of a candidate among others; the greater one is better. A candidate that succeeds
+/// quietly is better than any that does not; among equals, the mean return decides.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct CandidateRank {
+    /// Whether all its rollouts succeeded quietly (not [`Quietness::is_loud`]).
+    pub succeeds_quietly: bool,
+    /// Mean return of its rollouts.
+    pub mean_return: f64,
+}
+
 impl ScoredCandidate {
     /// A candidate with its finished rollouts, in the order of [`Candidate::finished`].
     #[must_use]
@@ -150,13 +160,12 @@ impl ScoredCandidate {
         self.verdicts.iter().filter(|verdict| verdict.is_success()).count()
     }
 
-    /// The rank of the candidate among others, higher is better; `None` without a rollout. A
-    /// candidate whose rollouts all succeeded quietly (not [`Quietness::is_loud`]) is better than
-    /// any other. Otherwise the mean return decides.
+    /// The rank of the candidate among others; `None` without a rollout.
     #[must_use]
-    pub fn rank(&self) -> Option<(bool, f64)> {
+    pub fn rank(&self) -> Option<CandidateRank> {
         let all_succeeded = self.successes() == self.verdicts.len();
-        self.mean_return().map(|mean| (all_succeeded && !self.quietness.is_loud(), mean))
+        let succeeds_quietly = all_succeeded && !self.quietness.is_loud();
+        self.mean_return().map(|mean_return| CandidateRank { succeeds_quietly, mean_return })
     }
 
     /// The results on each rig, in the order of the rigs' numbers; empty if the session has a
@@ -199,7 +208,7 @@ impl ScoredCandidate {
     /// was proposed first.
     #[must_use]
     pub fn best_verified(candidates: &[Self]) -> Option<usize> {
-        let mut best: Option<(usize, (bool, f64))> = None;
+        let mut best: Option<(usize, CandidateRank)> = None;
         for (index, it) in candidates.iter().enumerate() {
             let verified = it.candidate.purpose.verifies();
             let Some(rank) = it.rank().filter(|_| verified) else { continue };

@@ -97,7 +97,7 @@ pub fn run(
 
 /// The failure after a press that has shown nothing about a motor without its board.
 fn without_result(pressed: &Pressed, stop: &Stop) -> Failure {
-    let is_off = pressed.is_off_confirmed;
+    let is_off = pressed.motor == MotorState::Off;
     let failure = match (pressed.ending, pressed.fault) {
         (Ending::Stopped, _) if is_off => {
             stop.failure("the power test was stopped; the motor is off")
@@ -198,7 +198,7 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
             .map_err(|error| failures::rig(error, stop))?;
         match (pressed.fault, pressed.outcome) {
             _ if pressed.ending == Ending::Stopped => {
-                return Err(if pressed.is_off_confirmed {
+                return Err(if pressed.motor == MotorState::Off {
                     stop.failure("stopped; the motor is off")
                 } else {
                     stop.failure("stopped").followed_by(Fault::OffUnconfirmed.operator_step())
@@ -299,8 +299,8 @@ fn unanswered(stop: &Stop) -> Failure {
 mod tests {
     use super::*;
 
-    fn pressed(ending: Ending, fault: Option<Fault>, is_off_confirmed: bool) -> Pressed {
-        Pressed { ending, outcome: PressOutcome::Stayed, fault, is_off_confirmed }
+    fn pressed(ending: Ending, fault: Option<Fault>, motor: MotorState) -> Pressed {
+        Pressed { ending, outcome: PressOutcome::Stayed, fault, motor }
     }
 
     #[test]
@@ -335,20 +335,21 @@ mod tests {
         let stays_on = Some(Fault::OffUnconfirmed);
         let late = Fault::WatchdogTripped;
         for (pressed, exit_code) in [
-            (pressed(Ending::Completed, None, true), 1),
-            (pressed(Ending::Stopped, None, true), 130),
-            (pressed(Ending::Fault(late), Some(late), true), 4),
+            (pressed(Ending::Completed, None, MotorState::Off), 1),
+            (pressed(Ending::Stopped, None, MotorState::Off), 130),
+            (pressed(Ending::Fault(late), Some(late), MotorState::Off), 4),
             // The plug is pulled as the time of the press is over.
-            (pressed(Ending::Completed, stays_on, false), 4),
-            (pressed(Ending::Stopped, stays_on, false), 130),
-            (pressed(Ending::Fault(Fault::Stall), Some(Fault::Stall), false), 4),
+            (pressed(Ending::Completed, stays_on, MotorState::Unconfirmed), 4),
+            (pressed(Ending::Stopped, stays_on, MotorState::Unconfirmed), 130),
+            (pressed(Ending::Fault(Fault::Stall), Some(Fault::Stall), MotorState::Unconfirmed), 4),
         ] {
             let failure = without_result(&pressed, &stop);
             let told = failure.cause().replace(&Fault::OffUnconfirmed.to_string(), "");
             assert_eq!(failure.ended_by()["exit_code"], exit_code, "{told}");
             let is_called_off = told.to_lowercase().contains("the motor is off");
-            assert_eq!(is_called_off, pressed.is_off_confirmed, "{told}");
-            assert_eq!(failure.cause().contains(MAY_HAVE_VOLTAGE), !pressed.is_off_confirmed);
+            let is_off = pressed.motor == MotorState::Off;
+            assert_eq!(is_called_off, is_off, "{told}");
+            assert_eq!(failure.cause().contains(MAY_HAVE_VOLTAGE), !is_off);
         }
     }
 }

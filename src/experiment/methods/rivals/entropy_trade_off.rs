@@ -6,6 +6,17 @@ use super::gaussian::{Gaussian, standard_normal};
 /// Range of the logarithms of the standard deviations.
 const LOG_DEVIATIONS: [f64; 2] = [-3.0, 0.7];
 
+/// A trade-off between high scores and a wide distribution, with the rate at which it is sought.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TradeOff {
+    /// Weight of the divergence from the widest distribution.
+    pub weight: f64,
+    /// Standard deviation of the widest distribution, which has mean 0.
+    pub widest: f64,
+    /// Rate of the steps, in units of the standard deviations.
+    pub rate: f64,
+}
+
 /// A normal distribution of independent numbers, adapted by gradient steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Independent {
@@ -32,17 +43,16 @@ impl Independent {
         (0..count).map(draw).collect()
     }
 
-    /// The distribution after one step up the gradient of the expected score minus `weight` times
-    /// the divergence from a normal distribution with mean 0 and standard deviation `widest` (LSDR,
-    /// Mozifian et al. 2019). The scores pull the distribution to where they are high, and the
-    /// divergence keeps it wide. The gradient of the expectation is estimated from `points` by the
-    /// gradient of the logarithm of the density (the score function), with the mean score as
-    /// baseline; `rate` is in units of the standard deviations.
+    /// The distribution after one step up the gradient of the expected score minus the weighted
+    /// divergence from the widest distribution (LSDR, Mozifian et al. 2019). The scores pull the
+    /// distribution to where they are high, and the divergence keeps it wide. The gradient of the
+    /// expectation is estimated from `points` by the gradient of the logarithm of the density (the
+    /// score function), with the mean score as baseline.
     pub fn ascended(
         &self,
         points: &[DVector<f64>],
         scores: &[f64],
-        [weight, widest, rate]: [f64; 3],
+        TradeOff { weight, widest, rate }: TradeOff,
     ) -> Self {
         let count = points.len().max(1) as f64;
         let baseline = scores.iter().sum::<f64>() / count;
@@ -95,7 +105,7 @@ mod tests {
             let score = |it: &DVector<f64>| -0.5 * ((it[0] - 1.0) / width).powi(2);
             let scores: Vec<f64> = points.iter().map(score).collect();
             let rate = if step < 400 { 0.2 } else { 0.05 };
-            own = own.ascended(&points, &scores, [weight, widest, rate]);
+            own = own.ascended(&points, &scores, TradeOff { weight, widest, rate });
         }
         // The divergence from the wide distribution shifts mean and variance a little: precision
         // 1/s^2 + weight/widest^2.

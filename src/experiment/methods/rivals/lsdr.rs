@@ -1,5 +1,5 @@
 use super::belief::RivalBelief;
-use super::entropy_trade_off::Independent;
+use super::entropy_trade_off::{Independent, TradeOff};
 use super::rival::{Data, Rival, RivalInput};
 use super::space::distribution_of;
 use super::stages::{Stages, scored};
@@ -17,9 +17,8 @@ const SAMPLES: usize = 256;
 /// Standard deviation of the first distribution, relative to the prior's.
 const FIRST_WIDTH: f64 = 0.3;
 
-/// Weight of the divergence, standard deviation of the widest distribution relative to the prior's,
-/// and rate of the steps: the last argument of [`Independent::ascended`].
-const TRADE_OFF: [f64; 3] = [0.02, 1.5, 1.0];
+/// The trade-off of each step; standard deviations are relative to the prior's.
+const TRADE_OFF: TradeOff = TradeOff { weight: 0.02, widest: 1.5, rate: 1.0 };
 
 /// Learnt domain randomisation (LSDR, Mozifian et al. 2019, reference 11 of the thesis): widens the
 /// distribution of simulations as far as the policy still earns a high return in it, without any
