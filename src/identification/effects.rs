@@ -31,8 +31,8 @@ pub(super) enum Effect {
 }
 
 impl Effect {
-    /// All effects.
-    pub const ALL: [Self; 4] = [Self::Reversals, Self::Warming, Self::Angle, Self::Direction];
+    /// All effects in the order of their columns: those on the motor, then that on the encoder.
+    pub const ALL: [Self; 4] = [Self::Reversals, Self::Warming, Self::Direction, Self::Angle];
 
     /// Number of columns that describe the effect in the linear regression of the residuals.
     fn columns(self) -> usize {
@@ -121,7 +121,7 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
         // The recorded angles of the pendulum contain the error of their zero.
         let zero_rad = check.offsets[recording].alpha_zero_rad;
         residuals.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad);
-        // Columns: the unknowns, the effects on the motor, the encoder's error, the residuals.
+        // Columns: the unknowns, the effects in the order of [`Effect::ALL`], the residuals.
         let mut all = DMatrix::<f64>::zeros(residuals.len(), size);
         all.columns_mut(0, unknowns).copy_from(&slopes.columns(0, unknowns));
         let mut column = unknowns;
@@ -176,8 +176,7 @@ fn with_simulated_states<'a>(
     samples
 }
 
-/// Copies of a recording with disturbed voltages, one for each column of each effect on the motor,
-/// in the order of [`Effect::ALL`].
+/// Copies of a recording with disturbed voltages, one for each column of each effect on the motor.
 fn all_disturbed(samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<MotionSample>> {
     let one = |by: Vec<f64>| {
         let add = |(sample, by): (&MotionSample, f64)| MotionSample {
@@ -186,12 +185,7 @@ fn all_disturbed(samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<MotionS
         };
         samples.iter().zip(by).map(add).collect()
     };
-    Effect::ALL
-        .iter()
-        .filter(|effect| **effect != Effect::Angle)
-        .flat_map(|effect| effect.disturbances(samples, model))
-        .map(one)
-        .collect()
+    Effect::ALL.iter().flat_map(|effect| effect.disturbances(samples, model)).map(one).collect()
 }
 
 /// The reduction by each effect. `squares` contains the products of all columns with each other:
@@ -201,10 +195,9 @@ fn reductions(check: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effec
     let unknowns = check.unknowns.len();
     let size = squares.nrows();
     let variance = squares[(size - 1, size - 1)] / count.max(1.0);
-    // The order of the columns: the effects on the motor, then the encoder's error.
     let mut first = unknowns;
     let mut places = Vec::new();
-    for effect in [Effect::Reversals, Effect::Warming, Effect::Direction, Effect::Angle] {
+    for effect in Effect::ALL {
         places.push((effect, first));
         first += effect.columns();
     }

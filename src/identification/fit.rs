@@ -173,7 +173,7 @@ impl<'a> Fit<'a> {
             for (place, &quantity) in quantities.iter().enumerate() {
                 let (mut squares, mut determined) = (0.0, 0.0);
                 for (recording, offset) in self.offsets.iter().enumerate() {
-                    let index = count + recording * quantities.len() + place;
+                    let index = self.offset_place(recording, place);
                     squares += (offset.get(quantity) + change[index]).powi(2);
                     determined += 1.0 - covariance[(index, index)] / scatter.get(quantity).powi(2);
                 }
@@ -197,11 +197,16 @@ impl<'a> Fit<'a> {
     /// Place, among the unknowns and the offsets of all recordings, of an entry of a stretch's
     /// block.
     fn place(&self, recording: usize, index: usize) -> usize {
-        if index < self.unknowns.len() {
-            index
-        } else {
-            index + recording * self.homing_offsets().len()
+        match index.checked_sub(self.unknowns.len()) {
+            None => index,
+            Some(offset) => self.offset_place(recording, offset),
         }
+    }
+
+    /// Place, among the unknowns and the offsets of all recordings, of an offset of a recording;
+    /// `offset` is its index among [`Self::homing_offsets`].
+    fn offset_place(&self, recording: usize, offset: usize) -> usize {
+        self.unknowns.len() + recording * self.homing_offsets().len() + offset
     }
 
     /// Information and gradient of the priors: those of the unknowns, and those of all offsets for
@@ -219,7 +224,7 @@ impl<'a> Fit<'a> {
         }
         for (recording, offset) in self.offsets.iter().enumerate() {
             for (place, &quantity) in quantities.iter().enumerate() {
-                let index = count + recording * quantities.len() + place;
+                let index = self.offset_place(recording, place);
                 let information = scatter.get(quantity).powi(-2);
                 matrix[(index, index)] = information;
                 gradient[index] = offset.get(quantity) * information;
@@ -399,7 +404,7 @@ impl<'a> Fit<'a> {
         let mut offsets = self.offsets.clone();
         for (recording, offset) in offsets.iter_mut().enumerate() {
             for (place, &quantity) in quantities.iter().enumerate() {
-                let change = change[count + recording * quantities.len() + place];
+                let change = change[self.offset_place(recording, place)];
                 offset.set(quantity, offset.get(quantity) + change);
             }
         }

@@ -6,14 +6,14 @@ use nalgebra::{DMatrix, DVector};
 use super::Unknown;
 use super::dual::Dual;
 use super::stretch::Stretch;
-use crate::qube::{Dynamics, NonidealDynamics, PlantModel, QubeModel, State};
+use crate::qube::{Dynamics, NonidealDynamics, PlantModel, Quantity, QubeModel, State};
 use crate::replay::{longest_step_s, simulate_stretch_in};
 
 /// Number of entries of a start state.
 pub(super) const STARTS: usize = 4;
 
-/// Number of unknowns of a Qube.
-const UNKNOWNS: usize = 14;
+/// Number of unknowns of a Qube: all quantities but gravity.
+const UNKNOWNS: usize = Quantity::COUNT - 1;
 
 /// Number of products in the equations, with the delay.
 const PRODUCTS: usize = 14;

@@ -3,7 +3,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::Particle;
-use super::places::{NEGATIVE_SHARE, NUMBERS, PLACES};
+use super::places::{NEGATIVE_SHARE, NUMBERS, PLACES, POSITIVE_SHARE};
 use crate::qube::{
     CONTROL_PERIOD_S, DomainParameter, Encoder, Encoders, MAX_HISTORY, Nonidealities, Nonideality,
     ParameterError, PlantModel, Profile, Quantity, QubeModel, State,
@@ -329,11 +329,10 @@ impl Belief {
         for step in &self.steps {
             take_step(&mut model, step, place, widths);
         }
-        let [.., positive, negative] = *place;
         Particle {
             model,
-            positive_share: between(self.least_share, 1.0, positive),
-            negative_share: between(self.least_share, 1.0, negative),
+            positive_share: between(self.least_share, 1.0, place[POSITIVE_SHARE]),
+            negative_share: between(self.least_share, 1.0, place[NEGATIVE_SHARE]),
             error: State::default(),
         }
     }
@@ -417,10 +416,29 @@ fn independent_steps(profile: &Profile, plant: &PlantModel) -> [Step; Quantity::
 /// The coordinates of the mirror image, in which positive and negative directions are exchanged.
 fn mirrored(place: &[f64; NUMBERS]) -> [f64; NUMBERS] {
     let mut other = *place;
-    other.swap(10, 11);
-    other.swap(15, 16);
-    other[13] = -place[13];
+    other.swap(POSITIVE_SHARE, NEGATIVE_SHARE);
+    for (quantity, coordinate) in Quantity::all().zip(place) {
+        let (image, sign) = mirror_image(quantity);
+        other[image.index()] = sign * coordinate;
+    }
     other
+}
+
+/// The quantity that has a quantity's value in the mirror image, and the sign with which it has it.
+fn mirror_image(quantity: Quantity) -> (Quantity, f64) {
+    match quantity {
+        Quantity::Nonideality(Nonideality::PositiveDeadZone) => {
+            (Nonideality::NegativeDeadZone.into(), 1.0)
+        }
+        Quantity::Nonideality(Nonideality::NegativeDeadZone) => {
+            (Nonideality::PositiveDeadZone.into(), 1.0)
+        }
+        Quantity::Nonideality(Nonideality::CableRest) => (quantity, -1.0),
+        Quantity::Parameter(_)
+        | Quantity::Nonideality(
+            Nonideality::CoulombTorque | Nonideality::CableStiffness | Nonideality::CommandDelay,
+        ) => (quantity, 1.0),
+    }
 }
 
 #[cfg(test)]
@@ -441,6 +459,17 @@ mod tests {
 
     fn is(value: f64, expected: f64) -> bool {
         (value - expected).abs() < 1e-9
+    }
+
+    #[test]
+    fn a_mirror_image_exchanges_the_directions_and_keeps_all_else() {
+        let place: [f64; NUMBERS] = std::array::from_fn(|index| 1.0 + index as f64);
+        let image = mirrored(&place);
+        assert_eq!(mirrored(&image), place);
+        let moved: Vec<usize> = (0..NUMBERS).filter(|it| image[*it] != place[*it]).collect();
+        assert_eq!(moved, [10, 11, 13, 15, 16]);
+        let rest = Quantity::from(Nonideality::CableRest).index();
+        assert_eq!((rest, image[rest]), (13, -place[rest]));
     }
 
     #[test]

@@ -1,5 +1,11 @@
-/// Number of coordinates of a particle within a belief.
-pub(super) const NUMBERS: usize = 17;
+use crate::qube::Quantity;
+
+/// Number of coordinates of a particle within a belief: one for each quantity, and one for each
+/// fraction of a voltage, positive or negative, that arrives at the motor.
+pub(super) const NUMBERS: usize = Quantity::COUNT + 2;
+
+/// Index of the coordinate for the fraction of a positive voltage that arrives at the motor.
+pub(super) const POSITIVE_SHARE: usize = NUMBERS - 2;
 
 /// Index of the coordinate for the fraction of a negative voltage that arrives at the motor.
 pub(super) const NEGATIVE_SHARE: usize = NUMBERS - 1;
@@ -9,9 +15,9 @@ pub(super) const NEGATIVE_SHARE: usize = NUMBERS - 1;
 /// positive and negative directions are exchanged. The particles that are hardest to brake come
 /// first: a heavy Qube with a weak motor.
 ///
-/// The coordinates are the nine parameters in the order of `DomainParameter::ALL`, Coulomb
+/// The first coordinates have the order of [`Quantity::all`]: the nine parameters, Coulomb
 /// friction, the dead zones of positive and negative voltages, the cable's stiffness and rest
-/// angle, the delay, and the fractions of positive and negative voltages that arrive.
+/// angle, and the delay. The fractions of positive and negative voltages that arrive follow.
 ///
 /// Searches for policies that throw the arm against its stop find only Qubes with weak motors,
 /// because a strong motor makes up for the uncertainty. The table therefore has all 16 corners of
