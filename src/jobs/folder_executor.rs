@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{RecvTimeoutError, Sender, unbounded};
 
 use super::folder::{
-    ClaimEnding, Coordinator, Heartbeat, HeartbeatWatch, Holder, JobFolder, JobResult, NextTry,
-    Tries,
+    ClaimEnding, ClaimName, Coordinator, Heartbeat, HeartbeatWatch, Holder, JobFolder, JobResult,
+    NextTry, Tries,
 };
 use super::patience::{PATIENCE, Patience};
 use super::starter::{StartError, Starter};
@@ -557,7 +557,7 @@ impl Shared {
             return Ok(());
         }
         watch.forget_all_but(|name| {
-            name.rsplit_once('.').is_some_and(|(job, _)| waiting.contains(job))
+            ClaimName::parse(name).is_some_and(|claim| waiting.contains(claim.job))
         });
         let most = self.folder.terms().tries;
         for (job, begun) in self.folder.claims()? {

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::sealed::{NotSealed, sealed, unsealed};
-use super::{Heartbeat, HeartbeatState, HeartbeatWatch, Holder};
+use super::{ClaimName, Heartbeat, HeartbeatState, HeartbeatWatch, Holder};
 use crate::elementary::Level;
 use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::{TrainError, Trained, TrainedBytesError};
@@ -390,10 +390,7 @@ impl JobFolder {
     pub fn claims(&self) -> Result<HashMap<String, u32>, JobFolderError> {
         let mut claims = HashMap::new();
         for name in self.names("claims")? {
-            let claim =
-                name.rsplit_once('.').and_then(|(job, number)| Some((job, number.parse().ok()?)));
-            if let Some((job, number)) = claim {
-                let number: u32 = number;
+            if let Some(ClaimName { job, number }) = ClaimName::parse(&name) {
                 let tries: &mut u32 = claims.entry(job.to_owned()).or_default();
                 *tries = (*tries).max(number + 1);
             }
@@ -404,7 +401,7 @@ impl JobFolder {
     /// Path of the file by which a worker claims try `number`, from 0, of a job.
     #[must_use]
     pub fn claim(&self, name: &str, number: u32) -> PathBuf {
-        self.root.join("claims").join(format!("{name}.{number}"))
+        self.root.join("claims").join(ClaimName { job: name, number }.to_string())
     }
 
     /// Registers a worker: creates its heartbeat file.

@@ -4,7 +4,8 @@ use std::time::{Duration, Instant};
 
 use super::worker::Alive;
 use super::{
-    ClaimEnding, Heartbeat, HeartbeatWatch, NextTry, Slot, Tries, WorkReport, Worker, WorkerEvent,
+    ClaimEnding, ClaimName, Heartbeat, HeartbeatWatch, NextTry, Slot, Tries, WorkReport, Worker,
+    WorkerEvent,
 };
 use crate::jobs::patience::{PATIENCE, Patience};
 use crate::jobs::{JobFolderError, TrainingJob};
@@ -151,7 +152,7 @@ impl<'a> JobLoop<'a> {
             Err(error) => return Ok(Pass { failure: Some(error), ..pass }),
         };
         self.watch.forget_all_but(|name| {
-            name.rsplit_once('.').is_some_and(|(job, _)| jobs.contains(job))
+            ClaimName::parse(name).is_some_and(|claim| jobs.contains(claim.job))
         });
         for job in self.in_order(&jobs) {
             if self.halt.load(Ordering::Relaxed) {

@@ -17,6 +17,7 @@
 //! job after one of them was taken for dead. They train the same policy and curve, and a job has
 //! one result.
 
+mod claim_name;
 mod heartbeat;
 mod holder;
 mod job_folder;
@@ -25,6 +26,7 @@ mod sealed;
 mod tries;
 mod worker;
 
+pub use claim_name::ClaimName;
 pub use heartbeat::{ClaimEnding, Heartbeat, HeartbeatState, HeartbeatWatch};
 pub use holder::Holder;
 pub use job_folder::{Coordinator, JobFolder, JobResult, Terms, program};

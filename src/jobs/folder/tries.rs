@@ -1,6 +1,6 @@
 use std::time::Duration;
 
-use super::{ClaimEnding, HeartbeatState, HeartbeatWatch, JobFolder};
+use super::{ClaimEnding, ClaimName, HeartbeatState, HeartbeatWatch, JobFolder};
 use crate::jobs::JobFolderError;
 
 /// The tries of a job so far, and how they ended.
@@ -52,7 +52,7 @@ impl Tries {
                     tries.failures.push(format!("{by}: its result was damaged"))
                 }
                 None if number + 1 < begun => tries.failures.push(format!("{by}: vanished")),
-                None if watch.is_dead(&format!("{job}.{number}"), &state, now) => {
+                None if watch.is_dead(&ClaimName { job, number }.to_string(), &state, now) => {
                     tries.failures.push(format!("{by}: vanished"));
                 }
                 None => tries.is_under_way = true,
