@@ -1,9 +1,8 @@
-use std::sync::atomic::AtomicBool;
-
-use super::{Interruption, ensure_going};
-use crate::clock::{Clock, Nanoseconds};
+use super::Interruption;
+use super::examined_device::ExaminedDevice;
+use crate::clock::Nanoseconds;
 use crate::control::{LONGEST_SAMPLE_TIMEOUT_NS, LatencyHistogram, SAMPLE_TIMEOUT_NS};
-use crate::device::{Device, DeviceError, Identity, LinkFault};
+use crate::device::Identity;
 use crate::preflight::latency_timer::{latency_timer_ms, latency_timer_remedy};
 use crate::telemetry::{CheckResult, Hint, LatencySummary, MeasuredLink};
 
@@ -65,12 +64,10 @@ pub(super) fn identity(identity: &Identity, round_trips: &RoundTrips) -> CheckRe
 
 /// Measures the round trips of this many samples, or of as many as fit into [`LONGEST_NS`].
 pub(super) fn measure(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-    port: &str,
+    examined: &mut ExaminedDevice<'_>,
     samples: u32,
 ) -> Result<RoundTrips, Interruption> {
+    let clock = examined.clock;
     // The processor is kept awake for the measurement, as it is for the ticks.
     let _awake = clock.stay_awake();
     let mut round_trips = LatencyHistogram::new();
@@ -78,18 +75,18 @@ pub(super) fn measure(
     let mut has_stop_switch = false;
     let end_ns = clock.now_ns() + LONGEST_NS;
     while asked < samples && clock.now_ns() < end_ns {
-        ensure_going(stop)?;
+        examined.ensure_going()?;
         asked += 1;
         let share = (f64::from(asked) * GOLDEN_SHARE).fract();
         clock.sleep_until(clock.now_ns() + (share * LONGEST_PAUSE_NS) as Nanoseconds);
         let asked_ns = clock.now_ns();
-        match device.sample(asked_ns + PATIENCE_NS) {
+        match examined.device.sample(asked_ns + PATIENCE_NS) {
             Ok(sample) => {
                 theta_counts = theta_counts.or(Some(sample.theta_counts));
                 has_stop_switch = sample.status.stop_switch_fitted;
             }
             Err(fault) => {
-                self::lost(port, fault)?;
+                examined.lost(fault)?;
                 lost += 1;
             }
         }
@@ -119,29 +116,6 @@ impl RoundTrips {
         let most_us = LONGEST_SAMPLE_TIMEOUT_NS as f64 * 1e-3;
         self.summary_us.p99 <= most_us && self.lost * 100 <= self.asked
     }
-}
-
-/// Takes note of a fault that may have cost a sample or an act alone.
-///
-/// # Errors
-/// Waiting does not cure the fault: the port is gone, the Qube is off, or it or the board has
-/// restarted, after which no sample comes before the next hello.
-pub(super) fn lost(port: &str, fault: LinkFault) -> Result<(), Interruption> {
-    let port = port.to_owned();
-    match fault {
-        LinkFault::Restarted => Err(DeviceError::Restarted { port }.into()),
-        LinkFault::Gone | LinkFault::QubeOff => Err(DeviceError::Link { port, fault }.into()),
-        LinkFault::Timeout
-        | LinkFault::Full
-        | LinkFault::NotArmed
-        | LinkFault::WatchdogTripped
-        | LinkFault::StaleSample => Ok(()),
-    }
-}
-
-/// The interruption of an examination because the port is gone.
-pub(super) fn gone(port: &str) -> Interruption {
-    DeviceError::Link { port: port.to_owned(), fault: LinkFault::Gone }.into()
 }
 
 /// Checks the latency timer of the FTDI driver. When this program opens the port, it asks for the

@@ -11,6 +11,7 @@
 //! After every other step the motor is off, however the step ends.
 
 mod evidence;
+mod examined_device;
 mod link;
 mod motion;
 mod rest;
@@ -18,8 +19,9 @@ mod silent_push;
 mod swing_fit;
 mod watchdog;
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
+use self::examined_device::ExaminedDevice;
 use self::watchdog::WatchdogTest;
 use crate::clock::Clock;
 use crate::device::{Device, DeviceError, Identity};
@@ -117,7 +119,9 @@ pub fn examine(
         link: None,
         library_watchdog_ms: None,
     };
-    let outcome = look_at_everything(device, clock, heat, stop, settings, &mut found);
+    let mut examined =
+        ExaminedDevice { device: &mut *device, clock, stop, port: &settings.identity.port };
+    let outcome = look_at_everything(&mut examined, heat, settings, &mut found);
     // A hello switches off a device that still answers; one whose emergency stop was opened is off.
     let left_off = device.hello();
     match outcome {
@@ -128,38 +132,34 @@ pub fn examine(
 }
 
 fn look_at_everything(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
+    examined: &mut ExaminedDevice<'_>,
     heat: &mut MotorHeat,
-    stop: &AtomicBool,
     settings: &ExaminationSettings,
     found: &mut Examination,
 ) -> Result<(), Interruption> {
     let identity = &settings.identity;
-    let round_trips = link::measure(device, clock, stop, &identity.port, link::SAMPLES)?;
+    let round_trips = link::measure(examined, link::SAMPLES)?;
     found.results.push(link::identity(identity, &round_trips));
-    found.link = Some(taken_on(device, &round_trips));
+    found.link = Some(taken_on(examined.device, &round_trips));
     found.start_theta_counts = round_trips.theta_counts;
     found.results.push(link::latency_timer(&identity.port, &round_trips));
     found.results.push(link::latency(&identity.port, &round_trips));
-    let WatchdogTest { result: watchdog, expired_ms } =
-        watchdog::check(device, clock, stop, &identity.port)?;
+    let WatchdogTest { result: watchdog, expired_ms } = watchdog::check(examined)?;
     let may_move = !watchdog.failed();
     found.results.push(watchdog);
     if !may_move {
         motion::skip(found, "needs a working watchdog");
         return Ok(());
     }
-    let rest = rest::wait(device, clock, stop, &identity.port, settings.plant.encoders)?;
+    let rest = rest::wait(examined, settings.plant.encoders)?;
     let may_move = !rest.failed();
     found.results.push(rest);
     if !may_move {
         motion::skip(found, "needs a pendulum at rest");
         return Ok(());
     }
-    if !device.has_device_clock() {
-        let motor =
-            silent_push::check(device, clock, stop, &identity.port, settings.plant.encoders.theta)?;
+    if !examined.device.has_device_clock() {
+        let motor = silent_push::check(examined, settings.plant.encoders.theta)?;
         let may_move = !motor.failed();
         found.results.push(motor);
         if !may_move {
@@ -168,7 +168,7 @@ fn look_at_everything(
         }
         found.library_watchdog_ms = expired_ms;
     }
-    motion::check(device, clock, heat, stop, settings, found)
+    motion::check(examined, heat, settings, found)
 }
 
 /// Measures a link without an examination, and sets the device's longest wait for a sample to fit
@@ -182,7 +182,8 @@ pub fn measure_link(
     stop: &AtomicBool,
     port: &str,
 ) -> Result<Option<MeasuredLink>, DeviceError> {
-    match link::measure(device, clock, stop, port, link::FEW_SAMPLES) {
+    let mut examined = ExaminedDevice { device: &mut *device, clock, stop, port };
+    match link::measure(&mut examined, link::FEW_SAMPLES) {
         Ok(round_trips) => Ok(Some(taken_on(device, &round_trips))),
         Err(Interruption::Stopped) => Ok(None),
         Err(Interruption::Device(error)) => Err(error),
@@ -193,10 +194,6 @@ fn taken_on(device: &mut dyn Device, round_trips: &link::RoundTrips) -> Measured
     let link = round_trips.link();
     device.set_sample_time_ns(u64::from(link.sample_time_us) * 1000);
     link
-}
-
-fn ensure_going(stop: &AtomicBool) -> Result<(), Interruption> {
-    if stop.load(Ordering::Relaxed) { Err(Interruption::Stopped) } else { Ok(()) }
 }
 
 /// Whether the test of the watchdog failed, so that nothing may be run with this device.
@@ -235,6 +232,8 @@ pub fn homing_left_out() -> CheckResult {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::Ordering;
+
     use super::*;
     use crate::clock::{Nanoseconds, VirtualClock};
     use crate::device::emulator::EmulatorSettings;

@@ -1,11 +1,11 @@
-use std::sync::atomic::AtomicBool;
-
 use super::evidence::{Evidence, Pendulum, PushEffect};
-use super::{Examination, ExaminationSettings, Interruption, OtherSigns, ensure_going, rest};
-use crate::clock::Clock;
-use crate::control::{SignProbe, drive_warm, fault_after};
-use crate::device::Device;
+use super::examined_device::ExaminedDevice;
+use super::rest::Window;
+use super::{Examination, ExaminationSettings, Interruption, OtherSigns, rest};
+use crate::control::{ProbeTrace, SignProbe, drive_warm, fault_after};
+use crate::device::LinkFault;
 use crate::estimation::Calibration;
+use crate::qube::PlantModel;
 use crate::safety::MotorHeat;
 use crate::telemetry::{CheckResult, Ending, Fault, Hint};
 
@@ -67,15 +67,13 @@ fn give_up(found: &mut Examination, fault: Fault) {
 
 /// Pushes the arm a little, and adds the verdicts on motor, encoders and signs.
 pub(super) fn check(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
+    examined: &mut ExaminedDevice<'_>,
     heat: &mut MotorHeat,
-    stop: &AtomicBool,
     settings: &ExaminationSettings,
     found: &mut Examination,
 ) -> Result<(), Interruption> {
     let mut signs = settings.signs;
-    let mut seen = match probe(device, clock, heat, stop, signs, settings)? {
+    let mut seen = match probe(examined, heat, signs, settings)? {
         Probed::Evidence(seen) => seen,
         Probed::Ended(fault) => {
             give_up(found, fault);
@@ -87,7 +85,7 @@ pub(super) fn check(
     {
         // Signs that the evidence suggests must pass a second probe.
         signs = right;
-        match probe(device, clock, heat, stop, signs, settings)? {
+        match probe(examined, heat, signs, settings)? {
             Probed::Evidence(again) => seen = again,
             Probed::Ended(fault) => {
                 give_up(found, fault);
@@ -111,76 +109,126 @@ enum Probed {
 /// Pushes to and fro with growing voltage until the evidence suffices or the largest voltage is
 /// reached.
 fn probe(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
+    examined: &mut ExaminedDevice<'_>,
     heat: &mut MotorHeat,
-    stop: &AtomicBool,
     signs: Calibration,
     settings: &ExaminationSettings,
 ) -> Result<Probed, Interruption> {
-    let (port, encoders) = (&settings.identity.port, settings.plant.encoders);
-    let mut evidence = Evidence::default();
-    let mut doubtful_pushes = 0;
-    let mut after = rest::window(device, clock, stop, port)?;
+    let at_rest = rest::window(examined)?;
+    let (plant, evidence) = (&settings.plant, Evidence::default());
+    let mut pushes = Pushes { examined, heat, plant, signs, evidence, at_rest, doubtful: 0 };
     for step in 1..=STEPS {
         for direction in [1.0, -1.0] {
-            let push_v = direction * STEP_V * f64::from(step);
-            let (mut disturbed, mut pushes) = (0, 0);
-            let mut before = after;
-            loop {
-                ensure_going(stop)?;
-                device.hello()?;
-                let mut probe = SignProbe::new(&settings.plant, signs, push_v);
-                let report = drive_warm(device, clock, &mut probe, heat, None, stop)?;
-                // The hello at the end of the examination confirms after a stop that the motor is
-                // off.
-                if report.outcome.ending == Ending::Stopped {
-                    return Err(Interruption::Stopped);
-                }
-                match fault_after(&report, device.is_hardware()) {
-                    Some(Fault::LinkGone) => return Err(super::link::gone(port)),
-                    Some(fault) if fault.may_be_repeated() && disturbed < MAX_REPETITIONS => {
-                        disturbed += 1;
-                        rest::wait_for_the_arm(device, clock, stop, port, encoders.theta)?;
-                        before = rest::window(device, clock, stop, port)?;
-                        continue;
-                    }
-                    Some(fault) => return Ok(Probed::Ended(fault)),
-                    None => {}
-                }
-                let mut effect = evidence.add(probe.trace());
-                if effect != PushEffect::NothingMoved {
-                    after = rest::window(device, clock, stop, port)?;
-                    let windows = before.zip(after);
-                    let shifts = windows.map(|(before, now)| now.shifts_from(&before, encoders));
-                    if let Some(exchanged) = shifts.and_then(|it| evidence.add_shifts(it, encoders))
-                    {
-                        // This shift is not evidence again after the next push.
-                        (effect, before) = (exchanged, after);
-                    }
-                }
-                if effect == PushEffect::Enough
-                    && may_be_exchanged(signs, &evidence)
-                    && doubtful_pushes < MAX_DOUBTFUL_PUSHES
-                {
-                    doubtful_pushes += 1;
-                    effect = PushEffect::SeeAgain;
-                }
-                if effect == PushEffect::Enough {
-                    return Ok(Probed::Evidence(evidence));
-                }
-                if effect != PushEffect::NothingMoved {
-                    rest::wait_for_the_arm(device, clock, stop, port, encoders.theta)?;
-                }
-                // A defect must show twice before it counts, so the same push follows again.
-                pushes += 1;
-                if effect != PushEffect::SeeAgain || pushes == MAX_EQUAL_PUSHES {
-                    break;
-                }
+            match pushes.repeat(direction * STEP_V * f64::from(step))? {
+                AfterPushes::NextPush => {}
+                AfterPushes::Enough => return Ok(Probed::Evidence(pushes.evidence)),
+                AfterPushes::Ended(fault) => return Ok(Probed::Ended(fault)),
             }
         }
     }
-    Ok(Probed::Evidence(evidence))
+    Ok(Probed::Evidence(pushes.evidence))
+}
+
+/// The pushes of a probe so far.
+struct Pushes<'a, 'd> {
+    examined: &'a mut ExaminedDevice<'d>,
+    heat: &'a mut MotorHeat,
+    plant: &'a PlantModel,
+    /// Signs under which the arm is pushed.
+    signs: Calibration,
+    /// Evidence from the pushes.
+    evidence: Evidence,
+    /// Window after the last push that moved something; before it, the one before all pushes.
+    at_rest: Option<Window>,
+    /// Number of further pushes because the encoders may be exchanged.
+    doubtful: u32,
+}
+
+/// The next step after equal pushes.
+enum AfterPushes {
+    /// The next push is another one.
+    NextPush,
+    /// The evidence suffices.
+    Enough,
+    /// A fault ended a push.
+    Ended(Fault),
+}
+
+impl Pushes<'_, '_> {
+    /// Pushes with `push_v` volts, and again as long as the push is to be repeated.
+    fn repeat(&mut self, push_v: f64) -> Result<AfterPushes, Interruption> {
+        let (mut disturbed, mut pushes) = (0, 0);
+        let mut before = self.at_rest;
+        loop {
+            let probe = match self.push(push_v)? {
+                Ok(probe) => probe,
+                Err(fault) if fault.may_be_repeated() && disturbed < MAX_REPETITIONS => {
+                    disturbed += 1;
+                    rest::wait_for_the_arm(self.examined, self.plant.encoders.theta)?;
+                    before = rest::window(self.examined)?;
+                    continue;
+                }
+                Err(fault) => return Ok(AfterPushes::Ended(fault)),
+            };
+            let effect = self.add(probe.trace(), &mut before)?;
+            if effect == PushEffect::Enough {
+                return Ok(AfterPushes::Enough);
+            }
+            if effect != PushEffect::NothingMoved {
+                rest::wait_for_the_arm(self.examined, self.plant.encoders.theta)?;
+            }
+            // A defect must show twice before it counts, so the same push follows again.
+            pushes += 1;
+            if effect != PushEffect::SeeAgain || pushes == MAX_EQUAL_PUSHES {
+                return Ok(AfterPushes::NextPush);
+            }
+        }
+    }
+
+    /// Pushes once; `Ok(Err(fault))`: this fault ended the push.
+    fn push(&mut self, push_v: f64) -> Result<Result<SignProbe, Fault>, Interruption> {
+        self.examined.ensure_going()?;
+        let ExaminedDevice { device, clock, stop, .. } = &mut *self.examined;
+        device.hello()?;
+        let mut probe = SignProbe::new(self.plant, self.signs, push_v);
+        let report = drive_warm(*device, *clock, &mut probe, self.heat, None, stop)?;
+        // The hello at the end of the examination confirms after a stop that the motor is off.
+        if report.outcome.ending == Ending::Stopped {
+            return Err(Interruption::Stopped);
+        }
+        match fault_after(&report, device.is_hardware()) {
+            Some(Fault::LinkGone) => Err(self.examined.link_fault(LinkFault::Gone)),
+            Some(fault) => Ok(Err(fault)),
+            None => Ok(Ok(probe)),
+        }
+    }
+
+    /// Adds a push to the evidence and returns its effect. `before` is the window before the push.
+    fn add(
+        &mut self,
+        trace: &ProbeTrace,
+        before: &mut Option<Window>,
+    ) -> Result<PushEffect, Interruption> {
+        let encoders = self.plant.encoders;
+        let mut effect = self.evidence.add(trace);
+        if effect != PushEffect::NothingMoved {
+            self.at_rest = rest::window(self.examined)?;
+            let windows = before.zip(self.at_rest);
+            let shifts = windows.map(|(before, now)| now.shifts_from(&before, encoders));
+            if let Some(exchanged) = shifts.and_then(|it| self.evidence.add_shifts(it, encoders)) {
+                // This shift is not evidence again after the next push.
+                (effect, *before) = (exchanged, self.at_rest);
+            }
+        }
+        if effect == PushEffect::Enough
+            && may_be_exchanged(self.signs, &self.evidence)
+            && self.doubtful < MAX_DOUBTFUL_PUSHES
+        {
+            self.doubtful += 1;
+            effect = PushEffect::SeeAgain;
+        }
+        Ok(effect)
+    }
 }
 
 /// Whether a sign looks wrong only because the encoders may be exchanged: the arm has not yet shown

@@ -1,10 +1,7 @@
-use std::sync::atomic::AtomicBool;
-
-use super::link::lost;
-use super::{Interruption, ensure_going};
-use crate::clock::{Clock, Nanoseconds};
+use super::Interruption;
+use super::examined_device::ExaminedDevice;
+use crate::clock::Nanoseconds;
 use crate::control::CountRange;
-use crate::device::Device;
 use crate::qube::{CONTROL_PERIOD_NS, Encoder, Encoders, wrap_angle};
 use crate::telemetry::CheckResult;
 
@@ -54,12 +51,10 @@ pub(super) struct Window {
 impl Window {
     /// Takes a sample each control period until the window is full; `None` if `end_ns` comes first.
     fn sample(
-        device: &mut dyn Device,
-        clock: &dyn Clock,
-        stop: &AtomicBool,
-        port: &str,
+        examined: &mut ExaminedDevice<'_>,
         end_ns: Nanoseconds,
     ) -> Result<Option<Self>, Interruption> {
+        let clock = examined.clock;
         let mut deadline_ns = clock.now_ns();
         let mut window: Option<Self> = None;
         let mut samples = 0;
@@ -67,10 +62,10 @@ impl Window {
             if clock.now_ns() > end_ns {
                 return Ok(None);
             }
-            ensure_going(stop)?;
+            examined.ensure_going()?;
             deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());
             clock.sleep_until(deadline_ns);
-            match device.sample(deadline_ns + CONTROL_PERIOD_NS) {
+            match examined.device.sample(deadline_ns + CONTROL_PERIOD_NS) {
                 Ok(sample) => {
                     let (theta_counts, alpha_counts) = (sample.theta_counts, sample.alpha_counts);
                     window = Some(match window {
@@ -85,7 +80,7 @@ impl Window {
                     });
                     samples += 1;
                 }
-                Err(fault) => lost(port, fault)?,
+                Err(fault) => examined.lost(fault)?,
             }
         }
         Ok(window)
@@ -105,13 +100,9 @@ impl Window {
 }
 
 /// Samples a window with the motor off; `None` if too few samples come.
-pub(super) fn window(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-    port: &str,
-) -> Result<Option<Window>, Interruption> {
-    Window::sample(device, clock, stop, port, clock.now_ns() + LONGEST_NS)
+pub(super) fn window(examined: &mut ExaminedDevice<'_>) -> Result<Option<Window>, Interruption> {
+    let end_ns = examined.clock.now_ns() + LONGEST_NS;
+    Window::sample(examined, end_ns)
 }
 
 /// Waits between two pushes, with the motor off, until the arm is at rest, but no longer than
@@ -119,15 +110,12 @@ pub(super) fn window(
 /// pendulum's own swing from the effect of the push, but cannot separate the motion of an arm that
 /// the pendulum moves.
 pub(super) fn wait_for_the_arm(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-    port: &str,
+    examined: &mut ExaminedDevice<'_>,
     encoder: Encoder,
 ) -> Result<(), Interruption> {
     let still_counts = encoder.covering_qube_counts(STILL_ARM_COUNTS);
-    let end_ns = clock.now_ns() + LONGEST_NS;
-    while let Some(Window { arm, .. }) = Window::sample(device, clock, stop, port, end_ns)? {
+    let end_ns = examined.clock.now_ns() + LONGEST_NS;
+    while let Some(Window { arm, .. }) = Window::sample(examined, end_ns)? {
         if arm.width() <= still_counts {
             break;
         }
@@ -139,19 +127,17 @@ pub(super) fn wait_for_the_arm(
 /// shows. After [`PATIENCE_NS`] a small swing of the pendulum passes too; after [`LONGEST_NS`] the
 /// check fails.
 pub(super) fn wait(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-    port: &str,
+    examined: &mut ExaminedDevice<'_>,
     encoders: Encoders,
 ) -> Result<CheckResult, Interruption> {
     let arm_counts = encoders.theta.covering_qube_counts(ARM_COUNTS);
     let [pendulum_counts, swinging_counts] = [PENDULUM_COUNTS, SWINGING_COUNTS]
         .map(|counts| encoders.alpha.covering_qube_counts(counts));
+    let clock = examined.clock;
     let start_ns = clock.now_ns();
     let end_ns = start_ns + LONGEST_NS;
     let mut width_rad = None;
-    while let Some(Window { arm, pendulum }) = Window::sample(device, clock, stop, port, end_ns)? {
+    while let Some(Window { arm, pendulum }) = Window::sample(examined, end_ns)? {
         let waited_ns = clock.now_ns() - start_ns;
         let waited_s = waited_ns as f64 * 1e-9;
         if arm.width() <= arm_counts && pendulum.width() <= pendulum_counts {
@@ -182,10 +168,12 @@ pub(super) fn wait(
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
     use super::*;
-    use crate::clock::VirtualClock;
+    use crate::clock::{Clock, VirtualClock};
     use crate::device::emulator::EmulatorSettings;
-    use crate::device::{DeviceError, Identity, LinkFault, SerialLink};
+    use crate::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
     use crate::qube::{Measurement, State};
 
     #[test]
@@ -200,7 +188,9 @@ mod tests {
                 let mut board = SerialLink::in_process(settings, clock.clone());
                 board.hello().unwrap();
                 let stop = AtomicBool::new(false);
-                let result = wait(&mut board, &clock, &stop, "here", encoders).unwrap();
+                let mut examined =
+                    ExaminedDevice { device: &mut board, clock: &clock, stop: &stop, port: "here" };
+                let result = wait(&mut examined, encoders).unwrap();
                 let at_once = result.value == "hangs still after 0.6 s";
                 assert_eq!(at_once, hangs_still, "{counts} counts, {alpha} rad: {result:?}");
             }
@@ -244,7 +234,9 @@ mod tests {
         let clock = VirtualClock::default();
         let mut device = Sampled(clock.clone(), 0, samples);
         let stop = AtomicBool::new(false);
-        let result = wait(&mut device, &clock, &stop, "here", Encoders::QUBE);
+        let mut examined =
+            ExaminedDevice { device: &mut device, clock: &clock, stop: &stop, port: "here" };
+        let result = wait(&mut examined, Encoders::QUBE);
         (result, clock.now_ns() as f64 * 1e-9)
     }
 

@@ -7,11 +7,10 @@
 //! several times as far, until the test switches it off after 0.3 s. Before this test, arm and
 //! pendulum were seen at rest or nearly so, and the motor has had no more than 48 mV.
 
-use std::sync::atomic::AtomicBool;
-
-use super::{Interruption, ensure_going, rest};
-use crate::clock::{Clock, Nanoseconds};
-use crate::device::{Device, DeviceError, LinkFault};
+use super::examined_device::ExaminedDevice;
+use super::{Interruption, rest};
+use crate::clock::Nanoseconds;
+use crate::device::LinkFault;
 use crate::qube::{CONTROL_PERIOD_NS, Encoder};
 use crate::safety::clamp_to_mv;
 use crate::telemetry::CheckResult;
@@ -60,28 +59,23 @@ const REMEDY: &str = "do not run anything with it: this motor stays on if the pr
 /// Pushes the arm under the program's control and with the watchdog alone, and compares how far the
 /// arm turns.
 pub(super) fn check(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-    port: &str,
+    examined: &mut ExaminedDevice<'_>,
     encoder: Encoder,
 ) -> Result<CheckResult, Interruption> {
     for step in 1..=STEPS {
         let push_v = STEP_V * f64::from(step);
         let mut pushed = [0; 2];
         for (counts, direction) in pushed.iter_mut().zip([1.0, -1.0]) {
-            *counts = repeated(device, clock, stop, port, encoder, |device| {
-                supervised(device, clock, direction * push_v)
-            })?;
+            *counts =
+                repeated(examined, encoder, |examined| supervised(examined, direction * push_v))?;
         }
         if pushed.iter().any(|counts| *counts < LEAST_COUNTS) {
             continue;
         }
         let mut silent = [0; 2];
         for (counts, direction) in silent.iter_mut().zip([1.0, -1.0]) {
-            *counts = repeated(device, clock, stop, port, encoder, |device| {
-                unsupervised(device, clock, direction * push_v)
-            })?;
+            *counts =
+                repeated(examined, encoder, |examined| unsupervised(examined, direction * push_v))?;
         }
         return Ok(verdict(push_v, pushed, silent));
     }
@@ -111,29 +105,26 @@ fn verdict(push_v: f64, pushed: [u32; 2], silent: [u32; 2]) -> CheckResult {
 /// Pushes once and returns the arm's travel, counts. A push that the computer or the link has
 /// disturbed is repeated. The function waits for the arm to rest after each push.
 fn repeated(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-    port: &str,
+    examined: &mut ExaminedDevice<'_>,
     encoder: Encoder,
-    push: impl Fn(&mut dyn Device) -> Result<Option<i32>, LinkFault>,
+    push: impl Fn(&mut ExaminedDevice<'_>) -> Result<Option<i32>, LinkFault>,
 ) -> Result<u32, Interruption> {
     for _ in 0..MAX_ATTEMPTS {
-        ensure_going(stop)?;
-        device.hello()?;
-        device.arm()?;
-        let from = push(device);
+        examined.ensure_going()?;
+        examined.device.hello()?;
+        examined.device.arm()?;
+        let from = push(examined);
         // The hello switches the motor off, whatever became of the push, and clears an expired
         // watchdog.
-        device.hello()?;
-        let Ok(from) = from else { return Err(super::link::gone(port)) };
-        let to = sampled(device, clock);
-        rest::wait_for_the_arm(device, clock, stop, port, encoder)?;
+        examined.device.hello()?;
+        let Ok(from) = from else { return Err(examined.link_fault(LinkFault::Gone)) };
+        let to = sampled(examined);
+        rest::wait_for_the_arm(examined, encoder)?;
         if let (Some(from), Some(to)) = (from, to) {
             return Ok(to.wrapping_sub(from).unsigned_abs());
         }
     }
-    Err(DeviceError::Link { port: port.to_owned(), fault: LinkFault::Timeout }.into())
+    Err(examined.link_fault(LinkFault::Timeout))
 }
 
 /// Pushes for 50 ms and holds 0 V for the rest of the 0.3 s. Returns the arm's count before the
@@ -141,17 +132,14 @@ fn repeated(
 ///
 /// # Errors
 /// The port is gone.
-fn supervised(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    push_v: f64,
-) -> Result<Option<i32>, LinkFault> {
+fn supervised(examined: &mut ExaminedDevice<'_>, push_v: f64) -> Result<Option<i32>, LinkFault> {
+    let clock = examined.clock;
     let push_mv = clamp_to_mv(push_v, push_v.abs()).unwrap_or(0);
     let (mut first, mut lost) = (None, 0);
     let mut deadline_ns = clock.now_ns();
     for period in 0..OBSERVED_PERIODS {
         let voltage_mv = if period < PUSH_PERIODS { push_mv } else { 0 };
-        match acted(device, clock, voltage_mv) {
+        match acted(examined, voltage_mv) {
             Ok(count) => first = first.or(Some(count)),
             Err(LinkFault::Gone) => return Err(LinkFault::Gone),
             Err(_) => lost += 1,
@@ -167,14 +155,11 @@ fn supervised(
 ///
 /// # Errors
 /// The port is gone.
-fn unsupervised(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    push_v: f64,
-) -> Result<Option<i32>, LinkFault> {
+fn unsupervised(examined: &mut ExaminedDevice<'_>, push_v: f64) -> Result<Option<i32>, LinkFault> {
+    let clock = examined.clock;
     let push_mv = clamp_to_mv(push_v, push_v.abs()).unwrap_or(0);
     let begin_ns = clock.now_ns();
-    let first = match acted(device, clock, push_mv) {
+    let first = match acted(examined, push_mv) {
         Ok(count) => count,
         Err(LinkFault::Gone) => return Err(LinkFault::Gone),
         Err(_) => return Ok(None),
@@ -184,18 +169,21 @@ fn unsupervised(
 }
 
 /// Requests a sample and answers it with a voltage; returns the arm's count in the sample.
-fn acted(device: &mut dyn Device, clock: &dyn Clock, voltage_mv: i16) -> Result<i32, LinkFault> {
-    let sample = device.sample(clock.now_ns() + PATIENCE_NS)?;
-    device.act(voltage_mv, sample.device_time_us)?;
+fn acted(examined: &mut ExaminedDevice<'_>, voltage_mv: i16) -> Result<i32, LinkFault> {
+    let sample = examined.device.sample(examined.clock.now_ns() + PATIENCE_NS)?;
+    examined.device.act(voltage_mv, sample.device_time_us)?;
     Ok(sample.theta_counts)
 }
 
-fn sampled(device: &mut dyn Device, clock: &dyn Clock) -> Option<i32> {
-    device.sample(clock.now_ns() + PATIENCE_NS).ok().map(|sample| sample.theta_counts)
+fn sampled(examined: &mut ExaminedDevice<'_>) -> Option<i32> {
+    let deadline_ns = examined.clock.now_ns() + PATIENCE_NS;
+    examined.device.sample(deadline_ns).ok().map(|sample| sample.theta_counts)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
     use super::*;
     use crate::clock::VirtualClock;
     use crate::device::SerialLink;
@@ -206,7 +194,9 @@ mod tests {
         let clock = VirtualClock::default();
         let mut board = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
         let stop = AtomicBool::new(false);
-        let result = check(&mut board, &clock, &stop, "here", Encoder::QUBE).unwrap();
+        let mut examined =
+            ExaminedDevice { device: &mut board, clock: &clock, stop: &stop, port: "here" };
+        let result = check(&mut examined, Encoder::QUBE).unwrap();
         assert!(!result.failed(), "{result:?}");
         assert!(result.value.starts_with("the motor goes off"), "{result:?}");
     }

@@ -1,13 +1,11 @@
-use std::sync::atomic::AtomicBool;
-
 use firmware_protocol::{RefusalReason, WATCHDOG_MS, WATCHDOG_POLL_MS};
 
-use super::link::lost;
-use super::{Interruption, ensure_going};
-use crate::clock::{Clock, Nanoseconds};
+use super::Interruption;
+use super::examined_device::ExaminedDevice;
+use crate::clock::Nanoseconds;
 use crate::control::VOLTAGE_TOLERANCE_MV;
-use crate::device::{Device, DeviceError};
-use crate::qube::{Measurement, applied_voltage_mv};
+use crate::device::DeviceError;
+use crate::qube::applied_voltage_mv;
 use crate::safety::clamp_to_mv;
 use crate::telemetry::{CheckResult, Hint};
 
@@ -61,16 +59,11 @@ impl WatchdogTest {
 /// Arms the device, sends a small voltage and then nothing more: the motor must go off by the
 /// watchdog. For a board, the device's own report and clock decide. A device without a clock only
 /// reports that its watchdog has expired, and the time is by the computer's clock.
-pub(super) fn check(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-    port: &str,
-) -> Result<WatchdogTest, Interruption> {
+pub(super) fn check(examined: &mut ExaminedDevice<'_>) -> Result<WatchdogTest, Interruption> {
     for _ in 0..ATTEMPTS {
-        ensure_going(stop)?;
-        device.hello()?;
-        match device.arm() {
+        examined.ensure_going()?;
+        examined.device.hello()?;
+        match examined.device.arm() {
             Ok(()) => {}
             Err(DeviceError::Refused { reason, .. }) => {
                 let remedy = if reason == RefusalReason::EmergencyStop {
@@ -83,7 +76,7 @@ pub(super) fn check(
             }
             Err(error) => return Err(error.into()),
         }
-        if let Some(result) = try_once(device, clock, stop, port)? {
+        if let Some(result) = try_once(examined)? {
             return Ok(result);
         }
     }
@@ -95,13 +88,9 @@ pub(super) fn check(
 }
 
 /// Makes one attempt; `Ok(None)` if the computer or the link was too slow.
-fn try_once(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    stop: &AtomicBool,
-    port: &str,
-) -> Result<Option<WatchdogTest>, Interruption> {
-    let is_board = device.has_device_clock();
+fn try_once(examined: &mut ExaminedDevice<'_>) -> Result<Option<WatchdogTest>, Interruption> {
+    let clock = examined.clock;
+    let is_board = examined.device.has_device_clock();
     let (latest_us, remedy, hint) = if is_board {
         (LATEST_US, REMEDY, Some(Hint::TestConformance))
     } else {
@@ -111,16 +100,16 @@ fn try_once(
         let result = CheckResult::fail(NAME, value, remedy).with_hint(hint);
         Ok(Some(WatchdogTest { result, expired_ms: None }))
     };
-    let Some(before) = sampled(device, clock, port)? else { return Ok(None) };
+    let Some(before) = examined.sample_within(PATIENCE_NS)? else { return Ok(None) };
     let voltage_mv = clamp_to_mv(VOLTAGE_V, VOLTAGE_V).unwrap_or(0);
-    match device.act(voltage_mv, before.device_time_us) {
+    match examined.device.act(voltage_mv, before.device_time_us) {
         Ok(()) => {}
         Err(fault) => {
-            lost(port, fault)?;
+            examined.lost(fault)?;
             return Ok(None);
         }
     }
-    let Some(on) = sampled(device, clock, port)? else { return Ok(None) };
+    let Some(on) = examined.sample_within(PATIENCE_NS)? else { return Ok(None) };
     let Some(sample_to_act_us) = on.sample_to_act_us.filter(|_| on.status.armed) else {
         return Ok(None);
     };
@@ -136,9 +125,9 @@ fn try_once(
     let acted_us = before.device_time_us + u64::from(sample_to_act_us);
     let end_ns = clock.now_ns() + LONGEST_NS;
     while clock.now_ns() < end_ns {
-        ensure_going(stop)?;
+        examined.ensure_going()?;
         clock.sleep_until(clock.now_ns() + PAUSE_NS);
-        let Some(later) = sampled(device, clock, port)? else { continue };
+        let Some(later) = examined.sample_within(PATIENCE_NS)? else { continue };
         let elapsed_us = later.device_time_us.saturating_sub(acted_us);
         let is_off = !later.status.armed && later.applied_mv == 0;
         let ms = elapsed_us as f64 * 1e-3;
@@ -161,16 +150,4 @@ fn try_once(
         }
     }
     Ok(None)
-}
-
-/// Requests a sample; `Ok(None)` if it was lost.
-fn sampled(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    port: &str,
-) -> Result<Option<Measurement>, Interruption> {
-    match device.sample(clock.now_ns() + PATIENCE_NS) {
-        Ok(sample) => Ok(Some(sample)),
-        Err(fault) => lost(port, fault).map(|()| None),
-    }
 }
