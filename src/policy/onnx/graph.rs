@@ -291,89 +291,154 @@ fn matrix(shape: &[usize], values: &[f32], layout: Layout) -> Option<(Vec<f32>, 
 }
 
 /// Assembles layers from the steps, which are in order from the observation to the action.
-/// Constants before the first matrix become a part of the first layer and of the bounds.
 fn assembled(steps: Vec<Step>) -> Result<Layers, ImportError> {
-    let refused =
-        |operator: &str, place| ImportError::Place { operator: operator.to_owned(), place };
-    let mut before: Vec<Step> = Vec::new();
-    let mut layers: Vec<LayerWeights> = Vec::new();
-    let (mut inputs, mut bounds) = (0, Vec::new());
-    let (mut activations, mut is_active) = (Vec::new(), true);
-    let mut after = After::default();
+    let mut assembly = Assembly::new();
     for step in steps {
+        assembly.add(step)?;
+    }
+    assembly.finish()
+}
+
+/// The layers that the steps so far make.
+struct Assembly {
+    /// Constants and shapes before the first matrix; the constants become a part of the first layer
+    /// and of the bounds.
+    before: Vec<Step>,
+    layers: Vec<LayerWeights>,
+    /// Number of inputs of the first layer; 0 before it.
+    inputs: usize,
+    /// Least and largest value of each entry of the observation.
+    bounds: Vec<[f32; 2]>,
+    activations: Vec<Activation>,
+    /// Whether an activation follows the last layer; true before the first.
+    is_active: bool,
+    after: After,
+}
+
+impl Assembly {
+    fn new() -> Self {
+        Self {
+            before: Vec::new(),
+            layers: Vec::new(),
+            inputs: 0,
+            bounds: Vec::new(),
+            activations: Vec::new(),
+            is_active: true,
+            after: After::default(),
+        }
+    }
+
+    fn add(&mut self, step: Step) -> Result<(), ImportError> {
         let may_be_last =
             matches!(step, Step::Multiplied(_) | Step::Clipped { .. } | Step::Shaped { .. });
-        if after.is_begun && !may_be_last {
+        if self.after.is_begun && !may_be_last {
             return Err(refused(
                 "Mul, Div, Max, Min or Clip",
                 "between other operators: it may only be before the first layer or at the end",
             ));
         }
         match step {
-            Step::Matrix { weight, bias, inputs: seen } => {
-                if !is_active {
-                    return Err(refused(
-                        "Gemm or MatMul",
-                        "right after another one, without an activation",
-                    ));
-                }
-                let outputs = weight.len() / seen;
-                let bias =
-                    bias.map_or_else(|| Ok(vec![0.0; outputs]), |it| spread(&it, outputs))?;
-                let mut layer = LayerWeights { weight, bias };
-                if layers.is_empty() {
-                    inputs = seen;
-                    bounds = fold(&before, &mut layer, seen)?;
-                }
-                layers.push(layer);
-                is_active = false;
+            Step::Matrix { weight, bias, inputs } => self.add_layer(weight, bias, inputs),
+            Step::Activation(activation) => self.add_activation(activation),
+            constant if self.layers.is_empty() => {
+                self.before.push(constant);
+                Ok(())
             }
-            Step::Activation(activation) => {
-                if layers.is_empty() || is_active {
-                    return Err(refused("Tanh, Relu, Elu or Silu", "that does not follow a layer"));
-                }
-                activations.push(activation);
-                is_active = true;
+            Step::Shaped { operator, last } => self.check_shape(&operator, last),
+            Step::Added(values) => self.add_to_bias(&values),
+            Step::Multiplied(values) => {
+                self.after.multiply(spread(&values, 1)?[0]);
+                Ok(())
             }
-            constant if layers.is_empty() => before.push(constant),
-            Step::Shaped { operator, last } => {
-                let outputs = layers.last().map_or(0, |layer| layer.bias.len());
-                // A computed shape that changes the number of values is refused with the next
-                // layer, whose inputs have another number.
-                if last.is_some_and(|last| !keeps(&operator, last, outputs)) {
-                    return Err(refused(&operator, CHANGES_ENTRIES));
-                }
-            }
-            Step::Added(values) if !is_active => {
-                if let Some(layer) = layers.last_mut() {
-                    let values = spread(&values, layer.bias.len())?;
-                    layer.bias.iter_mut().zip(values).for_each(|(bias, value)| *bias += value);
-                }
-            }
-            Step::Added(_) => return Err(refused("Add or Sub", "after an activation")),
-            Step::Multiplied(values) => after.multiply(spread(&values, 1)?[0]),
             Step::Clipped { lower, upper } => {
-                after.clip(spread(&lower, 1)?[0], spread(&upper, 1)?[0]);
+                self.after.clip(spread(&lower, 1)?[0], spread(&upper, 1)?[0]);
+                Ok(())
             }
         }
     }
-    let output = if activations.len() == layers.len() && !layers.is_empty() {
-        match activations.pop() {
-            Some(Activation::Tanh) => OutputKind::Tanh,
-            _ => return Err(refused("Relu, Elu or Silu", "after the last layer: use Tanh there")),
+
+    fn add_layer(
+        &mut self,
+        weight: Vec<f32>,
+        bias: Option<Vec<f32>>,
+        inputs: usize,
+    ) -> Result<(), ImportError> {
+        if !self.is_active {
+            return Err(refused(
+                "Gemm or MatMul",
+                "right after another one, without an activation",
+            ));
         }
-    } else {
-        OutputKind::Linear
-    };
-    let activation = activations.first().copied().unwrap_or(Activation::Tanh);
-    if activations.iter().any(|&other| other != activation) {
-        return Err(refused(
-            "Tanh, Relu, Elu or Silu",
-            "that differs between hidden layers: all hidden layers must have the same activation",
-        ));
+        let outputs = weight.len() / inputs;
+        let bias = bias.map_or_else(|| Ok(vec![0.0; outputs]), |it| spread(&it, outputs))?;
+        let mut layer = LayerWeights { weight, bias };
+        if self.layers.is_empty() {
+            self.inputs = inputs;
+            self.bounds = fold(&self.before, &mut layer, inputs)?;
+        }
+        self.layers.push(layer);
+        self.is_active = false;
+        Ok(())
     }
-    let After { scale, limits, .. } = after;
-    Ok(Layers { layers, inputs, bounds, activation, output, scale, limits })
+
+    fn add_activation(&mut self, activation: Activation) -> Result<(), ImportError> {
+        if self.layers.is_empty() || self.is_active {
+            return Err(refused("Tanh, Relu, Elu or Silu", "that does not follow a layer"));
+        }
+        self.activations.push(activation);
+        self.is_active = true;
+        Ok(())
+    }
+
+    /// Checks that a new shape after a layer keeps the number of the layer's outputs. A computed
+    /// shape that changes it is refused with the next layer, whose inputs have another number.
+    fn check_shape(&self, operator: &str, last: Option<i64>) -> Result<(), ImportError> {
+        let outputs = self.layers.last().map_or(0, |layer| layer.bias.len());
+        if last.is_some_and(|last| !keeps(operator, last, outputs)) {
+            return Err(refused(operator, CHANGES_ENTRIES));
+        }
+        Ok(())
+    }
+
+    fn add_to_bias(&mut self, values: &[f32]) -> Result<(), ImportError> {
+        if self.is_active {
+            return Err(refused("Add or Sub", "after an activation"));
+        }
+        if let Some(layer) = self.layers.last_mut() {
+            let values = spread(values, layer.bias.len())?;
+            layer.bias.iter_mut().zip(values).for_each(|(bias, value)| *bias += value);
+        }
+        Ok(())
+    }
+
+    fn finish(mut self) -> Result<Layers, ImportError> {
+        let output = if self.activations.len() == self.layers.len() && !self.layers.is_empty() {
+            match self.activations.pop() {
+                Some(Activation::Tanh) => OutputKind::Tanh,
+                _ => {
+                    let place = "after the last layer: use Tanh there";
+                    return Err(refused("Relu, Elu or Silu", place));
+                }
+            }
+        } else {
+            OutputKind::Linear
+        };
+        let Self { layers, inputs, bounds, activations, after, .. } = self;
+        let activation = activations.first().copied().unwrap_or(Activation::Tanh);
+        if activations.iter().any(|&other| other != activation) {
+            return Err(refused(
+                "Tanh, Relu, Elu or Silu",
+                "that differs between hidden layers: all hidden layers must have the same activation",
+            ));
+        }
+        let After { scale, limits, .. } = after;
+        Ok(Layers { layers, inputs, bounds, activation, output, scale, limits })
+    }
+}
+
+/// The error that an operator is not known in this place.
+fn refused(operator: &str, place: &'static str) -> ImportError {
+    ImportError::Place { operator: operator.to_owned(), place }
 }
 
 /// Reason why an operator that changes a shape is refused.
@@ -428,12 +493,11 @@ fn fold(
             Step::Multiplied(values) => input.multiply(values)?,
             Step::Clipped { lower, upper } => input.clip(lower, upper)?,
             Step::Shaped { operator, last } => {
-                let refused = |place| ImportError::Place { operator: operator.clone(), place };
                 let last = last.ok_or_else(|| {
-                    refused("before the first layer to a shape that is not constant")
+                    refused(operator, "before the first layer to a shape that is not constant")
                 })?;
                 if !keeps(operator, last, inputs) {
-                    return Err(refused(CHANGES_ENTRIES));
+                    return Err(refused(operator, CHANGES_ENTRIES));
                 }
             }
             Step::Matrix { .. } | Step::Activation(_) => {}
