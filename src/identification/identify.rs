@@ -7,7 +7,7 @@ use super::assessment::{Assessment, assess, noise_ratio_of};
 use super::fit::Fit;
 use super::fitness::{Unfit, check_recording};
 use super::offsets::{Offset, Scatter};
-use super::residuals::{ResidualScale, scale_of};
+use super::residuals::{Noise, ResidualScale, scale_of};
 use super::stretch::{Regime, Stretch, is_upright};
 use super::uncertainty::{Estimate, Evidence, Uncertainty, UndeterminedCombination};
 use crate::qube::{Nonideality, PlantModel, PlantName, QubeModel, State};
@@ -180,6 +180,27 @@ pub enum Sign {
 }
 
 impl Identified {
+    /// The result of a finished fit; `short_noise` is the noise of its residuals over short
+    /// windows.
+    fn of(fit: Fit<'_>, assessment: Assessment, short_noise: [Noise; 3]) -> Self {
+        let evidence = Evidence::of(&fit, short_noise);
+        let Uncertainty { estimates, undetermined, correlations, inflation } =
+            evidence.uncertainty(fit.unknowns, fit.plant, &fit.model);
+        Self {
+            plant: fit.plant.name,
+            model: fit.model,
+            estimates,
+            undetermined,
+            correlations,
+            scatter: fit.own_scatter(),
+            scale: scale_of(&fit.residuals_rad()),
+            offsets: fit.offsets,
+            inflation,
+            assessment,
+            evidence,
+        }
+    }
+
     /// The Qube with the mean rest angle that the cable has in some of the fitted recordings, by
     /// index. Without any recording it is the typical Qube.
     #[must_use]
@@ -191,9 +212,7 @@ impl Identified {
         model.nonidealities.cable_rest_rad += if count > 0.0 { sum_rad / count } else { 0.0 };
         model
     }
-}
 
-impl Identified {
     /// Compares the model with recordings of the same plant to which it was not fitted. Doubts it
     /// if it explains them much worse ([`MissingEffect::HeldOut`](super::MissingEffect)), and
     /// widens the standard errors by the factor by which they contradict the fit more than noise
@@ -258,6 +277,21 @@ pub fn identify(
     unknowns: &[Unknown],
     first_guess: &QubeModel,
 ) -> Result<Identified, IdentifyError> {
+    let plant = checked(logs, unknowns)?;
+    let mut first_guess = *first_guess;
+    for unknown in unknowns {
+        unknown.start(&mut first_guess, plant);
+    }
+    let fit = fitted(logs, unknowns, plant, &first_guess)?;
+    let (assessment, short_noise) = assess(&fit, windows(logs, STAGES_S[0]));
+    Ok(Identified::of(fit, assessment, short_noise))
+}
+
+/// Checks the recordings and the quantities to fit; returns the plant of the recordings.
+fn checked<'a>(
+    logs: &'a [MotionLog],
+    unknowns: &[Unknown],
+) -> Result<&'a PlantModel, IdentifyError> {
     let Some(MotionLog { plant, .. }) = logs.first() else {
         return Err(IdentifyError::NoRecordings);
     };
@@ -276,15 +310,24 @@ pub fn identify(
         }
         check_recording(log).map_err(|why| IdentifyError::Unfit { index, why })?;
     }
-    let mut first_guess = *first_guess;
-    for unknown in unknowns {
-        unknown.start(&mut first_guess, plant);
-    }
+    Ok(plant)
+}
+
+/// The fit over all stages, which begins at `first_guess`.
+///
+/// # Errors
+/// The fit explains the recordings too badly, or has a value that no Qube has.
+fn fitted<'a>(
+    logs: &'a [MotionLog],
+    unknowns: &'a [Unknown],
+    plant: &'a PlantModel,
+    first_guess: &QubeModel,
+) -> Result<Fit<'a>, IdentifyError> {
     let [_, further_s @ ..] = STAGES_S;
-    let mut fit = first_stage(logs, unknowns, plant, &first_guess);
+    let mut fit = first_stage(logs, unknowns, plant, first_guess);
     let scale = scale_of(&fit.residuals_rad());
     let ResidualScale { theta_rad, alpha_rad } = scale;
-    let cause = || cause(logs, unknowns, &first_guess, theta_rad.max(alpha_rad));
+    let cause = || cause(logs, unknowns, first_guess, theta_rad.max(alpha_rad));
     if !scale.is_within(LARGEST_RESIDUAL_RAD) {
         return Err(IdentifyError::Unexplained { theta_rad, alpha_rad, cause: cause() });
     }
@@ -301,27 +344,7 @@ pub fn identify(
     if let Some(ResidualScale { theta_rad, alpha_rad }) = unexplained(logs, &fit) {
         return Err(IdentifyError::NothingExplained { theta_rad, alpha_rad, cause: cause() });
     }
-    let (assessment, short_noise) = assess(&fit, windows(logs, STAGES_S[0]));
-    let evidence = Evidence::of(&fit, short_noise);
-    let Uncertainty { estimates, undetermined, correlations, inflation } =
-        evidence.uncertainty(unknowns, plant, &fit.model);
-    let scale = scale_of(&fit.residuals_rad());
-    let Fit { model, .. } = fit;
-    let scatter = fit.own_scatter();
-    let offsets = fit.offsets;
-    Ok(Identified {
-        plant: plant.name,
-        model,
-        estimates,
-        undetermined,
-        correlations,
-        offsets,
-        scatter,
-        scale,
-        inflation,
-        assessment,
-        evidence,
-    })
+    Ok(fit)
 }
 
 /// The fit of the first stage. It begins at `first_guess`, or, if a pendulum comes upright, at the
