@@ -117,38 +117,25 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
         .map(|(index, line)| (index + 1, line))
         .filter(|(_, line)| !line.trim().is_empty())
         .peekable();
-    let header = lines.next().map_or("", |(_, line)| line);
-    let names: Vec<&str> = header.split(',').map(str::trim).collect();
-    let mut places = [0; COLUMNS.len()];
-    for (place, column) in places.iter_mut().zip(COLUMNS) {
-        *place = names.iter().position(|name| *name == column).ok_or_else(|| {
-            CsvError::MissingColumn { column, found: names.join(", ").chars().take(200).collect() }
-        })?;
-    }
-    let place_of = |column: &str| names.iter().position(|name| *name == column);
-    let applied = APPLIED.into_iter().find_map(|it| Some((place_of(it.column)?, it)));
-    let exported = place_of(column::PHASE).zip(applied);
-    let reported = exported.and_then(|_| ReportColumns::of(&place_of));
+    let header = Header::of(lines.next().map_or("", |(_, line)| line));
+    let columns = header.motion()?;
+    let ticks = TickColumns::of(&header);
     let mut start_us = None;
     let mut samples: Vec<MotionSample> = Vec::new();
-    while let Some((line, row)) = lines.next() {
-        if let Some((phase_place, (applied_place, applied))) = exported {
-            let field = |place: usize| row.split(',').nth(place).map_or("", str::trim);
-            let phase = parse_phase(line, field(phase_place))?;
-            let has_sample = applied.is_there(line, field(applied_place))?;
-            if phase != Phase::Running || !has_sample {
-                continue;
-            }
-        }
-        let mut sample = parse_row(line, row, &places, lines.peek().is_none())?;
-        if exported.is_some() {
-            let text = row.split(',').nth(places[COLUMNS.len() - 1]).map_or("", str::trim);
-            COMMANDED.check(line, text, sample.voltage_v)?;
+    while let Some((line, text)) = lines.next() {
+        let row = Row::of(line, text);
+        let mut sample = match &ticks {
+            Some(ticks) if !ticks.is_of_policy(&row)? => continue,
+            _ => row.sample(&columns, lines.peek().is_none())?,
+        };
+        if ticks.is_some() {
+            let [.., voltage] = columns;
+            COMMANDED.check(&row, row.text(voltage), sample.voltage_v)?;
             let commanded_mv = (1000.0 * sample.voltage_v).round() as i16;
             sample.voltage_v = volts(applied_voltage_mv(commanded_mv));
         }
-        if let Some(reported) = &reported {
-            let time_us = reported.replace(line, row, &mut sample)?;
+        if let Some(reported) = ticks.as_ref().and_then(|ticks| ticks.reported.as_ref()) {
+            let time_us = reported.replace(&row, &mut sample)?;
             sample.time_s = device_time_s(time_us, *start_us.get_or_insert(time_us));
             if samples.last().is_some_and(|last| sample.time_s <= last.time_s) {
                 continue;
@@ -171,10 +158,108 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     Ok(samples)
 }
 
-/// A column with a voltage of a table of ticks.
+/// A column of a table.
+#[derive(Clone, Copy)]
+struct Column {
+    name: &'static str,
+    /// Index of its field in each row.
+    place: usize,
+}
+
+/// The header of a table.
+struct Header<'a> {
+    names: Vec<&'a str>,
+}
+
+impl<'a> Header<'a> {
+    fn of(line: &'a str) -> Self {
+        Self { names: line.split(',').map(str::trim).collect() }
+    }
+
+    /// The column with this name; `None` if there is none.
+    fn column(&self, name: &'static str) -> Option<Column> {
+        let place = self.names.iter().position(|it| *it == name)?;
+        Some(Column { name, place })
+    }
+
+    /// The required columns, in the order of [`COLUMNS`].
+    fn motion(&self) -> Result<[Column; COLUMNS.len()], CsvError> {
+        let mut columns = COLUMNS.map(|name| Column { name, place: 0 });
+        for column in &mut columns {
+            *column = self.column(column.name).ok_or_else(|| CsvError::MissingColumn {
+                column: column.name,
+                found: self.names.join(", ").chars().take(200).collect(),
+            })?;
+        }
+        Ok(columns)
+    }
+}
+
+/// A row of a table.
+struct Row<'a> {
+    /// Number of its line, from 1.
+    line: usize,
+    fields: Vec<&'a str>,
+}
+
+impl<'a> Row<'a> {
+    fn of(line: usize, text: &'a str) -> Self {
+        Self { line, fields: text.split(',').map(str::trim).collect() }
+    }
+
+    /// The text in a column; empty if the row ends before it.
+    fn text(&self, column: Column) -> &'a str {
+        self.fields.get(column.place).copied().unwrap_or_default()
+    }
+
+    /// The finite number in a column.
+    fn number(&self, Column { name: column, place }: Column) -> Result<f64, CsvError> {
+        let line = self.line;
+        let text = *self.fields.get(place).ok_or(CsvError::ShortRow { line, column })?;
+        text.parse::<f64>()
+            .ok()
+            .filter(|number| number.is_finite())
+            .ok_or_else(|| CsvError::BadNumber { line, column, text: text.to_owned() })
+    }
+
+    /// The sample in the required columns. The voltage of the last row may be empty.
+    fn sample(
+        &self,
+        &[time, theta, alpha, theta_dot, alpha_dot, voltage]: &[Column; COLUMNS.len()],
+        is_last: bool,
+    ) -> Result<MotionSample, CsvError> {
+        let is_empty = self.fields.get(voltage.place).is_some_and(|field| field.is_empty());
+        Ok(MotionSample {
+            time_s: self.number(time)?,
+            state: State {
+                theta: self.number(theta)?,
+                alpha: self.number(alpha)?,
+                theta_dot: self.number(theta_dot)?,
+                alpha_dot: self.number(alpha_dot)?,
+            },
+            voltage_v: if is_last && is_empty { 0.0 } else { self.number(voltage)? },
+        })
+    }
+
+    /// The phase in a column: by its number, as `qube-hil export` writes it, or by its name, as
+    /// recordings in Python have it.
+    fn phase(&self, column: Column) -> Result<Phase, CsvError> {
+        let text = self.text(column);
+        // Some programs write whole numbers with decimals.
+        let number = text.parse::<f64>().ok();
+        let is_named =
+            |phase: &Phase| text == phase.name() || number == Some(phase.number().into());
+        Phase::ALL
+            .into_iter()
+            .find(is_named)
+            .ok_or_else(|| CsvError::BadPhase { line: self.line, text: text.to_owned() })
+    }
+}
+
+/// A kind of column with a voltage of a table of ticks.
 #[derive(Clone, Copy)]
 struct VoltageColumn {
-    column: &'static str,
+    name: &'static str,
     /// Largest value that the program writes: the wire has 16 bits for millivolts.
     largest: f64,
     unit: &'static str,
@@ -183,24 +268,71 @@ struct VoltageColumn {
 /// The columns that tell whether a tick has a sample: that of `qube-hil export`, and that of
 /// recordings in Python.
 const APPLIED: [VoltageColumn; 2] = [
-    VoltageColumn { column: column::APPLIED_MV, largest: 32_767.0, unit: "mV" },
-    VoltageColumn { column: column::APPLIED_V, ..COMMANDED },
+    VoltageColumn { name: column::APPLIED_MV, largest: 32_767.0, unit: "mV" },
+    VoltageColumn { name: column::APPLIED_V, ..COMMANDED },
 ];
 
 const COMMANDED: VoltageColumn =
-    VoltageColumn { column: column::VOLTAGE_V, largest: 32.767, unit: "V" };
+    VoltageColumn { name: column::VOLTAGE_V, largest: 32.767, unit: "V" };
 
-/// The places of the columns with the board's report in a table of ticks.
-struct ReportColumns {
-    theta: usize,
-    alpha: usize,
-    time: usize,
-    /// Name of the column with the time, and microseconds in one of its units.
-    time_unit: (&'static str, f64),
+impl VoltageColumn {
+    /// Whether a row has a voltage in a column of this kind. Python writes NaN where there is none.
+    fn is_in(self, row: &Row<'_>, column: Column) -> Result<bool, CsvError> {
+        let text = row.text(column);
+        if text.is_empty() || text.eq_ignore_ascii_case("nan") {
+            return Ok(false);
+        }
+        let value = text.parse().map_err(|_| CsvError::BadNumber {
+            line: row.line,
+            column: self.name,
+            text: text.to_owned(),
+        })?;
+        self.check(row, text, value).map(|()| true)
+    }
+
+    fn check(self, row: &Row<'_>, text: &str, value: f64) -> Result<(), CsvError> {
+        let Self { name: column, largest, unit } = self;
+        if value.abs() <= largest {
+            return Ok(());
+        }
+        let (line, text) = (row.line, text.to_owned());
+        Err(CsvError::NotVolts { line, column, text, largest, unit })
+    }
 }
 
-/// The columns with the encoders' angles.
-const MEASURED: [&str; 2] = [column::MEASURED_THETA_RAD, column::MEASURED_ALPHA_RAD];
+/// The further columns of a table of ticks.
+struct TickColumns {
+    phase: Column,
+    applied: (Column, VoltageColumn),
+    /// Columns with the board's report; `None` if one of them is missing.
+    reported: Option<ReportColumns>,
+}
+
+impl TickColumns {
+    /// The columns in this header; `None` if it is not that of a table of ticks.
+    fn of(header: &Header<'_>) -> Option<Self> {
+        let applied = APPLIED.into_iter().find_map(|it| Some((header.column(it.name)?, it)))?;
+        let phase = header.column(column::PHASE)?;
+        Some(Self { phase, applied, reported: ReportColumns::of(header) })
+    }
+
+    /// Whether a row has a sample of a tick in which the policy has the motor.
+    fn is_of_policy(&self, row: &Row<'_>) -> Result<bool, CsvError> {
+        let phase = row.phase(self.phase)?;
+        let (column, voltage) = self.applied;
+        let has_sample = voltage.is_in(row, column)?;
+        Ok(phase == Phase::Running && has_sample)
+    }
+}
+
+/// The columns with the board's report in a table of ticks.
+struct ReportColumns {
+    theta: Column,
+    alpha: Column,
+    time: Column,
+    /// Microseconds in a unit of the column with the time.
+    time_unit_us: f64,
+}
 
 /// The columns with the device's time, and microseconds in one of its units: that of `qube-hil
 /// export`, and that of recordings in Python.
@@ -208,105 +340,31 @@ const DEVICE_TIMES: [(&str, f64); 2] =
     [(column::DEVICE_TIME_US, 1.0), (column::DEVICE_TIME_S, 1e6)];
 
 impl ReportColumns {
-    /// The columns at the places that `place_of` gives; `None` if one of them is missing.
-    fn of(place_of: &impl Fn(&str) -> Option<usize>) -> Option<Self> {
-        let [theta, alpha] = MEASURED.map(place_of);
+    /// The columns in this header; `None` if one of them is missing.
+    fn of(header: &Header<'_>) -> Option<Self> {
         let mut times = DEVICE_TIMES.into_iter();
-        let (time, time_unit) = times.find_map(|it| Some((place_of(it.0)?, it)))?;
-        Some(Self { theta: theta?, alpha: alpha?, time, time_unit })
+        let (time, time_unit_us) =
+            times.find_map(|(name, unit_us)| Some((header.column(name)?, unit_us)))?;
+        Some(Self {
+            theta: header.column(column::MEASURED_THETA_RAD)?,
+            alpha: header.column(column::MEASURED_ALPHA_RAD)?,
+            time,
+            time_unit_us,
+        })
     }
 
     /// Replaces the angles of a sample by those of the encoders, and returns the device's time, us.
-    fn replace(&self, line: usize, row: &str, sample: &mut MotionSample) -> Result<u64, CsvError> {
-        let fields: Vec<&str> = row.split(',').map(str::trim).collect();
-        let [theta, alpha] = MEASURED;
-        let (time, unit_us) = self.time_unit;
-        sample.state.theta = number(&fields, self.theta, line, theta)?;
-        let counted = number(&fields, self.alpha, line, alpha)?;
+    fn replace(&self, row: &Row<'_>, sample: &mut MotionSample) -> Result<u64, CsvError> {
+        sample.state.theta = row.number(self.theta)?;
+        let counted = row.number(self.alpha)?;
         sample.state.alpha = with_turns_of(sample.state.alpha, counted);
-        Ok((unit_us * number(&fields, self.time, line, time)?).round() as u64)
+        Ok((self.time_unit_us * row.number(self.time)?).round() as u64)
     }
-}
-
-impl VoltageColumn {
-    /// Whether a row has a voltage here. Python writes NaN where there is none.
-    fn is_there(self, line: usize, text: &str) -> Result<bool, CsvError> {
-        if text.is_empty() || text.eq_ignore_ascii_case("nan") {
-            return Ok(false);
-        }
-        let column = self.column;
-        let value = text.parse().map_err(|_| CsvError::BadNumber {
-            line,
-            column,
-            text: text.to_owned(),
-        })?;
-        self.check(line, text, value).map(|()| true)
-    }
-
-    fn check(self, line: usize, text: &str, value: f64) -> Result<(), CsvError> {
-        let Self { column, largest, unit } = self;
-        if value.abs() <= largest {
-            return Ok(());
-        }
-        Err(CsvError::NotVolts { line, column, text: text.to_owned(), largest, unit })
-    }
-}
-
-/// A phase by its number, as `qube-hil export` writes it, or by its name, as recordings in Python
-/// have it.
-fn parse_phase(line: usize, text: &str) -> Result<Phase, CsvError> {
-    // Some programs write whole numbers with decimals.
-    let number = text.parse::<f64>().ok();
-    let is_named = |phase: &Phase| text == phase.name() || number == Some(phase.number().into());
-    Phase::ALL
-        .into_iter()
-        .find(is_named)
-        .ok_or_else(|| CsvError::BadPhase { line, text: text.to_owned() })
 }
 
 /// The numbers and names of all phases, for a message.
 fn all_phases() -> String {
     Phase::ALL.map(|phase| format!("{} or {}", phase.number(), phase.name())).join(", ")
-}
-
-fn parse_row(
-    line: usize,
-    row: &str,
-    places: &[usize; COLUMNS.len()],
-    is_last: bool,
-) -> Result<MotionSample, CsvError> {
-    let fields: Vec<&str> = row.split(',').map(str::trim).collect();
-    let number = |index: usize| {
-        let is_voltage = index + 1 == COLUMNS.len();
-        if is_voltage && is_last && fields.get(places[index]).is_some_and(|it| it.is_empty()) {
-            return Ok(0.0);
-        }
-        number(&fields, places[index], line, COLUMNS[index])
-    };
-    Ok(MotionSample {
-        time_s: number(0)?,
-        state: State {
-            theta: number(1)?,
-            alpha: number(2)?,
-            theta_dot: number(3)?,
-            alpha_dot: number(4)?,
-        },
-        voltage_v: number(5)?,
-    })
-}
-
-/// The finite number in a field of a row.
-fn number(
-    fields: &[&str],
-    place: usize,
-    line: usize,
-    column: &'static str,
-) -> Result<f64, CsvError> {
-    let text = *fields.get(place).ok_or(CsvError::ShortRow { line, column })?;
-    text.parse::<f64>()
-        .ok()
-        .filter(|number| number.is_finite())
-        .ok_or_else(|| CsvError::BadNumber { line, column, text: text.to_owned() })
 }
 
 #[cfg(test)]
