@@ -91,6 +91,15 @@ impl Controller for RecordingController {
     }
 }
 
+/// The controller that drives a rollout.
+struct ChosenController<'a> {
+    /// Bytes of the policy file that the recording contains.
+    policy_file: &'a [u8],
+    controller: Box<dyn Controller>,
+    /// Bits of the last voltage of an external controller, V; `None` for a policy from a file.
+    last_v: Option<&'a AtomicU64>,
+}
+
 impl Rig {
     /// Runs one rollout and records it to `path`. The rig itself fills in the entries of the header
     /// about device, plant, check, heat of the motor, calibration, stops, guard and time, and it
@@ -114,7 +123,13 @@ impl Rig {
         if let Policy::External(external) = &policy {
             return Err(RigError::External { name: external.name().to_owned() });
         }
-        self.recorded(disk, path, header, policy_file, Box::new(policy), None)
+        let controller = Box::new(policy);
+        self.recorded(
+            disk,
+            path,
+            header,
+            ChosenController { policy_file, controller, last_v: None },
+        )
     }
 
     /// Runs one rollout like [`Self::rollout`], but with an external controller in place of a
@@ -131,58 +146,28 @@ impl Rig {
         name: &str,
         controller: Box<dyn Controller>,
     ) -> Result<Recorded, RigError> {
-        let file = Policy::External(External::new(name)).to_bytes();
-        let last_v = Arc::new(AtomicU64::new(f64::NAN.to_bits()));
-        let noted = RecordingController { controller, last_v: Arc::clone(&last_v) };
-        self.recorded(disk, path, header, &file, Box::new(noted), Some(&last_v))
+        let policy_file = &Policy::External(External::new(name)).to_bytes();
+        let last_v = &Arc::new(AtomicU64::new(f64::NAN.to_bits()));
+        let controller = Box::new(RecordingController { controller, last_v: Arc::clone(last_v) });
+        self.recorded(
+            disk,
+            path,
+            header,
+            ChosenController { policy_file, controller, last_v: Some(last_v) },
+        )
     }
 
-    /// Runs and records one rollout. `last_v` contains the bits of the last voltage of an external
-    /// controller.
+    /// Runs and records one rollout.
     fn recorded(
         &self,
         disk: &dyn Disk,
         path: &Path,
         header: RolloutHeader,
-        policy_file: &[u8],
-        controller: Box<dyn Controller>,
-        last_v: Option<&AtomicU64>,
+        ChosenController { policy_file, controller, last_v }: ChosenController<'_>,
     ) -> Result<Recorded, RigError> {
-        header.settings.safety_box.guard.check_driven()?;
-        header.settings.estimator.check().map_err(RigSettingError::Estimator)?;
-        if self.is_hardware() {
-            self.limits.admit(&header.settings.safety_box)?;
-            if header.settings.safety_box.guard == Guard::Foresight {
-                admit_processor(self.foresight_time_us)?;
-            }
-        }
-        let safety_box = header.settings.safety_box.inside_travel(&self.plant);
-        let settings = TickSettings {
-            calibration: self.measured.calibration,
-            stops: self.measured.stops,
-            safety_box: inside_stops(&safety_box, self.measured.stops),
-            plant: self.plant,
-            foresight: (header.settings.safety_box.guard == Guard::Foresight).then(|| {
-                let foresight = ForesightSettings {
-                    identified: self.identified.get(),
-                    ..ForesightSettings::of_plant(&self.plant)
-                };
-                match self.has_device_clock {
-                    true => foresight,
-                    false => foresight.with_sample_age(unknown_age_s(self.link())),
-                }
-            }),
-            ..header.settings
-        };
-        let header = RolloutHeader {
-            started_unix_ns: self.wall_time_ns(),
-            device: self.device_facts(),
-            preflight: self.preflight.clone(),
-            motor_heat: Some(self.control.cool_motor()?),
-            hard_stop_accepted: self.is_hardware() && settings.safety_box.guard.is_box(),
-            settings,
-            ..header
-        };
+        self.check_settings(&header.settings)?;
+        let header = self.filled_in(header)?;
+        let settings = header.settings;
         let (producer, consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let recorder =
             Recorder::start(disk, path, header, policy_file, consumer, self.viewers.clone())?;
@@ -209,6 +194,56 @@ impl Rig {
         }
         let path = recorder.finish(report.outcome.clone(), report.last_ticks)?;
         Ok(Recorded { path, outcome: report.outcome })
+    }
+
+    /// Checks that the rig may be driven with these settings.
+    fn check_settings(&self, settings: &TickSettings) -> Result<(), RigError> {
+        settings.safety_box.guard.check_driven()?;
+        settings.estimator.check().map_err(RigSettingError::Estimator)?;
+        if self.is_hardware() {
+            self.limits.admit(&settings.safety_box)?;
+            if settings.safety_box.guard == Guard::Foresight {
+                admit_processor(self.foresight_time_us)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The header of a rollout that begins now, with the entries that the rig fills in.
+    fn filled_in(&self, header: RolloutHeader) -> Result<RolloutHeader, RigError> {
+        let settings = self.tick_settings(header.settings);
+        Ok(RolloutHeader {
+            started_unix_ns: self.wall_time_ns(),
+            device: self.device_facts(),
+            preflight: self.preflight.clone(),
+            motor_heat: Some(self.control.cool_motor()?),
+            hard_stop_accepted: self.is_hardware() && settings.safety_box.guard.is_box(),
+            settings,
+            ..header
+        })
+    }
+
+    /// The settings of a rollout's ticks on this rig, by those of the task.
+    fn tick_settings(&self, of_the_task: TickSettings) -> TickSettings {
+        let safety_box = of_the_task.safety_box.inside_travel(&self.plant);
+        let foresight = (of_the_task.safety_box.guard == Guard::Foresight).then(|| {
+            let foresight = ForesightSettings {
+                identified: self.identified.get(),
+                ..ForesightSettings::of_plant(&self.plant)
+            };
+            match self.has_device_clock {
+                true => foresight,
+                false => foresight.with_sample_age(unknown_age_s(self.link())),
+            }
+        });
+        TickSettings {
+            calibration: self.measured.calibration,
+            stops: self.measured.stops,
+            safety_box: inside_stops(&safety_box, self.measured.stops),
+            plant: self.plant,
+            foresight,
+            ..of_the_task
+        }
     }
 
     fn not_begun(&self, error: ControlError) -> RigError {
