@@ -12,8 +12,9 @@ use crate::commands::exit::Failure;
 use crate::commands::keyboard::Keyboard;
 use crate::commands::output::Output;
 use crate::commands::printable::print_message;
+use crate::commands::screen::Screen;
 use crate::commands::stop::Stop;
-use crate::commands::{report, service_manager};
+use crate::commands::{failures, report, service_manager};
 use crate::rig::RigSettings;
 use crate::safety::GuardConsent;
 use crate::session::{
@@ -41,9 +42,53 @@ pub fn settings_of_rig(
     })
 }
 
+/// A session, and the parts of the program by which an operator attends it.
+pub struct AttendedSession<'a> {
+    /// The session.
+    pub session: Session,
+    /// Keys of the terminal.
+    pub keyboard: Keyboard,
+    /// Screen that shows the session.
+    pub screen: Screen,
+    /// Stop requests.
+    pub stop: &'a Stop,
+    /// Command that resumes the session.
+    pub resume: &'a str,
+}
+
+impl AttendedSession<'_> {
+    /// Runs the session to its end and prints what it has reached; `show` shows each event.
+    /// `complete` adds entries to the results that `--json` prints; the command began at `started`.
+    /// A session that was refused before its first decision has no results and leaves no folder
+    /// behind.
+    pub fn run(
+        self,
+        show: &mut dyn FnMut(SessionEvent),
+        complete: impl FnOnce(&mut Value),
+        started: Instant,
+        output: &Output,
+    ) -> Result<(), Failure> {
+        let Self { mut session, keyboard, screen, stop, resume } = self;
+        let failed = |error| failures::session(error, stop, resume);
+        service_manager::ready();
+        let ended = run_attended(&mut session, &keyboard, stop, show);
+        service_manager::stopping();
+        drop(keyboard);
+        drop(screen);
+        let ended = ended.map_err(failed);
+        if is_refused(&session, &ended) {
+            session.into_folder().withdraw_if_new();
+            return ended;
+        }
+        let mut results = SessionResults::read(&mut session, ended, failed)?;
+        complete(&mut results.json);
+        results.print(started, output)
+    }
+}
+
 /// Runs a session to its end. A doubt about the motor is put to the operator, and the session goes
 /// on if the operator has looked at the Qube.
-pub fn run_attended(
+fn run_attended(
     session: &mut Session,
     keyboard: &Keyboard,
     stop: &Stop,

@@ -3,23 +3,23 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::Arguments;
-use super::attended::{SessionResults, is_refused, run_attended, settings_of_rig};
+use super::attended::{AttendedSession, settings_of_rig};
 use super::notes::{print_notes, warnings};
 use super::progress::SessionProgress;
 use super::settings::{begun, configured, name_in, resumed, resumed_clock};
 use super::several_rigs::resume_command;
 use crate::commands::destination::OutputFolder;
 use crate::commands::exit::Failure;
+use crate::commands::failures;
 use crate::commands::keyboard::Keyboard;
 use crate::commands::output::Output;
 use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
-use crate::commands::{failures, service_manager};
 use crate::qube::Profile;
-use crate::session::Session;
+use crate::session::{Session, SessionEvent};
 
 /// Runs or resumes the session and prints its table.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
@@ -82,20 +82,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     if let Some(executor) = executor {
         session = session.trained_by(executor);
     }
-    service_manager::ready();
-    let ended = run_attended(&mut session, &keyboard, &stop, &mut |event| {
+    let mut show = |event: SessionEvent<'_>| {
         progress.update(&event);
         live.update(&event, progress.time_left());
-    });
-    service_manager::stopping();
-    drop(keyboard);
-    drop(screen);
-    let ended = ended.map_err(failed);
-    if is_refused(&session, &ended) {
-        session.into_folder().withdraw_if_new();
-        return ended;
-    }
-    let mut results = SessionResults::read(&mut session, ended, failed)?;
-    results.json["emulated_qube"] = json!(emulated_qube);
-    results.print(started, output)
+    };
+    let complete = |json: &mut Value| json["emulated_qube"] = json!(emulated_qube);
+    let attended = AttendedSession { session, keyboard, screen, stop: &stop, resume: &resume };
+    attended.run(&mut show, complete, started, output)
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::Arguments;
-use super::attended::{SessionResults, is_refused, run_attended, settings_of_rig};
+use super::attended::{AttendedSession, settings_of_rig};
 use super::notes::{print_notes, warnings};
 use super::progress::SessionProgress;
 use super::settings::{asked, begun, name_in, origin_of_guard, reopened, resumed_clock};
@@ -18,7 +18,6 @@ use crate::commands::output::Output;
 use crate::commands::printable::print_message;
 use crate::commands::rig_arguments::name_of;
 use crate::commands::screen::Screen;
-use crate::commands::service_manager;
 use crate::commands::stop::Stop;
 use crate::control::HomingSettings;
 use crate::qube::{Profile, QubeModel};
@@ -88,23 +87,16 @@ pub fn run(
     if let Some(executor) = executor {
         session = session.trained_by(executor);
     }
-    service_manager::ready();
-    let ended = run_attended(&mut session, &keyboard, &stop, &mut |event| {
+    let mut show = |event: SessionEvent<'_>| {
         progress.update(&event);
         for (number, live) in (1..).zip(&mut lives) {
             if rig_of(&event).is_none_or(|rig| rig == number) {
                 live.update(&event, progress.time_left());
             }
         }
-    });
-    service_manager::stopping();
-    drop(keyboard);
-    let ended = ended.map_err(failed);
-    if is_refused(&session, &ended) {
-        session.into_folder().withdraw_if_new();
-        return ended;
-    }
-    SessionResults::read(&mut session, ended, failed)?.print(started, output)
+    };
+    let attended = AttendedSession { session, keyboard, screen, stop: &stop, resume: &resume };
+    attended.run(&mut show, |_| (), started, output)
 }
 
 /// Number, from 1, of the rig whose live view alone shows an event; `None` if the live views of all
