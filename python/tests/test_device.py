@@ -6,6 +6,7 @@ import gc
 import json
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -401,26 +402,49 @@ def test_an_option_of_reset_is_refused(virtual):
         env.reset(options={"angle": 1.0})
 
 
-#: Code for another interpreter, to go before its own: an episode in real time, whose first answer a busy computer may
-#: delay too much.
+#: Code for another interpreter, to go before its own: an episode in real time, which a busy computer may end at once.
 BEGIN = """
 import numpy as np, qube_hil
 
+def is_late(error):
+    return isinstance(error, qube_hil.LateError) or "keep this computer busy" in str(error)
+
 def begin(env):
     for _ in range(50):
-        env.reset()
         try:
+            env.reset()
             env.step(np.full(1, 0.01, np.float32))
             return
-        except qube_hil.LateError as error:
+        except qube_hil.DeviceError as error:
+            if not is_late(error):
+                raise
             late = error
     raise late
 """
 
+#: Largest number of attempts at a test that a busy computer disturbs.
+ATTEMPTS = 6
+
+#: Limit for a hang, which no busy computer reaches, s.
+PATIENCE_S = 600.0
+
+#: Names of the faults by which a busy computer ends an episode.
+FAULTS_OF_A_BUSY_COMPUTER = ["no_sample", "watchdog_tripped", "device_clock", "too_late"]
+
+
+def is_ended_by_a_busy_computer(recording):
+    ending = recording.outcome["ending"]
+    return ending["kind"] == "fault" and ending["detail"] in FAULTS_OF_A_BUSY_COMPUTER
+
+
+def says_busy(errors):
+    """Whether code of another interpreter ended with the error of a busy computer."""
+    return "LateError" in errors or "keep this computer busy" in errors
+
 
 def first_line(process):
-    """The first line that a process prints; it is killed if it prints none within two minutes."""
-    limit = threading.Timer(120.0, process.kill)
+    """The first line that a process prints; it is killed if it prints none for too long."""
+    limit = threading.Timer(PATIENCE_S, process.kill)
     limit.start()
     try:
         return process.stdout.readline()
@@ -429,15 +453,20 @@ def first_line(process):
 
 
 def in_a_process(code, folder, send=None):
-    """Runs code in another interpreter; with a signal, sends it once the code prints a line."""
+    """Runs code in another interpreter; with a signal, sends it once the code prints a line. Code that ends with the
+    error of a busy computer is run again, without the recordings of the last attempt."""
     code = BEGIN + textwrap.dedent(code)
-    process = subprocess.Popen(
-        [sys.executable, "-c", code], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    if send is not None:
-        first_line(process)
-        process.send_signal(send)
-    out, errors = process.communicate(timeout=120)
+    for _ in range(ATTEMPTS):
+        shutil.rmtree(folder / "episodes", ignore_errors=True)
+        process = subprocess.Popen(
+            [sys.executable, "-c", code], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        if send is not None:
+            first_line(process)
+            process.send_signal(send)
+        out, errors = process.communicate(timeout=PATIENCE_S)
+        if process.returncode != 1 or not says_busy(errors):
+            break
     return process.returncode, out, errors
 
 
@@ -457,24 +486,29 @@ def test_an_interpreter_that_ends_brakes(tmp_path):
     assert read.outcome["ending"]["kind"] == "stopped" and read["phase"][-1] == "braking"
 
 
+@pytest.mark.real_time
 def test_sigterm_brakes_with_the_handler_that_the_page_names(tmp_path):
     handler = "signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))"
     assert handler in (beside("docs") / "python.md").read_text()
-    code, _, errors = in_a_process(
-        f"""
-        import signal, sys
-        {handler}
-        env = qube_hil.QubeDeviceEnv()
-        begin(env)
-        print("drives", flush=True)
-        while True:
-            env.step(np.zeros(1, np.float32))
-        """,
-        tmp_path,
-        send=signal.SIGTERM,
-    )
-    assert code == 143, errors
-    last = qube_hil.recording(sorted((tmp_path / "episodes").glob("*.mcap"))[-1])
+    for _ in range(ATTEMPTS):
+        code, _, errors = in_a_process(
+            f"""
+            import signal, sys
+            {handler}
+            env = qube_hil.QubeDeviceEnv()
+            begin(env)
+            print("drives", flush=True)
+            while True:
+                env.step(np.zeros(1, np.float32))
+            """,
+            tmp_path,
+            send=signal.SIGTERM,
+        )
+        assert code == 143, errors
+        last = qube_hil.recording(sorted((tmp_path / "episodes").glob("*.mcap"))[-1])
+        # A fault may end the episode just before the signal does.
+        if not is_ended_by_a_busy_computer(last):
+            break
     assert last.outcome["ending"]["kind"] == "stopped" and last["phase"][-1] == "braking"
 
 
@@ -508,6 +542,7 @@ def test_at_the_end_of_the_interpreter_every_qube_brakes_also_one_that_a_thread_
         assert last.outcome["ending"]["kind"] == "stopped" and last["phase"][-1] != "running", name
 
 
+@pytest.mark.real_time
 def test_a_reset_goes_on_after_ctrl_c_and_a_lost_link_does_not_count_as_a_motor_that_is_off(tmp_path):
     code, out, errors = in_a_process(
         f"""
@@ -532,9 +567,9 @@ def test_a_reset_goes_on_after_ctrl_c_and_a_lost_link_does_not_count_as_a_motor_
         try:
             while True:
                 env.step(np.zeros(1, np.float32))
-        except qube_hil.LateError:
-            print("late")
         except qube_hil.DeviceError as error:
+            if is_late(error):
+                raise
             print(error)
         """,
         tmp_path,
@@ -569,9 +604,11 @@ def test_a_qube_that_is_collected_or_whose_loop_raises_brakes(tmp_path):
     assert read.outcome["ending"]["kind"] == "stopped" and read["phase"][-1] == "braking"
 
 
-def test_a_second_process_is_refused_and_the_first_one_goes_on(tmp_path):
+def drive_beside_a_refused_process(folder):
+    """Opens a Qube in another process, is refused in this one, and lets the other one drive. Returns the last recording;
+    None if a busy computer kept the other process from driving."""
     emulated = subprocess.Popen(
-        [PROGRAM, "emulate"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [PROGRAM, "emulate"], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     try:
         port = first_line(emulated).strip()
@@ -586,21 +623,33 @@ def test_a_second_process_is_refused_and_the_first_one_goes_on(tmp_path):
             """
         first = subprocess.Popen(
             [sys.executable, "-c", BEGIN + textwrap.dedent(holding)],
-            cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )
-        opened = first_line(first)
-        assert opened == "open\n", first.communicate(timeout=120)[1]
-        with pytest.raises(qube_hil.DeviceError, match="is in use"):
-            QubeDeviceEnv(device=port, recordings=tmp_path / "second")
-        out, errors = first.communicate("go\n", timeout=120)
+        if first_line(first) == "open\n":
+            with pytest.raises(qube_hil.DeviceError, match="is in use"):
+                QubeDeviceEnv(device=port, recordings=folder / "second")
+        out, errors = first.communicate("go\n", timeout=PATIENCE_S)
+        if first.returncode == 1 and says_busy(errors):
+            return None
         assert (first.returncode, out) == (0, "drove\n"), errors
     finally:
         emulated.terminate()
-        emulated.communicate(timeout=120)
-    read = qube_hil.recording(tmp_path / "episodes/episode-0000.mcap")
-    assert read.outcome["ending"]["kind"] == "stopped"
+        emulated.communicate(timeout=PATIENCE_S)
+    return qube_hil.recording(sorted((folder / "episodes").glob("*.mcap"))[-1])
 
 
+@pytest.mark.real_time
+def test_a_second_process_is_refused_and_the_first_one_goes_on(tmp_path):
+    for attempt in range(ATTEMPTS):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        last = drive_beside_a_refused_process(folder)
+        if last is not None and not is_ended_by_a_busy_computer(last):
+            break
+    assert last is not None and last.outcome["ending"]["kind"] == "stopped"
+
+
+@pytest.mark.real_time
 def test_in_real_time_late_answers_brake_and_so_does_ctrl_c(tmp_path):
     code, out, errors = in_a_process(
         """
@@ -613,15 +662,17 @@ def test_in_real_time_late_answers_brake_and_so_does_ctrl_c(tmp_path):
                 env.step(np.zeros(1, np.float32))
         except qube_hil.LateError as error:
             late = error
-        env.reset()
+        begin(env)
         try:
             print("running", flush=True)
             while True:
                 try:
                     env.step(np.zeros(1, np.float32))
-                except qube_hil.LateError:
-                    # On a busy machine; the next episode goes on.
-                    env.reset()
+                except qube_hil.DeviceError as error:
+                    if not is_late(error):
+                        raise
+                    # On a busy computer; the next episode goes on.
+                    begin(env)
         except KeyboardInterrupt:
             print(late)
         """,
@@ -631,7 +682,11 @@ def test_in_real_time_late_answers_brake_and_so_does_ctrl_c(tmp_path):
     assert code == 0, errors
     assert "too late" in out and "5.0 ms" in out
     recordings = sorted((tmp_path / "episodes").glob("*.mcap"))
-    assert len(recordings) >= 2
+    stopped = 0
     for recording in recordings:
-        assert qube_hil.recording(recording).outcome["ending"]["kind"] == "stopped"
+        read = qube_hil.recording(recording)
+        if not is_ended_by_a_busy_computer(read):
+            assert read.outcome["ending"]["kind"] == "stopped"
+            stopped += 1
         assert replayed(recording)["actions_different"] == 0
+    assert stopped >= 2
