@@ -92,6 +92,8 @@ impl Terminal {
             status = it.child.try_wait().unwrap();
             status.is_some()
         });
+        // It may have written its last lines after the last look.
+        self.look();
         status.and_then(|status| status.code())
     }
 }

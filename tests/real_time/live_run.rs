@@ -6,12 +6,16 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use qube_hil::recording::{Completeness, read};
 use qube_hil::telemetry::Ending;
 
 use crate::busy_computer::in_real_time;
 use crate::program::program;
+
+/// Limit for a hang, which no busy computer reaches.
+const PATIENCE: Duration = Duration::from_secs(600);
 
 /// A command with a live view, and the host of its address.
 struct Watched {
@@ -38,6 +42,7 @@ impl Watched {
 
     fn request(&self, head: &str) -> TcpStream {
         let mut stream = TcpStream::connect(&self.host).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
         stream.write_all(format!("{head}\r\nHost: {}\r\n\r\n", self.host).as_bytes()).unwrap();
         stream
     }
@@ -45,10 +50,11 @@ impl Watched {
     /// Waits until the page's events contain this text.
     fn hears(&self, text: &str) {
         let mut stream = self.request("GET /events HTTP/1.1");
-        let (mut all, mut part) = (Vec::new(), [0; 4096]);
+        let (mut all, mut part, begun) = (Vec::new(), [0; 4096], Instant::now());
         while !String::from_utf8_lossy(&all).contains(text) {
             let count = stream.read(&mut part).unwrap();
-            assert!(count > 0, "{text} did not come: {}", String::from_utf8_lossy(&all));
+            let is_waiting = count > 0 && begun.elapsed() < PATIENCE;
+            assert!(is_waiting, "{text} did not come: {}", String::from_utf8_lossy(&all));
             all.extend(&part[..count]);
         }
     }
@@ -62,9 +68,23 @@ impl Watched {
 
     /// Waits until the command has ended by itself; returns its exit code and its messages.
     fn end(mut self) -> (Option<i32>, String) {
-        let mut told = String::new();
-        self.told.read_to_string(&mut told).unwrap();
-        (self.child.wait().unwrap().code(), told)
+        let (mut text, begun) = (String::new(), Instant::now());
+        let Self { child, told, .. } = &mut self;
+        let status = std::thread::scope(|scope| {
+            // Reads on, so that the command does not block on a full pipe.
+            scope.spawn(|| told.read_to_string(&mut text).unwrap());
+            loop {
+                if let Some(status) = child.try_wait().unwrap() {
+                    break status;
+                }
+                if begun.elapsed() > PATIENCE {
+                    let _ = child.kill();
+                    panic!("the command does not end");
+                }
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        });
+        (status.code(), text)
     }
 }
 
