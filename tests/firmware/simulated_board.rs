@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -41,7 +41,7 @@ pub enum Order {
     OpenStop = 6,
 }
 
-/// Longest wait for simulated time; even a busy computer needs less.
+/// Longest wait for the simulator and for simulated time; even a busy computer needs less.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 #[derive(Default)]
@@ -97,8 +97,17 @@ impl SimulatedBoard {
             .expect("the simulator starts");
         let mut events = BufReader::new(simulator.stdout.take().unwrap());
         let answers = simulator.stdin.take().unwrap();
-        let mut port = String::new();
-        events.read_line(&mut port).unwrap();
+        let (started, waiting) = mpsc::channel();
+        std::thread::spawn(move || {
+            let mut port = String::new();
+            let read = events.read_line(&mut port);
+            let _ = started.send(read.map(|_| (port, events)));
+        });
+        let Ok(read) = waiting.recv_timeout(PATIENCE) else {
+            let _ = simulator.kill();
+            panic!("the simulator says no port");
+        };
+        let (port, events) = read.unwrap();
 
         let qube = Arc::new(Mutex::new(qube));
         let shared = Arc::<Shared>::default();
@@ -155,7 +164,11 @@ impl SimulatedBoard {
 
     /// Waits until the simulator has ended, as it does when the board loses its supply.
     pub fn wait_for_end(&mut self) {
-        self.simulator.wait().expect("it is this process's child");
+        let begin = Instant::now();
+        while self.simulator.try_wait().expect("it is this process's child").is_none() {
+            assert!(begin.elapsed() < PATIENCE, "the simulator does not end");
+            std::thread::sleep(Duration::from_millis(1));
+        }
         if let Some(peer) = self.peer.take() {
             peer.join().expect("the Qube's thread lives");
         }

@@ -10,13 +10,14 @@ use qube_hil::rig::{Rig, RigSettings};
 use qube_hil::scoring::{Verdict, score};
 use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
+use qube_hil::telemetry::Fault;
 
 use crate::board_clock::rig_settings;
 use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// Attempts, because the policy may leave the box.
+/// Attempts, because the policy may leave the box, and because the computer may be too slow.
 const ATTEMPTS: u32 = 4;
 
 fn plan() -> RolloutPlan {
@@ -37,9 +38,17 @@ fn swings_up(chip: Chip, policy: &Policy) {
         // The Qube is identified, because the guard of an unidentified one ends good swing-ups.
         let profile = Some(Profile::exact("nominal", &QubeModel::NOMINAL));
         let settings = RigSettings { board: Some(serial), profile, ..settings };
-        let rig = Rig::open(&settings, &stop).unwrap();
         let header = plan().header();
-        let recorded = rig.rollout(&MachineDisk, &path, header, &policy.to_bytes()).unwrap();
+        let recorded = Rig::open(&settings, &stop)
+            .and_then(|rig| rig.rollout(&MachineDisk, &path, header, &policy.to_bytes()));
+        let recorded = match recorded {
+            Ok(recorded) => recorded,
+            Err(error) if error.fault().is_some_and(Fault::may_be_repeated) => {
+                complaints += &format!("{error}\n");
+                continue;
+            }
+            Err(error) => panic!("{error}"),
+        };
         let simulated_s = board.time_us() as f64 * 1e-6;
         let told = format!(
             "{:?}\n{simulated_s:.1} s simulated with {:.0} % of a core, {} us given up\n",
