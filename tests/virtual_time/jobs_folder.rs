@@ -5,9 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::process::{Child, ChildStderr, Command, Output, Stdio};
+use std::process::{Child, ChildStderr, Command, ExitStatus, Output, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use qube_hil::elementary::Level;
@@ -21,6 +22,9 @@ use qube_hil::storage::MachineDisk;
 
 use crate::shared::command_in;
 
+/// Limit for a hang, which no busy computer reaches.
+const PATIENCE: Duration = Duration::from_secs(600);
+
 /// Trainings of about `updates` tenths of a second.
 fn jobs(count: u64, updates: u32) -> Vec<TrainingJob> {
     let settings = TrainSettings { updates, epochs: 1, ..TrainSettings::quick() };
@@ -32,16 +36,28 @@ fn jobs(count: u64, updates: u32) -> Vec<TrainingJob> {
     (0..count).map(of_seed).collect()
 }
 
-/// The bytes of each job's result, by the job's index. The executor must tell each result once.
+/// The bytes of each job's result, by the job's index. The executor must tell each result once. Jobs
+/// that nobody does are stopped after [`PATIENCE`].
 fn trained(
     executor: &dyn Executor,
     jobs: &[TrainingJob],
 ) -> BTreeMap<usize, Result<Vec<u8>, JobError>> {
     let mut results = BTreeMap::new();
-    executor.train(jobs, &AtomicBool::new(false), &mut |event| {
-        if let JobEvent::Finished { job, result } = event {
-            assert!(results.insert(job, result.map(|it| it.to_bytes())).is_none(), "{job} twice");
-        }
+    let stop = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        // The sender is dropped at the end, also by a panic.
+        let (_under_way, end) = mpsc::channel::<()>();
+        let stop = &stop;
+        scope.spawn(move || {
+            let is_late = end.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout);
+            stop.store(is_late, Ordering::Relaxed);
+        });
+        executor.train(jobs, stop, &mut |event| {
+            if let JobEvent::Finished { job, result } = event {
+                let bytes = result.map(|it| it.to_bytes());
+                assert!(results.insert(job, bytes).is_none(), "{job} twice");
+            }
+        });
     });
     results
 }
@@ -68,7 +84,11 @@ fn never() -> AtomicBool {
 }
 
 fn executor(root: &Path) -> FolderExecutor {
-    let folder = JobFolder::create(Arc::new(MachineDisk), root, hasty()).unwrap();
+    executor_with(root, hasty())
+}
+
+fn executor_with(root: &Path, terms: Terms) -> FolderExecutor {
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, terms).unwrap();
     FolderExecutor::new(folder, None, 2, AtEnd::Withdraw, &never()).unwrap()
 }
 
@@ -98,6 +118,18 @@ impl WorkerProcess {
     fn says(&mut self, word: &str) {
         let mut lines = self.messages.by_ref().lines().map_while(Result::ok);
         assert!(lines.any(|line| line.contains(word)), "never {word}");
+    }
+
+    /// Waits until the worker has ended by itself.
+    fn end(&mut self) -> ExitStatus {
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(begun.elapsed() < PATIENCE, "the worker does not end");
+            std::thread::sleep(Duration::from_millis(10));
+        }
     }
 
     fn signal(&self, signal: i32) {
@@ -135,6 +167,11 @@ fn two_workers_with_other_instruction_sets_train_the_policies_of_this_computer()
         assert_eq!((files.len(), refusals), (2, 0), "{files:?}");
     }
     are_those_of_this_computer(&jobs, trained(&executor, &jobs));
+    // A worker that listed the jobs before their end may claim one again; it then finds the job
+    // gone and removes its claim.
+    drop(executor);
+    one.end();
+    other.end();
     // Nothing is left of the work.
     let names = |part: &str| fs::read_dir(root.join(part)).unwrap().count();
     assert_eq!(["jobs", "claims", "results"].map(names), [0, 0, 0]);
@@ -202,7 +239,7 @@ fn a_stale_claim_of_another_computer_is_taken_over_and_a_living_one_is_not() {
     assert!(!folder.claim(&name, 1).exists() && !folder.has_result(&name));
     drop(living);
     worker.says("try 2");
-    assert!(worker.child.wait().unwrap().success());
+    assert!(worker.end().success());
     assert!(folder.has_result(&name));
 }
 
@@ -266,14 +303,14 @@ fn a_stopped_worker_gives_its_job_back() {
     let mut worker = WorkerProcess::start(root, &[]);
     worker.says("training");
     worker.signal(libc::SIGTERM);
-    assert_eq!(worker.child.wait().unwrap().code(), Some(143));
+    assert_eq!(worker.end().code(), Some(143));
     let claim = fs::read_to_string(folder.claim(&name, 0)).unwrap();
     assert!(claim.ends_with("\n\"stopped\"\n"), "{claim}");
     // The end of the coordinator stops a worker too.
     let mut worker = WorkerProcess::start(root, &[]);
     worker.says("try 2");
     folder.close().unwrap();
-    assert!(worker.child.wait().unwrap().success());
+    assert!(worker.end().success());
 }
 
 #[test]
@@ -294,7 +331,7 @@ fn the_jobs_of_a_killed_coordinator_are_found_again() {
     are_those_of_this_computer(&jobs, results);
     drop(executor);
     // The only worker has done both jobs, and ends without an error.
-    assert!(worker.child.wait().unwrap().success(), "worker {number}");
+    assert!(worker.end().success(), "worker {number}");
 }
 
 fn refused(output: &Output, words: &[&str]) {
@@ -333,7 +370,8 @@ fn a_worker_that_would_train_other_policies_is_refused_by_name() {
 fn a_folder_has_one_coordinator() {
     let directory = tempfile::tempdir().unwrap();
     let root = directory.path();
-    let first = executor(root);
+    // A busy computer may hold up the first coordinator between two beats, but not for so long.
+    let first = executor_with(root, Terms { stale_ms: 5_000, ..hasty() });
     let terms = fs::read(root.join("folder.json")).unwrap();
     let other = Terms { program: "qube-hil 9.9.9 (beef)".into(), tries: 9, ..hasty() };
     let folder = JobFolder::create(Arc::new(MachineDisk), root, other).unwrap();
