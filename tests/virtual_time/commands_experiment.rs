@@ -15,6 +15,9 @@ use crate::shared::command_in;
 /// Policies with two small updates of training.
 const TINY: &str = "[settings.training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
 
+/// Policies with a training of some seconds.
+const LONGER: &str = "[settings.training]\nupdates = 20\nnum_envs = 16\nepochs = 1\n";
+
 /// A search of three candidates, whose recommendation is verified; one rollout each.
 const SEARCH: &str = "[settings.extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 1\n\
                       verification_rollouts = 1\n";
@@ -244,10 +247,12 @@ fn same_files(directory: &Path, expected: &BTreeMap<String, Vec<u8>>) {
 #[test]
 fn files_that_cannot_be_written_in_the_end_do_not_hide_the_table() {
     let directory = tempfile::tempdir().unwrap();
-    prepare(directory.path());
-    let arguments = ["--recipe", "nominal.toml", "--profile", "lab", "--policies", "3"];
+    // The trainings last so long that the test writes its files before they end.
+    let recipe = format!("name = \"longer\"\nmodel = \"nominal\"\n{LONGER}");
+    std::fs::write(directory.path().join("longer.toml"), recipe).unwrap();
+    let arguments = ["--recipe", "longer.toml", "--profile", "lab", "--policies", "3"];
     let files = ["--out", "one", "--csv", "one.csv", "--figures", "figures", "--json"];
-    let child = experiment(directory.path(), &[&arguments[..], &files].concat())
+    let mut child = experiment(directory.path(), &[&arguments[..], &files].concat())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
@@ -255,10 +260,12 @@ fn files_that_cannot_be_written_in_the_end_do_not_hide_the_table() {
     // The program checks the paths of both options before it writes the settings. The test writes
     // files at these paths afterwards, as another program might.
     while !directory.path().join("one/experiment.toml").exists() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it wrote its settings");
         std::thread::sleep(Duration::from_millis(2));
     }
     std::fs::write(directory.path().join("one.csv"), "mine").unwrap();
     std::fs::write(directory.path().join("figures"), "mine").unwrap();
+    assert!(child.try_wait().unwrap().is_none(), "it ended before these files were written");
     let output = child.wait_with_output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{told}");

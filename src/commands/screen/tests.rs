@@ -18,6 +18,9 @@ use crate::recording::Viewer;
 use crate::safety::SafetyBox;
 use crate::telemetry::{LatencySummary, Phase, TickRecord};
 
+/// Limit for a hang, which no busy computer reaches.
+const PATIENCE: Duration = Duration::from_secs(600);
+
 fn drawn(size: (u16, u16), state: &ScreenState, rollout: &RolloutState, styles: Styles) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(size.0, size.1)).unwrap();
     let now = state.began + Duration::from_secs(754);
@@ -208,7 +211,11 @@ fn progress_without_a_screen_waits_for_nothing() {
     assert!(!Progress::lines().pressed(b' '));
 }
 
-/// Opens a screen in the terminal that the test below gives it, and panics.
+/// Variable with the path of the file whose appearance ends the screen of the test below.
+const LOOKED: &str = "QUBE_HIL_TEST_SCREEN_LOOKED";
+
+/// Opens a screen in the terminal that the test below gives it, and panics once the test has looked
+/// at it.
 #[test]
 #[ignore = "run by a_panic_leaves_the_terminal_clean, in a terminal"]
 fn panics_under_a_screen() {
@@ -216,7 +223,12 @@ fn panics_under_a_screen() {
     let screen = ScreenArgument { plain: false }.open("about to panic", &output, &stop);
     assert!(screen.progress().has_screen());
     screen.progress().line("said before");
-    std::thread::sleep(Duration::from_secs(2));
+    let looked = std::path::PathBuf::from(std::env::var_os(LOOKED).unwrap());
+    let begun = Instant::now();
+    while !looked.exists() {
+        assert!(begun.elapsed() < PATIENCE, "nobody looks");
+        std::thread::sleep(Duration::from_millis(20));
+    }
     panic!("this is the end");
 }
 
@@ -241,7 +253,10 @@ fn a_panic_leaves_the_terminal_clean() {
     };
     let program = std::env::current_exe().unwrap();
     let test = "commands::screen::tests::panics_under_a_screen --exact --ignored --nocapture";
-    let line = format!("{} {test}; echo \"exit=\"$?; exec sleep 1000", program.display());
+    let looked = directory.path().join("looked");
+    let variable = format!("{LOOKED}='{}'", looked.display());
+    let line =
+        format!("{variable} {} {test}; echo \"exit=\"$?; exec sleep 1000", program.display());
     tmux(&["new-session", "-d", "-x", "100", "-y", "40", "sh", "-c", &line]);
     let wait_for = |text: &str| {
         let begun = Instant::now();
@@ -250,13 +265,14 @@ fn a_panic_leaves_the_terminal_clean() {
             if shown.contains(text) {
                 return shown;
             }
-            assert!(begun.elapsed() < Duration::from_secs(600), "{text} does not appear:\n{shown}");
+            assert!(begun.elapsed() < PATIENCE, "{text} does not appear:\n{shown}");
             std::thread::sleep(Duration::from_millis(50));
         }
     };
     let terminal = || tmux(&["display-message", "-p", "#{alternate_on} #{cursor_flag}"]);
     wait_for("about to panic");
     let with_screen = terminal();
+    std::fs::write(&looked, "").unwrap();
     let shown = wait_for("exit=101");
     let afterwards = terminal();
     tmux(&["kill-server"]);
