@@ -27,8 +27,8 @@ impl CheckArguments {
     pub fn recovery(self, device: &DeviceChoice) -> Recovery {
         // Only a device that outlives this program can be in doubt after the program has ended.
         let outlives = matches!(device, DeviceChoice::Port(_) | DeviceChoice::Hil(_));
-        let memory = doubts_folder().filter(|_| outlives).map(DoubtStore::new);
-        if outlives && memory.is_none() {
+        let doubts = doubts_folder().filter(|_| outlives).map(DoubtStore::new);
+        if outlives && doubts.is_none() {
             print_message(
                 "warning: a doubt after a fault cannot be recorded, because there is no folder for it: set \
                  HOME or XDG_STATE_HOME",
@@ -37,7 +37,7 @@ impl CheckArguments {
         Recovery {
             acknowledged: self.acknowledge,
             link_patience_s: self.link_patience.unwrap_or(LINK_PATIENCE_S),
-            memory,
+            doubts,
             ..Recovery::default()
         }
     }

@@ -31,17 +31,20 @@ use crate::session::SessionSettings;
 /// Run the whole method: identify the Qube, and search for the distribution of simulations whose
 /// policies have the highest return on it
 ///
-/// First the Qube is excited for ten seconds and identified. Then policies are trained in simulations around the
-/// identified Qube, run on the Qube at 100 Hz, and recorded. A candidate is one psi with its policy; psi is the spread
-/// of the simulations, their shift along the identification's errors, and a lag in addition to the identified delay.
-/// The first candidate is the Qube as it was identified; if its policy does not succeed, the recordings so far improve
-/// the identification, and the search proposes the next psi: from the fourth candidate on by a surrogate of the return
-/// over psi. The best policy is verified. The session ends when the verified policy succeeds in each rollout and one
-/// more candidate is estimated to gain less than 1 %, or at the largest number of candidates (--candidates). A Qube
-/// that cannot be identified is treated as an unknown one, as --method bayrn does from the beginning: then psi contains
-/// means and standard deviations of masses and lengths (--config can choose other quantities). Without arguments this
-/// runs on an emulated Qube that differs from the nominal one as a real Qube does, and takes some minutes. --resume
-/// continues an interrupted session without losing or repeating a finished rollout.
+/// First the Qube is excited for ten seconds and identified. Then policies are trained in
+/// simulations around the identified Qube, run on the Qube at 100 Hz, and recorded. A candidate is
+/// one psi with its policy; psi is the spread of the simulations, their shift along the
+/// identification's errors, and a lag in addition to the identified delay. The first candidate is
+/// the Qube as it was identified; if its policy does not succeed, the recordings so far improve the
+/// identification, and the search proposes the next psi: from the fourth candidate on by a
+/// surrogate of the return over psi. The best policy is verified. The session ends when the
+/// verified policy succeeds in each rollout and one more candidate is estimated to gain less than 1
+/// %, or at the largest number of candidates (--candidates). A Qube that cannot be identified is
+/// treated as an unknown one, as --method bayrn does from the beginning: then psi contains means
+/// and standard deviations of masses and lengths (--config can choose other quantities). Without
+/// arguments this runs on an emulated Qube that differs from the nominal one as a real Qube does,
+/// and takes some minutes. --resume continues an interrupted session without losing or repeating a
+/// finished rollout.
 #[derive(Debug, clap::Args)]
 #[command(
     mut_arg("estimator", |it| also_by_config(it, "filter")),

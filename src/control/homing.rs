@@ -29,8 +29,8 @@ const NEAR_MIDDLE_RAD: f64 = 0.1;
 /// Change of the hanging angle that restarts the cross-check of the encoders, counts.
 const OTHER_ZERO_COUNTS: f64 = 1.5;
 
-/// Velocity at which homing leads the arm before its encoder's scale is known to be right, rad/s. An
-/// encoder that gives half as many counts makes the arm move at twice this velocity.
+/// Velocity at which homing leads the arm before its encoder's scale is known to be right, rad/s.
+/// An encoder that gives half as many counts makes the arm move at twice this velocity.
 const FIRST_LEAD_RAD_S: f64 = 0.8;
 
 /// Largest relative difference between the measured and the expected distance of the stops.

@@ -8,8 +8,8 @@ const LEAST_REVERSAL_V: f64 = 0.6;
 
 /// Longest time between two consecutive turning points that counts as an oscillation, control
 /// periods. Feedback that arrives late swings at 4 to 8 Hz, so that its voltage turns every 6 to 12
-/// periods. A pendulum that hangs from a light arm swings at up to 2.9 Hz. One that whirls at 25 rad/s takes gain,
-/// too; it comes to rest with what is left.
+/// periods. A pendulum that hangs from a light arm swings at up to 2.9 Hz. One that whirls at 25
+/// rad/s takes gain, too; it comes to rest with what is left.
 const LONGEST_HALF_PERIOD: u32 = 13;
 
 /// Factor by which each turning point of an oscillation multiplies the gain.
@@ -27,9 +27,9 @@ const LEAST_GAIN: f64 = 0.4;
 /// light arm oscillate, if the voltage arrives 14 ms late or more. A feedback that oscillates has
 /// more gain than it needs.
 ///
-/// `safety`'s `RingingGain` does the same for a brake, by changes of the voltage's sign. The voltage
-/// of settling swings about an offset, against a cable or ahead of the arm, and need not change its
-/// sign; so this one counts turning points.
+/// `safety`'s `RingingGain` does the same for a brake, by changes of the voltage's sign. The
+/// voltage of settling swings about an offset, against a cable or ahead of the arm, and need not
+/// change its sign; so this one counts turning points.
 #[derive(Clone, Copy, Debug)]
 pub struct OscillationGain {
     gain: f64,

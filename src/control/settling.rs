@@ -105,8 +105,8 @@ impl Settler {
 /// fails.
 pub const LEAD_RAD_S: f64 = 1.2;
 
-/// Largest voltage while the pendulum is calm, V: at 1.5 times the gap of `lab`, cable, friction
-/// and dead zone take 1.4 V.
+/// Largest voltage while the pendulum is calm, V: at 1.5 times the nonidealities of `lab`, cable,
+/// friction and dead zone take 1.4 V.
 const GENTLE_V: f64 = 2.0;
 
 /// Slew rate of the voltage while the pendulum is calm, V/s. It is so low that a frozen encoder is

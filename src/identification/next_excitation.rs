@@ -17,8 +17,8 @@ use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 const SHARES: [f64; 4] = [0.4, 0.5, 0.7, 1.0];
 
 /// Largest angle of the arm in the simulation of an excitation that is considered, rad; less for a
-/// plant with less travel than a Qube. The rest of the travel is for the difference between the Qube
-/// and its model.
+/// plant with less travel than a Qube. The rest of the travel is for the difference between the
+/// Qube and its model.
 const WIDEST_RAD: f64 = 1.6;
 
 /// An excitation with its expected information.
@@ -51,9 +51,10 @@ pub fn excitation_after(
     Excitation::of_rollout(shape, voltage_v, rollout)
 }
 
-/// The excitations that are possible as the next recording of an identified Qube, within `largest_v`
-/// volts, the one with the most expected information first. Excitations that would move the arm of
-/// the identified model too far, and those whose recording no fit would accept, are left out.
+/// The excitations that are possible as the next recording of an identified Qube, within
+/// `largest_v` volts, the one with the most expected information first. Excitations that would move
+/// the arm of the identified model too far, and those whose recording no fit would accept, are left
+/// out.
 ///
 /// For normal errors the expected information is ½ ln det(I + Σ J'J/σ²), where Σ is the covariance
 /// of the profile, J holds the derivatives of the recording that the excitation would make, without

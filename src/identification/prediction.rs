@@ -188,9 +188,9 @@ pub fn regime_error(
     HorizonError { horizon_s: times.horizon_s, rms, predictions }
 }
 
-/// The band about a prediction of half a second in which nine tenths of the errors lie, as the fitted
-/// recordings show it: no assumption on the errors enters, so that the band also holds where the
-/// model lacks an effect.
+/// The band about a prediction of half a second in which nine tenths of the errors lie, as the
+/// fitted recordings show it: no assumption on the errors enters, so that the band also holds where
+/// the model lacks an effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PredictionBand {
     /// Half the widths of the bands of theta and alpha.

@@ -179,8 +179,8 @@ pub fn read_recordings<const N: usize>(
     Ok(Recordings { groups: read, files: used, left_out, plant, boards, incomplete })
 }
 
-/// Reads recordings for a fit, which uses all but those that say too little. All must be of the same
-/// plant: of `plant`, or else of the plant of the first of them, which `plant` then becomes.
+/// Reads recordings for a fit, which uses all but those that say too little. All must be of the
+/// same plant: of `plant`, or else of the plant of the first of them, which `plant` then becomes.
 ///
 /// # Errors
 /// A file cannot be read, is of another plant, has a defect because of which it cannot be fitted,
@@ -209,7 +209,8 @@ pub fn read_fittable(
     Ok(fittable)
 }
 
-/// Largest difference of an angle, rad, or a voltage, V, by which the writing of a table changes it.
+/// Largest difference of an angle, rad, or a voltage, V, by which the writing of a table changes
+/// it.
 const WRITTEN_WITHIN: f64 = 1e-4;
 
 /// Whether one of two motions is contained in the other: a copy, a table exported from it, or the

@@ -6,8 +6,8 @@ use crate::replay::{MotionLog, MotionSample, simulate_stretch};
 /// Cosine of the pendulum's angle below which a window counts as upright: 60 degrees from the top.
 const UPRIGHT_COS: f64 = -0.5;
 
-/// Largest length of a window with an upright pendulum, s: 2.7 times the time constant with which a Qube's
-/// pendulum falls beside a resting arm, 0.094 s. No model predicts a fall for longer.
+/// Largest length of a window with an upright pendulum, s: 2.7 times the time constant with which a
+/// Qube's pendulum falls beside a resting arm, 0.094 s. No model predicts a fall for longer.
 const UPRIGHT_S: f64 = 0.25;
 
 /// Largest length of a window of a swing-up whose pendulum is not upright, s.

@@ -78,9 +78,9 @@ impl Collector<'_> {
         }
         let mut parts = parts.into_iter().map(|part| (part.transitions, part.extra_inputs));
         let (mut transitions, mut extra_inputs) = parts.next().unwrap_or_default();
-        for (more, more_further) in parts {
+        for (more, more_inputs) in parts {
             transitions.extend(more);
-            extra_inputs.extend(more_further);
+            extra_inputs.extend(more_inputs);
         }
         Batch { transitions, extra_inputs, trajectories, ends }
     }
@@ -103,7 +103,7 @@ impl Collector<'_> {
         let mut statuses = vec![LaneStatus::Running; width];
         let mut transitions = vec![Transition::default(); lanes.len() * MAX_STEPS];
         let has_extra_inputs = self.policy.observation_size > MAX_OBSERVATION_SIZE;
-        let mut further_of =
+        let mut extra_inputs =
             vec![ExtraInputs::default(); if has_extra_inputs { transitions.len() } else { 0 }];
         let mut ends = Vec::new();
         let mut truncated: Vec<Truncated> = Vec::new();
@@ -123,8 +123,8 @@ impl Collector<'_> {
                 transition.action = action;
                 let z = (action - means[lane]) * inverse_std;
                 transition.log_probability = gaussian_log_probability(z, log_std);
-                if let Some(entry) = further_of.get_mut(lane * MAX_STEPS + step) {
-                    *entry = extra_inputs(&seen, lane);
+                if let Some(entry) = extra_inputs.get_mut(lane * MAX_STEPS + step) {
+                    *entry = extra_inputs_of(&seen, lane);
                 }
             }
             let own = &mut observations[..observed];
@@ -141,7 +141,7 @@ impl Collector<'_> {
                         truncated.push(Truncated {
                             place: ends.len(),
                             observation: observation(&seen, lane),
-                            extra_inputs: extra_inputs(&seen, lane),
+                            extra_inputs: extra_inputs_of(&seen, lane),
                         });
                     }
                     LaneStatus::LeftBox => {}
@@ -156,9 +156,9 @@ impl Collector<'_> {
             }
         }
         let trajectory_ends = ends_in_order(&ends, &truncated);
-        self.estimate_values(&mut transitions, &further_of, ends, &truncated);
+        self.estimate_values(&mut transitions, &extra_inputs, ends, &truncated);
         let trajectories = explorers.iter().map(|explorer| u32::from(explorer.number) + 1).sum();
-        Batch { transitions, extra_inputs: further_of, trajectories, ends: trajectory_ends }
+        Batch { transitions, extra_inputs, trajectories, ends: trajectory_ends }
     }
 
     /// Writes the physics inputs of a lane's Qube to their rows, `[input][lanes]`.
@@ -222,7 +222,7 @@ struct Truncated {
     place: usize,
     /// Observation after the last transition.
     observation: Observation,
-    /// The networks' further inputs at that instant.
+    /// The networks' extra inputs at that instant.
     extra_inputs: ExtraInputs,
 }
 
@@ -265,7 +265,7 @@ fn observation(observations: &Observations<'_>, lane: usize) -> Observation {
     observation
 }
 
-fn extra_inputs(observations: &Observations<'_>, lane: usize) -> ExtraInputs {
+fn extra_inputs_of(observations: &Observations<'_>, lane: usize) -> ExtraInputs {
     let mut extra_inputs = ExtraInputs::default();
     let beyond = observations.of_lane(lane).skip(MAX_OBSERVATION_SIZE);
     for (entry, feature) in extra_inputs.iter_mut().zip(beyond) {

@@ -73,7 +73,7 @@ pub(super) fn constant_inputs<const SAMPLES: usize>(observation_size: usize) -> 
     inputs
 }
 
-/// Arranges the observations and further inputs of up to 64 samples as inputs of the first layer;
+/// Arranges the observations and extra inputs of up to 64 samples as inputs of the first layer;
 /// other samples are zero but for the constant 1.
 pub(super) fn inputs<'a>(
     observation_size: usize,

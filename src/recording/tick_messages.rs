@@ -5,9 +5,10 @@ use super::not_finite::{NotFinite, restore, restore_bits};
 use crate::qube::{Measurement, State, Status};
 use crate::telemetry::{Ending, Phase, RolloutHeader, TickRecord};
 
-// Viewers accept few schemas: Foxglove refuses unions (which schemars writes for an Option or an enum with
-// documented variants) and references. Every field therefore has one plain type, and an absent value is
-// left out. The doc comments below are part of the schemas, hence of every recording's bytes.
+// Viewers accept few schemas: Foxglove refuses unions (which schemars writes for an Option or an
+// enum with documented variants) and references. Every field therefore has one plain type, and an
+// absent value is left out. The doc comments below are part of the schemas, hence of every
+// recording's bytes.
 
 /// One sample of the device: raw counts, and what they mean by the rollout's calibration.
 #[derive(Serialize, Deserialize, JsonSchema)]
@@ -87,7 +88,8 @@ pub(super) struct StateMessage {
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[schemars(title = "qube.Command")]
 pub(super) struct CommandMessage {
-    /// Voltage that the controller requested, V, before any limit; absent while the last one was held over.
+    /// Voltage that the controller requested, V, before any limit; absent while the last one was
+    /// held over.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "f64")]
     wanted_v: Option<f64>,

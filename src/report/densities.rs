@@ -98,7 +98,7 @@ fn per(unit: &str) -> String {
 
 /// Name of a quantity in words; a parameter has its symbol too.
 pub fn words(quantity: Quantity) -> String {
-    use crate::qube::Nonideality as G;
+    use crate::qube::Nonideality as N;
     use DomainParameter as P;
     let name = match quantity {
         Quantity::Parameter(P::Gravity) => "gravity",
@@ -110,12 +110,12 @@ pub fn words(quantity: Quantity) -> String {
         Quantity::Parameter(P::PendulumMass) => "pendulum's mass",
         Quantity::Parameter(P::RotaryLength) => "arm's length",
         Quantity::Parameter(P::PendulumLength) => "pendulum's length",
-        Quantity::Nonideality(G::CoulombTorque) => "arm's dry friction",
-        Quantity::Nonideality(G::PositiveDeadZone) => "dead zone of positive voltages",
-        Quantity::Nonideality(G::NegativeDeadZone) => "dead zone of negative voltages",
-        Quantity::Nonideality(G::CableStiffness) => "cable's stiffness",
-        Quantity::Nonideality(G::CableRest) => "cable's rest angle",
-        Quantity::Nonideality(G::CommandDelay) => "delay of a command",
+        Quantity::Nonideality(N::CoulombTorque) => "arm's dry friction",
+        Quantity::Nonideality(N::PositiveDeadZone) => "dead zone of positive voltages",
+        Quantity::Nonideality(N::NegativeDeadZone) => "dead zone of negative voltages",
+        Quantity::Nonideality(N::CableStiffness) => "cable's stiffness",
+        Quantity::Nonideality(N::CableRest) => "cable's rest angle",
+        Quantity::Nonideality(N::CommandDelay) => "delay of a command",
     };
     match quantity {
         Quantity::Parameter(_) => format!("{name}, {}", quantity.symbol()),

@@ -134,35 +134,35 @@ mod tests {
     #[test]
     fn a_doubt_is_kept_for_its_board_alone_until_it_is_forgotten() {
         let directory = tempfile::tempdir().unwrap();
-        let memory = DoubtStore::new(directory.path().join("state/doubts"));
-        assert_eq!(memory.load("17"), None);
+        let doubts = DoubtStore::new(directory.path().join("state/doubts"));
+        assert_eq!(doubts.load("17"), None);
         let doubt =
             Doubt { fault: Some(Fault::Stall), board: "17".into(), unix_s: Some(1_700_000_000) };
-        memory.store(&doubt);
-        assert_eq!(memory.load("17"), Some(doubt));
-        assert_eq!(memory.load("18"), None);
-        memory.remove("17");
-        assert_eq!(memory.load("17"), None);
-        memory.store(&Doubt { fault: Some(Fault::TooLate), board: "19".into(), unix_s: None });
-        assert_eq!(memory.load("19"), None);
+        doubts.store(&doubt);
+        assert_eq!(doubts.load("17"), Some(doubt));
+        assert_eq!(doubts.load("18"), None);
+        doubts.remove("17");
+        assert_eq!(doubts.load("17"), None);
+        doubts.store(&Doubt { fault: Some(Fault::TooLate), board: "19".into(), unix_s: None });
+        assert_eq!(doubts.load("19"), None);
     }
 
     #[test]
     fn a_record_that_cannot_be_read_is_a_doubt_and_no_board_names_another_folder() {
         let directory = tempfile::tempdir().unwrap();
-        let memory = DoubtStore::new(directory.path().to_owned());
+        let doubts = DoubtStore::new(directory.path().to_owned());
         for bytes in [&b"{"[..], b"{\"fault\":\"of another version\",\"board\":\"a\"}"] {
-            std::fs::write(memory.path("a"), bytes).unwrap();
-            assert_eq!(memory.load("a").unwrap().fault, None);
+            std::fs::write(doubts.path("a"), bytes).unwrap();
+            assert_eq!(doubts.load("a").unwrap().fault, None);
         }
         // Nothing can be found out about this file, not even whether it exists.
-        std::os::unix::fs::symlink(memory.path("b"), memory.path("b")).unwrap();
-        assert_eq!(memory.load("b").unwrap().fault, None);
-        std::os::unix::fs::symlink(memory.path("nowhere"), memory.path("c")).unwrap();
-        assert_eq!(memory.load("c").unwrap().fault, None);
-        assert_eq!(memory.path("../../a").parent(), Some(directory.path()));
+        std::os::unix::fs::symlink(doubts.path("b"), doubts.path("b")).unwrap();
+        assert_eq!(doubts.load("b").unwrap().fault, None);
+        std::os::unix::fs::symlink(doubts.path("nowhere"), doubts.path("c")).unwrap();
+        assert_eq!(doubts.load("c").unwrap().fault, None);
+        assert_eq!(doubts.path("../../a").parent(), Some(directory.path()));
         for (one, other) in [("../a", "a"), ("hil:1-2", "hil:12"), ("a_2e", "a.")] {
-            assert_ne!(memory.path(one), memory.path(other));
+            assert_ne!(doubts.path(one), doubts.path(other));
         }
     }
 }

@@ -46,7 +46,7 @@ pub struct Rig {
     pub(super) limits: HardwareLimits,
     stop: Arc<AtomicBool>,
     link_patience_s: f64,
-    memory: Option<DoubtStore>,
+    doubts: Option<DoubtStore>,
     /// Time that foresight's longest prediction takes on this processor, us; 0 for an emulated
     /// Qube.
     pub(super) foresight_time_us: f64,
@@ -118,8 +118,8 @@ impl Rig {
             }
             rig.home()?;
         }
-        if let Some(memory) = rig.memory.as_ref().filter(|_| doubt.is_some()) {
-            memory.remove(&rig.identity.serial);
+        if let Some(doubts) = rig.doubts.as_ref().filter(|_| doubt.is_some()) {
+            doubts.remove(&rig.identity.serial);
         }
         Ok(rig)
     }
@@ -147,8 +147,8 @@ impl Rig {
             return Err(RigError::InDoubt(Box::new(doubt)));
         }
         let is_hardware = settings.is_hardware() || self.is_hardware();
-        if let Some(memory) = self.memory.as_ref().filter(|_| is_hardware) {
-            memory.warn_if_unwritable(&self.identity.serial);
+        if let Some(doubts) = self.doubts.as_ref().filter(|_| is_hardware) {
+            doubts.warn_if_unwritable(&self.identity.serial);
         }
         if is_hardware && settings.limits.needs_foresight() {
             admit_processor(self.foresight_time_us)?;
@@ -159,8 +159,9 @@ impl Rig {
     /// Opens the device and reads its identity without moving the motor.
     ///
     /// # Errors
-    /// A setting cannot be used; the device does not exist or does not answer, is another board than the settings require, or
-    /// is hardware with a plant that needs a consent that the settings lack.
+    /// A setting cannot be used; the device does not exist or does not answer, is another board
+    /// than the settings require, or is hardware with a plant that needs a consent that the
+    /// settings lack.
     pub fn connect(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         settings.check()?;
         let (device, clock, emulator) = connect(settings)?;
@@ -208,7 +209,7 @@ impl Rig {
             limits: settings.limits,
             stop: Arc::clone(stop),
             link_patience_s: settings.recovery.link_patience_s,
-            memory: settings.recovery.memory.clone(),
+            doubts: settings.recovery.doubts.clone(),
             foresight_time_us: if is_hardware { foresight_time_us() } else { 0.0 },
             identified: Cell::new(settings.identified()),
             viewers: settings.viewers.clone(),
@@ -222,7 +223,7 @@ impl Rig {
     /// The doubt about this Qube that outlived an earlier program, if there is one.
     #[must_use]
     pub fn remembered_doubt(&self) -> Option<Doubt> {
-        self.memory.as_ref()?.load(&self.identity.serial)
+        self.doubts.as_ref()?.load(&self.identity.serial)
     }
 
     /// Lets the guard use the identified model of these settings from the next rollout on.
@@ -444,8 +445,8 @@ impl Rig {
 
     /// Stores the doubt that a fault leaves, if it leaves one.
     pub(super) fn store_doubt(&self, fault: Fault) {
-        if let Some(memory) = self.memory.as_ref().filter(|_| fault.leaves_doubt()) {
-            memory.store(&self.doubt(fault));
+        if let Some(doubts) = self.doubts.as_ref().filter(|_| fault.leaves_doubt()) {
+            doubts.store(&self.doubt(fault));
         }
     }
 

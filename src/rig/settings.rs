@@ -128,7 +128,7 @@ pub struct Recovery {
     /// Time for which the program tries to reach a lost link again, s.
     pub link_patience_s: f64,
     /// Store of doubts that outlive the program; `None` for a device that ends with the program.
-    pub memory: Option<DoubtStore>,
+    pub doubts: Option<DoubtStore>,
     /// Doubt that is known before the device is opened, because a session's ledger ends with it.
     pub doubt: Option<Doubt>,
     /// Heat of the motor of a real Qube whose rig is opened again.
@@ -140,7 +140,7 @@ impl Default for Recovery {
         Self {
             acknowledged: false,
             link_patience_s: LINK_PATIENCE_S,
-            memory: None,
+            doubts: None,
             doubt: None,
             motor: MotorMemory::default(),
         }

@@ -68,7 +68,7 @@ impl PsiTarget {
     #[must_use]
     pub fn default_range(self) -> (f64, f64) {
         use DomainParameter as P;
-        use Nonideality as G;
+        use Nonideality as N;
         match self {
             Self::Mean(Quantity::Parameter(P::PendulumMass)) => (0.019, 0.029),
             Self::StandardDeviation(Quantity::Parameter(P::PendulumMass)) => (5e-5, 5e-3),
@@ -86,18 +86,18 @@ impl PsiTarget {
                 (0.0, 0.3 * QubeModel::NOMINAL.parameters.get(other))
             }
             Self::Mean(Quantity::Nonideality(term)) => match term {
-                G::CoulombTorque => (0.0, 1e-3),
-                G::PositiveDeadZone | G::NegativeDeadZone => (0.0, 0.5),
-                G::CableStiffness => (0.0, 2e-3),
-                G::CableRest => (-1.5, 1.5),
-                G::CommandDelay => (0.0, 0.02),
+                N::CoulombTorque => (0.0, 1e-3),
+                N::PositiveDeadZone | N::NegativeDeadZone => (0.0, 0.5),
+                N::CableStiffness => (0.0, 2e-3),
+                N::CableRest => (-1.5, 1.5),
+                N::CommandDelay => (0.0, 0.02),
             },
             Self::StandardDeviation(Quantity::Nonideality(term)) => match term {
-                G::CoulombTorque => (0.0, 5e-4),
-                G::PositiveDeadZone | G::NegativeDeadZone => (0.0, 0.25),
-                G::CableStiffness => (0.0, 1e-3),
-                G::CableRest => (0.0, 1.0),
-                G::CommandDelay => (0.0, 0.01),
+                N::CoulombTorque => (0.0, 5e-4),
+                N::PositiveDeadZone | N::NegativeDeadZone => (0.0, 0.25),
+                N::CableStiffness => (0.0, 1e-3),
+                N::CableRest => (0.0, 1.0),
+                N::CommandDelay => (0.0, 0.01),
             },
             Self::Filter => (20.0, 500.0),
             // Factors from 0.5 to 3.

@@ -54,8 +54,8 @@ fn emulate(directory: &Path) -> (Running, String) {
     (Running(child), port.trim().to_owned())
 }
 
-/// Starts `run` with this number of rollouts on a port and waits until ticks of the first one are on
-/// disk. If a busy computer ends the homing, it starts again.
+/// Starts `run` with this number of rollouts on a port and waits until ticks of the first one are
+/// on disk. If a busy computer ends the homing, it starts again.
 fn run_until_a_rollout_is_under_way(directory: &Path, port: &str, rollouts: &str) -> Running {
     let recording = directory.join("out/rollout-0.mcap");
     let start = || {

@@ -285,8 +285,8 @@ fn near(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
     model
 }
 
-/// A Qube of the far domain. Two thirds have dry friction, two thirds a cable, two thirds a delay of
-/// the commands, and three quarters a dead zone on each side.
+/// A Qube of the far domain. Two thirds have dry friction, two thirds a cable, two thirds a delay
+/// of the commands, and three quarters a dead zone on each side.
 fn far(random: &mut ChaCha8Rng) -> QubeModel {
     let mut model = QubeModel::NOMINAL;
     for parameter in DomainParameter::ALL {

@@ -1,6 +1,6 @@
 //! Tests the space bar at a terminal: it brakes like Ctrl-C, and the terminal is restored on every
-//! way out. Keys that were typed ahead answer no question, and Ctrl-C ends one. A doubt of the first
-//! homing is asked about. The terminal is a real pty and the program's controlling terminal.
+//! way out. Keys that were typed ahead answer no question, and Ctrl-C ends one. A doubt of the
+//! first homing is asked about. The terminal is a real pty and the program's controlling terminal.
 
 use std::io::Read;
 use std::os::fd::{AsFd, OwnedFd};

@@ -135,8 +135,8 @@ fn killed_in_the_middle_all_but_the_last_quarter_second_is_readable() {
 }
 
 /// Many kills after different numbers of ticks, for `scripts/durability recorder-kills`. The first
-/// one shows whether a recorder writes every 0.35 s or less often, the others come at other times of
-/// such an interval.
+/// one shows whether a recorder writes every 0.35 s or less often, the others come at other times
+/// of such an interval.
 #[test]
 fn killed_again_and_again_all_but_the_last_quarter_second_is_readable() {
     let kills = std::env::var("QUBE_HIL_RECORDER_KILLS").unwrap_or_else(|_| "4".to_owned());

@@ -28,8 +28,8 @@ fn files_of(source: &str) -> Vec<String> {
     names.filter(|name| name.ends_with(ending)).map(|name| format!("{folder}/{name}")).collect()
 }
 
-/// Whether a command of a script writes this file, or the files of this folder: the last word of the
-/// command is its path.
+/// Whether a command of a script writes this file, or the files of this folder: the last word of
+/// the command is its path.
 fn is_written(script: &str, source: &str) -> bool {
     let path = source.split("/*").next().unwrap();
     let commands = script.lines().map(|line| line.trim_matches(['\'', '"', ' ']));

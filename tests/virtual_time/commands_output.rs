@@ -1,5 +1,5 @@
-//! Tests the places of results: a bad place is refused before a training or a motion, existing files
-//! are not lost, and a result that cannot be printed is a failure.
+//! Tests the places of results: a bad place is refused before a training or a motion, existing
+//! files are not lost, and a result that cannot be printed is a failure.
 
 use std::path::Path;
 use std::process::{Command, Stdio};

@@ -167,21 +167,21 @@ fn signs_of_another_board_are_refused() {
 fn a_motion_is_announced_only_where_the_qube_is_accepted() {
     let directory = tempfile::tempdir().unwrap();
     let board = format!("{:016x}", 11);
-    let memory = DoubtStore::new(directory.path().to_owned());
+    let doubts = DoubtStore::new(directory.path().to_owned());
     let told = |settings: RigSettings| {
         let mut told = None;
         let opened = Rig::open_announced(&settings, &stop(), |examines| told = Some(examines));
         (told, opened.err())
     };
     let remembering = |acknowledged| {
-        let memory = Some(memory.clone());
-        let recovery = Recovery { memory, acknowledged, ..Recovery::default() };
+        let doubts = Some(doubts.clone());
+        let recovery = Recovery { doubts, acknowledged, ..Recovery::default() };
         RigSettings { recovery, ..settings(None) }
     };
     let other = RigSettings { board: Some("00000000000000ff".into()), ..settings(None) };
     assert!(matches!(told(other), (None, Some(RigError::WrongBoard { .. }))));
     assert!(matches!(told(remembering(false)), (Some(false), None)));
-    memory.store(&Doubt { fault: Some(Fault::Stall), board, unix_s: None });
+    doubts.store(&Doubt { fault: Some(Fault::Stall), board, unix_s: None });
     assert!(matches!(told(remembering(false)), (None, Some(RigError::InDoubt(_)))));
     // After a doubt the Qube is examined, also an emulated one.
     assert!(matches!(told(remembering(true)), (Some(true), None)));

@@ -1,6 +1,7 @@
-//! Tests that a Qube that was switched off, or whose emergency stop was opened, moves no more before
-//! somebody has acknowledged it, whenever that happened; that a doubt is stored before the motion
-//! has ended; and that a middle that a hand has shown ends with the count that it was given in.
+//! Tests that a Qube that was switched off, or whose emergency stop was opened, moves no more
+//! before somebody has acknowledged it, whenever that happened; that a doubt is stored before the
+//! motion has ended; and that a middle that a hand has shown ends with the count that it was given
+//! in.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -61,11 +62,11 @@ impl Bench {
         folder: tempfile::TempDir,
     ) -> Result<Self, RigError> {
         let clock = device.clock.clone();
-        let memory = Some(DoubtStore::new(folder.path().join("doubts")));
+        let doubts = Some(DoubtStore::new(folder.path().join("doubts")));
         let settings = RigSettings {
             emulator: EmulatorSettings { fault, seed: 3, ..EmulatorSettings::default() },
             homing: HomingSettings { method, ..HomingSettings::default() },
-            recovery: Recovery { memory, ..Recovery::default() },
+            recovery: Recovery { doubts, ..Recovery::default() },
             ..RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(device)))
         };
         let rig = Rig::open(&settings, &Arc::default())?;

@@ -13,8 +13,8 @@ use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Ending;
 
 /// The endings of three rollouts of a Qube that is `lab` with this factor on one parameter, under
-/// the profile `lab`; each with whether the guard still had the profile when it began. Checks that a
-/// motion against the profile is recorded, and that a replay finds the same.
+/// the profile `lab`; each with whether the guard still had the profile when it began. Checks that
+/// a motion against the profile is recorded, and that a replay finds the same.
 fn rollouts(parameter: DomainParameter, factor: f64) -> Vec<(Ending, bool)> {
     let mut model = Profile::lab().model();
     model.parameters.set(parameter, factor * model.parameters.get(parameter));

@@ -444,15 +444,15 @@ impl Connect for OwnBoard {
 #[test]
 fn an_acknowledgement_is_for_the_doubt_about_one_of_several_qubes() {
     let directory = tempfile::tempdir().unwrap();
-    let memory = DoubtStore::new(directory.path().join("doubts"));
+    let doubts = DoubtStore::new(directory.path().join("doubts"));
     let boards = [7, 8].map(|board| format!("{board:016x}"));
     for board in boards.clone() {
-        memory.store(&Doubt { fault: Some(Fault::Stall), board, unix_s: None });
+        doubts.store(&Doubt { fault: Some(Fault::Stall), board, unix_s: None });
     }
     let settings = settings();
     let [first, second] = [7, 8].map(|board| RigSettings {
         device: DeviceChoice::Other(Arc::new(OwnBoard(board))),
-        recovery: Recovery { memory: Some(memory.clone()), ..Recovery::default() },
+        recovery: Recovery { doubts: Some(doubts.clone()), ..Recovery::default() },
         ..emulated(&settings, None)
     });
     let root = directory.path().join("session");
@@ -467,7 +467,7 @@ fn an_acknowledgement_is_for_the_doubt_about_one_of_several_qubes() {
     };
     assert_eq!(doubted(), boards[0]);
     assert_eq!(doubted(), boards[1]);
-    assert_eq!(boards.map(|board| memory.load(&board).is_some()), [false, true]);
+    assert_eq!(boards.map(|board| doubts.load(&board).is_some()), [false, true]);
 }
 
 #[test]

@@ -48,8 +48,8 @@ pub fn table(comparisons: &[Comparison], plant: &str) -> String {
     text
 }
 
-/// A line that says that no difference in success can be significant at 5 % with so few pairs; empty
-/// if one can.
+/// A line that says that no difference in success can be significant at 5 % with so few pairs;
+/// empty if one can.
 fn too_few_pairs(comparisons: &[&Comparison]) -> String {
     let smallest = |it: &&Comparison| it.smallest_success_p();
     let Some(best) = comparisons.iter().min_by(|a, b| smallest(a).total_cmp(&smallest(b))) else {

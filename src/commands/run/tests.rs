@@ -76,9 +76,9 @@ fn recordings(directory: &Path) -> usize {
 fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     let directory = tempfile::tempdir().unwrap();
     let directory = directory.path();
-    let memory = Some(DoubtStore::new(directory.join("state")));
+    let doubts = Some(DoubtStore::new(directory.join("state")));
     let remembering = |fault, acknowledged| {
-        let recovery = Recovery { memory: memory.clone(), acknowledged, ..Recovery::default() };
+        let recovery = Recovery { doubts: doubts.clone(), acknowledged, ..Recovery::default() };
         RigSettings { recovery, skip_check: true, ..settings(fault) }
     };
     // The stall comes after the end of the first rollout and before the end of the fourth.
@@ -124,17 +124,17 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
 #[test]
 fn a_fault_in_the_check_leaves_its_doubt_and_no_failed_watchdog_is_driven_unexamined() {
     let directory = tempfile::tempdir().unwrap();
-    let memory = DoubtStore::new(directory.path().join("state"));
+    let doubts = DoubtStore::new(directory.path().join("state"));
     let board = format!("{:016x}", 5);
     let failed = |fault: &str| {
         // An emulated Qube is examined after an acknowledged doubt alone.
-        memory.store(&Doubt {
+        doubts.store(&Doubt {
             fault: Some(Fault::EncoderJump),
             board: board.clone(),
             unix_s: None,
         });
-        let memory = Some(memory.clone());
-        let recovery = Recovery { memory, acknowledged: true, ..Recovery::default() };
+        let doubts = Some(doubts.clone());
+        let recovery = Recovery { doubts, acknowledged: true, ..Recovery::default() };
         let settings = RigSettings { recovery, ..settings(Some(fault)) };
         run(settings, &directory.path().join("rollouts"), 1).0.unwrap_err().ended_by()
     };
@@ -145,14 +145,14 @@ fn a_fault_in_the_check_leaves_its_doubt_and_no_failed_watchdog_is_driven_unexam
     assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!("stall_error"), &json!(4)));
     let told = cause(&ended_by);
     assert!(told.contains("--acknowledge") && !told.contains("--skip-check"), "{told}");
-    assert_eq!(memory.load(&board).unwrap().fault, Some(Fault::StallError));
+    assert_eq!(doubts.load(&board).unwrap().fault, Some(Fault::StallError));
 
     for (fault, may_be_skipped) in [("stuck-output@0:3", false), ("dead-motor@0", true)] {
         let ended_by = failed(fault);
         assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!(null), &json!(1)));
         let told = cause(&ended_by);
         assert_eq!(told.contains("--skip-check"), may_be_skipped, "{told}");
-        assert_eq!(memory.load(&board).unwrap().fault, Some(Fault::EncoderJump));
+        assert_eq!(doubts.load(&board).unwrap().fault, Some(Fault::EncoderJump));
     }
 }
 

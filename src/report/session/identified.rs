@@ -13,8 +13,8 @@ use crate::report::densities::words;
 use crate::report::page::{Cell, Page};
 use crate::session::{Entry, FailedRefit, Identification, SessionPaths};
 
-/// Adds the section about the identified Qube, with recordings beside simulations of this Qube, or the
-/// reason why it was not identified; adds nothing for a session without identification.
+/// Adds the section about the identified Qube, with recordings beside simulations of this Qube, or
+/// the reason why it was not identified; adds nothing for a session without identification.
 pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
     match source.state.identification() {
         Identification::None => {}

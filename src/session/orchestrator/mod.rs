@@ -427,8 +427,8 @@ impl Session {
     }
 
     /// The next attempt of a rollout that is to be given up, if an earlier process gave it up and
-    /// no other rig can make it: somebody who resumes the session has looked at the Qube, so the rollout
-    /// may be repeated as often as before. `None` if it is given up now.
+    /// no other rig can make it: somebody who resumes the session has looked at the Qube, so the
+    /// rollout may be repeated as often as before. `None` if it is given up now.
     fn attempt_again(&self, candidate: u32, rollout: u32) -> Option<u32> {
         let before =
             self.given_up_before.filter(|it| (it.candidate, it.rollout) == (candidate, rollout))?;
