@@ -1,10 +1,7 @@
 use super::chosen_device::ChosenDevice;
 use super::exit::Failure;
+use super::number_arguments::spread;
 use crate::experiment::{Method, MethodSettings, RepetitionSeeds};
-
-/// Spread of the simulations around an identified Qube, as a fraction of each value: the default of
-/// `train --profile`.
-const SPREAD: f64 = 0.1;
 
 /// The arguments that compare methods of finding a policy instead of recipes.
 #[derive(Clone, Debug, clap::Args)]
@@ -50,6 +47,18 @@ pub struct MethodArguments {
     /// Competing trainings of each scored policy, of which the best in simulation is kept
     #[arg(long, default_value_t = 1, requires = "strategies", conflicts_with = "resume")]
     trainings: u32,
+
+    /// Standard deviation of the simulations of identify, posterior and sequential around the
+    /// identified Qube, as a part of each value
+    #[arg(
+        long,
+        value_name = "PART",
+        default_value_t = 0.1,
+        requires = "strategies",
+        conflicts_with = "resume",
+        value_parser = spread
+    )]
+    spread: f64,
 }
 
 impl MethodArguments {
@@ -59,7 +68,7 @@ impl MethodArguments {
             methods: self.strategies.clone(),
             repetitions: self.repetitions,
             recordings: self.recordings,
-            spread: SPREAD,
+            spread: self.spread,
             budgets: self.budgets.clone(),
             trainings: self.trainings,
             seeds: RepetitionSeeds::OfEachPlant,

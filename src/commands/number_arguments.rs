@@ -23,3 +23,8 @@ pub fn between(text: &str, smallest: f64, largest: f64) -> Result<f64, String> {
         _ => Err(format!("give a number from {smallest} to {largest}")),
     }
 }
+
+/// Parses a spread from 0 to 1, as a fraction of each value.
+pub fn spread(text: &str) -> Result<f64, String> {
+    between(text, 0.0, 1.0)
+}

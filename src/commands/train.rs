@@ -11,7 +11,7 @@ use super::exit::Failure;
 use super::failures;
 use super::keyboard::Keyboard;
 use super::named_values::{named, presets};
-use super::number_arguments::between;
+use super::number_arguments::{between, spread};
 use super::output::Output;
 use super::plant_file::PlantArgument;
 use super::printable::print_message;
@@ -366,11 +366,6 @@ fn with_filter(
 /// Parses a weight from 0 to 10, 1/V^2.
 fn weight(text: &str) -> Result<f64, String> {
     between(text, 0.0, 10.0)
-}
-
-/// Parses a spread from 0 to 1, as a fraction of each value.
-fn spread(text: &str) -> Result<f64, String> {
-    between(text, 0.0, 1.0)
 }
 
 /// Parses a delay, or a range of delays, in ms; returns the shortest and the longest delay, s.

@@ -79,9 +79,10 @@ pub enum MissingEffect {
     Reversals,
     /// The motor changes in the course of each recording, as when it warms.
     Warming,
-    /// The arm's measured angle has an error that is periodic in the angle.
+    /// The arm's measured angle has an error that is periodic in the angle, or the arm a torque, as
+    /// on a base that is not level.
     Angle,
-    /// The arm's damping depends on its direction.
+    /// The arm's damping depends on its direction, or seems to, as with a cable that stiffens.
     Direction,
     /// Recordings that were held out are explained much worse than those that were fitted.
     HeldOut,
@@ -111,8 +112,12 @@ impl fmt::Display for MissingEffect {
                  slides, a cable with hysteresis?)"
             }
             Self::Warming => "a motor that changes with time (does it warm?)",
-            Self::Angle => "an error of the arm's angle that depends on the angle (an encoder off its centre?)",
-            Self::Direction => "damping that depends on the arm's direction",
+            Self::Angle => {
+                "an error that depends on the arm's angle (an encoder off its centre, a base that is not level?)"
+            }
+            Self::Direction => {
+                "damping that depends on the arm's direction (or a cable that stiffens as it is bent?)"
+            }
             Self::HeldOut => {
                 "the recordings that were held out (are they of another Qube, or was it changed in between?)"
             }
