@@ -6,13 +6,15 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, PoisonError};
 
 use super::follow::recommendations_of;
-use super::run::{Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended};
+use super::run::{
+    Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended, trained_and_run,
+};
 use super::{Method, MethodSettings};
 use crate::experiment::queue::Queue;
 use crate::experiment::results::simulated_return;
-use crate::experiment::rollouts::all_of;
+use crate::experiment::series::Ran;
 use crate::experiment::{
-    Experiment, ExperimentError, ExperimentEvent, Made, PolicyResult, RecipeResult, RolloutResult,
+    Experiment, ExperimentError, ExperimentEvent, Made, PolicyResult, RecipeResult,
 };
 
 /// Name in tables for the repetitions on all plants together.
@@ -184,15 +186,10 @@ impl MethodRun<'_> {
         let series = self.series(recommendation, steps, methods.trainings);
         let recordings = series.folders.rollouts(0, &self.plant.name);
         let settings = self.experiment.settings();
-        let (rollouts, made): (Vec<RolloutResult>, Made) = if self.access.works() {
-            let trained = series.train(0, &mut |_, _| ())?;
-            let ran = series.run_in_virtual_time(0, &self.plant, settings.rollouts)?;
-            (ran.results, ran.made.max(Made::now_if(trained.is_some())))
-        } else {
-            match all_of(&recordings, settings.rollouts, self.recipe.settings.extent.repetitions)? {
-                Some(results) => (results, Made::Earlier),
-                None => return Ok(OnDisk::Missing),
-            }
+        let ran = trained_and_run(&series, 0, &self.plant, settings.rollouts, self.access)?;
+        let Ran { results: rollouts, made } = match ran {
+            OnDisk::Found(ran) => ran,
+            OnDisk::Missing => return Ok(OnDisk::Missing),
         };
         // Returns in simulation are computed when results are read, not while work goes on.
         let simulated_return = if self.access.works() {

@@ -2,8 +2,9 @@ use std::path::PathBuf;
 
 use crate::experiment::event::OnEvent;
 use crate::experiment::folder::PolicyFolders;
-use crate::experiment::series::PolicySeries;
-use crate::experiment::{Experiment, ExperimentError, Plant, Recipe};
+use crate::experiment::rollouts::all_of;
+use crate::experiment::series::{PolicySeries, Ran};
+use crate::experiment::{Experiment, ExperimentError, Made, Plant, Recipe};
 use crate::simulation::{DomainDistribution, Model, Psi};
 
 /// The recipe by which a method recommends to train policies, with its psi or distribution.
@@ -77,6 +78,31 @@ pub(super) enum OnDisk<T> {
     Found(T),
     /// The run is read-only, and the result is not on disk.
     Missing,
+}
+
+/// Trains a policy of a recommendation and runs it on a plant; a read-only run reads the results.
+///
+/// # Errors
+/// The work ends early, or a file cannot be read.
+pub(super) fn trained_and_run(
+    series: &PolicySeries,
+    policy: u32,
+    plant: &Plant,
+    rollouts: u32,
+    access: Access,
+) -> Result<OnDisk<Ran>, ExperimentError> {
+    if access.works() {
+        let trained = series.train(policy, &mut |_, _| ())?;
+        let Ran { results, made } = series.run_in_virtual_time(policy, plant, rollouts)?;
+        let made = made.max(Made::now_if(trained.is_some()));
+        return Ok(OnDisk::Found(Ran { results, made }));
+    }
+    let folder = series.folders.rollouts(policy, &plant.name);
+    let results = all_of(&folder, rollouts, series.recipe.settings.extent.repetitions)?;
+    Ok(match results {
+        Some(results) => OnDisk::Found(Ran { results, made: Made::Earlier }),
+        None => OnDisk::Missing,
+    })
 }
 
 /// One repetition of a method in its folder.

@@ -1,5 +1,4 @@
-use super::run::{Access, OnDisk};
-use crate::experiment::rollouts::all_of;
+use super::run::{Access, OnDisk, trained_and_run};
 use crate::experiment::series::PolicySeries;
 use crate::experiment::{ExperimentError, Made, Plant, RolloutResult};
 use crate::scoring::{Behaviour, criterion};
@@ -60,19 +59,12 @@ pub(super) fn score(
 ) -> Result<OnDisk<ScoredDecision>, ExperimentError> {
     let (mut score, mut made) = (RecommendationScore::default(), Made::Earlier);
     for policy in 0..policies {
-        let results = if access.works() {
-            let trained = series.train(policy, &mut |_, _| ())?;
-            let ran = series.run_in_virtual_time(policy, plant, rollouts)?;
-            made = made.max(ran.made).max(Made::now_if(trained.is_some()));
-            ran.results
-        } else {
-            let folder = series.folders.rollouts(policy, &plant.name);
-            match all_of(&folder, rollouts, series.recipe.settings.extent.repetitions)? {
-                Some(results) => results,
-                None => return Ok(OnDisk::Missing),
-            }
+        let ran = match trained_and_run(series, policy, plant, rollouts, access)? {
+            OnDisk::Found(ran) => ran,
+            OnDisk::Missing => return Ok(OnDisk::Missing),
         };
-        score.add(&results);
+        made = made.max(ran.made);
+        score.add(&ran.results);
         if let Some(succeeds) = score.decided(policies * rollouts) {
             return Ok(OnDisk::Found(ScoredDecision { score, succeeds, made }));
         }
