@@ -3,7 +3,8 @@
 
 #[path = "../adversary/mod.rs"]
 mod adversary;
-mod commands_bad_input;
+mod commands_bad_arguments;
+mod commands_bad_files;
 mod commands_config;
 mod commands_experiment;
 mod commands_hostile_surroundings;
