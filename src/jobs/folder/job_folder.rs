@@ -2,14 +2,13 @@ use std::collections::{BTreeSet, HashMap};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::sealed::{NotSealed, sealed, unsealed};
-use super::{ClaimName, Heartbeat, HeartbeatState, HeartbeatWatch, Holder};
+use super::terms::{Terms, program};
+use super::{ClaimName, Heartbeat, HeartbeatState, Holder};
 use crate::elementary::Level;
 use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::{TrainError, Trained, TrainedBytesError};
@@ -21,64 +20,6 @@ const MAX_JOB_BYTES: u64 = 16 << 20;
 /// Largest result file that is read, bytes. A policy has about 20 kB, and a learning curve about
 /// 100 bytes for each update.
 const MAX_RESULT_BYTES: u64 = 256 << 20;
-
-/// Version of the format of a folder's files.
-const FORMAT: u32 = 1;
-
-/// The name and version of this program and the revision of its source.
-#[must_use]
-pub fn program() -> String {
-    format!("qube-hil {} ({})", env!("CARGO_PKG_VERSION"), env!("QUBE_HIL_GIT_REVISION"))
-}
-
-/// The settings that all processes of a folder share.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Terms {
-    /// Version of the format of the folder's files.
-    pub format: u32,
-    /// Name, version and source revision of the program, as [`program`] gives them.
-    pub program: String,
-    /// Time between two beats of a process, ms.
-    pub beat_ms: u64,
-    /// Time without a beat after which a process counts as dead, ms.
-    pub stale_ms: u64,
-    /// Number of failed tries after which a job is given up.
-    pub tries: u32,
-}
-
-impl Default for Terms {
-    /// A minute without a beat, and three tries.
-    fn default() -> Self {
-        Self::new(Duration::from_secs(60), 3)
-    }
-}
-
-/// Number of beats in the time after which a process counts as dead. A shared file system may show
-/// some of them late.
-const BEATS_BEFORE_STALE: u64 = 12;
-
-impl Terms {
-    /// The terms under which this program's processes count as dead after the time `stale`, and a
-    /// job is given up after `tries` failed tries.
-    #[must_use]
-    pub fn new(stale: Duration, tries: u32) -> Self {
-        let stale_ms = stale.as_millis() as u64;
-        let beat_ms = stale_ms / BEATS_BEFORE_STALE;
-        Self { format: FORMAT, program: program(), beat_ms, stale_ms, tries }
-    }
-
-    /// Time between two beats of a process.
-    #[must_use]
-    pub fn beat(&self) -> Duration {
-        Duration::from_millis(self.beat_ms.max(1))
-    }
-
-    /// Time without a beat after which a process counts as dead.
-    #[must_use]
-    pub fn stale(&self) -> Duration {
-        Duration::from_millis(self.stale_ms)
-    }
-}
 
 /// The result of a job with the worker that carried it out.
 #[derive(Debug)]
@@ -122,15 +63,6 @@ impl JobFileDefect {
     }
 }
 
-/// The place of a process among the coordinators of a folder.
-#[derive(Debug)]
-pub struct Coordinator {
-    /// Number of the coordinator, from 0; that of a successor is higher.
-    pub number: u32,
-    /// File that grows while the coordinator lives.
-    pub heartbeat: Heartbeat,
-}
-
 /// A folder of jobs.
 #[derive(Clone, Debug)]
 pub struct JobFolder {
@@ -163,7 +95,7 @@ impl JobFolder {
     }
 
     /// The terms in `folder.json`; `None` if the file is missing or damaged.
-    fn written_terms(&self) -> Result<Option<Terms>, JobFolderError> {
+    pub(super) fn written_terms(&self) -> Result<Option<Terms>, JobFolderError> {
         let path = self.terms_file();
         match self.disk.read(&path, MAX_JOB_BYTES) {
             Ok(bytes) => Ok(terms_in(&bytes).ok()),
@@ -187,7 +119,7 @@ impl JobFolder {
         Ok(!is_whole)
     }
 
-    fn write_terms(&self) -> Result<(), JobFolderError> {
+    pub(super) fn write_terms(&self) -> Result<(), JobFolderError> {
         let path = self.terms_file();
         self.write(&path, "terms", &json(&path, &self.terms)?)
     }
@@ -207,9 +139,8 @@ impl JobFolder {
             }
         })?;
         let terms = terms_in(&bytes).map_err(|defect| defect.in_file(&path))?;
-        let here = program();
-        if terms.program != here || terms.format != FORMAT {
-            let (path, there) = (root.to_owned(), terms.program);
+        if !terms.are_of_this_program() {
+            let (path, here, there) = (root.to_owned(), program(), terms.program);
             return Err(JobFolderError::OtherProgram { path, here, there });
         }
         Ok(Self { disk, root: root.to_owned(), terms })
@@ -448,93 +379,6 @@ impl JobFolder {
         unsealed("refusal", &bytes).ok().map(|text| String::from_utf8_lossy(text).into_owned())
     }
 
-    /// Takes the folder for one coordinator, whose terms hold from then on. If the last coordinator
-    /// has written no ending and ran on another computer, before this computer's last start or in
-    /// another PID namespace, this waits until its heartbeat file grows, which is an error, or
-    /// counts as stale by its own terms and by those of this process.
-    ///
-    /// # Errors
-    /// Another coordinator lives, `stop` was set during the wait, or a file operation fails.
-    pub fn coordinate(
-        &self,
-        holder: &Holder,
-        stop: &AtomicBool,
-    ) -> Result<Coordinator, JobFolderError> {
-        // The last coordinator beats as often as the terms ask that it has written.
-        let of_last = self.written_terms()?.map_or(Duration::ZERO, |terms| terms.stale());
-        let mut watch = HeartbeatWatch::new(holder.clone(), self.terms.stale().max(of_last));
-        let begun = std::time::Instant::now();
-        let mut first = None;
-        loop {
-            let last = self.last_coordinator()?;
-            if let Some(last) = last {
-                let state = self.coordinator_state(last)?;
-                let is_over = state.ending.is_some()
-                    || watch.is_dead(&last.to_string(), &state, begun.elapsed());
-                if !is_over {
-                    let has_grown =
-                        first.as_ref().is_some_and(|first| *first != (last, state.clone()));
-                    let here = state
-                        .holder
-                        .as_ref()
-                        .is_some_and(|it| it.host == holder.host && it.boot == holder.boot);
-                    if has_grown || here {
-                        let (path, by) = (self.root.clone(), state.by());
-                        return Err(JobFolderError::TwoCoordinators { path, by });
-                    }
-                    if stop.load(Ordering::Relaxed) {
-                        return Err(JobFolderError::Stopped { path: self.root.clone() });
-                    }
-                    first.get_or_insert((last, state));
-                    std::thread::sleep(self.terms.beat().min(Duration::from_secs(1)));
-                    continue;
-                }
-            }
-            let number = last.map_or(0, |last| last + 1);
-            let path = self.coordinator(number);
-            match Heartbeat::create(self.disk(), &path, holder) {
-                Ok(Some(heartbeat)) => {
-                    self.write_terms()?;
-                    return Ok(Coordinator { number, heartbeat });
-                }
-                Ok(None) => {}
-                Err(source) => return Err(refused(&path, source)),
-            }
-        }
-    }
-
-    /// Checks that no other coordinator has taken the folder over from the one with this number.
-    /// That happens to a coordinator that was suspended for so long that it counted as dead.
-    ///
-    /// # Errors
-    /// Another coordinator has taken the folder over ([`JobFolderError::TakenOver`]), or a file
-    /// operation fails.
-    pub fn check_coordinator(&self, number: u32) -> Result<(), JobFolderError> {
-        match self.last_coordinator()? {
-            Some(last) if last > number => Err(JobFolderError::TakenOver {
-                path: self.root.clone(),
-                by: self.coordinator_state(last).unwrap_or_default().by(),
-            }),
-            _ => Ok(()),
-        }
-    }
-
-    /// Number of the last coordinator; `None` if the folder has had none.
-    fn last_coordinator(&self) -> Result<Option<u32>, JobFolderError> {
-        let names = self.names("coordinators")?;
-        Ok(names.into_iter().filter_map(|name| name.parse().ok()).max())
-    }
-
-    fn coordinator(&self, number: u32) -> PathBuf {
-        self.root.join("coordinators").join(number.to_string())
-    }
-
-    fn coordinator_state(&self, number: u32) -> Result<HeartbeatState, JobFolderError> {
-        let path = self.coordinator(number);
-        let state = HeartbeatState::read(self.disk(), &path);
-        Ok(state.map_err(|source| refused(&path, source))?.unwrap_or_default())
-    }
-
     /// Tells the workers that no further work is wanted: they stop.
     ///
     /// # Errors
@@ -566,7 +410,7 @@ impl JobFolder {
     }
 
     /// The names of the finished files in one of the folder's subfolders.
-    fn names(&self, part: &str) -> Result<Vec<String>, JobFolderError> {
+    pub(super) fn names(&self, part: &str) -> Result<Vec<String>, JobFolderError> {
         let path = self.root.join(part);
         let names = self.disk.names(&path).map_err(|source| refused(&path, source))?;
         let names = names.into_iter().filter(|name| !is_unfinished(name));
@@ -610,6 +454,6 @@ fn unread(path: &Path, source: io::Error) -> JobFolderError {
     }
 }
 
-fn refused(path: &Path, source: io::Error) -> JobFolderError {
+pub(super) fn refused(path: &Path, source: io::Error) -> JobFolderError {
     JobFolderError::Disk { path: path.to_owned(), source }
 }

@@ -18,17 +18,21 @@
 //! one result.
 
 mod claim_name;
+mod coordinator;
 mod heartbeat;
 mod holder;
 mod job_folder;
 mod job_loop;
 mod sealed;
+mod terms;
 mod tries;
 mod worker;
 
 pub use claim_name::ClaimName;
+pub use coordinator::Coordinator;
 pub use heartbeat::{ClaimEnding, Heartbeat, HeartbeatState, HeartbeatWatch};
 pub use holder::Holder;
-pub use job_folder::{Coordinator, JobFolder, JobResult, Terms, program};
+pub use job_folder::{JobFolder, JobResult};
+pub use terms::{Terms, program};
 pub use tries::{NextTry, Tries};
 pub use worker::{NotASlot, Slot, WorkReport, Worker, WorkerEvent};

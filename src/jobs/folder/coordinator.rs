@@ -1,0 +1,105 @@
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use super::job_folder::refused;
+use super::{Heartbeat, HeartbeatState, HeartbeatWatch, Holder, JobFolder};
+use crate::jobs::JobFolderError;
+
+/// The place of a process among the coordinators of a folder.
+#[derive(Debug)]
+pub struct Coordinator {
+    /// Number of the coordinator, from 0; that of a successor is higher.
+    pub number: u32,
+    /// File that grows while the coordinator lives.
+    pub heartbeat: Heartbeat,
+}
+
+impl JobFolder {
+    /// Takes the folder for one coordinator, whose terms hold from then on. If the last coordinator
+    /// has written no ending and ran on another computer, before this computer's last start or in
+    /// another PID namespace, this waits until its heartbeat file grows, which is an error, or
+    /// counts as stale by its own terms and by those of this process.
+    ///
+    /// # Errors
+    /// Another coordinator lives, `stop` was set during the wait, or a file operation fails.
+    pub fn coordinate(
+        &self,
+        holder: &Holder,
+        stop: &AtomicBool,
+    ) -> Result<Coordinator, JobFolderError> {
+        // The last coordinator beats as often as the terms ask that it has written.
+        let of_last = self.written_terms()?.map_or(Duration::ZERO, |terms| terms.stale());
+        let mut watch = HeartbeatWatch::new(holder.clone(), self.terms().stale().max(of_last));
+        let begun = std::time::Instant::now();
+        let mut first = None;
+        loop {
+            let last = self.last_coordinator()?;
+            if let Some(last) = last {
+                let state = self.coordinator_state(last)?;
+                let is_over = state.ending.is_some()
+                    || watch.is_dead(&last.to_string(), &state, begun.elapsed());
+                if !is_over {
+                    let has_grown =
+                        first.as_ref().is_some_and(|first| *first != (last, state.clone()));
+                    let here = state
+                        .holder
+                        .as_ref()
+                        .is_some_and(|it| it.host == holder.host && it.boot == holder.boot);
+                    if has_grown || here {
+                        let (path, by) = (self.root().to_owned(), state.by());
+                        return Err(JobFolderError::TwoCoordinators { path, by });
+                    }
+                    if stop.load(Ordering::Relaxed) {
+                        return Err(JobFolderError::Stopped { path: self.root().to_owned() });
+                    }
+                    first.get_or_insert((last, state));
+                    std::thread::sleep(self.terms().beat().min(Duration::from_secs(1)));
+                    continue;
+                }
+            }
+            let number = last.map_or(0, |last| last + 1);
+            let path = self.coordinator(number);
+            match Heartbeat::create(self.disk(), &path, holder) {
+                Ok(Some(heartbeat)) => {
+                    self.write_terms()?;
+                    return Ok(Coordinator { number, heartbeat });
+                }
+                Ok(None) => {}
+                Err(source) => return Err(refused(&path, source)),
+            }
+        }
+    }
+
+    /// Checks that no other coordinator has taken the folder over from the one with this number.
+    /// That happens to a coordinator that was suspended for so long that it counted as dead.
+    ///
+    /// # Errors
+    /// Another coordinator has taken the folder over ([`JobFolderError::TakenOver`]), or a file
+    /// operation fails.
+    pub fn check_coordinator(&self, number: u32) -> Result<(), JobFolderError> {
+        match self.last_coordinator()? {
+            Some(last) if last > number => Err(JobFolderError::TakenOver {
+                path: self.root().to_owned(),
+                by: self.coordinator_state(last).unwrap_or_default().by(),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Number of the last coordinator; `None` if the folder has had none.
+    fn last_coordinator(&self) -> Result<Option<u32>, JobFolderError> {
+        let names = self.names("coordinators")?;
+        Ok(names.into_iter().filter_map(|name| name.parse().ok()).max())
+    }
+
+    fn coordinator(&self, number: u32) -> PathBuf {
+        self.root().join("coordinators").join(number.to_string())
+    }
+
+    fn coordinator_state(&self, number: u32) -> Result<HeartbeatState, JobFolderError> {
+        let path = self.coordinator(number);
+        let state = HeartbeatState::read(self.disk(), &path);
+        Ok(state.map_err(|source| refused(&path, source))?.unwrap_or_default())
+    }
+}
