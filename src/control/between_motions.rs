@@ -3,7 +3,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::{ControlError, Moved, RestWatch, RestingCounts, SAMPLE_TIMEOUT_NS};
+use super::{ControlError, DeviceLoss, Moved, RestWatch, RestingCounts, SAMPLE_TIMEOUT_NS};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, DeviceError, LinkFault};
 use crate::qube::{CONTROL_PERIOD_NS, Encoders, Measurement};
@@ -197,9 +197,7 @@ fn watch_rest(
                     return Ok(rest);
                 }
             }
-            Err(fault @ (LinkFault::Gone | LinkFault::Restarted | LinkFault::QubeOff)) => {
-                return Err(NoRest::Link(fault));
-            }
+            Err(fault) if DeviceLoss::of(fault).is_some() => return Err(NoRest::Link(fault)),
             Err(_) => {}
         }
         deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());

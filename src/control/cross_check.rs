@@ -38,6 +38,10 @@ pub const WHOLE_DOMAIN_SHARE: f64 = 0.9;
 /// slowly and a false alarm costs nothing.
 pub const RIG_SHARE: f64 = 0.2;
 
+/// Largest tilt of the base, rad, under which homing takes no encoder for frozen: 1.1 degrees. The
+/// angle at which the pendulum hangs then depends on the arm's angle.
+pub const TILT_RAD: f64 = 0.02;
+
 /// Ticks for which an encoder must stay within one count to be taken as constant.
 const CONSTANT_TICKS: u32 = 4;
 
@@ -150,8 +154,13 @@ pub struct CrossCheck {
     filled: usize,
     newest: usize,
     previous: Option<Previous>,
-    /// Largest error of the pendulum's zero, rad; it acts like a constant weight.
+    /// Largest error of the pendulum's zero where the arm was at first, rad; it acts like a
+    /// constant weight.
     zero_within_rad: f64,
+    /// Largest tilt of the base, rad.
+    tilt_rad: f64,
+    /// The arm's first angle, rad.
+    first_theta: Option<f64>,
     /// Relative uncertainty of the comparison.
     unknown_share: f64,
     /// Size of the pendulum's last step, counts.
@@ -267,6 +276,8 @@ impl CrossCheck {
             newest: 0,
             previous: None,
             zero_within_rad,
+            tilt_rad: 0.0,
+            first_theta: None,
             unknown_share,
             last_step_counts: 0,
             pull_rad_s: 0.0,
@@ -279,6 +290,13 @@ impl CrossCheck {
             sure_squares: 0.0,
             scale: Scale::default(),
         }
+    }
+
+    /// This cross-check on a base that may be tilted by up to `tilt_rad`, rad: as the arm moves
+    /// away from its first angle, the pendulum's zero becomes less certain.
+    #[must_use]
+    pub fn on_a_base_tilted_by(self, tilt_rad: f64) -> Self {
+        Self { tilt_rad, ..self }
     }
 
     /// Sets the relative uncertainty of the comparison.
@@ -344,6 +362,7 @@ impl CrossCheck {
         theta: f64,
         alpha: f64,
     ) -> Option<FrozenEncoder> {
+        self.first_theta.get_or_insert(theta);
         let next = |theta_counts, alpha_counts| {
             Some(Previous { sample: *sample, theta, alpha, theta_counts, alpha_counts })
         };
@@ -362,6 +381,8 @@ impl CrossCheck {
                 sure_together: self.sure_together,
                 sure_squares: self.sure_squares,
                 scale: self.scale,
+                tilt_rad: self.tilt_rad,
+                first_theta: self.first_theta,
                 ..Self::new(self.coefficients, self.zero_within_rad, self.unknown_share)
             };
             self.previous = next(sample.theta_counts, sample.alpha_counts);
@@ -398,7 +419,7 @@ impl CrossCheck {
             self.scale.take(long);
         }
         let zero_rad_s =
-            self.coefficients.weight * self.zero_within_rad * LONG as f64 * CONTROL_PERIOD_S;
+            self.coefficients.weight * self.zero_error_rad() * LONG as f64 * CONTROL_PERIOD_S;
         let contradicts = |change: &Option<Change>, least_rad_s: f64| {
             change.is_some_and(|change| {
                 // Only sizes are compared, because a wrong sign has a test of its own.
@@ -449,8 +470,18 @@ impl CrossCheck {
         let elapsed_s = at(0).time_s - at(ticks - SHORT).time_s;
         let unknown_rad_s = self.unknown_share * 0.5 * (swung_rad_s.abs() + pulled_rad_s.abs());
         let implied_rad_s = (swung_rad_s + pulled_rad_s).abs();
-        let zero_rad_s = self.coefficients.weight * self.zero_within_rad * elapsed_s;
+        let zero_rad_s = self.coefficients.weight * self.zero_error_rad() * elapsed_s;
         implied_rad_s > DRIFT_RAD_S + zero_rad_s + unknown_rad_s
+    }
+
+    /// Largest error of the pendulum's zero where the arm is now, rad. A base tilted by t moves the
+    /// zero by up to t for each radian of the arm, and by 2 t at most.
+    fn zero_error_rad(&self) -> f64 {
+        let moved_rad = match (self.first_theta, &self.previous) {
+            (Some(first), Some(now)) => (now.theta - first).abs().min(2.0),
+            _ => 0.0,
+        };
+        self.tilt_rad.mul_add(moved_rad, self.zero_within_rad)
     }
 
     fn push(&mut self, elapsed_s: f64, theta: f64, alpha: f64, previous: &Previous) {

@@ -50,6 +50,13 @@ mod tests {
     fn only_a_failure_that_waiting_does_not_cure_is_a_loss() {
         let lost = [LinkFault::Gone, LinkFault::Restarted, LinkFault::QubeOff];
         assert_eq!(lost.map(DeviceLoss::of), DeviceLoss::ALL.map(Some));
-        assert_eq!(DeviceLoss::of(LinkFault::Timeout), None);
+        let passing = [
+            LinkFault::Timeout,
+            LinkFault::Full,
+            LinkFault::NotArmed,
+            LinkFault::WatchdogTripped,
+            LinkFault::StaleSample,
+        ];
+        assert_eq!(passing.map(DeviceLoss::of), [None; 5]);
     }
 }

@@ -1,7 +1,7 @@
 use std::time::Duration;
 
 use super::count_drift::CountDrift;
-use super::cross_check::{CrossCheck, FrozenEncoder, RIG_SHARE, WHOLE_DOMAIN_SHARE};
+use super::cross_check::{CrossCheck, FrozenEncoder, RIG_SHARE, TILT_RAD, WHOLE_DOMAIN_SHARE};
 use super::dead_motor::DeadMotor;
 use super::momentum_watch::MomentumWatch;
 use super::push::{ArmInput, Push, PushLimits};
@@ -165,10 +165,11 @@ impl SensorWatch {
     }
 
     /// Starts the cross-check of the encoders with the zeros of `calibration`; the pendulum's zero
-    /// is known within `zero_within_rad`, rad.
+    /// is known within `zero_within_rad`, rad, where the arm is now. The base may be tilted by up
+    /// to [`TILT_RAD`].
     pub fn start_cross_check(&mut self, calibration: Calibration, zero_within_rad: f64) {
         let cross_check = CrossCheck::with_zero_within(&self.plant, zero_within_rad, RIG_SHARE);
-        self.cross_check = Some((calibration, cross_check));
+        self.cross_check = Some((calibration, cross_check.on_a_base_tilted_by(TILT_RAD)));
     }
 
     /// Widens the thresholds of the cross-check for a policy's motion: no healthy Qube of the whole

@@ -6,10 +6,10 @@ use std::sync::atomic::AtomicBool;
 
 use qube_hil::clock::VirtualClock;
 use qube_hil::control::{Homing, HomingSettings, Tick, drive};
-use qube_hil::device::emulator::EmulatorSettings;
+use qube_hil::device::emulator::{Effects, EmulatorSettings};
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
-use qube_hil::qube::State;
+use qube_hil::qube::{Profile, State};
 use qube_hil::safety::Limit;
 use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, TickSettings};
@@ -32,14 +32,24 @@ impl Controller for Untrained {
 
 /// Homes a Qube of this seed and runs one rollout on it.
 fn rollout(seed: u64, controller: impl Controller) -> Ending {
+    rollout_on(EmulatorSettings { seed, ..EmulatorSettings::default() }, controller)
+}
+
+/// Homes this Qube and runs one rollout on it.
+fn rollout_on(settings: EmulatorSettings, controller: impl Controller) -> Ending {
     let clock = VirtualClock::default();
-    let settings = EmulatorSettings { seed, ..EmulatorSettings::default() };
+    let seed = settings.seed;
     let mut device = SerialLink::in_process(settings, clock.clone());
     device.hello().expect("an emulated Qube answers");
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
     let homed = drive(&mut device, &clock, &mut homing, None, &stop).expect("it arms");
-    assert_eq!(homed.outcome.ending, Ending::Completed, "homing, seed {seed}");
+    assert_eq!(
+        homed.outcome.ending,
+        Ending::Completed,
+        "homing, seed {seed}, {:?}",
+        settings.effects
+    );
     let settings = TickSettings {
         calibration: homing.calibration().expect("it homes"),
         start_theta_rad: 0.1 * (seed as f64).sin(),
@@ -90,4 +100,30 @@ fn a_healthy_qube_raises_no_fault_whatever_its_policy_does() {
 #[ignore = "a minute: scripts/adversary runs it"]
 fn a_thousand_rollouts_on_healthy_qubes_raise_no_fault() {
     no_fault(0..1000);
+}
+
+/// Effects that the program's equations omit are no fault of a sensor or of the motor, up to these
+/// sizes, while a Qube is homed and swings up.
+#[test]
+fn effects_beyond_the_equations_raise_no_fault() {
+    let robust = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
+    let robust = Policy::load(&robust).expect("the shipped policy");
+    let model = Profile::lab().model();
+    let none = Effects::NONE;
+    let each = [
+        Effects { tilt_rad: 0.02, ..none },
+        Effects { ripple: 0.2, ..none },
+        Effects { pendulum_friction_n_m: 5e-5, ..none },
+        Effects { cubic_n_m_rad3: 1e-4, ..none },
+        Effects { presliding_rad: 0.03, stribeck: 0.5, ..none },
+        Effects { hysteresis_n_m: 5e-4, slack: 1.0, ..none },
+        Effects { warming_per_w: 0.3, eccentricity_rad: 0.02, ..none },
+    ];
+    for effects in each {
+        for seed in 1000..1004 {
+            let settings = EmulatorSettings { model, effects, seed, ..EmulatorSettings::default() };
+            let ending = rollout_on(settings, robust.clone());
+            assert!(!matches!(ending, Ending::Fault(_)), "seed {seed}, {effects:?}: {ending:?}");
+        }
+    }
 }

@@ -33,9 +33,8 @@ fn expected(case: Case) -> Shortfalls {
     match case {
         Case::ThetaFrozen | Case::ThetaDead => Shortfalls { misnamed: 1, damped_long: 2, ..none },
         Case::ThetaLapse => Shortfalls { misnamed: 5, false_results: 4, damped_long: 2, ..none },
-        Case::AlphaFrozen | Case::AlphaJump | Case::ArmHeldLater => {
-            Shortfalls { misnamed: 2, ..none }
-        }
+        Case::AlphaFrozen => Shortfalls { misnamed: 1, ..none },
+        Case::AlphaJump | Case::ArmHeldLater => Shortfalls { misnamed: 2, ..none },
         Case::AlphaLapse => Shortfalls { misnamed: 6, ..none },
         // Nothing brakes an arm whose motor is dead.
         Case::MotorDeadLater => Shortfalls { contact_rad_s: 4.6, ..none },
