@@ -197,7 +197,7 @@ impl<T: Scalar> NonidealDynamics<T> {
 
     /// The part of a voltage that is left after the dead zone and drives the motor, V.
     #[inline(always)]
-    pub(crate) fn effective_voltage(&self, voltage_v: T) -> T {
+    fn effective_voltage(&self, voltage_v: T) -> T {
         let zero = T::from_f64(0.0);
         let above = voltage_v - self.positive_dead_zone;
         let below = voltage_v + self.negative_dead_zone;

@@ -5,7 +5,7 @@ use libm::{exp, sin, sincos};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::qube::{DomainParameters, Dynamics, NonidealDynamics, State};
+use crate::qube::{DomainParameters, NonidealDynamics, State};
 
 /// Velocity at which Stribeck's additional friction has fallen to 1/e, rad/s.
 const STRIBECK_VELOCITY_RAD_S: f64 = 0.3;
@@ -63,8 +63,9 @@ pub struct Effects {
     /// Largest angle error of an arm encoder that is mounted off its centre, rad.
     #[serde(skip_serializing_if = "is_zero")]
     pub eccentricity_rad: f64,
-    /// Angle between the arm's axis and the vertical, rad: the base is not level, and gravity acts
-    /// on the arm, too.
+    /// Angle between the arm's axis and the vertical, rad: the base is not level, so that the
+    /// pendulum's weight turns the arm, and the pendulum hangs at an angle that depends on the
+    /// arm's.
     #[serde(skip_serializing_if = "is_zero")]
     pub tilt_rad: f64,
     /// Largest deviation of the motor's torque from its mean over a turn, as a fraction of it.
@@ -154,19 +155,20 @@ pub(super) struct ActingEffects {
     slow_loss_w: f64,
     /// The arm's friction without the back-EMF, N m s/rad.
     rotary_damping_n_m_s: f64,
-    /// Largest torque of gravity on a horizontal axis of the arm, N m: of the arm, whose mass
-    /// counts as concentrated in its middle, and of the pendulum at its end.
+    /// Torque of the pendulum's weight, at the arm's end, about a horizontal axis through the
+    /// arm's other end, N m. The arm itself is balanced, as its inertia in the equations says.
     arm_gravity_n_m: f64,
 }
 
 impl ActingEffects {
     /// The effects of a cold plant at rest; `None` if all are switched off.
     pub fn new(effects: Effects, parameters: &DomainParameters) -> Option<Self> {
-        let arm_mass_kg = 0.5 * parameters.rotary_mass_kg + parameters.pendulum_mass_kg;
         (effects != Effects::NONE).then_some(Self {
             effects,
             rotary_damping_n_m_s: parameters.rotary_damping_n_m_s,
-            arm_gravity_n_m: arm_mass_kg * parameters.rotary_length_m * parameters.gravity_m_s2,
+            arm_gravity_n_m: parameters.pendulum_mass_kg
+                * parameters.rotary_length_m
+                * parameters.gravity_m_s2,
             friction_strain: 0.0,
             cable_strain: 0.0,
             slow_loss_w: 0.0,
@@ -185,28 +187,31 @@ impl ActingEffects {
         theta + self.effects.eccentricity_rad * sin(theta - ECCENTRIC_ZERO_RAD)
     }
 
-    /// The plant's equations without the terms that these effects replace.
-    pub fn equations(&self, dynamics: &NonidealDynamics) -> NonidealDynamics {
-        let coulomb_torque =
-            if self.effects.presliding_rad > 0.0 { 0.0 } else { dynamics.coulomb_torque };
-        NonidealDynamics { coulomb_torque, ..*dynamics }
+    /// The motor's torque at an angle of the arm as a multiple of its mean over a turn.
+    pub fn torque_factor(&self, theta: f64) -> f64 {
+        self.effects.ripple.mul_add(sin(RIPPLES_PER_TURN * theta), 1.0)
     }
 
-    /// The state after the torques of the effects have acted for `step_s`, s, with `voltage_v` at
-    /// the motor.
-    pub fn push(
-        &mut self,
-        dynamics: &NonidealDynamics,
-        state: State,
-        voltage_v: f64,
-        step_s: f64,
-    ) -> State {
-        let [arm_n_m, pendulum_n_m] = self.gravity_n_m(dynamics, &state);
-        let arm_n_m = arm_n_m
-            + self.arm_n_m(dynamics, &state, step_s)
-            + self.ripple_n_m(dynamics, &state, voltage_v);
+    /// The plant's equations at an angle of the arm, with the motor's torque there and without the
+    /// terms that these effects replace.
+    pub fn equations(&self, dynamics: &NonidealDynamics, theta: f64) -> NonidealDynamics {
+        let coulomb_torque =
+            if self.effects.presliding_rad > 0.0 { 0.0 } else { dynamics.coulomb_torque };
+        let mut ideal = dynamics.ideal;
+        if self.effects.ripple > 0.0 {
+            let factor = self.torque_factor(theta);
+            let back_emf_damping = ideal.arm_damping - self.rotary_damping_n_m_s;
+            ideal.torque_per_volt *= factor;
+            ideal.arm_damping = self.rotary_damping_n_m_s + factor * back_emf_damping;
+        }
+        NonidealDynamics { ideal, coulomb_torque, ..*dynamics }
+    }
+
+    /// The state after the torques of the effects have acted for `step_s`, s.
+    pub fn push(&mut self, dynamics: &NonidealDynamics, state: State, step_s: f64) -> State {
+        let [of_weight_n_m, pendulum_n_m] = self.gravity_n_m(dynamics, &state);
+        let arm_n_m = of_weight_n_m + self.arm_n_m(dynamics, &state, step_s);
         let pendulum_n_m = pendulum_n_m - self.pendulum_friction_n_m(&state);
-        // The torques are small, so an Euler step suffices.
         let added = dynamics.ideal.acceleration_by(state.alpha, [arm_n_m, pendulum_n_m]);
         State {
             theta_dot: state.theta_dot + step_s * added.theta,
@@ -224,15 +229,6 @@ impl ActingEffects {
         let arm = self.arm_gravity_n_m * across - pendulum_n_m * sin_alpha * along;
         let pendulum = sin_tilt * cos_alpha * across + (1.0 - cos_tilt) * sin_alpha;
         [sin_tilt * arm, pendulum_n_m * pendulum]
-    }
-
-    /// The torque by which the motor's ripple adds to its mean torque, N m.
-    fn ripple_n_m(&self, dynamics: &NonidealDynamics, state: &State, voltage_v: f64) -> f64 {
-        let Dynamics { torque_per_volt, arm_damping, .. } = dynamics.ideal;
-        let back_emf_damping = arm_damping - self.rotary_damping_n_m_s;
-        let driven_v = dynamics.effective_voltage(voltage_v);
-        let motor_n_m = torque_per_volt * driven_v - back_emf_damping * state.theta_dot;
-        self.effects.ripple * sin(RIPPLES_PER_TURN * state.theta) * motor_n_m
     }
 
     /// The dry friction of the pendulum's bearing, N m.
@@ -259,7 +255,7 @@ impl ActingEffects {
         self.cable_strain = strained(self.cable_strain, velocity / CABLE_YIELD_RAD, 1.0, step_s);
         let bent = state.theta - dynamics.cable_rest;
         let lacking = slack * dynamics.cable_stiffness * bent.min(0.0);
-        let stiffening = self.effects.cubic_n_m_rad3 * bent.powi(3);
+        let stiffening = self.effects.cubic_n_m_rad3 * bent * bent * bent;
         lacking - friction - hysteresis_n_m * self.cable_strain - stiffening
     }
 }
@@ -350,7 +346,7 @@ mod tests {
         let acting =
             ActingEffects::new(Effects { tilt_rad, ..Effects::NONE }, &parameters).unwrap();
         let dynamics = NonidealDynamics::new(&QubeModel::NOMINAL);
-        // The energy that a tilt adds, J, from the places of both masses.
+        // The energy that a tilt adds, J, from the place of the pendulum's centre.
         let energy = |theta: f64, alpha: f64| {
             let (arm_m, half_m) = (parameters.rotary_length_m, 0.5 * parameters.pendulum_length_m);
             let outward = [theta.cos(), theta.sin(), 0.0];
@@ -365,11 +361,7 @@ mod tests {
                 arm_m * outward[axis]
                     + half_m * (alpha.sin() * sideward[axis] - alpha.cos() * up[axis])
             });
-            let arm = outward.map(|part| 0.5 * arm_m * part);
-            let masses =
-                [(parameters.pendulum_mass_kg, pendulum), (parameters.rotary_mass_kg, arm)];
-            let lifted: f64 = masses.iter().map(|(kg, place)| kg * along(*place)).sum();
-            -parameters.gravity_m_s2 * lifted
+            -parameters.gravity_m_s2 * parameters.pendulum_mass_kg * along(pendulum)
         };
         let step = 1e-5;
         for number in 0..50 {
@@ -391,7 +383,8 @@ mod tests {
         let settings = EmulatorSettings { effects, start: Some(start), ..Default::default() };
         let mut plant = EmulatedPlant::new(&settings);
         plant.advance_to(3_000_000);
-        let gravity_n_m = Dynamics::<f64>::new(&DomainParameters::NOMINAL).gravity_torque;
+        let dynamics: NonidealDynamics = NonidealDynamics::new(&QubeModel::NOMINAL);
+        let gravity_n_m = dynamics.ideal.gravity_torque;
         let held = |state: State| state.alpha_dot.abs() < 0.02 && state.alpha.abs() > 0.002;
         assert!(held(plant.state()), "{:?}", plant.state());
         assert!(plant.state().alpha.abs() < 5e-4 / gravity_n_m, "{:?}", plant.state());
@@ -399,23 +392,23 @@ mod tests {
 
     #[test]
     fn a_motor_with_ripple_has_its_mean_torque_over_a_turn() {
-        let acting = ActingEffects::new(
-            Effects { ripple: 0.3, ..Effects::NONE },
-            &DomainParameters::NOMINAL,
-        )
-        .unwrap();
+        let effects = Effects { ripple: 0.3, ..Effects::NONE };
+        let acting = ActingEffects::new(effects, &DomainParameters::NOMINAL).unwrap();
         let dynamics = NonidealDynamics::new(&QubeModel::NOMINAL);
-        let torques: Vec<f64> = (0..360)
-            .map(|degrees| {
-                let theta = f64::from(degrees).to_radians();
-                acting.ripple_n_m(&dynamics, &State { theta, ..State::default() }, 2.0)
-            })
-            .collect();
-        let mean = torques.iter().sum::<f64>() / 360.0;
-        let most = torques.iter().copied().fold(0.0, f64::max);
-        assert!(mean.abs() < 1e-12, "{mean}");
-        let expected = 0.3 * 2.0 * dynamics.ideal.torque_per_volt;
-        assert!((most - expected).abs() < 0.01 * expected, "{most} and {expected}");
+        let of = |theta: f64| acting.equations(&dynamics, theta).ideal;
+        let angles = || (0..360).map(|degrees| f64::from(degrees).to_radians());
+        let per_volt: Vec<f64> = angles().map(|theta| of(theta).torque_per_volt).collect();
+        let mean = per_volt.iter().sum::<f64>() / 360.0;
+        assert!((mean / dynamics.ideal.torque_per_volt - 1.0).abs() < 1e-12, "{mean}");
+        let most = per_volt.iter().copied().fold(0.0, f64::max);
+        assert!((most / mean - 1.3).abs() < 0.01, "{most} and {mean}");
+        // Torque and back EMF have one constant, so that a motor that is turned brakes everywhere.
+        let friction = DomainParameters::NOMINAL.rotary_damping_n_m_s;
+        let whole = (dynamics.ideal.arm_damping - friction) / dynamics.ideal.torque_per_volt;
+        for theta in angles() {
+            let here = (of(theta).arm_damping - friction) / of(theta).torque_per_volt;
+            assert!((here / whole - 1.0).abs() < 1e-9, "{here} and {whole}");
+        }
     }
 
     #[test]

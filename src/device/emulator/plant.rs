@@ -166,23 +166,22 @@ impl EmulatedPlant {
                 self.model.nonidealities.cable_rest_after(self.time_us as f64 * 1e-6);
             let before = self.state;
             let step_s = step_us as f64 * 1e-6;
-            let push_v = self.fault_progress.driven_v(self.voltage_v)
-                + self.fault_progress.push_equivalent_v();
             self.warm(step_s);
-            let equations = match &self.effects {
-                None => self.dynamics,
-                Some(effects) => effects.equations(&self.dynamics),
+            self.push_by_effects(0.5 * step_s);
+            let (equations, torque_factor) = match &self.effects {
+                None => (self.dynamics, 1.0),
+                Some(effects) => (
+                    effects.equations(&self.dynamics, before.theta),
+                    effects.torque_factor(before.theta),
+                ),
             };
+            let push_v = self.fault_progress.driven_v(self.voltage_v)
+                + self.fault_progress.push_equivalent_v() / torque_factor;
             self.state = match &mut self.play {
-                None => runge_kutta_4(&equations, before, push_v, step_s),
-                Some(play) => play.step(&equations, before, push_v, step_s),
+                None => runge_kutta_4(&equations, self.state, push_v, step_s),
+                Some(play) => play.step(&equations, self.state, push_v, step_s),
             };
-            if let Some(effects) = &mut self.effects {
-                self.state = effects.push(&self.dynamics, self.state, push_v, step_s);
-                if let Some(play) = &mut self.play {
-                    play.follow(&self.state);
-                }
-            }
+            self.push_by_effects(0.5 * step_s);
             self.time_us += step_us;
             if self.fault_progress.holds_pendulum() {
                 self.state = self.dynamics.ideal.with_pendulum_stopped(self.state, before.alpha);
@@ -198,6 +197,16 @@ impl EmulatedPlant {
             }
         }
         self.advance_fault();
+    }
+
+    /// Lets the torques of the effects act for `step_s`, s. Half of each step before the motion and
+    /// half after it leave no shift in time.
+    fn push_by_effects(&mut self, step_s: f64) {
+        let Some(effects) = &mut self.effects else { return };
+        self.state = effects.push(&self.dynamics, self.state, step_s);
+        if let Some(play) = &mut self.play {
+            play.follow(&self.state);
+        }
     }
 
     /// The current through the motor, (V - k_m theta') / R_m, A. The push of a hand counts as a
