@@ -26,6 +26,8 @@ type Task = Box<dyn FnOnce(&mut DeviceOwner) + Send>;
 /// between the amplifier is off.
 pub struct ControlThread {
     tasks: Option<Sender<Task>>,
+    /// Channel without messages, which disconnects once the device is dropped.
+    ended: Receiver<()>,
     handle: Option<JoinHandle<()>>,
     realtime: RealtimeRefusals,
     is_hardware: AtomicBool,
@@ -55,6 +57,7 @@ impl ControlThread {
     ) -> std::io::Result<Self> {
         let (tasks, inbox) = bounded::<Task>(1);
         let (ready, readiness) = bounded(1);
+        let (alive, ended) = bounded(0);
         let latched = Arc::new(LatchedFault::default());
         let shown = Arc::clone(&latched);
         let handle = std::thread::Builder::new().name("control".into()).spawn(move || {
@@ -63,6 +66,8 @@ impl ControlThread {
                 Scheduling::Ordinary => RealtimeRefusals::default(),
             };
             let _ = ready.send(report);
+            // Dropped after the device, also if a task panics.
+            let _alive = alive;
             let mut owner = DeviceOwner::new(device, clock, stop, shown);
             for task in inbox {
                 task(&mut owner);
@@ -71,6 +76,7 @@ impl ControlThread {
         let realtime = readiness.recv().unwrap_or_default();
         Ok(Self {
             tasks: Some(tasks),
+            ended,
             handle: Some(handle),
             realtime,
             is_hardware: AtomicBool::new(true),
@@ -144,7 +150,7 @@ impl ControlThread {
         loop {
             match result.recv_timeout(LATCHED_FAULT_POLL) {
                 Ok(finished) => return finished,
-                Err(RecvTimeoutError::Disconnected) => return Err(ThreadGone.into()),
+                Err(RecvTimeoutError::Disconnected) => return Err(self.gone().into()),
                 Err(RecvTimeoutError::Timeout) => {}
             }
             if let Some(fault) = self.latched.get().filter(|_| !is_told) {
@@ -201,7 +207,14 @@ impl ControlThread {
         &self,
         task: impl FnOnce(&mut DeviceOwner) -> R + Send + 'static,
     ) -> Result<R, ThreadGone> {
-        self.begin(task)?.recv().map_err(|_| ThreadGone)
+        self.begin(task)?.recv().map_err(|_| self.gone())
+    }
+
+    /// The error of a thread that ends, once it has dropped the device, which switches the motor
+    /// off.
+    fn gone(&self) -> ThreadGone {
+        let _ = self.ended.recv();
+        ThreadGone
     }
 
     /// Hands a task to the thread, and returns the channel of its result.
@@ -211,10 +224,10 @@ impl ControlThread {
     ) -> Result<Receiver<R>, ThreadGone> {
         let (results, result) = bounded(1);
         let task: Task = Box::new(move |owner| {
-            // The channel has room for the one result, and nobody need wait for it.
+            // The channel has room for the one result; the caller waits for it.
             let _ = results.send(task(owner));
         });
-        self.tasks.as_ref().ok_or(ThreadGone)?.send(task).map_err(|_| ThreadGone)?;
+        self.tasks.as_ref().ok_or(ThreadGone)?.send(task).map_err(|_| self.gone())?;
         Ok(result)
     }
 }
@@ -309,6 +322,26 @@ mod tests {
         let (_, homed) = thread.home(HomingSettings::default()).unwrap();
         assert!(homed.rig.is_some());
         assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
+    }
+
+    #[test]
+    fn a_thread_that_panics_is_gone_once_its_device_is_dropped() {
+        let mut device = PlantDevice::new(State::default());
+        let in_use = Arc::new(());
+        let of_device = Arc::clone(&in_use);
+        device.disturbance = Box::new(move |_| {
+            let _ = &of_device;
+            None
+        });
+        let clock: Arc<dyn Clock> = Arc::new(device.clock.clone());
+        let thread =
+            ControlThread::spawn(Box::new(device), clock, Scheduling::Ordinary, Arc::default())
+                .unwrap();
+        thread.hello().unwrap();
+        let lent: Result<(), _> = thread.lend(|_, _, _, _| panic!("a defect of a task"));
+        assert!(matches!(lent, Err(ControlError::ThreadGone(_))), "{lent:?}");
+        assert_eq!(Arc::strong_count(&in_use), 1);
+        assert!(thread.hello().is_err());
     }
 
     #[test]
