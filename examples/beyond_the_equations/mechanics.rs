@@ -71,21 +71,15 @@ impl Mechanics {
         self.given_way_rad
     }
 
-    /// Integrates arm and pendulum by the leapfrog method, under which a stiff contact gains no
-    /// energy. The angles move in two half steps, because the motion would be half a step early if
-    /// they moved once after the velocities: as much as the standard error of a delay.
+    /// Integrates arm and pendulum by the semi-implicit Euler method, under which a stiff contact
+    /// gains no energy.
     pub fn turn(&mut self, torque_n_m: f64, step_s: f64) {
-        self.drift(0.5 * step_s);
         let ideal = &self.dynamics.ideal;
         let acceleration = ideal.acceleration(&self.state, torque_n_m / ideal.torque_per_volt);
         self.state.theta_dot += step_s * acceleration.theta;
         self.state.alpha_dot += step_s * acceleration.alpha;
-        self.drift(0.5 * step_s);
-    }
-
-    fn drift(&mut self, time_s: f64) {
-        self.state.theta += time_s * self.state.theta_dot;
-        self.state.alpha += time_s * self.state.alpha_dot;
+        self.state.theta += step_s * self.state.theta_dot;
+        self.state.alpha += step_s * self.state.alpha_dot;
     }
 
     /// The motor's torque without the back-EMF, which the arm's equation contains, N m.

@@ -88,16 +88,16 @@ fn outside(seed: u64, rng: &mut ChaCha8Rng) -> Beyond {
     }
 }
 
-/// The effect for this seed for which the verdict does not look, with half to all of a size that
-/// moves a Qube about as much as those of [`outside`].
+/// The effect of another form that this seed gets, with half to all of a size that moves a Qube
+/// about as much as those of [`outside`].
 fn of_another_form(seed: u64, rng: &mut ChaCha8Rng) -> Beyond {
     let size = 0.5 + 0.5 * rng.random::<f64>();
     let none = Effects::NONE;
     match seed % 4 {
-        0 => Beyond::OtherForm("tilt", Effects { tilt_rad: 0.03 * size, ..none }),
+        0 => Beyond::OtherForm("tilt", Effects { tilt_rad: 0.02 * size, ..none }),
         1 => Beyond::OtherForm("ripple", Effects { ripple: 0.2 * size, ..none }),
-        2 => Beyond::OtherForm("bearing", Effects { pendulum_friction_n_m: 2e-4 * size, ..none }),
-        _ => Beyond::OtherForm("stiffening", Effects { cubic_n_m_rad3: 5e-4 * size, ..none }),
+        2 => Beyond::OtherForm("bearing", Effects { pendulum_friction_n_m: 1e-4 * size, ..none }),
+        _ => Beyond::OtherForm("stiffening", Effects { cubic_n_m_rad3: 1e-4 * size, ..none }),
     }
 }
 

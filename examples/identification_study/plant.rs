@@ -59,6 +59,11 @@ impl Beyond {
 /// Number of integration steps in a control period.
 pub const STEPS: u32 = 400;
 
+/// Length of an integration step, s.
+fn step_s() -> f64 {
+    CONTROL_PERIOD_S / f64::from(STEPS)
+}
+
 /// A Qube with its command delay and at most one effect outside the model class.
 pub enum Plant {
     /// A Qube that this file simulates.
@@ -133,20 +138,24 @@ impl SimulatedPlant {
 
     fn measured(&self) -> State {
         let state = self.mechanics.state;
+        // The semi-implicit Euler method moves the angles half a step early, which would be as much
+        // as the standard error of a delay.
+        let early_s = 0.5 * step_s();
+        let arm_rad = state.theta - early_s * state.theta_dot;
         let theta = match self.beyond {
-            Beyond::Play(_) => self.mechanics.motor_rad(),
-            Beyond::Eccentric(amplitude_rad) => {
-                state.theta + amplitude_rad * (state.theta + 0.7).sin()
-            }
-            _ => state.theta,
+            // The contact takes the motor along, so that it has the arm's velocity most of the time.
+            Beyond::Play(_) => self.mechanics.motor_rad() - early_s * state.theta_dot,
+            Beyond::Eccentric(amplitude_rad) => arm_rad + amplitude_rad * (arm_rad + 0.7).sin(),
+            _ => arm_rad,
         };
-        State { theta: quantised(theta), alpha: quantised(state.alpha), ..state }
+        let alpha = state.alpha - early_s * state.alpha_dot;
+        State { theta: quantised(theta), alpha: quantised(alpha), ..state }
     }
 
     fn advance(&mut self, command_v: f64) {
         self.commands_v.push_front(command_v);
         self.commands_v.truncate(8);
-        let step_s = CONTROL_PERIOD_S / f64::from(STEPS);
+        let step_s = step_s();
         if let Beyond::Warming(share) = self.beyond {
             let mut warm = self.model;
             warm.parameters.motor_resistance_ohm *= 1.0 + share * self.time_s / 10.0;
