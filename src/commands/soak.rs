@@ -202,7 +202,7 @@ impl Soaked {
                 ..RolloutPlan::single("soak", &arguments.policy.to_string_lossy())
             };
             match rig.rollout(&MachineDisk, &path, plan.header(), policy) {
-                Ok(_) => not_begun.begun(),
+                Ok(_) => not_begun.reset(),
                 Err(error) if not_begun.may_repeat(&error) => {
                     rig.start_again().map_err(failed)?;
                     continue;

@@ -36,15 +36,15 @@ impl DeadMotor {
     }
 
     /// This watch by the rules before
-    /// [`TickRules::AlternatingAllowed`](crate::telemetry::TickRules::AlternatingAllowed): a current
-    /// between two driven samples is not seen.
+    /// [`TickRules::AlternatingAllowed`](crate::telemetry::TickRules::AlternatingAllowed): a
+    /// current between two driven samples is not seen.
     pub(super) fn by_earlier_rules(self) -> Self {
         Self { looks_when_driven: true, ..self }
     }
 
     /// Takes a sample; returns whether a motor that has drawn current earlier draws none under
-    /// voltage. Under a voltage that alternates between two samples, the current may appear when the
-    /// voltage seems to be low.
+    /// voltage. Under a voltage that alternates between two samples, the current may appear when
+    /// the voltage seems to be low.
     pub(super) fn takes_no_current(&mut self, sample: &Measurement) -> bool {
         let is_driven = sample.applied_mv.saturating_abs() >= DRIVEN_MV;
         if !is_driven && self.looks_when_driven {

@@ -339,8 +339,8 @@ mod tests {
         (3991.4, -0.0337, -0.50, -5.0),
     ];
 
-    /// Whether the watch calls the arm's count frozen in these samples; `sent_v` changes the voltages
-    /// that were sent.
+    /// Whether the watch calls the arm's count frozen in these samples; `sent_v` changes the
+    /// voltages that were sent.
     fn is_called_frozen(mut watch: MomentumWatch, sent_v: impl Fn(f64) -> f64) -> bool {
         let mut voltage_v = 5.0;
         ALTERNATES.into_iter().any(|(ms, alpha, current_a, next_v)| {

@@ -292,8 +292,8 @@ mod tests {
 
     #[test]
     fn an_arm_that_turns_round_is_not_at_rest() {
-        // Swings about the angle of the cable's rest twice in 6 s, by 0.08 rad to either side. The first
-        // sample is one second before a turning point.
+        // Swings about the angle of the cable's rest twice in 6 s, by 0.08 rad to either side. The
+        // first sample is one second before a turning point.
         let swing = |tick: u64| (26.0 * (2.1 * 0.01 * (tick as f64 - 100.0)).cos()) as i32;
         let mut watch = RestWatch::new(Encoders::QUBE);
         for tick in 0..600 {

@@ -283,8 +283,8 @@ impl<C: Controller> Tick<C> {
             && matches!(self.reason, Ending::LeftBox(_))
     }
 
-    /// Whether an overheated motor is a limit that the policy leaves, or because of which the arm is
-    /// being braked already. While settling it is a fault.
+    /// Whether an overheated motor is a limit that the policy leaves, or because of which the arm
+    /// is being braked already. While settling it is a fault.
     fn is_limited_by_motor(&self) -> bool {
         self.settings.rules >= TickRules::SlownessTested
             && (self.phase == Phase::Running

@@ -74,8 +74,8 @@ fn state_of(
     repetitions: u32,
 ) -> Result<RecordedState, ExperimentError> {
     for attempt in 0..=repetitions {
-        let its = RolloutAttempt { rollout, attempt };
-        let path = recording_in(rollouts, its);
+        let number = RolloutAttempt { rollout, attempt };
+        let path = recording_in(rollouts, number);
         let recorded = match read(&path) {
             Ok(recorded) => recorded,
             Err(RecordingError::Unreadable { .. }) => return Ok(RecordedState::Due { attempt }),
@@ -83,7 +83,7 @@ fn state_of(
             Err(error) => return Err(error.into()),
         };
         // A file in the wrong place would count a rollout twice, or for another policy.
-        check_origin(&recorded, &path, None, its)?;
+        check_origin(&recorded, &path, None, number)?;
         check_policy(&recorded, &MachineDisk, &policy_beside(rollouts))?;
         match (score_recording(&recorded), Behaviour::of(&recorded)) {
             (Verdict::Result { return_, .. }, Some(behaviour)) => {

@@ -43,7 +43,7 @@ pub(super) struct PolicySeries<'a> {
 pub(super) struct Ran {
     /// Results of the rollouts, in order.
     pub results: Vec<RolloutResult>,
-    /// Whether one of the rollouts was recorded now, or all were on disk.
+    /// Whether any of the work was done now, or all was on disk.
     pub made: Made,
 }
 
@@ -200,11 +200,11 @@ impl PolicySeries<'_> {
                     opened.start_again()?;
                 }
                 Ok(Ending::Fault(_)) => {
-                    not_begun.begun();
+                    not_begun.reset();
                     opened.start_again()?;
                 }
                 Ok(_) => {
-                    not_begun.begun();
+                    not_begun.reset();
                     opened.check_off()?;
                 }
                 Err(error) => {

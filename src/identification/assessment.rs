@@ -79,8 +79,8 @@ pub enum MissingEffect {
     Reversals,
     /// The motor changes in the course of each recording, as when it warms.
     Warming,
-    /// The arm's measured angle has an error that is periodic in the angle, or the arm a torque, as
-    /// on a base that is not level.
+    /// The arm's measured angle has an error, or the arm feels a torque, that is periodic in the
+    /// arm's angle.
     Angle,
     /// The arm's damping depends on its direction, or seems to, as with a cable that stiffens.
     Direction,

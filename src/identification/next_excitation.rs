@@ -161,8 +161,8 @@ mod tests {
         identify(logs, &unknowns, &QubeModel::NOMINAL).unwrap()
     }
 
-    /// Half the logarithm of the determinant of the estimates' covariance, in units of the values or
-    /// of one SI unit: their entropy up to a constant.
+    /// Half the logarithm of the determinant of the estimates' covariance, in units of the values
+    /// or of one SI unit: their entropy up to a constant.
     fn entropy_nats(found: &Identified) -> f64 {
         let error = |index: usize| {
             let it = &found.estimates[index];
@@ -210,8 +210,8 @@ mod tests {
             let after = found_in(&[first.clone(), second]);
             let told = entropy_nats(&before) - entropy_nats(&after);
             println!("{shape:?} of {voltage_v} V: {information_nats} nats expected, {told} told");
-            // The second recording changes the estimate of the noise too. Neither a logarithm to the
-            // base 2 nor a missing factor of one half is within these limits.
+            // The second recording changes the estimate of the noise too. Neither a logarithm to
+            // the base 2 nor a missing factor of one half is within these limits.
             let ratio = told / information_nats;
             assert!((0.65..1.6).contains(&ratio), "{expected:?}, and {told} nats were told");
         }

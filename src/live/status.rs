@@ -15,8 +15,7 @@ pub struct LiveStatus {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "u32", default)]
     pub candidate: Option<u32>,
-    /// Number of candidates, or of rollouts without candidates. Absent in an experiment and where a
-    /// search may end early.
+    /// Number of candidates, or of rollouts without candidates. Absent in an experiment and where a search may end early.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "u32", default)]
     pub of: Option<u32>,

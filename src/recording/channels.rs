@@ -151,3 +151,19 @@ fn json<'a, T: Serialize>(buffer: &'a mut Vec<u8>, message: &T) -> io::Result<&'
     serde_json::to_writer(&mut *buffer, message)?;
     Ok(buffer)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_description_in_a_schema_is_one_line() {
+        // The doc comments of the messages are part of every recording's bytes: a comment that is
+        // wrapped anew would change them.
+        for channel in Channel::ALL {
+            let ChannelSchema { encoding, data, name, .. } = channel.schema();
+            let is_wrapped = encoding == "jsonschema" && data.windows(2).any(|pair| pair == br"\n");
+            assert!(!is_wrapped, "{name}: {}", String::from_utf8_lossy(&data));
+        }
+    }
+}

@@ -88,8 +88,7 @@ pub(super) struct StateMessage {
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[schemars(title = "qube.Command")]
 pub(super) struct CommandMessage {
-    /// Voltage that the controller requested, V, before any limit; absent while the last one was
-    /// held over.
+    /// Voltage that the controller requested, V, before any limit; absent while the last one was held over.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "f64")]
     wanted_v: Option<f64>,

@@ -22,7 +22,7 @@ impl NotBegun {
     }
 
     /// Starts the count anew after a rollout that began.
-    pub fn begun(&mut self) {
+    pub fn reset(&mut self) {
         self.in_a_row = 0;
     }
 }
@@ -38,7 +38,7 @@ mod tests {
         let mut not_begun = NotBegun::default();
         let mut may_repeat = || [(); 5].map(|()| not_begun.may_repeat(&moved));
         assert_eq!(may_repeat(), [true, true, true, false, false]);
-        not_begun.begun();
+        not_begun.reset();
         assert!(not_begun.may_repeat(&moved));
     }
 

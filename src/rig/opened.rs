@@ -337,7 +337,8 @@ impl Rig {
                 // The motor may still have its last voltage, so the operator is warned before the
                 // wait begins.
                 Consequence::Reconnect => {
-                    // The operator's step for a motor that may be on was shown when the motion ended.
+                    // The operator's step for a motor that may be on was shown when the motion
+                    // ended.
                     let step = match fault {
                         Fault::OffUnconfirmed => String::new(),
                         fault => format!(" {}", fault.operator_step()),
@@ -389,8 +390,8 @@ impl Rig {
     }
 
     /// Takes over the identity of the same board, which may have restarted since, or its Qube. The
-    /// counters then restart, so the count at which a hand has put the arm is void, and no stop that
-    /// homing would touch could show the error.
+    /// counters then restart, so the count at which a hand has put the arm is void, and no stop
+    /// that homing would touch could show the error.
     fn accept_restart(&mut self, identity: Identity) -> Result<(), RigError> {
         let cause = if identity.boot_id != self.identity.boot_id {
             Some("the board has restarted")
@@ -409,8 +410,8 @@ impl Rig {
         Ok(())
     }
 
-    /// Forgets the count at which a hand has put the arm: after this, homing by hand takes the place
-    /// where the arm then is.
+    /// Forgets the count at which a hand has put the arm: after this, homing by hand takes the
+    /// place where the arm then is.
     pub(super) fn forget_middle(&self) {
         let homing = self.homing.get();
         self.homing.set(HomingSettings { hand_counts: None, ..homing });

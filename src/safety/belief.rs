@@ -424,7 +424,7 @@ fn mirrored(place: &[f64; NUMBERS]) -> [f64; NUMBERS] {
     other
 }
 
-/// The quantity that has a quantity's value in the mirror image, and the sign with which it has it.
+/// The quantity whose place a quantity takes in the mirror image, and the sign of its value there.
 fn mirror_image(quantity: Quantity) -> (Quantity, f64) {
     match quantity {
         Quantity::Nonideality(Nonideality::PositiveDeadZone) => {

@@ -48,16 +48,16 @@ pub enum SessionEvent<'a> {
     },
     /// The recordings of the verification left the profile as it was, for this reason.
     NotUpdated(&'a str),
-    /// The search around the identified Qube ended, because one more candidate was estimated to gain
-    /// too little, or because the largest number of candidates was reached.
+    /// The search around the identified Qube ended, because one more candidate was estimated to
+    /// gain too little, or because the largest number of candidates was reached.
     SearchEnded {
         /// Return that one more candidate was estimated to gain.
         expected_gain: f64,
         /// Source of this estimate.
         source: GainSource,
     },
-    /// The search continues after a verified policy, because one more candidate is estimated to gain
-    /// this return.
+    /// The search continues after a verified policy, because one more candidate is estimated to
+    /// gain this return.
     SearchContinues {
         /// Return that one more candidate is estimated to gain.
         expected_gain: f64,

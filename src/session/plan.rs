@@ -46,8 +46,8 @@ pub enum Step {
         attempt: u32,
     },
     /// Give this rollout up on its rig: faults have ended it more often than `repetitions` allows.
-    /// The session stops or, if other rigs share it, goes on without the rig. A process that resumes
-    /// the stopped session repeats the rollout as often again.
+    /// The session stops or, if other rigs share it, goes on without the rig. A process that
+    /// resumes the stopped session repeats the rollout as often again.
     GiveUp {
         /// Number of the candidate.
         candidate: u32,
@@ -71,8 +71,9 @@ pub fn next_step(
     }
     let missing = |purpose, wanted: u32| state.missing(purpose, wanted);
     let identifies = identifying(state, identification);
-    // All initial points are proposed in one step, so that their policies can be trained at the same
-    // time on all cores. Excitations are proposed one by one: each is chosen by those before it.
+    // All initial points are proposed in one step, so that their policies can be trained at the
+    // same time on all cores. Excitations are proposed one by one: each is chosen by those before
+    // it.
     let together = match identifies {
         Some(_) => None,
         None => missing(Purpose::Initial, extent.initial_candidates),

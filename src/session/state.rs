@@ -21,14 +21,15 @@ pub struct Candidate {
     /// Number of these attempts that were made before the last rig was taken out. They do not count
     /// towards the allowed repetitions.
     pub void_before: u32,
-    /// Number of the searched candidate whose policy it runs again; `None` if it has a policy of its
-    /// own, or if an older program proposed it.
+    /// Number of the searched candidate whose policy it runs again; `None` if it has a policy of
+    /// its own, or if an older program proposed it.
     pub policy_of: Option<u32>,
 }
 
 impl Candidate {
     /// Whether this candidate runs the policy of `other` again, to verify it. A ledger of an older
-    /// program does not name the other candidate, so there it is found by its point, which both share.
+    /// program does not name the other candidate, so there it is found by its point, which both
+    /// share.
     #[must_use]
     pub fn runs_policy_of(&self, other: &Self) -> bool {
         let is_same = match self.policy_of {

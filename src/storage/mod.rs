@@ -2,7 +2,8 @@
 //! that a test can use a disk that fails, stalls, or loses power at a chosen operation.
 //!
 //! A file from an unknown source is read up to a limit only ([`read_bounded`]). Formats of files
-//! that use Protocol Buffers are written by [`ProtobufMessage`]. The room imports nothing.
+//! that use Protocol Buffers are written by [`ProtobufMessage`], and whole files are recognised by
+//! [`checksum_of`] their bytes. The room imports nothing.
 
 mod bounded;
 mod checksum;

@@ -133,11 +133,12 @@ impl Case {
 /// The Qubes of which a start draws one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Qubes {
-    /// Nominal, `lab` and `lab` with 1.5 times its gap; half of them with parameters up to 10 % off.
+    /// Nominal, `lab` and `lab` with 1.5 times its gap; half of them with parameters up to 10 %
+    /// off.
     Near,
-    /// Any Qube: motor, masses and lengths up to 20 % off; damping of the arm 0.3 to 4 times, of the
-    /// pendulum 0.05 to 2 times nominal; friction, cable, dead zones and delay from none to about
-    /// twice those of `lab`.
+    /// Any Qube: motor, masses and lengths up to 20 % off; damping of the arm 0.3 to 4 times, of
+    /// the pendulum 0.05 to 2 times nominal; friction, cable, dead zones and delay from none to
+    /// about twice those of `lab`.
     Far,
 }
 

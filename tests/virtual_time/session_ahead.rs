@@ -186,8 +186,8 @@ fn a_stop_while_the_qube_waits_ends_the_trainings_and_the_session_goes_on_to_the
     let whole = directory.path().join("whole");
     open(&whole, &settings(2), Arc::new(Dawdling::new(2, 1))).run(&mut |_| ()).unwrap();
 
-    // Each run is stopped at its third event after the announcement of the first motion, until a run
-    // reaches the session's end.
+    // Each run is stopped at its third event after the announcement of the first motion, until a
+    // run reaches the session's end.
     let root = directory.path().join("stopped");
     let mut stops = 0;
     loop {

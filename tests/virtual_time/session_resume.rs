@@ -199,7 +199,8 @@ fn a_session_goes_on_with_the_settings_that_it_began_with_and_no_others() {
     let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(0), "{told}");
 
-    // A finished session of an older program, whose ledger has no checksum of the settings, is read.
+    // A finished session of an older program, whose ledger has no checksum of the settings, is
+    // read.
     let ledger = directory.path().join("mine/ledger.jsonl");
     let lines = std::fs::read_to_string(&ledger).unwrap();
     let (first, others) = lines.split_once('\n').unwrap();

@@ -237,7 +237,7 @@ fn wake(counter: &OwnedFd) -> bool {
 }
 
 /// Serves requests and jobs until [`Job::End`] has been served, or no request can be noticed any
-/// more. Either way the amplifier is off and the card closed at the end.
+/// more. At the end it switches the amplifier off, if the card still obeys, and closes the card.
 fn serve(
     mut panel: Panel,
     shared: &Shared,
@@ -291,7 +291,9 @@ fn serve(
             }
         }
     }
-    let _ = panel.off();
+    if let Err(error) = panel.off() {
+        tracing::error!("the amplifier may still be on: {error}");
+    }
     panel.close();
 }
 

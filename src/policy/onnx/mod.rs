@@ -195,9 +195,6 @@ impl From<PolicyFault> for ImportError {
     }
 }
 
-/// Largest corner frequency of a velocity filter in the record of a policy, rad/s.
-const LARGEST_CORNER_RAD_S: f64 = 1e6;
-
 /// Conventions of a network that the file of another program does not contain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ForeignConventions {
@@ -289,15 +286,14 @@ impl Layers {
     pub fn policy(self, conventions: &ForeignConventions) -> Result<NetworkPolicy, ImportError> {
         let ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation } =
             conventions;
-        if !(*corner_rad_s > 0.0 && *corner_rad_s <= LARGEST_CORNER_RAD_S) {
-            return Err(ImportError::Corner { corner_rad_s: *corner_rad_s });
-        }
+        let training = TrainingRecord::imported(*corner_rad_s);
+        training.check().map_err(|_| ImportError::Corner { corner_rad_s: *corner_rad_s })?;
         let clipped = match clip_observation {
             Some(limit) => self.clipped(*limit)?,
             None => self,
         };
         let network = clipped.network(layout, *action_scale_v)?;
-        Ok(NetworkPolicy { network, training: TrainingRecord::imported(*corner_rad_s) })
+        Ok(NetworkPolicy { network, training })
     }
 
     /// Clips each input to +-`limit`, in addition to the bounds that it has.

@@ -2,6 +2,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::Interruption;
 use crate::clock::{Clock, Nanoseconds};
+use crate::control::DeviceLoss;
 use crate::device::{Device, DeviceError, LinkFault};
 use crate::qube::Measurement;
 
@@ -44,14 +45,12 @@ impl ExaminedDevice<'_> {
     /// restarted, after which no sample comes before the next hello.
     pub(super) fn lost(&self, fault: LinkFault) -> Result<(), Interruption> {
         let port = self.port.to_owned();
-        match fault {
-            LinkFault::Restarted => Err(DeviceError::Restarted { port }.into()),
-            LinkFault::Gone | LinkFault::QubeOff => Err(DeviceError::Link { port, fault }.into()),
-            LinkFault::Timeout
-            | LinkFault::Full
-            | LinkFault::NotArmed
-            | LinkFault::WatchdogTripped
-            | LinkFault::StaleSample => Ok(()),
+        match DeviceLoss::of(fault) {
+            None => Ok(()),
+            Some(DeviceLoss::BoardRestarted) => Err(DeviceError::Restarted { port }.into()),
+            Some(DeviceLoss::LinkGone | DeviceLoss::QubeOff) => {
+                Err(DeviceError::Link { port, fault }.into())
+            }
         }
     }
 

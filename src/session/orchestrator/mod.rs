@@ -45,7 +45,8 @@ pub struct Session {
     settings: SessionSettings,
     /// The rigs that make the rollouts: one, or several that share the session.
     rigs: Vec<SessionRig>,
-    /// Verdicts on the recordings read so far, and their quietness, by candidate, rollout and attempt.
+    /// Verdicts on the recordings read so far, and their quietness, by candidate, rollout and
+    /// attempt.
     scored: HashMap<AttemptId, ScoredRollout>,
     stop: Arc<AtomicBool>,
     executor: Arc<dyn Executor>,
@@ -326,8 +327,8 @@ impl Session {
         Ok(())
     }
 
-    /// Connects, checks and homes every real Qube before the session waits for any training, so that
-    /// a defect shows at once and not after hours. Does nothing if the session is complete.
+    /// Connects, checks and homes every real Qube before the session waits for any training, so
+    /// that a defect shows at once and not after hours. Does nothing if the session is complete.
     fn connect_early(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),

@@ -320,7 +320,7 @@ impl Session {
         let mut failed = Vec::new();
         for (index, result) in results {
             match result {
-                Ok(()) => self.rigs[index].not_begun.begun(),
+                Ok(()) => self.rigs[index].not_begun.reset(),
                 Err(error) => failed.push((index, error)),
             }
         }
