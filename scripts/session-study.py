@@ -16,7 +16,7 @@ The plants of scripts/comparison/beyond.toml, which have effects that no simulat
   warm        a winding that grows by 30 % a watt, and an arm encoder that is off by up to 0.02 rad
 
 The plants of scripts/comparison/other-forms.toml, for whose effects no verdict looks:
-  tilt        lab on a base that is tilted by 0.02 rad
+  tilt        lab on a base that is tilted by 0.009 rad
   ripple      a motor whose torque changes by 20 % twelve times a turn
   bearing     dry friction of 0.1 mN m in the pendulum's bearing
   stiffening  a cable with a cubic term of 0.1 mN m/rad^3
@@ -70,7 +70,7 @@ def plant(name, folder, seed):
         "presliding": lambda: [*lab, "--effect", "presliding_rad=0.03", "--effect", "stribeck=0.5"],
         "cable": lambda: [*lab, "--effect", "hysteresis_n_m=0.0005", "--effect", "slack=1"],
         "warm": lambda: [*lab, "--effect", "warming_per_w=0.3", "--effect", "eccentricity_rad=0.02"],
-        "tilt": lambda: [*lab, "--effect", "tilt_rad=0.02"],
+        "tilt": lambda: [*lab, "--effect", "tilt_rad=0.009"],
         "ripple": lambda: [*lab, "--effect", "ripple=0.2"],
         "bearing": lambda: [*lab, "--effect", "pendulum_friction_n_m=0.0001"],
         "stiffening": lambda: [*lab, "--effect", "cubic_n_m_rad3=0.0001"],

@@ -154,7 +154,7 @@ faults! {
         "Check the pendulum's encoder cable and its plug.";
     EncoderFrozen: Examine,
         "the arm's count is constant while the arm moves (a loose cable?)",
-        "Check the arm's encoder, its cable and its plug, and whether the base is level within a degree; the check shows whether the two encoders are exchanged.";
+        "Check the arm's encoder, its cable and its plug, and whether the base is level within half a degree; the check shows whether the two encoders are exchanged.";
     PendulumFrozen: Examine,
         "the pendulum's count is constant while the arm accelerates (a loose cable?)",
         "Check the pendulum's encoder cable and its plug; the check shows whether the two encoders are exchanged.";

@@ -111,7 +111,7 @@ fn effects_beyond_the_equations_raise_no_fault() {
     let model = Profile::lab().model();
     let none = Effects::NONE;
     let each = [
-        Effects { tilt_rad: 0.02, ..none },
+        Effects { tilt_rad: 0.009, ..none },
         Effects { ripple: 0.2, ..none },
         Effects { pendulum_friction_n_m: 5e-5, ..none },
         Effects { cubic_n_m_rad3: 1e-4, ..none },
