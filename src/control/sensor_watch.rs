@@ -166,7 +166,7 @@ impl SensorWatch {
 
     /// Starts the cross-check of the encoders with the zeros of `calibration`; the pendulum's zero
     /// is known within `zero_within_rad`, rad, where the arm is now. The base may be tilted by up
-    /// to [`TILT_RAD`].
+    /// to half a degree.
     pub fn start_cross_check(&mut self, calibration: Calibration, zero_within_rad: f64) {
         let cross_check = CrossCheck::with_zero_within(&self.plant, zero_within_rad, RIG_SHARE);
         self.cross_check = Some((calibration, cross_check.on_a_base_tilted_by(TILT_RAD)));
