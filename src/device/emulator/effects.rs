@@ -192,17 +192,16 @@ impl ActingEffects {
         self.effects.ripple.mul_add(sin(RIPPLES_PER_TURN * theta), 1.0)
     }
 
-    /// The plant's equations at an angle of the arm, with the motor's torque there and without the
+    /// The plant's equations with `torque_factor` times the motor's mean torque, and without the
     /// terms that these effects replace.
-    pub fn equations(&self, dynamics: &NonidealDynamics, theta: f64) -> NonidealDynamics {
+    pub fn equations(&self, dynamics: &NonidealDynamics, torque_factor: f64) -> NonidealDynamics {
         let coulomb_torque =
             if self.effects.presliding_rad > 0.0 { 0.0 } else { dynamics.coulomb_torque };
         let mut ideal = dynamics.ideal;
         if self.effects.ripple > 0.0 {
-            let factor = self.torque_factor(theta);
             let back_emf_damping = ideal.arm_damping - self.rotary_damping_n_m_s;
-            ideal.torque_per_volt *= factor;
-            ideal.arm_damping = self.rotary_damping_n_m_s + factor * back_emf_damping;
+            ideal.torque_per_volt *= torque_factor;
+            ideal.arm_damping = self.rotary_damping_n_m_s + torque_factor * back_emf_damping;
         }
         NonidealDynamics { ideal, coulomb_torque, ..*dynamics }
     }
@@ -395,7 +394,7 @@ mod tests {
         let effects = Effects { ripple: 0.3, ..Effects::NONE };
         let acting = ActingEffects::new(effects, &DomainParameters::NOMINAL).unwrap();
         let dynamics = NonidealDynamics::new(&QubeModel::NOMINAL);
-        let of = |theta: f64| acting.equations(&dynamics, theta).ideal;
+        let of = |theta: f64| acting.equations(&dynamics, acting.torque_factor(theta)).ideal;
         let angles = || (0..360).map(|degrees| f64::from(degrees).to_radians());
         let per_volt: Vec<f64> = angles().map(|theta| of(theta).torque_per_volt).collect();
         let mean = per_volt.iter().sum::<f64>() / 360.0;

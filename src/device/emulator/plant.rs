@@ -170,10 +170,10 @@ impl EmulatedPlant {
             self.push_by_effects(0.5 * step_s);
             let (equations, torque_factor) = match &self.effects {
                 None => (self.dynamics, 1.0),
-                Some(effects) => (
-                    effects.equations(&self.dynamics, before.theta),
-                    effects.torque_factor(before.theta),
-                ),
+                Some(effects) => {
+                    let torque_factor = effects.torque_factor(before.theta);
+                    (effects.equations(&self.dynamics, torque_factor), torque_factor)
+                }
             };
             let push_v = self.fault_progress.driven_v(self.voltage_v)
                 + self.fault_progress.push_equivalent_v() / torque_factor;
