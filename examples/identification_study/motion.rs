@@ -31,13 +31,16 @@ pub enum Motion {
 impl Motion {
     /// The motion that a word such as `chirp:1.5`, `steps:0.6` or `policy:FILE` names.
     pub fn named(text: &str) -> Self {
-        let (kind, rest) = text.split_once(':').expect("chirp:VOLTS, steps:VOLTS or policy:FILE");
+        let (kind, rest) = text
+            .split_once(':')
+            .expect("an excitation of `run` and its voltage, such as chirp:1.5, or policy:FILE");
         let voltage_v = || rest.parse().expect("a voltage");
         match kind {
-            "chirp" => Self::Excitation(ExcitationShape::Chirp, voltage_v()),
-            "steps" => Self::Excitation(ExcitationShape::Steps, voltage_v()),
             "policy" => Self::Rollout(Box::new(Policy::load(Path::new(rest)).expect("a policy"))),
-            other => panic!("{other}: give chirp, steps or policy"),
+            other => {
+                let shape = ExcitationShape::ALL.into_iter().find(|shape| shape.name() == other);
+                Self::Excitation(shape.expect("an excitation of `run`, or policy"), voltage_v())
+            }
         }
     }
 

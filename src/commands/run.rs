@@ -110,15 +110,21 @@ pub struct Arguments {
 enum ExciteArgument {
     /// A cosine from 5 Hz down to 1 Hz
     Chirp,
+    /// A cosine from 2 Hz down to 0.5 Hz, for small voltages
+    SlowChirp,
     /// Voltages held for 0.05 to 0.2 s in a pseudo-random order
     Steps,
+    /// Pushes that raise the pendulum to some 75 degrees and calm it again
+    Pushes,
 }
 
 impl From<ExciteArgument> for ExcitationShape {
     fn from(argument: ExciteArgument) -> Self {
         match argument {
             ExciteArgument::Chirp => Self::Chirp,
+            ExciteArgument::SlowChirp => Self::SlowChirp,
             ExciteArgument::Steps => Self::Steps,
+            ExciteArgument::Pushes => Self::Pushes,
         }
     }
 }

@@ -70,7 +70,7 @@ pub fn next_excitations(
     let unknowns: Vec<Unknown> = Unknown::all().collect();
     let covariance = covariance(profile, &unknowns);
     let mut all = Vec::new();
-    for shape in [ExcitationShape::Chirp, ExcitationShape::Steps] {
+    for shape in ExcitationShape::ALL {
         for share in SHARES {
             let voltage_v = share * largest_v;
             let log = simulated(Excitation::new(shape, voltage_v), &model, plant);
@@ -218,6 +218,27 @@ mod tests {
         let is_chirp_again =
             |it: &ExpectedExcitation| it.shape == ExcitationShape::Chirp && it.voltage_v == 1.5;
         assert!(is_chirp_again(&least) && most.information_nats > 4.0 * least.information_nats);
+    }
+
+    #[test]
+    fn pushes_raise_the_pendulum_of_lab_and_calm_it_again() {
+        let lab = Profile::lab().model();
+        let pushes = Excitation::new(ExcitationShape::Pushes, 1.5);
+        let samples = simulated(pushes, &lab, &PlantModel::QUBE).samples;
+        let widest_rad = |angle: fn(&State) -> f64| {
+            let in_a_second = |second: &[MotionSample]| {
+                second.iter().map(|it| angle(&it.state).abs()).fold(0.0, f64::max)
+            };
+            samples.chunks(100).map(in_a_second).collect::<Vec<f64>>()
+        };
+        let (arm, pendulum) = (widest_rad(|it| it.theta), widest_rad(|it| it.alpha));
+        let words = format!("widest angles, rad: arm {arm:.2?}, pendulum {pendulum:.2?}");
+        // It is raised, calmed, and raised again.
+        let is_raised = |from: usize| pendulum[from..].iter().position(|it| *it > 1.2);
+        let is_calm = |from: usize| pendulum[from..].iter().position(|it| *it < 0.6);
+        let calm = is_calm(is_raised(0).expect(&words)).expect(&words);
+        assert!(is_raised(calm).is_some(), "{words}");
+        assert!(pendulum.iter().all(|it| *it < 2.0) && arm.iter().all(|it| *it < 1.6), "{words}");
     }
 
     #[test]

@@ -4,14 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use super::limited;
 use crate::elementary::Scalar;
-use crate::qube::{CONTROL_PERIOD_S, State};
+use crate::qube::{CONTROL_PERIOD_S, State, wrap_angle};
 
 /// Length of an excitation in steps: 10 s.
 pub const EXCITATION_STEPS: u32 = 1000;
-
-/// First and last frequency of a chirp, Hz. At lower frequencies 1.5 V, the default of `run`, would
-/// carry the arm to a limit of the safety box.
-const FREQUENCIES_HZ: [f64; 2] = [5.0, 1.0];
 
 /// Centring voltage, V/rad: it keeps the cable and an uneven dead zone from carrying the arm to a
 /// limit of the safety box. The recorded voltage includes it, so that a fit accounts for it.
@@ -20,47 +16,67 @@ const CENTRING_V_PER_RAD: f64 = 0.5;
 /// Time over which the arm's position is extrapolated to decide whether steps drive it back, s.
 const LOOK_AHEAD_S: f64 = 0.2;
 
-/// Extrapolated angle beyond which steps drive the arm back, rad.
+/// Angle beyond which steps and pushes drive the arm back, rad; that of steps is extrapolated.
 const WAY_OUT_RAD: f64 = 0.6;
+
+/// Angle from hanging at which pushes stop raising the pendulum and begin to calm it, rad.
+const RAISED_RAD: f64 = 1.3;
+
+/// Largest angle from hanging, rad, within a half swing after which pushes raise the pendulum again.
+const CALMED_RAD: f64 = 0.3;
 
 /// The form of a voltage that excites a Qube for identification.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[serde(rename_all = "kebab-case")]
 pub enum ExcitationShape {
-    /// A cosine whose frequency falls linearly from 5 Hz to 1 Hz within 10 s.
+    /// A cosine whose frequency falls linearly from 5 Hz to 1 Hz within 10 s. At lower frequencies
+    /// 1.5 V, the default of `run`, would carry the arm to a limit of the safety box.
     Chirp,
+    /// A cosine whose frequency falls linearly from 2 Hz to 0.5 Hz within 10 s.
+    SlowChirp,
     /// Full and half voltages of both signs, each held for 0.05 to 0.2 s, in a pseudo-random order
     /// that is always the same. An arm that moves too far out is driven back by steps of the
     /// opposite sign.
     Steps,
+    /// The full voltage in the direction that raises the pendulum, until it swings to 1.3 rad, then
+    /// in the direction that calms it, until it swings by less than 0.3 rad, and so on. An arm that
+    /// is far out is driven back.
+    Pushes,
 }
 
 impl ExcitationShape {
+    /// All forms.
+    pub const ALL: [Self; 4] = [Self::Chirp, Self::SlowChirp, Self::Steps, Self::Pushes];
+
     /// The name in files and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Chirp => "chirp",
+            Self::SlowChirp => "slow-chirp",
             Self::Steps => "steps",
+            Self::Pushes => "pushes",
         }
     }
 }
 
-/// A voltage over time in place of a policy. It is open-loop but for a weak centring of the arm and
-/// the sign of steps far from the centre.
+/// A voltage over time in place of a policy. It is open-loop but for a weak centring of the arm,
+/// the sign of steps far from the centre, and the direction of pushes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Excitation {
     shape: ExcitationShape,
     voltage_v: f64,
     tick: u32,
     step: StepSequence,
+    push: PushSequence,
 }
 
 impl Excitation {
     /// An excitation within |`voltage_v`|; a negative value starts in the other direction.
     #[must_use]
     pub fn new(shape: ExcitationShape, voltage_v: f64) -> Self {
-        Self { shape, voltage_v, tick: 0, step: StepSequence::START }
+        let (step, push) = (StepSequence::START, PushSequence::START);
+        Self { shape, voltage_v, tick: 0, step, push }
     }
 
     /// The excitation of one of several rollouts, counted from 0; consecutive rollouts start in
@@ -91,33 +107,40 @@ impl Excitation {
     #[must_use]
     pub fn voltage_v(&mut self, state: &State) -> f64 {
         let part = match self.shape {
-            ExcitationShape::Chirp => chirp(self.tick),
+            ExcitationShape::Chirp => chirp([5.0, 1.0], self.tick),
+            ExcitationShape::SlowChirp => chirp([2.0, 0.5], self.tick),
             ExcitationShape::Steps => {
                 let ahead_rad = state.theta + LOOK_AHEAD_S * state.theta_dot;
-                let outward = if ahead_rad.abs() > WAY_OUT_RAD {
-                    ahead_rad.signum() * self.voltage_v.signum()
-                } else {
-                    0.0
-                };
-                self.step.next(outward)
+                self.step.next(self.outward(ahead_rad))
             }
+            // An arm that is far out is driven back, whatever the pendulum does. The pendulum at rest
+            // is pushed in the direction in which the excitation starts.
+            ExcitationShape::Pushes => match (self.outward(state.theta), self.push.next(state)) {
+                (0.0, 0.0) => 1.0,
+                (0.0, direction) => direction * self.voltage_v.signum(),
+                (outward, _) => -outward,
+            },
         };
         self.tick = self.tick.saturating_add(1);
         let limit_v = self.voltage_v.abs();
         let wanted_v = part * self.voltage_v - CENTRING_V_PER_RAD * state.theta;
         limited(wanted_v, limit_v)
     }
+
+    /// The sign of the levels that push an arm at this angle further out, or 0 near the centre.
+    fn outward(&self, theta: f64) -> f64 {
+        if theta.abs() > WAY_OUT_RAD { theta.signum() * self.voltage_v.signum() } else { 0.0 }
+    }
 }
 
-/// The chirp's value at a tick, -1 to 1; 0 from 10 s on.
-fn chirp(tick: u32) -> f64 {
+/// The value of a chirp from a first to a last frequency at a tick, -1 to 1; 0 from 10 s on.
+fn chirp([first_hz, last_hz]: [f64; 2], tick: u32) -> f64 {
     if tick >= EXCITATION_STEPS {
         return 0.0;
     }
     let time_s = f64::from(tick) * CONTROL_PERIOD_S;
     let duration_s = f64::from(EXCITATION_STEPS) * CONTROL_PERIOD_S;
-    let [first, last] = FREQUENCIES_HZ;
-    let turns = first * time_s + (last - first) * time_s * time_s / (2.0 * duration_s);
+    let turns = first_hz * time_s + (last_hz - first_hz) * time_s * time_s / (2.0 * duration_s);
     Scalar::sin_cos(2.0 * PI * (turns - turns.floor())).1
 }
 
@@ -155,6 +178,36 @@ impl StepSequence {
     }
 }
 
+/// The directions that raise and calm the pendulum in turn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct PushSequence {
+    raises: bool,
+    /// Whether the pendulum is on the side of positive angles.
+    is_positive: bool,
+    /// Largest angle from hanging in the present half swing, rad.
+    widest_rad: f64,
+}
+
+impl PushSequence {
+    const START: Self = Self { raises: true, is_positive: true, widest_rad: 0.0 };
+
+    /// The sign of the voltage of the next tick; 0 while the pendulum is at rest.
+    fn next(&mut self, state: &State) -> f64 {
+        let angle_rad = wrap_angle(state.alpha);
+        if (angle_rad > 0.0) != self.is_positive {
+            self.is_positive = angle_rad > 0.0;
+            self.raises |= self.widest_rad < CALMED_RAD;
+            self.widest_rad = 0.0;
+        }
+        self.widest_rad = self.widest_rad.max(angle_rad.abs());
+        self.raises &= self.widest_rad < RAISED_RAD;
+        // An accelerated arm feeds power of the sign of -cos(alpha) alpha_dot into the pendulum.
+        let swing = state.alpha_dot * Scalar::sin_cos(angle_rad).1;
+        let direction = if self.raises { -1.0 } else { 1.0 };
+        if swing == 0.0 { 0.0 } else { direction * swing.signum() }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -165,11 +218,15 @@ mod tests {
     }
 
     #[test]
-    fn both_keep_to_their_limit_and_use_it_on_both_sides() {
-        for shape in [ExcitationShape::Chirp, ExcitationShape::Steps] {
+    fn all_keep_to_their_limit_and_those_in_open_loop_use_it_on_both_sides() {
+        for shape in ExcitationShape::ALL {
             for theta in [0.0, 2.0, -2.0] {
                 let voltages_v = voltages(&mut Excitation::new(shape, 1.5), theta);
                 assert!(voltages_v.iter().all(|voltage_v| voltage_v.abs() <= 1.5));
+            }
+            if shape == ExcitationShape::Pushes {
+                // They follow the pendulum.
+                continue;
             }
             let mut excitation = Excitation::new(shape, -1.5);
             let voltages_v = voltages(&mut excitation, 0.0);
@@ -186,7 +243,7 @@ mod tests {
 
     #[test]
     fn an_impossible_voltage_does_not_panic_in_the_tick() {
-        for shape in [ExcitationShape::Chirp, ExcitationShape::Steps] {
+        for shape in ExcitationShape::ALL {
             for voltage_v in [f64::NAN, f64::INFINITY, -f64::INFINITY] {
                 let voltages_v = voltages(&mut Excitation::new(shape, voltage_v), 0.1);
                 let is_refused = |voltage_v: &f64| !voltage_v.is_finite();
@@ -196,14 +253,38 @@ mod tests {
     }
 
     #[test]
-    fn a_chirp_slows_down_from_five_hertz_to_one() {
-        let voltages_v = voltages(&mut Excitation::new(ExcitationShape::Chirp, 1.0), 0.0);
-        let crossings = |range: std::ops::Range<usize>| {
-            voltages_v[range].windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count()
+    fn chirps_slow_down_from_their_first_frequency_to_their_last() {
+        for (shape, first, last) in
+            [(ExcitationShape::Chirp, 9..=10, 2..=3), (ExcitationShape::SlowChirp, 3..=4, 1..=2)]
+        {
+            let voltages_v = voltages(&mut Excitation::new(shape, 1.0), 0.0);
+            let crossings = |range: std::ops::Range<usize>| {
+                voltages_v[range].windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count()
+            };
+            assert_eq!(voltages_v[0], 1.0);
+            assert!(first.contains(&crossings(0..100)), "{shape:?}: {}", crossings(0..100));
+            assert!(last.contains(&crossings(900..1000)), "{shape:?}: {}", crossings(900..1000));
+        }
+    }
+
+    /// A pendulum whose swings grow or shrink with time is given, whatever the pushes are.
+    #[test]
+    fn pushes_raise_the_pendulum_up_to_a_height_and_then_calm_it() {
+        let mut excitation = Excitation::new(ExcitationShape::Pushes, 1.0);
+        let mut at = |alpha: f64, alpha_dot: f64| {
+            excitation.voltage_v(&State { alpha, alpha_dot, ..State::default() })
         };
-        assert_eq!(voltages_v[0], 1.0);
-        assert!((9..=10).contains(&crossings(0..100)), "{}", crossings(0..100));
-        assert!((2..=3).contains(&crossings(900..1000)), "{}", crossings(900..1000));
+        assert_eq!(at(0.0, 0.0), 1.0);
+        // Raising is to push against the pendulum's velocity below the horizontal.
+        assert_eq!([at(0.1, 2.0), at(0.5, -1.0), at(-0.1, -2.0)], [-1.0, 1.0, 1.0]);
+        // The swing to 1.4 rad is high enough; a wide swing the other way is calmed on.
+        assert_eq!(
+            [at(0.2, 6.0), at(1.4, 1.0), at(-0.4, -3.0), at(-0.4, 3.0)],
+            [-1.0, 1.0, -1.0, 1.0]
+        );
+        // That swing reached 0.4 rad, the next one only 0.2.
+        assert_eq!([at(0.2, 1.0), at(0.2, -1.0)], [1.0, -1.0]);
+        assert_eq!([at(-0.1, -1.0), at(0.1, 1.0)], [1.0, -1.0]);
     }
 
     #[test]
@@ -217,12 +298,15 @@ mod tests {
     }
 
     #[test]
-    fn steps_drive_an_arm_back_that_is_on_its_way_out() {
-        for (voltage_v, theta_dot) in [(1.0, 4.0), (1.0, -4.0), (-1.0, 4.0), (-1.0, -4.0)] {
-            let mut excitation = Excitation::new(ExcitationShape::Steps, voltage_v);
-            let state = State { theta_dot, ..State::default() };
-            let back = (0..200).all(|_| excitation.voltage_v(&state) * theta_dot < 0.0);
-            assert!(back, "{voltage_v} V, {theta_dot} rad/s");
+    fn steps_and_pushes_drive_an_arm_back_that_is_on_its_way_out() {
+        for shape in [ExcitationShape::Steps, ExcitationShape::Pushes] {
+            for (voltage_v, theta_dot) in [(1.0, 4.0), (1.0, -4.0), (-1.0, 4.0), (-1.0, -4.0)] {
+                let mut excitation = Excitation::new(shape, voltage_v);
+                let theta = 0.2 * theta_dot;
+                let state = State { theta, theta_dot, ..State::default() };
+                let back = (0..200).all(|_| excitation.voltage_v(&state) * theta_dot < 0.0);
+                assert!(back, "{shape:?}: {voltage_v} V, {theta_dot} rad/s");
+            }
         }
     }
 }

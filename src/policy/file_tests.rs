@@ -204,7 +204,7 @@ fn an_external_controller_comes_back_as_a_name() {
 
 #[test]
 fn an_excitation_comes_back_and_one_beyond_the_motor_is_refused() {
-    for shape in [ExcitationShape::Chirp, ExcitationShape::Steps] {
+    for shape in ExcitationShape::ALL {
         let bytes = Policy::Excitation(Excitation::new(shape, -1.25)).to_bytes();
         match Policy::from_bytes(&bytes).unwrap() {
             Policy::Excitation(read) => assert_eq!(read, Excitation::new(shape, -1.25)),

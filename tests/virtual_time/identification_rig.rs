@@ -34,19 +34,21 @@ fn lab_path() -> String {
 #[test]
 fn excitations_of_the_emulated_lab_give_its_profile_back() {
     let directory = tempfile::tempdir().unwrap();
-    for shape in ["chirp", "steps"] {
-        let excited = qube_hil(
-            directory.path(),
-            &["run", "--excite", shape, "--profile", "lab", "--clock", "virtual", "--out", shape],
-        );
+    let excite = |shape: &str, volts: &str| {
+        let run = ["run", "--excite", shape, "--volts", volts, "--profile", "lab"];
+        let run = [&run[..], &["--clock", "virtual", "--out", shape]].concat();
+        let excited = qube_hil(directory.path(), &run);
         let text = String::from_utf8_lossy(&excited.stdout).into_owned();
         assert!(text.contains("10.0 s recorded, usable by identify"), "{text}");
-    }
-    let files = ["chirp/rollout-0.mcap", "steps/rollout-0.mcap"];
-    // Excitations can be replayed like policies.
-    qube_hil(directory.path(), &["replay", files[0], files[1]]);
-    let found = json(&qube_hil(directory.path(), &["identify", files[0], files[1], "--json"]));
-    assert_lab(&found);
+        format!("{shape}/rollout-0.mcap")
+    };
+    let two = |one: String, other: String| {
+        // Excitations can be replayed like policies.
+        qube_hil(directory.path(), &["replay", &one, &other]);
+        assert_lab(&json(&qube_hil(directory.path(), &["identify", &one, &other, "--json"])));
+    };
+    two(excite("chirp", "1.5"), excite("steps", "1.5"));
+    two(excite("slow-chirp", "0.75"), excite("pushes", "1.5"));
 }
 
 /// The motions of several rollouts of one policy are alike, and mostly balancing.

@@ -34,7 +34,7 @@ impl RunController {
             let excitation = |rollout| Excitation::of_rollout(shape, arguments.volts, rollout);
             let file = |rollout| Policy::Excitation(excitation(rollout)).to_bytes();
             return Ok(Self {
-                name: format!("excitation by {}", format!("{shape:?}").to_lowercase()),
+                name: format!("excitation by {}", shape.name()),
                 files: [0, 1].map(file).into(),
                 steps: EXCITATION_STEPS,
                 notes: Vec::new(),
