@@ -10,7 +10,9 @@
 //! and once with an effect outside the model class added, which is one of five in turn; after the
 //! word `other-forms` it is one of four for which the verdict does not look. A MOTION is
 //! the form and the largest voltage of an excitation, or `policy:FILE` for a rollout; the default
-//! is `chirp:1.5 chirp:1.5`. The program prints a line for each plant, then tables of the counts.
+//! is `chirp:1.5 chirp:1.5`. The program prints a line for each plant, then tables of the counts:
+//! plants that the verdict doubts, those that recordings held out from the fit give a doubt, and
+//! refusals that blame a reversed sign.
 //! The limits of the verdict were chosen on seeds from 100 on.
 
 #[path = "../beyond_the_equations/mechanics.rs"]
@@ -25,8 +27,8 @@ use plant::{Beyond, NOTHING};
 use qube_hil::device::emulator::Effects;
 use qube_hil::elementary::normal_pair;
 use qube_hil::identification::{
-    Estimate, Identified, IdentifyError, MissingEffect, ModelVerdict, PredictionBand, Unknown,
-    check_recording, identify, prediction_errors,
+    Cause, Estimate, Identified, IdentifyError, MissingEffect, ModelVerdict, PredictionBand,
+    Unknown, check_recording, identify, prediction_errors,
 };
 use qube_hil::qube::{
     CONTROL_PERIOD_S, DomainParameter, Nonideality, PlantModel, Quantity, QubeModel,
@@ -144,6 +146,10 @@ struct Row {
     predicted: [u32; 2],
     plants: u32,
     doubted: u32,
+    /// Number of fits that the recordings held out give a doubt.
+    doubted_by_held_out: u32,
+    /// Number of refusals that blame a reversed sign; each is wrong, because no sign is.
+    blaming_a_sign: u32,
     /// Number of times that each effect was named.
     named: BTreeMap<&'static str, u32>,
 }
@@ -153,33 +159,43 @@ impl Row {
         self.plants += 1;
         let verdict = found.as_ref().map(|found| found.assessment.verdict);
         self.doubted += u32::from(verdict != Ok(ModelVerdict::Fits));
+        let cause = found.as_ref().err().and_then(IdentifyError::cause);
+        self.blaming_a_sign += u32::from(matches!(cause, Some(Cause::Reversed(_))));
         let doubts = found.iter().flat_map(|found| &found.assessment.doubts);
         for doubt in doubts.filter(|doubt| **doubt != MissingEffect::Unexplained) {
             *self.named.entry(doubt.name()).or_default() += 1;
         }
     }
 
-    /// Predicts the held-out recording of each motion.
+    /// Predicts the held-out recording of each motion, and asks whether these recordings contradict
+    /// the fit. Returns the factor by which they widen its standard errors.
     fn predict(
         &mut self,
         found: &Identified,
         truth: &QubeModel,
         beyond: Beyond,
         motions: &[Motion],
-    ) {
-        let errors = |held_out: bool| {
-            let logs = motions
-                .iter()
-                .zip(0..)
-                .map(|(motion, number)| motion.record(truth, beyond, number, held_out));
-            logs.flat_map(|log| prediction_errors(&log, &found.model)).collect::<Vec<_>>()
+    ) -> f64 {
+        let logs = |held_out: bool| {
+            let numbered = motions.iter().zip(0..);
+            numbered.map(move |(motion, number)| motion.record(truth, beyond, number, held_out))
         };
-        let Some(band) = PredictionBand::of(&errors(false)) else { return };
+        let errors = |held_out: bool| {
+            logs(held_out).flat_map(|log| prediction_errors(&log, &found.model)).collect::<Vec<_>>()
+        };
+        let usable = logs(true).filter(|log| check_recording(log).is_ok());
+        let mut compared = found.clone();
+        compared.hold_out(&usable.collect::<Vec<_>>());
+        let new_doubts = compared.assessment.doubts.len() > found.assessment.doubts.len();
+        self.doubted_by_held_out += u32::from(new_doubts);
+        let widening = compared.inflation / found.inflation;
+        let Some(band) = PredictionBand::of(&errors(false)) else { return widening };
         let held_out = errors(true);
         for share in band.shares_within(&held_out) {
             self.predicted[0] += held_out.len() as u32;
             self.predicted[1] += (share * held_out.len() as f64).round() as u32;
         }
+        widening
     }
 
     fn line(&self, name: &str) {
@@ -187,7 +203,10 @@ impl Row {
             self.named.iter().map(|(name, count)| format!("{name} {count}")).collect();
         let named = named.join(", ");
         let within = percent(self.predicted);
-        println!("{name:12} {:>7} {:>8} {within:>12}   {named}", self.plants, self.doubted);
+        let Self { plants, doubted, doubted_by_held_out, blaming_a_sign, .. } = self;
+        println!(
+            "{name:12} {plants:>7} {doubted:>8} {doubted_by_held_out:>8} {blaming_a_sign:>8} {within:>12}   {named}"
+        );
     }
 }
 
@@ -236,22 +255,28 @@ fn main() {
             let found = identified(&truth, beyond, &motions);
             let row = rows.entry(beyond.name()).or_default();
             row.add(&found);
-            if let Ok(found) = &found {
-                row.predict(found, &truth, beyond, &motions);
-            }
-            println!("{seed} {:12} {}", beyond.name(), describe(&found));
+            let widening = match &found {
+                Ok(found) => row.predict(found, &truth, beyond, &motions),
+                Err(_) => f64::NAN,
+            };
+            let words = describe(&found);
+            println!("{seed} {:12} held-out {widening:.2} {words}", beyond.name());
             if let (NOTHING, Ok(found)) = (beyond.name(), &found) {
                 intervals.extend(coverage(found, &truth));
             }
         }
     }
-    println!("\n{:12} {:>7} {:>8} {:>12}   named", "effect", "plants", "doubted", "within band");
+    println!(
+        "\n{:12} {:>7} {:>8} {:>8} {:>8} {:>12}   named",
+        "effect", "plants", "doubted", "held out", "sign", "within band"
+    );
     rows.iter().for_each(|(name, row)| row.line(name));
     let with_effect = || rows.iter().filter(|(name, _)| **name != NOTHING);
     let sum = |count: fn(&Row) -> u32| with_effect().map(|(_, row)| count(row)).sum::<u32>();
     let within = percent([0, 1].map(|index| with_effect().map(|(_, r)| r.predicted[index]).sum()));
-    let (plants, doubted) = (sum(|row| row.plants), sum(|row| row.doubted));
-    println!("{:12} {plants:>7} {doubted:>8} {within:>12}", "outside");
+    let [plants, doubted] = [sum(|row| row.plants), sum(|row| row.doubted)];
+    let [held_out, sign] = [sum(|row| row.doubted_by_held_out), sum(|row| row.blaming_a_sign)];
+    println!("{:12} {plants:>7} {doubted:>8} {held_out:>8} {sign:>8} {within:>12}", "outside");
     println!("\n{:24} 90 % intervals that contain the truth", "quantity");
     for unknown in Unknown::all() {
         let own = || intervals.iter().filter(|(other, _)| *other == unknown);

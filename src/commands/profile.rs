@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use super::exit::Failure;
+use crate::identification::MissingEffect;
 use crate::qube::{PlantModel, Profile, QubeModel};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
@@ -47,6 +48,23 @@ pub fn named_of_any_plant(name: &Path) -> Result<Option<Profile>, Failure> {
     }
 }
 
+/// A note on a profile whose fit `identify` doubted; `None` for any other.
+pub fn doubts_note(profile: &Profile) -> Option<String> {
+    let doubts = profile.provenance.as_ref().map_or(&[][..], |it| &it.doubts);
+    let in_words = |name: &String| {
+        let known = MissingEffect::ALL.into_iter().find(|effect| effect.name() == name);
+        known.map_or_else(|| name.clone(), |effect| effect.to_string())
+    };
+    let words: Vec<String> = doubts.iter().map(in_words).collect();
+    (!words.is_empty()).then(|| {
+        format!(
+            "`identify` doubted that the model describes this Qube ({}), so a policy that is trained around it may \
+             fail on the Qube: compare it there with one of `train --model robust --preset robust`, as `session` does",
+            words.join("; ")
+        )
+    })
+}
+
 /// Checks that a profile describes a specimen of this plant.
 ///
 /// # Errors
@@ -81,4 +99,20 @@ pub fn load(path: &Path, plant: &PlantModel) -> Result<Profile, Failure> {
     let profile = read(path, "")?;
     check_plant(path, &profile, plant).map_err(Failure::usage)?;
     Ok(profile)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_profile_whose_fit_was_doubted_has_a_note_with_the_doubts_in_words() {
+        let mut profile = Profile::lab();
+        assert_eq!(doubts_note(&profile), None);
+        let provenance = profile.provenance.as_mut().unwrap();
+        provenance.doubts = vec!["warming".into(), "of a later version".into()];
+        let note = doubts_note(&profile).unwrap();
+        let words = "(a motor that changes with time (does it warm?); of a later version)";
+        assert!(note.contains(words), "{note}");
+    }
 }

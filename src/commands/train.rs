@@ -408,6 +408,9 @@ fn distribution(
     let distribution = match &arguments.profile {
         Some(name) => {
             let profile = profile::named_profile(name, plant)?;
+            if let Some(note) = profile::doubts_note(&profile) {
+                print_message(&format!("note: {}: {note}", name.display()));
+            }
             let around = ProfileSettings::of(&profile, plant, arguments.spread);
             Model::Profile
                 .distribution(plant, Family::Normal, Some(&around), None)

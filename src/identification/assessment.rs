@@ -36,6 +36,12 @@ const UNFIT_RAD: f64 = 0.03;
 /// after slow steps alone the ratio of a rollout of the same Qube reached 2.9.
 const LARGEST_HELD_OUT_RATIO: f64 = 4.0;
 
+/// Largest factor by which held-out recordings contradict the estimates more than noise and standard
+/// errors predict, with which the model still predicts them. Of a right model the square of the
+/// factor, times the number of directions that the recordings determine, is chi-squared: of eight
+/// directions, chance exceeds 2 in one of 10 000 recordings.
+const LARGEST_CONTRADICTION: f64 = 2.0;
+
 /// Smallest score that counts as evidence for an effect outside the equations; if the model holds,
 /// the score is chi-squared with one or two degrees of freedom.
 const SIGNIFICANT: f64 = 20.0;
@@ -86,9 +92,23 @@ pub enum MissingEffect {
     Direction,
     /// Recordings that were held out are explained much worse than those that were fitted.
     HeldOut,
+    /// Recordings that were held out contradict the estimates by more than noise and standard errors
+    /// predict.
+    Contradicted,
 }
 
 impl MissingEffect {
+    /// All effects.
+    pub const ALL: [Self; 7] = [
+        Self::Unexplained,
+        Self::Reversals,
+        Self::Warming,
+        Self::Angle,
+        Self::Direction,
+        Self::HeldOut,
+        Self::Contradicted,
+    ];
+
     /// The name in files.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -99,6 +119,7 @@ impl MissingEffect {
             Self::Angle => "angle",
             Self::Direction => "direction",
             Self::HeldOut => "held_out",
+            Self::Contradicted => "contradicted",
         }
     }
 }
@@ -120,6 +141,9 @@ impl fmt::Display for MissingEffect {
             }
             Self::HeldOut => {
                 "the recordings that were held out (are they of another Qube, or was it changed in between?)"
+            }
+            Self::Contradicted => {
+                "the recordings that were held out: they ask for other values, beyond the standard errors"
             }
         })
     }
@@ -183,14 +207,17 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> (Assessment, [No
 }
 
 impl Assessment {
-    /// Doubts the model if `held_out`, the noise ratio of recordings to which it was not fitted, is
-    /// much larger than that of the fitted ones.
-    pub(super) fn compare(&mut self, held_out: f64) {
-        if held_out > LARGEST_HELD_OUT_RATIO * self.noise_ratio.max(1.0) {
+    /// Doubts the model if it predicts held-out recordings badly: `noise_ratio`, theirs, is much
+    /// larger than that of the fitted ones, or they contradict the estimates by more than noise and
+    /// standard errors predict, by the factor `contradiction` (a posterior predictive check).
+    pub(super) fn compare(&mut self, noise_ratio: f64, contradiction: f64) {
+        if noise_ratio > LARGEST_HELD_OUT_RATIO * self.noise_ratio.max(1.0) {
             self.doubts.push(MissingEffect::HeldOut);
-            if self.verdict == ModelVerdict::Fits {
-                self.verdict = ModelVerdict::FitsBut;
-            }
+        } else if contradiction > LARGEST_CONTRADICTION {
+            self.doubts.push(MissingEffect::Contradicted);
+        }
+        if self.verdict == ModelVerdict::Fits && !self.doubts.is_empty() {
+            self.verdict = ModelVerdict::FitsBut;
         }
     }
 }

@@ -159,6 +159,19 @@ pub enum IdentifyError {
     },
 }
 
+impl IdentifyError {
+    /// The likely reason why no Qube explains the recordings; `None` for any other error.
+    #[must_use]
+    pub fn cause(&self) -> Option<Cause> {
+        match self {
+            Self::Unexplained { cause, .. }
+            | Self::NothingExplained { cause, .. }
+            | Self::Implausible { cause, .. } => Some(*cause),
+            _ => None,
+        }
+    }
+}
+
 /// The sign that may be the reason why no Qube explains the recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
@@ -214,9 +227,9 @@ impl Identified {
     }
 
     /// Compares the model with recordings of the same plant to which it was not fitted. Doubts it
-    /// if it explains them much worse ([`MissingEffect::HeldOut`](super::MissingEffect)), and
-    /// widens the standard errors by the factor by which they contradict the fit more than noise
-    /// and standard errors predict. Returns their [`Assessment::noise_ratio`]; `None` without such
+    /// if it explains them much worse or if they contradict its estimates
+    /// ([`MissingEffect`](super::MissingEffect)), and widens the standard errors by the factor by
+    /// which they contradict the fit more than noise and standard errors predict. Returns their [`Assessment::noise_ratio`]; `None` without such
     /// recordings.
     pub fn hold_out(&mut self, logs: &[MotionLog]) -> Option<f64> {
         let plant = &logs.first()?.plant;
@@ -226,7 +239,6 @@ impl Identified {
             unknowns.iter().copied().filter(|&unknown| unknown == rest).collect();
         let stretches = || windows(logs, STAGES_S[0]);
         let ratio = noise_ratio_of(self.model, &homed, plant, stretches());
-        self.assessment.compare(ratio);
 
         // Start states and the offsets of homing are estimated anew, the model is not.
         let mut started = Fit::new(&[], plant, self.model, stretches()).with_offsets();
@@ -235,6 +247,7 @@ impl Identified {
         let mut held_out = started.with_unknowns(&unknowns, stretches());
         (held_out.scatter, held_out.starts) = (started.scatter, started.starts.clone());
         let factor = self.evidence.contradiction(&held_out);
+        self.assessment.compare(ratio, factor);
         self.evidence = self.evidence.clone().widened(factor);
         let uncertainty = self.evidence.uncertainty(&unknowns, plant, &self.model);
         let Uncertainty { estimates, undetermined, correlations, inflation } = uncertainty;

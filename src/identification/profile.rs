@@ -8,6 +8,7 @@ impl Identified {
     pub fn profile(&self, name: &str, recordings: Vec<String>, boards: Vec<String>) -> Profile {
         let named = |unknown: super::Unknown| unknown.name().to_owned();
         let errors = self.estimates.iter().map(|it| (named(it.unknown), it.standard_error));
+        let doubts = self.assessment.doubts.iter().map(|doubt| doubt.name().to_owned());
         let names = self.estimates.iter().map(|it| named(it.unknown)).collect();
         Profile {
             name: name.to_owned(),
@@ -20,6 +21,7 @@ impl Identified {
                 recordings,
                 boards,
                 program_version: env!("CARGO_PKG_VERSION").to_owned(),
+                doubts: doubts.collect(),
                 held_out_rms_rad: None,
                 note: None,
             }),

@@ -403,6 +403,13 @@ fn a_held_out_swing_is_measured_by_the_noise_of_the_chirp_that_was_fitted() {
     let (same, other) =
         (widening(&identified, &falls(&truth())), widening(&identified, &falls(&longer)));
     assert!(same < 1.5 && other > 3.0, "{same} {other}");
+    // The residuals of a slightly longer pendulum are small, but ask for another length.
+    longer.parameters.pendulum_length_m = truth().parameters.pendulum_length_m * 1.003;
+    let mut found = identified.clone();
+    let ratio = found.hold_out(&[falls(&longer)]).unwrap();
+    assert_eq!(found.assessment.doubts, [MissingEffect::Contradicted], "{ratio}");
+    let provenance = found.profile("longer", Vec::new(), Vec::new()).provenance.unwrap();
+    assert_eq!(provenance.doubts, ["contradicted"]);
 }
 
 #[test]

@@ -59,6 +59,10 @@ pub struct Provenance {
     pub boards: Vec<String>,
     /// Version of the program that fitted it.
     pub program_version: String,
+    /// Signs that the model lacks an effect, by the names that `identify` gives them; empty if its
+    /// tests found none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub doubts: Vec<String>,
     /// Root mean square error of predictions over 9.8 s, or to the end of a shorter recording, each
     /// from a start state estimated from the 0.2 s before: arm and pendulum, rad. They cover the
     /// held-out recordings whose pendulum never comes upright.
@@ -429,6 +433,7 @@ mod tests {
                 recordings: vec!["a.csv".into()],
                 boards: vec!["A1".into()],
                 program_version: "1".into(),
+                doubts: vec!["warming".into()],
                 held_out_rms_rad: Some([0.04, 0.01]),
                 note: None,
             }),
