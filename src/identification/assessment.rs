@@ -90,6 +90,8 @@ pub enum MissingEffect {
     Angle,
     /// The arm's damping depends on its direction, or seems to, as with a cable that stiffens.
     Direction,
+    /// The motor turns alone for a moment where its torque on the arm changes sign: play.
+    Play,
     /// Recordings that were held out are explained much worse than those that were fitted.
     HeldOut,
     /// Recordings that were held out contradict the estimates by more than noise and standard errors
@@ -99,12 +101,13 @@ pub enum MissingEffect {
 
 impl MissingEffect {
     /// All effects.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Unexplained,
         Self::Reversals,
         Self::Warming,
         Self::Angle,
         Self::Direction,
+        Self::Play,
         Self::HeldOut,
         Self::Contradicted,
     ];
@@ -118,6 +121,7 @@ impl MissingEffect {
             Self::Warming => "warming",
             Self::Angle => "angle",
             Self::Direction => "direction",
+            Self::Play => "play",
             Self::HeldOut => "held_out",
             Self::Contradicted => "contradicted",
         }
@@ -138,6 +142,9 @@ impl fmt::Display for MissingEffect {
             }
             Self::Direction => {
                 "damping that depends on the arm's direction (or a cable that stiffens as it is bent?)"
+            }
+            Self::Play => {
+                "a motor that turns alone where its torque changes sign (play between motor and arm?)"
             }
             Self::HeldOut => {
                 "the recordings that were held out (are they of another Qube, or was it changed in between?)"
@@ -309,5 +316,6 @@ fn named(check: &Fit<'_>, residuals: f64, noise_ratio: f64) -> Option<MissingEff
         Effect::Warming => MissingEffect::Warming,
         Effect::Angle => MissingEffect::Angle,
         Effect::Direction => MissingEffect::Direction,
+        Effect::Play => MissingEffect::Play,
     })
 }

@@ -28,16 +28,20 @@ pub(super) enum Effect {
     Angle,
     /// A torque of one sign, in proportion to the arm's speed in either direction.
     Direction,
+    /// Play between motor and arm: where the torque between them changes its sign, the motor turns
+    /// alone for a moment, and if the encoder is on its side, it is ahead of the arm by half the play.
+    Play,
 }
 
 impl Effect {
-    /// All effects in the order of their columns: those on the motor, then that on the encoder.
-    pub const ALL: [Self; 4] = [Self::Reversals, Self::Warming, Self::Direction, Self::Angle];
+    /// All effects in the order of their columns: those on the motor, then those on the encoder.
+    pub const ALL: [Self; 5] =
+        [Self::Reversals, Self::Warming, Self::Direction, Self::Play, Self::Angle];
 
     /// Number of columns that describe the effect in the linear regression of the residuals.
     fn columns(self) -> usize {
         match self {
-            Self::Reversals | Self::Angle => 2,
+            Self::Reversals | Self::Angle | Self::Play => 2,
             Self::Warming | Self::Direction => 1,
         }
     }
@@ -62,6 +66,13 @@ impl Effect {
                     .collect();
                 vec![before_arrival(samples, &speeds, delay_s)]
             }
+            Self::Play => {
+                let pushes_v = pushes_v(samples, model);
+                let lost = |pair: &[f64]| if pair[0] * pair[1] < 0.0 { -pair[1] } else { 0.0 };
+                let lost_v: Vec<f64> =
+                    std::iter::once(0.0).chain(pushes_v.windows(2).map(lost)).collect();
+                vec![before_arrival(samples, &lost_v, delay_s)]
+            }
             Self::Reversals => BUILD_UPS_RAD
                 .map(|angle_rad| before_arrival(samples, &built_up(samples, angle_rad), delay_s))
                 .to_vec(),
@@ -78,6 +89,26 @@ fn before_arrival(samples: &[MotionSample], values: &[f64], delay_s: f64) -> Vec
         values.get(acts.min(last)).copied().unwrap_or(0.0)
     };
     samples.iter().map(at).collect()
+}
+
+/// The torque that the motor passes on to the arm at each sample, by the voltage that would hold it
+/// at rest, V: the command that acts, less dead zones, friction and the voltage that the arm's speed
+/// induces.
+fn pushes_v(samples: &[MotionSample], model: &QubeModel) -> Vec<f64> {
+    let (parameters, gap) = (&model.parameters, &model.nonidealities);
+    let friction_v =
+        gap.coulomb_torque_n_m * parameters.motor_resistance_ohm / parameters.motor_back_emf_v_s;
+    let one = |sample: &MotionSample| {
+        let acting_s = sample.time_s - gap.command_delay_s;
+        let sent = samples.partition_point(|it| it.time_s <= acting_s + 1e-9);
+        let voltage_v = samples[sent.saturating_sub(1)].voltage_v;
+        let above = (voltage_v - gap.positive_dead_zone_v).max(0.0);
+        let below = (voltage_v + gap.negative_dead_zone_v).min(0.0);
+        let speed_rad_s = sample.state.theta_dot;
+        let induced_v = parameters.motor_back_emf_v_s * speed_rad_s;
+        above + below - induced_v - friction_v * speed_rad_s.signum()
+    };
+    samples.iter().map(one).collect()
 }
 
 /// The torque at each sample, as a share of its largest, of an element that resists the arm
@@ -105,16 +136,16 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
     let size = unknowns + columns + 1;
     let mut squares = DMatrix::<f64>::zeros(size, size);
     let simulated = simulated(check);
-    let mut disturbed: Vec<Option<Vec<Vec<MotionSample>>>> = vec![None; check.offsets.len()];
+    let mut disturbed: Vec<Option<Disturbed>> = vec![None; check.offsets.len()];
     let mut count = 0.0;
     for (((stretch, &start), &recording), base) in
         check.stretches.iter().zip(&check.starts).zip(&check.recording).zip(&simulated)
     {
         let model = check.offsets[recording].applied(&check.model);
-        let copies = disturbed[recording].get_or_insert_with(|| {
+        let disturbed = disturbed[recording].get_or_insert_with(|| {
             let pairs = check.stretches.iter().zip(&simulated);
             let own = pairs.filter(|(other, _)| other.is_beside(stretch));
-            all_disturbed(&with_simulated_states(stretch.recording, own), &model)
+            Disturbed::of(&with_simulated_states(stretch.recording, own), &model)
         });
         let (mut residuals, slopes) =
             linearised(stretch, check.unknowns, check.plant, &model, start, [1.0, 1.0]);
@@ -125,7 +156,7 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
         let mut all = DMatrix::<f64>::zeros(residuals.len(), size);
         all.columns_mut(0, unknowns).copy_from(&slopes.columns(0, unknowns));
         let mut column = unknowns;
-        for copy in copies.iter() {
+        for copy in &disturbed.copies {
             let states = Stretch { recording: copy, ..*stretch }.simulate(&model, start);
             for (row, (moved, unmoved)) in states.iter().zip(base).enumerate() {
                 all[(2 * row, column)] = (moved.theta - unmoved.theta) / DISTURBANCE_V;
@@ -133,6 +164,10 @@ pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
             }
             column += 1;
         }
+        for (row, push_v) in disturbed.pushes_v[stretch.range()].iter().enumerate() {
+            all[(2 * row, column)] = push_v.signum();
+        }
+        column += 1;
         // An error that is periodic in the arm's angle is a sum of the angle's sine and cosine.
         for (row, state) in base.iter().enumerate() {
             let (sin, cos) = state.theta.sin_cos();
@@ -176,16 +211,28 @@ fn with_simulated_states<'a>(
     samples
 }
 
-/// Copies of a recording with disturbed voltages, one for each column of each effect on the motor.
-fn all_disturbed(samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<MotionSample>> {
-    let one = |by: Vec<f64>| {
-        let add = |(sample, by): (&MotionSample, f64)| MotionSample {
-            voltage_v: sample.voltage_v + DISTURBANCE_V * by,
-            ..*sample
+/// A recording under the effects.
+#[derive(Clone)]
+struct Disturbed {
+    /// Copies of the recording with disturbed voltages, one for each column of each effect on the
+    /// motor.
+    copies: Vec<Vec<MotionSample>>,
+    /// The result of [`pushes_v`]: its sign is the side of the play on which the motor is.
+    pushes_v: Vec<f64>,
+}
+
+impl Disturbed {
+    fn of(samples: &[MotionSample], model: &QubeModel) -> Self {
+        let one = |by: Vec<f64>| {
+            let add = |(sample, by): (&MotionSample, f64)| MotionSample {
+                voltage_v: sample.voltage_v + DISTURBANCE_V * by,
+                ..*sample
+            };
+            samples.iter().zip(by).map(add).collect()
         };
-        samples.iter().zip(by).map(add).collect()
-    };
-    Effect::ALL.iter().flat_map(|effect| effect.disturbances(samples, model)).map(one).collect()
+        let effects = Effect::ALL.iter().flat_map(|effect| effect.disturbances(samples, model));
+        Self { copies: effects.map(one).collect(), pushes_v: pushes_v(samples, model) }
+    }
 }
 
 /// The reduction by each effect. `squares` contains the products of all columns with each other:

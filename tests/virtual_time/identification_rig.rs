@@ -51,6 +51,25 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
     two(excite("slow-chirp", "0.75"), excite("pushes", "1.5"));
 }
 
+#[test]
+fn play_between_motor_and_arm_is_named_after_a_chirp_and_pushes() {
+    let directory = tempfile::tempdir().unwrap();
+    let excite = |shape: &str, volts: &str| {
+        let run =
+            ["run", "--excite", shape, "--volts", volts, "--profile", "lab", "--seed", "1500"];
+        let play = ["--play-deg", "1", "--clock", "virtual", "--out", shape];
+        qube_hil(directory.path(), &[&run[..], &play].concat());
+        format!("{shape}/rollout-0.mcap")
+    };
+    let files = [excite("chirp", "1.5"), excite("pushes", "1.05")];
+    let found = json(&qube_hil(directory.path(), &["identify", &files[0], &files[1], "--json"]));
+    assert_eq!(found["verdict"], "fits_but", "{found}");
+    assert_eq!(found["doubts"][1], "play", "{found}");
+    let profile = std::fs::read_to_string(directory.path().join("profile.toml")).unwrap();
+    let doubts = Profile::parse(&profile).unwrap().provenance.unwrap().doubts;
+    assert_eq!(doubts, ["unexplained", "play"]);
+}
+
 /// The motions of several rollouts of one policy are alike, and mostly balancing.
 #[test]
 fn rollouts_of_a_policy_alone_give_the_profile_back() {
