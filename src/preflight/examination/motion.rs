@@ -144,6 +144,14 @@ struct Pushes<'a, 'd> {
     doubtful: u32,
 }
 
+/// The end of a push.
+enum PushEnding {
+    /// The push was completed.
+    Probed(Box<SignProbe>),
+    /// A fault ended the push.
+    Fault(Fault),
+}
+
 /// The next step after equal pushes.
 enum AfterPushes {
     /// The next push is another one.
@@ -161,14 +169,16 @@ impl Pushes<'_, '_> {
         let mut before = self.at_rest;
         loop {
             let probe = match self.push(push_v)? {
-                Ok(probe) => probe,
-                Err(fault) if fault.may_be_repeated() && disturbed < MAX_REPETITIONS => {
+                PushEnding::Probed(probe) => probe,
+                PushEnding::Fault(fault)
+                    if fault.may_be_repeated() && disturbed < MAX_REPETITIONS =>
+                {
                     disturbed += 1;
                     rest::wait_for_the_arm(self.examined, self.plant.encoders.theta)?;
                     before = rest::window(self.examined)?;
                     continue;
                 }
-                Err(fault) => return Ok(AfterPushes::Ended(fault)),
+                PushEnding::Fault(fault) => return Ok(AfterPushes::Ended(fault)),
             };
             let effect = self.add(probe.trace(), &mut before)?;
             if effect == PushEffect::Enough {
@@ -185,21 +195,21 @@ impl Pushes<'_, '_> {
         }
     }
 
-    /// Pushes once; `Ok(Err(fault))`: this fault ended the push.
-    fn push(&mut self, push_v: f64) -> Result<Result<SignProbe, Fault>, Interruption> {
+    /// Pushes once.
+    fn push(&mut self, push_v: f64) -> Result<PushEnding, Interruption> {
         self.examined.ensure_going()?;
         let ExaminedDevice { device, clock, stop, .. } = &mut *self.examined;
         device.hello()?;
-        let mut probe = SignProbe::new(self.plant, self.signs, push_v);
-        let report = drive_warm(*device, *clock, &mut probe, self.heat, None, stop)?;
+        let mut probe = Box::new(SignProbe::new(self.plant, self.signs, push_v));
+        let report = drive_warm(*device, *clock, &mut *probe, self.heat, None, stop)?;
         // The hello at the end of the examination confirms after a stop that the motor is off.
         if report.outcome.ending == Ending::Stopped {
             return Err(Interruption::Stopped);
         }
         match fault_after(&report, device.is_hardware()) {
             Some(Fault::LinkGone) => Err(self.examined.link_fault(LinkFault::Gone)),
-            Some(fault) => Ok(Err(fault)),
-            None => Ok(Ok(probe)),
+            Some(fault) => Ok(PushEnding::Fault(fault)),
+            None => Ok(PushEnding::Probed(probe)),
         }
     }
 
