@@ -266,7 +266,7 @@ mod tests {
         let settings = experiment.settings().methods.as_ref().unwrap();
         let run = run(&experiment, Method::Posterior, Access::ReadOnly);
         record(&run, RolloutAttempt::FIRST, Ending::Completed, 300, swings);
-        let recordings = run.folder.join("recordings");
+        let recordings = run.recordings();
         let scored = root.path().join("scored.mcap");
         std::fs::rename(recording_in(&recordings, RolloutAttempt::FIRST), &scored).unwrap();
         for rollout in 0..2 {

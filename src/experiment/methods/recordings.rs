@@ -39,7 +39,7 @@ impl<'a> MethodRecordings<'a> {
     }
 
     fn folder(&self) -> PathBuf {
-        self.run.folder.join("recordings")
+        self.run.recordings()
     }
 
     /// Largest number of repetitions of a recording after void attempts.

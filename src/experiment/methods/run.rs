@@ -125,6 +125,16 @@ pub(super) struct MethodRun<'a> {
 }
 
 impl MethodRun<'_> {
+    /// Folder of the recordings that are the run's data.
+    pub fn recordings(&self) -> PathBuf {
+        self.folder.join("recordings")
+    }
+
+    /// Folder of the run's session, if it searches.
+    pub fn search(&self) -> PathBuf {
+        self.folder.join("search")
+    }
+
     /// The recommendation for a Qube of which nothing is known: the distribution `robust`.
     pub fn without_identification(&self) -> Recommendation {
         let recipe = Recipe::of(Model::Robust, &self.recipe.settings);

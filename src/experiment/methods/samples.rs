@@ -68,7 +68,7 @@ pub fn record(
     steps: u32,
     motion: impl Fn(f64) -> State,
 ) {
-    let folder = run.folder.join("recordings");
+    let folder = run.recordings();
     std::fs::create_dir_all(&folder).unwrap();
     let path = recording_in(&folder, attempt);
     let RolloutAttempt { rollout, attempt } = attempt;

@@ -38,14 +38,13 @@ impl<'a> FromSearch<'a> {
     /// Continues the search until this many candidates are evaluated; a read-only run does nothing.
     fn search_to(&mut self, candidates: u32) -> Result<(), ExperimentError> {
         let Access::Work(on_event) = self.run.access else { return Ok(()) };
-        let folder = self.run.folder.join("search");
         let session = match self.session.take() {
             Some(session) => session,
             None => {
                 make(&self.run.folder)?;
                 let experiment = self.run.experiment;
                 let settings = self.settings.clone();
-                open_search(&folder, settings, experiment.rig(), experiment.stop())?
+                open_search(&self.run.search(), settings, experiment.rig(), experiment.stop())?
                     .trained_by(experiment.executor(1))
             }
         };
@@ -60,8 +59,7 @@ impl<'a> FromSearch<'a> {
 
     fn read_evaluated(&mut self) -> Result<(), ExperimentError> {
         let rollouts = self.settings.extent.rollouts as usize;
-        let folder = self.run.folder.join("search");
-        let more = searched(&folder, self.evaluated.len())?;
+        let more = searched(&self.run.search(), self.evaluated.len())?;
         self.evaluated.extend(more.into_iter().take_while(|it| it.returns.len() == rollouts));
         Ok(())
     }

@@ -267,8 +267,7 @@ mod tests {
         record(&run, RolloutAttempt::FIRST, Ending::Completed, 300, swings);
         universal.read_candidates(2).unwrap();
         assert_eq!(universal.candidates.count(), 1);
-        std::fs::remove_file(recording_in(&run.folder.join("recordings"), RolloutAttempt::FIRST))
-            .unwrap();
+        std::fs::remove_file(recording_in(&run.recordings(), RolloutAttempt::FIRST)).unwrap();
         record(&run, RolloutAttempt { rollout: 1, attempt: 0 }, Ending::Completed, 300, swings);
         universal.read_candidates(2).unwrap();
         assert_eq!(universal.candidates.count(), 2);
