@@ -1,14 +1,8 @@
 use std::collections::BTreeMap;
 
-use nalgebra::{DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
-use super::DomainDistribution;
-use crate::qube::{PlantModel, Profile, Quantity};
-
-/// Smallest width of a direction that [`Direction::of_errors`] keeps, in the units of width that
-/// are described there; narrower directions are negligible.
-const SMALLEST_WIDTH: f64 = 1e-6;
+use crate::qube::Quantity;
 
 /// A joint deviation of several quantities: a standard normal number `z` moves each quantity by `z`
 /// times its entry here, which is in the quantity's unit.
@@ -28,58 +22,6 @@ impl Direction {
             direction.deviations[quantity.index()] = deviation;
         }
         direction
-    }
-
-    /// The principal directions of the errors of a profile's identification, the widest first.
-    /// Together they have the covariance of these errors. The list is empty for a profile without
-    /// standard errors.
-    ///
-    /// To compare quantities of different units, the width of a direction is measured in the
-    /// standard deviations of the distribution `robust` for the profile's plant, the belief about a
-    /// specimen before any data; a quantity that `robust` holds constant, in tenths of its value.
-    #[must_use]
-    pub fn of_errors(profile: &Profile, plant: &PlantModel) -> Vec<Self> {
-        let quantities: Vec<Quantity> =
-            Quantity::all().filter(|&quantity| profile.standard_error(quantity) > 0.0).collect();
-        let before = DomainDistribution::robust();
-        let scale = |quantity: Quantity| {
-            let of_qube = match before.standard_deviation(quantity) {
-                // A quantity that `robust` holds constant is measured in tenths of its value.
-                0.0 => (0.1 * before.get(quantity).mean().abs()).max(f64::MIN_POSITIVE),
-                deviation => deviation,
-            };
-            match plant.proportion(quantity) {
-                // The plant's nominal value is 0 and gives no scale: the standard error is its own
-                // scale.
-                0.0 => profile.standard_error(quantity),
-                proportion => proportion * of_qube,
-            }
-        };
-        let scales: Vec<f64> = quantities.iter().map(|&quantity| scale(quantity)).collect();
-        let scaled = DMatrix::from_fn(quantities.len(), quantities.len(), |row, column| {
-            let covariance = profile.covariance(quantities[row], quantities[column]);
-            covariance / (scales[row] * scales[column])
-        });
-        if quantities.is_empty() {
-            return Vec::new();
-        }
-        let eigen = SymmetricEigen::new(scaled);
-        let mut order: Vec<usize> = (0..quantities.len()).collect();
-        order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
-        let widths =
-            order.into_iter().map(|index| (index, eigen.eigenvalues[index].max(0.0).sqrt()));
-        widths
-            .filter(|&(_, width)| width > SMALLEST_WIDTH)
-            .map(|(index, width)| {
-                let vector = eigen.eigenvectors.column(index);
-                // The sign of an eigenvector is arbitrary: its largest entry is made positive.
-                let sign = vector[vector.icamax()].signum();
-                let entry = |(row, &quantity): (usize, &Quantity)| {
-                    (quantity, sign * width * vector[row] * scales[row])
-                };
-                Self::new(&quantities.iter().enumerate().map(entry).collect::<Vec<_>>())
-            })
-            .collect()
     }
 
     /// The deviation by which the direction moves a quantity, in the quantity's unit; 0 if it does
@@ -122,55 +64,17 @@ impl TryFrom<BTreeMap<String, f64>> for Direction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::{Correlations, QubeModel};
-
-    /// A profile in which the errors of resistance and back-EMF are correlated and the error of the
-    /// delay is independent.
-    fn profile() -> Profile {
-        let mut profile = Profile::exact("one", &QubeModel::NOMINAL);
-        let errors = [("R_m", 0.5), ("k_m", 0.002), ("command_delay_s", 0.001)];
-        profile.standard_errors = errors.map(|(name, error)| (name.to_owned(), error)).into();
-        let names = vec!["R_m".into(), "k_m".into(), "command_delay_s".into()];
-        let matrix = [vec![1.0, 0.9, 0.0], vec![0.9, 1.0, 0.0], vec![0.0, 0.0, 1.0]];
-        profile.correlations = Some(Correlations::new(names, &matrix));
-        profile
-    }
-
-    #[test]
-    fn the_directions_of_a_profile_have_its_covariance_and_the_widest_is_first() {
-        let directions = Direction::of_errors(&profile(), &PlantModel::QUBE);
-        assert_eq!(directions.len(), 3);
-        for one in Quantity::all() {
-            for other in Quantity::all() {
-                let sum: f64 = directions.iter().map(|it| it.of(one) * it.of(other)).sum();
-                let wanted = profile().covariance(one, other);
-                let scale = profile().standard_error(one) * profile().standard_error(other);
-                assert!((sum - wanted).abs() <= 1e-9 * scale, "{one:?} {other:?}: {sum} {wanted}");
-            }
-        }
-        let robust = DomainDistribution::robust();
-        let width = |direction: &Direction| {
-            let share = |quantity: Quantity| {
-                let deviation = direction.of(quantity);
-                if deviation == 0.0 { 0.0 } else { deviation / robust.standard_deviation(quantity) }
-            };
-            Quantity::all().map(|quantity| share(quantity).powi(2)).sum::<f64>()
-        };
-        assert!(width(&directions[0]) > width(&directions[1]));
-        assert!(width(&directions[1]) > width(&directions[2]));
-    }
-
-    #[test]
-    fn a_profile_without_errors_has_no_direction() {
-        let exact = Profile::exact("one", &QubeModel::NOMINAL);
-        assert_eq!(Direction::of_errors(&exact, &PlantModel::QUBE), []);
-    }
+    use crate::qube::{DomainParameter, Nonideality};
 
     #[test]
     fn a_direction_reads_back_and_an_unknown_name_is_refused() {
-        let direction = &Direction::of_errors(&profile(), &PlantModel::QUBE)[0];
-        let written = serde_json::to_string(direction).unwrap();
-        assert_eq!(&serde_json::from_str::<Direction>(&written).unwrap(), direction);
+        let deviations = [
+            (DomainParameter::MotorResistance.into(), 0.5),
+            (Nonideality::CommandDelay.into(), -0.001),
+        ];
+        let direction = Direction::new(&deviations);
+        let written = serde_json::to_string(&direction).unwrap();
+        assert_eq!(serde_json::from_str::<Direction>(&written).unwrap(), direction);
         assert!(serde_json::from_str::<Direction>("{\"R_x\": 1.0}").is_err());
     }
 }

@@ -22,6 +22,7 @@ pub mod box_file;
 mod direction;
 mod distribution;
 mod domain_distribution;
+mod error_directions;
 mod evaluation;
 mod lane_observer;
 mod lane_status;
