@@ -2,7 +2,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use super::worker::Alive;
+use super::alive::Alive;
 use super::{
     ClaimEnding, ClaimName, Heartbeat, HeartbeatWatch, NextTry, Slot, Tries, WorkReport, Worker,
     WorkerEvent,

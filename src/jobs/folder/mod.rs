@@ -17,6 +17,7 @@
 //! job after one of them was taken for dead. They train the same policy and curve, and a job has
 //! one result.
 
+mod alive;
 mod claim_name;
 mod coordinator;
 mod heartbeat;
@@ -27,6 +28,7 @@ mod sealed;
 mod terms;
 mod tries;
 mod worker;
+mod worker_run;
 
 pub use claim_name::ClaimName;
 pub use coordinator::Coordinator;

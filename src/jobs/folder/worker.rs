@@ -1,12 +1,9 @@
 use std::str::FromStr;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use thiserror::Error;
 
-use super::job_loop::{JobLoop, POLL_INTERVAL};
-use super::{ClaimEnding, Heartbeat, Holder, JobFolder};
+use super::{Holder, JobFolder};
 use crate::elementary::Level;
 use crate::jobs::JobFolderError;
 use crate::learning::TrainError;
@@ -92,42 +89,6 @@ pub struct Worker {
     pub(super) linger: Duration,
 }
 
-/// The files that a worker extends at each beat; `None` once it has ended.
-pub(super) struct Alive(Mutex<Option<AliveFiles>>);
-
-struct AliveFiles {
-    worker: Heartbeat,
-    claim: Option<Heartbeat>,
-}
-
-impl Alive {
-    fn files(&self) -> MutexGuard<'_, Option<AliveFiles>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Keeps a claim alive, too.
-    pub(super) fn hold(&self, claim: Heartbeat) {
-        if let Some(files) = self.files().as_mut() {
-            files.claim = Some(claim);
-        }
-    }
-
-    /// Ends the claim that is held.
-    pub(super) fn end_claim(&self, ending: &ClaimEnding) {
-        let claim = self.files().as_mut().and_then(|files| files.claim.take());
-        let _ = claim.map(|claim| claim.end(ending));
-    }
-}
-
-/// Ends the heartbeat thread when the work ends, also when it panics.
-struct HeartbeatEnd<'a>(&'a Alive);
-
-impl Drop for HeartbeatEnd<'_> {
-    fn drop(&mut self) {
-        self.0.files().take();
-    }
-}
-
 impl Worker {
     /// A worker that ends after `linger` without work for it or any other worker.
     ///
@@ -144,60 +105,6 @@ impl Worker {
         match has_fma {
             true => Ok(Self { folder, holder, slot, linger }),
             false => Err(JobFolderError::NoFma { host: holder.host }),
-        }
-    }
-
-    /// Carries out jobs until the coordinator closes the folder, `stop` is set, or the time
-    /// `linger` has passed without work for this worker or any other.
-    ///
-    /// # Errors
-    /// File operations fail for a minute, or for the stale time if that is shorter. The results of
-    /// finished jobs are in the folder.
-    pub fn run(
-        &self,
-        stop: &AtomicBool,
-        on_event: &mut dyn FnMut(WorkerEvent),
-    ) -> Result<WorkReport, JobFolderError> {
-        let worker = self.folder.register(&self.holder)?;
-        let alive = Alive(Mutex::new(Some(AliveFiles { worker, claim: None })));
-        let halt = AtomicBool::new(stop.load(Ordering::Relaxed));
-        std::thread::scope(|scope| {
-            let heart = scope.spawn(|| self.beat(&alive, stop, &halt));
-            let _end = HeartbeatEnd(&alive);
-            let outcome = JobLoop::new(self, &alive, &halt, on_event).run();
-            let ended = alive.files().take();
-            if let Some(AliveFiles { worker, .. }) = ended {
-                let ending = match &outcome {
-                    Ok(_) if halt.load(Ordering::Relaxed) => ClaimEnding::Stopped,
-                    Ok(_) => ClaimEnding::Done,
-                    Err(error) => ClaimEnding::Failed(error.to_string()),
-                };
-                let _ = worker.end(&ending);
-            }
-            heart.thread().unpark();
-            outcome
-        })
-    }
-
-    /// Writes the beats until the worker has ended. Halts the worker when `stop` is set or the
-    /// folder is closed.
-    fn beat(&self, alive: &Alive, stop: &AtomicBool, halt: &AtomicBool) {
-        let mut beaten = Instant::now();
-        loop {
-            std::thread::park_timeout(POLL_INTERVAL);
-            let is_due = beaten.elapsed() >= self.folder.terms().beat();
-            if stop.load(Ordering::Relaxed) || (is_due && self.folder.is_closed()) {
-                halt.store(true, Ordering::Relaxed);
-            }
-            let mut files = alive.files();
-            let Some(files) = files.as_mut() else { return };
-            if is_due {
-                beaten = Instant::now();
-                // Without beats other workers take the job and train the same policy, so a beat
-                // that cannot be written does no harm.
-                let _ = files.worker.beat();
-                let _ = files.claim.as_mut().map(Heartbeat::beat);
-            }
         }
     }
 }
