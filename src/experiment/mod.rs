@@ -24,6 +24,7 @@ mod folder;
 mod irreplaceable;
 mod made;
 mod methods;
+mod opened;
 mod plant;
 mod queue;
 mod recipe;
@@ -47,10 +48,11 @@ pub use methods::{
     ALL_PLANTS, Method, MethodResult, MethodResults, MethodSettings, RecommendationOutcome,
     RecommendationResult, RecommendationScore, Repetition, RepetitionSeeds,
 };
+pub use opened::Experiment;
 pub use plant::Plant;
 pub use recipe::Recipe;
 pub use results::{PolicyResult, RecipeResult, Results};
 pub use rollouts::RolloutResult;
 pub use setting_error::ExperimentSettingError;
 pub use settings::ExperimentSettings;
-pub use work::{Experiment, SearchReturns, TrainingProgress};
+pub use work::{SearchReturns, TrainingProgress};

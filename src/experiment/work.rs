@@ -1,6 +1,4 @@
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use super::event::{ExperimentEvent, OnEvent};
 use super::folder::make;
@@ -8,28 +6,12 @@ use super::methods::{Access, Followed, Trial};
 use super::queue::Queue;
 use super::search::{RecipePsi, found_psi, open_search, searched};
 use super::series::PolicySeries;
-use super::{ExperimentError, ExperimentFolder, ExperimentSettings, Made, Method, Recipe};
-use crate::jobs::{Executor, LocalExecutor};
+use super::{Experiment, ExperimentError, Made, Method, Recipe};
 use crate::learning::{CURVE_BYTES, parse_curve_csv};
-use crate::rig::{ClockChoice, Rig, RigSettings};
+use crate::rig::Rig;
 use crate::session::{SeedFor, SessionEvent, SessionSettings, derived_seed};
 use crate::simulation::{DomainDistribution, Psi};
 use crate::storage::read_text;
-
-/// An experiment in its folder. The files in the folder alone decide which work is finished and
-/// which follows.
-pub struct Experiment {
-    folder: ExperimentFolder,
-    settings: ExperimentSettings,
-    rig: RigSettings,
-    threads: usize,
-    stop: Arc<AtomicBool>,
-    executor: Option<Arc<dyn Executor>>,
-}
-
-/// Largest number of items of work that run at a time because their trainings run on other
-/// computers; each has a thread.
-const MAX_PARALLEL_ITEMS: usize = 1000;
 
 /// A unit of work.
 enum WorkItem {
@@ -65,75 +47,6 @@ pub type SearchReturns = Vec<(String, Vec<Vec<f64>>)>;
 pub type TrainingProgress = Vec<(String, Vec<Vec<f64>>)>;
 
 impl Experiment {
-    /// An experiment that begins or continues in its folder. `rig` selects the Qube; if it is
-    /// emulated, it becomes each plant in turn, in virtual time.
-    #[must_use]
-    pub fn new(
-        folder: ExperimentFolder,
-        settings: ExperimentSettings,
-        rig: RigSettings,
-        threads: usize,
-        stop: Arc<AtomicBool>,
-    ) -> Self {
-        Self { folder, settings, rig, threads: threads.max(1), stop, executor: None }
-    }
-
-    /// Trains on this executor, or with `None` on this computer's cores; the policies do not depend
-    /// on it. Methods that train in a way of their own, such as `adr` and `so-cma`, do so on this
-    /// computer in any case.
-    #[must_use]
-    pub fn trained_by(mut self, executor: Option<Arc<dyn Executor>>) -> Self {
-        self.executor = executor;
-        self
-    }
-
-    /// The executor of trainings that may use this many of this computer's cores.
-    pub(super) fn executor(&self, cores: usize) -> Arc<dyn Executor> {
-        match &self.executor {
-            Some(executor) => Arc::clone(executor),
-            None => Arc::new(LocalExecutor::on_cores(cores)),
-        }
-    }
-
-    /// Number of items of work at a time. While the training of an item runs on another computer,
-    /// the item only waits here, so there may be more items than threads.
-    fn parallel_items(&self) -> usize {
-        let elsewhere = self.executor.as_ref().map_or(0, |executor| executor.concurrency());
-        self.threads.max(elsewhere.min(MAX_PARALLEL_ITEMS))
-    }
-
-    /// The experiment's folder.
-    #[must_use]
-    pub fn folder(&self) -> &ExperimentFolder {
-        &self.folder
-    }
-
-    /// The experiment's settings.
-    #[must_use]
-    pub fn settings(&self) -> &ExperimentSettings {
-        &self.settings
-    }
-
-    /// Number of threads.
-    pub(super) fn threads(&self) -> usize {
-        self.threads
-    }
-
-    /// Settings of the rig.
-    pub(super) fn rig(&self) -> &RigSettings {
-        &self.rig
-    }
-
-    /// Flag that requests a stop.
-    pub(super) fn stop(&self) -> &Arc<AtomicBool> {
-        &self.stop
-    }
-
-    /// Whether rollouts run in virtual time, and so on many emulated Qubes at once.
-    fn is_virtual(&self) -> bool {
-        self.rig.clock == ClockChoice::Virtual
-    }
-
     /// Completes all work. In virtual time all threads take items until none is left. On one Qube
     /// the searches run first, one after the other; then all threads train policies; then the
     /// rollouts run, one after the other.
@@ -145,11 +58,11 @@ impl Experiment {
         let searches = items.iter().filter(|item| matches!(item, WorkItem::Search { .. })).count();
         if !self.is_virtual() {
             for item in items.drain(..searches).collect::<Vec<_>>() {
-                items.extend(self.work(item, self.threads, on_event)?);
+                items.extend(self.work(item, self.threads(), on_event)?);
             }
         }
-        let cores = self.threads / searches.max(1);
-        Queue::new(items, &self.stop)
+        let cores = self.threads() / searches.max(1);
+        Queue::new(items, self.stop())
             .run(self.parallel_items(), |item| self.work(item, cores, on_event))?;
         if !self.is_virtual() {
             self.run_on_device(on_event)?;
@@ -158,16 +71,16 @@ impl Experiment {
     }
 
     fn items(&self) -> Vec<WorkItem> {
-        if let Some(methods) = &self.settings.methods {
+        if let Some(methods) = &self.settings().methods {
             if methods.has_budgets() {
-                let trials = methods.trials(self.settings.plants.len());
+                let trials = methods.trials(self.settings().plants.len());
                 return trials.map(WorkItem::AtBudgets).collect();
             }
             let of = |(method, repetition)| WorkItem::Repetition { method, repetition };
             return methods.repetitions().map(of).collect();
         }
         let mut items = Vec::new();
-        for (recipe, it) in self.settings.recipes.iter().enumerate() {
+        for (recipe, it) in self.settings().recipes.iter().enumerate() {
             if it.model.is_searched() {
                 // Searches come first, because the policies of their recipes wait for them.
                 items.insert(0, WorkItem::Search { recipe });
@@ -179,7 +92,7 @@ impl Experiment {
     }
 
     fn policies(&self, recipe: usize) -> impl Iterator<Item = WorkItem> + use<> {
-        (0..self.settings.policies).map(move |policy| WorkItem::Policy { recipe, policy })
+        (0..self.settings().policies).map(move |policy| WorkItem::Policy { recipe, policy })
     }
 
     /// Does one item and returns the items that follow from it.
@@ -191,22 +104,22 @@ impl Experiment {
     ) -> Result<Vec<WorkItem>, ExperimentError> {
         match item {
             WorkItem::Search { recipe } => {
-                self.search(&self.settings.recipes[recipe], cores, on_event)?;
+                self.search(&self.settings().recipes[recipe], cores, on_event)?;
                 Ok(self.policies(recipe).collect())
             }
             WorkItem::Policy { recipe, policy } => {
-                let recipe = &self.settings.recipes[recipe];
+                let recipe = &self.settings().recipes[recipe];
                 self.make_policy(recipe, policy, on_event)?;
                 Ok(Vec::new())
             }
             WorkItem::AtBudgets(trial) => {
-                if let Some(methods) = &self.settings.methods {
+                if let Some(methods) = &self.settings().methods {
                     self.at_budgets(methods, trial, Access::Work(on_event))?;
                 }
                 Ok(Vec::new())
             }
             WorkItem::Repetition { method, repetition } => {
-                if let Some(methods) = &self.settings.methods {
+                if let Some(methods) = &self.settings().methods {
                     let Followed { repetition, made } =
                         self.follow(methods, (method, repetition), Access::Work(on_event))?;
                     on_event(ExperimentEvent::Over { repetition: &repetition, made });
@@ -222,11 +135,11 @@ impl Experiment {
         cores: usize,
         on_event: &OnEvent,
     ) -> Result<(), ExperimentError> {
-        make(&self.folder.searches())?;
-        let emulated = self.settings.plants[0].emulated;
+        make(&self.folder().searches())?;
+        let emulated = self.settings().plants[0].emulated;
         let settings = SessionSettings {
-            name: format!("{} of {}", recipe.name, self.settings.name),
-            seed: derived_seed(self.settings.seed, SeedFor::Search),
+            name: format!("{} of {}", recipe.name, self.settings().name),
+            seed: derived_seed(self.settings().seed, SeedFor::Search),
             emulated,
             ..recipe.settings.clone()
         };
@@ -234,9 +147,9 @@ impl Experiment {
             name: recipe.name.clone(),
             source: Box::new(source),
         };
-        let folder = self.folder.search(&recipe.name);
+        let folder = self.folder().search(&recipe.name);
         let rig = self.rig_on_the_same_board()?;
-        let session = open_search(&folder, settings, &rig, &self.stop)?;
+        let session = open_search(&folder, settings, &rig, self.stop())?;
         let on_event = &mut |progress: SessionEvent| {
             on_event(ExperimentEvent::Search { name: &recipe.name, progress: &progress });
         };
@@ -248,7 +161,7 @@ impl Experiment {
         if !recipe.model.is_searched() {
             return Ok(RecipePsi::NotSearched);
         }
-        let found = found_psi(&self.folder.search(&recipe.name), &recipe.settings)?;
+        let found = found_psi(&self.folder().search(&recipe.name), &recipe.settings)?;
         Ok(found.map_or(RecipePsi::NotFound, RecipePsi::Found))
     }
 
@@ -259,7 +172,7 @@ impl Experiment {
     /// A search cannot be read, or [`Recipe::distribution`] fails.
     pub fn distributions(&self) -> Result<Vec<(String, DomainDistribution)>, ExperimentError> {
         let mut known = Vec::new();
-        for recipe in &self.settings.recipes {
+        for recipe in &self.settings().recipes {
             let psi = self.psi(recipe)?;
             if !matches!(psi, RecipePsi::NotFound) {
                 known.push((recipe.name.clone(), recipe.distribution(psi.value())?));
@@ -273,10 +186,10 @@ impl Experiment {
     /// # Errors
     /// A search cannot be read.
     pub fn searches(&self) -> Result<SearchReturns, ExperimentError> {
-        let optimised = self.settings.recipes.iter().filter(|recipe| recipe.model.is_searched());
+        let optimised = self.settings().recipes.iter().filter(|recipe| recipe.model.is_searched());
         optimised
             .map(|recipe| {
-                let candidates = searched(&self.folder.search(&recipe.name), 0)?;
+                let candidates = searched(&self.folder().search(&recipe.name), 0)?;
                 let returns = candidates.into_iter().map(|candidate| candidate.returns);
                 Ok((recipe.name.clone(), returns.collect()))
             })
@@ -290,10 +203,10 @@ impl Experiment {
     /// A learning curve cannot be read.
     pub fn training_progress(&self) -> Result<TrainingProgress, ExperimentError> {
         let mut all = Vec::new();
-        for recipe in &self.settings.recipes {
+        for recipe in &self.settings().recipes {
             let mut policies = Vec::new();
-            for policy in 0..self.settings.policies {
-                let path = self.folder.policies(&recipe.name).policy(policy).curve();
+            for policy in 0..self.settings().policies {
+                let path = self.folder().policies(&recipe.name).policy(policy).curve();
                 if path.exists() {
                     policies.push(mean_returns(&path)?);
                 }
@@ -307,15 +220,15 @@ impl Experiment {
 
     fn series<'a>(&'a self, recipe: &'a Recipe, psi: Option<&'a Psi>) -> PolicySeries<'a> {
         PolicySeries {
-            experiment: &self.settings.name,
+            experiment: &self.settings().name,
             recipe,
             psi,
             distribution: None,
-            seed: self.settings.seed,
+            seed: self.settings().seed,
             trainings: 1,
-            folders: self.folder.policies(&recipe.name),
-            rig: &self.rig,
-            stop: &self.stop,
+            folders: self.folder().policies(&recipe.name),
+            rig: self.rig(),
+            stop: self.stop(),
             executor: self.executor(1),
         }
     }
@@ -333,9 +246,9 @@ impl Experiment {
             on_event(ExperimentEvent::Training { recipe: &recipe.name, policy, training, update });
         })?;
         on_event(ExperimentEvent::Trained { recipe: &recipe.name, policy, best_return });
-        let plants = if self.is_virtual() { &self.settings.plants[..] } else { &[] };
+        let plants = if self.is_virtual() { &self.settings().plants[..] } else { &[] };
         for plant in plants {
-            let ran = series.run_in_virtual_time(policy, plant, self.settings.rollouts)?;
+            let ran = series.run_in_virtual_time(policy, plant, self.settings().rollouts)?;
             let made = ran.made.max(Made::now_if(best_return.is_some()));
             let (recipe, plant, results) = (&recipe.name, &plant.name, &ran.results);
             on_event(ExperimentEvent::Ran { recipe, policy, plant, results, made });
@@ -349,16 +262,16 @@ impl Experiment {
     fn run_on_device(&self, on_event: &OnEvent) -> Result<(), ExperimentError> {
         let settings = self.rig_on_the_same_board()?;
         let mut rig: Option<Rig> = None;
-        let plant = &self.settings.plants[0];
-        let recipes = &self.settings.recipes;
+        let plant = &self.settings().plants[0];
+        let recipes = &self.settings().recipes;
         let psi = recipes.iter().map(|recipe| self.psi(recipe)).collect::<Result<Vec<_>, _>>()?;
-        for policy in 0..self.settings.policies {
+        for policy in 0..self.settings().policies {
             for turn in 0..recipes.len() {
                 let which = (policy as usize + turn) % recipes.len();
                 let recipe = &recipes[which];
                 let series =
                     PolicySeries { rig: &settings, ..self.series(recipe, psi[which].value()) };
-                let rollouts = self.settings.rollouts;
+                let rollouts = self.settings().rollouts;
                 let ran = series.run_on_device(&mut rig, policy, plant, rollouts)?;
                 let (recipe, plant, results) = (&recipe.name, &plant.name, &ran.results);
                 on_event(ExperimentEvent::Ran { recipe, policy, plant, results, made: ran.made });

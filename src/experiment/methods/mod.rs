@@ -33,8 +33,9 @@ pub use budgets::ALL_PLANTS;
 pub(super) use budgets::Trial;
 pub(super) use follow::Followed;
 pub use method::Method;
-pub use repetition::{RecommendationOutcome, RecommendationResult, Repetition};
+pub use repetition::{
+    RecommendationOutcome, RecommendationResult, RecommendationScore, Repetition,
+};
 pub use results::{MethodResult, MethodResults};
 pub(super) use run::Access;
-pub use score::RecommendationScore;
 pub use settings::{MethodSettings, RepetitionSeeds};

@@ -1,4 +1,4 @@
-use super::{Method, RecommendationScore};
+use super::Method;
 
 /// One repetition of a method, as far as it has come.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,6 +34,16 @@ pub enum RecommendationOutcome {
     Scored(RecommendationScore),
     /// The method has no recommendation, for this reason.
     Refused(String),
+}
+
+/// The score of a recommendation, over the rollouts that were run until the decision could not
+/// change.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RecommendationScore {
+    /// Number of successful rollouts.
+    pub balanced: u32,
+    /// Number of rollouts run; a rollout whose attempts are all void counts as a failure.
+    pub ran: u32,
 }
 
 impl RecommendationOutcome {

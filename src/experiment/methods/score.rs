@@ -1,17 +1,8 @@
+use super::RecommendationScore;
 use super::run::{Access, OnDisk, trained_and_run};
 use crate::experiment::series::PolicySeries;
 use crate::experiment::{ExperimentError, Made, Plant, RolloutResult};
 use crate::scoring::{Behaviour, criterion};
-
-/// The score of a recommendation, over the rollouts that were run until the decision could not
-/// change.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RecommendationScore {
-    /// Number of successful rollouts.
-    pub balanced: u32,
-    /// Number of rollouts run; a rollout whose attempts are all void counts as a failure.
-    pub ran: u32,
-}
 
 impl RecommendationScore {
     /// Whether the recommendation succeeds over `rollouts` rollouts; `None` while the remaining

@@ -1,0 +1,92 @@
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use super::{ExperimentFolder, ExperimentSettings};
+use crate::jobs::{Executor, LocalExecutor};
+use crate::rig::{ClockChoice, RigSettings};
+
+/// Largest number of items of work that run at a time because their trainings run on other
+/// computers; each has a thread.
+const MAX_PARALLEL_ITEMS: usize = 1000;
+
+/// An experiment in its folder. The files in the folder alone decide which work is finished and
+/// which follows.
+pub struct Experiment {
+    folder: ExperimentFolder,
+    settings: ExperimentSettings,
+    rig: RigSettings,
+    threads: usize,
+    stop: Arc<AtomicBool>,
+    executor: Option<Arc<dyn Executor>>,
+}
+
+impl Experiment {
+    /// An experiment that begins or continues in its folder. `rig` selects the Qube; if it is
+    /// emulated, it becomes each plant in turn, in virtual time.
+    #[must_use]
+    pub fn new(
+        folder: ExperimentFolder,
+        settings: ExperimentSettings,
+        rig: RigSettings,
+        threads: usize,
+        stop: Arc<AtomicBool>,
+    ) -> Self {
+        Self { folder, settings, rig, threads: threads.max(1), stop, executor: None }
+    }
+
+    /// Trains on this executor, or with `None` on this computer's cores; the policies do not depend
+    /// on it. Methods that train in a way of their own, such as `adr` and `so-cma`, do so on this
+    /// computer in any case.
+    #[must_use]
+    pub fn trained_by(mut self, executor: Option<Arc<dyn Executor>>) -> Self {
+        self.executor = executor;
+        self
+    }
+
+    /// The executor of trainings that may use this many of this computer's cores.
+    pub(super) fn executor(&self, cores: usize) -> Arc<dyn Executor> {
+        match &self.executor {
+            Some(executor) => Arc::clone(executor),
+            None => Arc::new(LocalExecutor::on_cores(cores)),
+        }
+    }
+
+    /// Number of items of work at a time. While the training of an item runs on another computer,
+    /// the item only waits here, so there may be more items than threads.
+    pub(super) fn parallel_items(&self) -> usize {
+        let elsewhere = self.executor.as_ref().map_or(0, |executor| executor.concurrency());
+        self.threads.max(elsewhere.min(MAX_PARALLEL_ITEMS))
+    }
+
+    /// The experiment's folder.
+    #[must_use]
+    pub fn folder(&self) -> &ExperimentFolder {
+        &self.folder
+    }
+
+    /// The experiment's settings.
+    #[must_use]
+    pub fn settings(&self) -> &ExperimentSettings {
+        &self.settings
+    }
+
+    /// Number of threads.
+    pub(super) fn threads(&self) -> usize {
+        self.threads
+    }
+
+    /// Settings of the rig.
+    pub(super) fn rig(&self) -> &RigSettings {
+        &self.rig
+    }
+
+    /// Flag that requests a stop.
+    pub(super) fn stop(&self) -> &Arc<AtomicBool> {
+        &self.stop
+    }
+
+    /// Whether rollouts run in virtual time, and so on many emulated Qubes at once.
+    pub(super) fn is_virtual(&self) -> bool {
+        self.rig.clock == ClockChoice::Virtual
+    }
+}
