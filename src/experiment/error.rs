@@ -2,7 +2,6 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-use super::ExperimentFolder;
 use crate::rig::RigError;
 use crate::session::{ConfigurationError, SessionError};
 
@@ -10,10 +9,12 @@ use crate::session::{ConfigurationError, SessionError};
 #[derive(Debug, Error)]
 pub enum ExperimentError {
     /// The folder to resume is not an experiment.
-    #[error("{path} is not an experiment: it has no {}", ExperimentFolder::SETTINGS)]
+    #[error("{path} is not an experiment: it has no {missing}")]
     NotAnExperiment {
         /// Path of the folder.
         path: PathBuf,
+        /// Name of the file that every experiment has.
+        missing: &'static str,
     },
     /// A file of settings, or of a stored result such as a rival's belief, cannot be read or is
     /// invalid.

@@ -78,7 +78,8 @@ impl ExperimentFolder {
     /// The folder is not an experiment, or another process holds it.
     pub fn open(root: &Path) -> Result<Self, ExperimentError> {
         if !Self::is_in(root) {
-            return Err(ExperimentError::NotAnExperiment { path: root.to_owned() });
+            let (path, missing) = (root.to_owned(), Self::SETTINGS);
+            return Err(ExperimentError::NotAnExperiment { path, missing });
         }
         Self::lock(root)
     }

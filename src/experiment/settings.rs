@@ -183,7 +183,7 @@ impl ExperimentSettings {
         };
         let Some(&largest) = methods.budgets.last() else { return Ok(()) };
         for &method in &methods.methods {
-            let least = method.first_budget(recipe);
+            let least = method.first_budget(recipe.settings.extent.rollouts);
             if least > largest {
                 return Err(ExperimentSettingError::NoRecommendation { method, least, largest });
             }

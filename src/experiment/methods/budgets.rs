@@ -255,7 +255,8 @@ mod tests {
             let settings = experiment.settings().methods.as_ref().unwrap();
             let recommendations = recommendations_of(&run, method, settings).unwrap();
             let first = recommendations.first() * recommendations.rollouts_each();
-            assert_eq!(method.first_budget(run.recipe), first, "{}", method.name());
+            let rollouts_each = run.recipe.settings.extent.rollouts;
+            assert_eq!(method.first_budget(rollouts_each), first, "{}", method.name());
         }
     }
 

@@ -4,7 +4,6 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use super::rivals::RivalKind;
-use crate::experiment::Recipe;
 use crate::search::StrategyKind;
 
 /// A way to a policy for one Qube, with or without real rollouts.
@@ -74,11 +73,11 @@ impl Method {
     }
 
     /// Number of real rollouts that the method takes before its first recommendation. A search
-    /// takes all rollouts of its first candidate, and a method that identifies the Qube one
-    /// recording; every other method trains a policy without any.
-    pub(in crate::experiment) fn first_budget(self, recipe: &Recipe) -> u32 {
+    /// takes the `rollouts_each` rollouts of its first candidate, and a method that identifies the
+    /// Qube one recording; every other method trains a policy without any.
+    pub(in crate::experiment) fn first_budget(self, rollouts_each: u32) -> u32 {
         match self {
-            Self::Search(_) => recipe.settings.extent.rollouts,
+            Self::Search(_) => rollouts_each,
             Self::IdentifyMean | Self::Identify | Self::Posterior | Self::SequentialPosterior => 1,
             Self::Robust | Self::StrategyOptimisation | Self::Rival(_) => 0,
         }
