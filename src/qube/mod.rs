@@ -30,6 +30,7 @@ mod measurement;
 mod motor_driver;
 mod motor_rating;
 mod nonidealities;
+mod nonideality;
 mod observation;
 mod parameters;
 mod plant_model;
@@ -57,6 +58,7 @@ pub use motor_rating::MotorRating;
 pub use nonidealities::{
     MAX_CABLE_DRIFT_RAD_PER_MIN, ModelError, NonidealDynamics, Nonidealities, QubeModel,
 };
+pub use nonideality::Nonideality;
 pub use observation::{
     ALPHA_DOT_FACTOR, MAX_HISTORY, OBSERVATION_SIZE, THETA_DOT_FACTOR, observation,
 };
@@ -64,7 +66,7 @@ pub use parameters::{DomainParameter, DomainParameters, ParameterError};
 pub use plant_model::{PlantError, PlantLimits, PlantModel, PlantMotor};
 pub use plant_name::{NoPlantName, PlantName};
 pub use profile::{Correlations, Profile, ProfileError, Provenance};
-pub use quantity::{Nonideality, Quantity, UnknownQuantity};
+pub use quantity::{Quantity, UnknownQuantity};
 pub use qube_lanes::{ControlPeriod, QubeLanes};
 pub use reward::RewardWeights;
 pub use state::{State, wrap_angle};

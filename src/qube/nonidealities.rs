@@ -74,6 +74,31 @@ impl Nonidealities {
     pub fn cable_rest_after(&self, seconds: f64) -> f64 {
         self.cable_rest_rad + self.cable_drift_rad_per_min * (seconds / 60.0)
     }
+
+    /// The value of one term, in its unit.
+    #[must_use]
+    pub fn get(&self, term: Nonideality) -> f64 {
+        match term {
+            Nonideality::CoulombTorque => self.coulomb_torque_n_m,
+            Nonideality::PositiveDeadZone => self.positive_dead_zone_v,
+            Nonideality::NegativeDeadZone => self.negative_dead_zone_v,
+            Nonideality::CableStiffness => self.cable_stiffness_n_m_rad,
+            Nonideality::CableRest => self.cable_rest_rad,
+            Nonideality::CommandDelay => self.command_delay_s,
+        }
+    }
+
+    /// Sets one term, in its unit.
+    pub fn set(&mut self, term: Nonideality, value: f64) {
+        *match term {
+            Nonideality::CoulombTorque => &mut self.coulomb_torque_n_m,
+            Nonideality::PositiveDeadZone => &mut self.positive_dead_zone_v,
+            Nonideality::NegativeDeadZone => &mut self.negative_dead_zone_v,
+            Nonideality::CableStiffness => &mut self.cable_stiffness_n_m_rad,
+            Nonideality::CableRest => &mut self.cable_rest_rad,
+            Nonideality::CommandDelay => &mut self.command_delay_s,
+        } = value;
+    }
 }
 
 /// A Qube: the thesis's parameters and the nonidealities that the thesis leaves out.
