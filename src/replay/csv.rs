@@ -1,8 +1,7 @@
 use thiserror::Error;
 
 use super::MotionSample;
-use super::motion_log::{device_time_s, with_turns_of};
-use super::motion_sample::MAX_INTERRUPTION_S;
+use super::motion_sample::{MAX_INTERRUPTION_S, device_time_s, with_turns_of};
 use crate::qube::{State, applied_voltage_mv, volts};
 use crate::recording::column;
 use crate::telemetry::Phase;

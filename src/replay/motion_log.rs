@@ -1,10 +1,10 @@
-use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
 use super::MotionSample;
 use super::csv::{CsvError, parse_csv};
+use super::motion_sample::{device_time_s, with_turns_of};
 use crate::qube::{PlantModel, State, applied_voltage_mv, volts};
 use crate::recording::{self, Recording, RecordingError, is_recording};
 use crate::safety::Limit;
@@ -174,23 +174,14 @@ impl MotionLog {
     }
 }
 
-/// The device's time since `start_us`, s.
-pub(super) fn device_time_s(time_us: u64, start_us: u64) -> f64 {
-    time_us.saturating_sub(start_us) as f64 * 1e-6
-}
-
-/// The encoder's angle `counted`, rad, with the whole turns of the angle that the policy saw. The
-/// encoder counts turns from its start, and the tick from the start of the rollout.
-pub(super) fn with_turns_of(seen: f64, counted: f64) -> f64 {
-    counted + 2.0 * PI * ((seen - counted) / (2.0 * PI)).round()
-}
-
 fn read_error(path: &Path, source: std::io::Error) -> MotionLogError {
     MotionLogError::Read { path: path.to_owned(), source }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use super::*;
     use crate::recording::{Completeness, samples};
     use crate::telemetry::RolloutOutcome;
