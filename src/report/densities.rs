@@ -5,10 +5,6 @@ use super::draws::QuantityDraws;
 use super::page::significant;
 use crate::qube::{DomainParameter, Quantity};
 
-/// Largest standard deviation, in a quantity's SI unit, of a quantity that counts as constant;
-/// nobody knows one that precisely. Tables show numbers below it as 0.
-pub const NEGLIGIBLE: f64 = 1e-12;
-
 /// Number of points over the range of the figure, and again over the range of each density.
 const PLACES: usize = 121;
 

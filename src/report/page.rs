@@ -7,7 +7,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::chart::{Chart, Map};
-use super::densities::NEGLIGIBLE;
+use super::draws::NEGLIGIBLE;
 use super::escape::{escaped, inert};
 use super::motion::PackedMotion;
 use crate::storage::Disk;

@@ -31,7 +31,7 @@ pub fn session_page(
     identified::add_identification(&mut page, source);
     posterior::add_posterior(&mut page, source);
     add_curves(&mut page, source);
-    time_line::add_time_line(&mut page, source);
+    time_line::add_time_line(&mut page, &source.time_line);
     add_timing(&mut page, &source.latencies);
     add_faults(&mut page, source);
     let last = source.rollouts.last().map(|(number, view)| {

@@ -1,6 +1,5 @@
 //! The section about the times at which the Qube was driven and policies were trained.
 
-use super::SessionSource;
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::recording::Recording;
 use crate::report::chart::{Axis, Chart, Series, Style};
@@ -90,8 +89,7 @@ impl TimeLine {
 
 /// Adds the time line of a session; adds nothing unless it has both rollouts in real time and times
 /// of trainings.
-pub(super) fn add_time_line(page: &mut Page, source: &SessionSource) {
-    let line = &source.time_line;
+pub(super) fn add_time_line(page: &mut Page, line: &TimeLine) {
     if line.rollouts.is_empty() || line.trainings.is_empty() {
         return;
     }
