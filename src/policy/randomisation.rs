@@ -3,8 +3,11 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::training_record::Check;
 use crate::qube::{Distribution, Quantity, QubeModel};
+
+/// A number of the training record: name, value, whether a training may have it, and the accepted
+/// values.
+pub(super) type Check = (&'static str, f64, bool, &'static str);
 
 /// The randomisation under which a network was trained: the distribution from which training drew
 /// the Qube of each simulated trajectory.

@@ -4,10 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::Randomisation;
 use super::file::PolicyFault;
+use super::randomisation::Check;
 use crate::qube::{PlantModel, QubeModel};
-
-/// A number of the record: name, value, whether a training may have it, and the accepted values.
-pub(super) type Check = (&'static str, f64, bool, &'static str);
 
 /// The record of a network's training, which is part of the policy file. Commands show it. A rig
 /// refuses a network of another plant, and `run` warns of one that was trained on true states.
