@@ -225,50 +225,15 @@ impl GentleSettler {
 mod tests {
     use std::f64::consts::PI;
 
-    use nalgebra::{Matrix4, RowVector4, Vector4};
-
     use super::super::rest::RestDetector;
     use super::*;
-    use crate::qube::{
-        DomainParameters, Dynamics, HARD_STOP_RAD, NonidealDynamics, Nonidealities, QubeModel,
-        control_step,
-    };
-
-    /// The derivatives of a nominal Qube's state after one period, with respect to the state and
-    /// the voltage before it, around hanging at rest.
-    fn linearised() -> (Matrix4<f64>, Vector4<f64>) {
-        const STEP: f64 = 1e-4;
-        let dynamics = Dynamics::<f64>::new(&DomainParameters::NOMINAL);
-        let next = |state: [f64; 4], voltage_v: f64| {
-            let [theta, alpha, theta_dot, alpha_dot] = state;
-            let state = State { theta, alpha, theta_dot, alpha_dot };
-            let State { theta, alpha, theta_dot, alpha_dot } =
-                control_step(&dynamics, state, voltage_v);
-            Vector4::new(theta, alpha, theta_dot, alpha_dot)
-        };
-        let slope = |of: &dyn Fn(f64) -> Vector4<f64>| (of(STEP) - of(-STEP)) / (2.0 * STEP);
-        let columns: [Vector4<f64>; 4] = std::array::from_fn(|entry| {
-            slope(&|change| {
-                let mut state = [0.0; 4];
-                state[entry] = change;
-                next(state, 0.0)
-            })
-        });
-        (Matrix4::from_columns(&columns), slope(&|volts| next([0.0; 4], volts)))
-    }
+    use crate::qube::lqr::lqr_gains;
+    use crate::qube::{HARD_STOP_RAD, NonidealDynamics, Nonidealities, QubeModel, control_step};
 
     #[test]
     fn the_gains_are_those_of_the_lqr_on_the_nominal_parameters() {
-        let (a, b) = linearised();
-        let weights = Matrix4::from_diagonal(&Vector4::new(4.0, 2.0, 0.05, 0.2));
-        let mut cost = weights;
-        let mut gains = RowVector4::zeros();
-        // The Riccati equation, iterated to its fixed point.
-        for _ in 0..5000 {
-            gains = (b.transpose() * cost * a) / (1.0 + (b.transpose() * cost * b)[0]);
-            cost = weights + a.transpose() * cost * (a - b * gains);
-        }
-        for (gain, solved) in GAINS.iter().zip(gains.iter()) {
+        let solved = lqr_gains(0.0, [4.0, 2.0, 0.05, 0.2], 1.0);
+        for (gain, solved) in GAINS.iter().zip(solved) {
             assert!((gain - solved).abs() < 1e-3, "{gain} {solved}");
         }
     }

@@ -26,6 +26,8 @@ mod encoder;
 mod integrator;
 mod lanes;
 mod limits;
+#[cfg(test)]
+pub(crate) mod lqr;
 mod measurement;
 mod motor_driver;
 mod motor_rating;
