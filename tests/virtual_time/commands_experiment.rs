@@ -15,9 +15,6 @@ use crate::shared::command_in;
 /// Policies with two small updates of training.
 const TINY: &str = "[settings.training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
 
-/// Policies with a training of some seconds.
-const LONGER: &str = "[settings.training]\nupdates = 20\nnum_envs = 16\nepochs = 1\n";
-
 /// A search of three candidates, whose recommendation is verified; one rollout each.
 const SEARCH: &str = "[settings.extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 1\n\
                       verification_rollouts = 1\n";
@@ -246,9 +243,19 @@ fn same_files(directory: &Path, expected: &BTreeMap<String, Vec<u8>>) {
 
 #[test]
 fn files_that_cannot_be_written_in_the_end_do_not_hide_the_table() {
+    // The trainings last longer each time, until the test writes its files before they end.
+    let shown = [20, 160, 1280].into_iter().any(shows_its_table_despite_files_in_its_way);
+    assert!(shown, "every experiment ended before its files were in the way");
+}
+
+/// Writes files at the paths of an experiment's results while its policies train with this number
+/// of updates; returns whether they were written before the last training had ended.
+fn shows_its_table_despite_files_in_its_way(updates: u32) -> bool {
     let directory = tempfile::tempdir().unwrap();
-    // The trainings last so long that the test writes its files before they end.
-    let recipe = format!("name = \"longer\"\nmodel = \"nominal\"\n{LONGER}");
+    let recipe = format!(
+        "name = \"longer\"\nmodel = \"nominal\"\n\
+         [settings.training]\nupdates = {updates}\nnum_envs = 16\nepochs = 1\n"
+    );
     std::fs::write(directory.path().join("longer.toml"), recipe).unwrap();
     let arguments = ["--recipe", "longer.toml", "--profile", "lab", "--policies", "3"];
     let files = ["--out", "one", "--csv", "one.csv", "--figures", "figures", "--json"];
@@ -259,14 +266,24 @@ fn files_that_cannot_be_written_in_the_end_do_not_hide_the_table() {
         .expect("the program starts");
     // The program checks the paths of both options before it writes the settings. The test writes
     // files at these paths afterwards, as another program might.
-    while !directory.path().join("one/experiment.toml").exists() {
-        assert!(child.try_wait().unwrap().is_none(), "it ended before it wrote its settings");
+    loop {
+        // It may end between the two questions, so the file is looked for last.
+        let has_ended = child.try_wait().unwrap().is_some();
+        if directory.path().join("one/experiment.toml").exists() {
+            break;
+        }
+        assert!(!has_ended, "it ended before it wrote its settings");
         std::thread::sleep(Duration::from_millis(2));
     }
-    std::fs::write(directory.path().join("one.csv"), "mine").unwrap();
-    std::fs::write(directory.path().join("figures"), "mine").unwrap();
-    assert!(child.try_wait().unwrap().is_none(), "it ended before these files were written");
+    let written =
+        ["one.csv", "figures"].map(|name| std::fs::write(directory.path().join(name), "mine"));
+    let last_policy = directory.path().join("one/policies/longer/002/policy.safetensors");
+    let is_in_time = !last_policy.exists();
     let output = child.wait_with_output().unwrap();
+    if !is_in_time {
+        return false;
+    }
+    written.into_iter().for_each(Result::unwrap);
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{told}");
     assert!(told.contains("--csv: one.csv") && told.contains("--figures: figures"), "{told}");
@@ -274,6 +291,7 @@ fn files_that_cannot_be_written_in_the_end_do_not_hide_the_table() {
     assert_eq!(result["models"][0]["policies"], 3);
     assert_eq!(result["ended_by"]["exit_code"], 2);
     assert_eq!(std::fs::read_to_string(directory.path().join("one.csv")).unwrap(), "mine");
+    true
 }
 
 /// A box that the excitation leaves at once.

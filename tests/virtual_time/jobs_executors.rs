@@ -185,6 +185,9 @@ struct SlowRemoval {
 
 const SLOW: Duration = Duration::from_millis(300);
 
+/// Limit for a hang, which no busy computer reaches.
+const PATIENCE: Duration = Duration::from_secs(600);
+
 fn is_job(path: &Path) -> bool {
     path.parent().is_some_and(|folder| folder.ends_with("jobs"))
 }
@@ -261,9 +264,8 @@ fn a_job_that_is_asked_for_while_an_equal_one_is_removed_is_done_too() {
     let folder = JobFolder::create(disk.clone(), root, Terms::default()).unwrap();
     let executor =
         FolderExecutor::new(folder, None, 1, AtEnd::Withdraw, &AtomicBool::new(false)).unwrap();
-    let linger = Duration::from_secs(60);
     let of_worker = JobFolder::open(Arc::new(MachineDisk), root).unwrap();
-    let worker = Worker::new(of_worker, Holder::this_process(), None, linger).unwrap();
+    let worker = Worker::new(of_worker, Holder::this_process(), None, PATIENCE).unwrap();
     let settings =
         TrainSettings { updates: 1, epochs: 1, evaluation_starts: 16, ..TrainSettings::quick() };
     let job = TrainingJob { distribution: DomainDistribution::nominal(), settings, seed: 1 };
@@ -272,12 +274,12 @@ fn a_job_that_is_asked_for_while_an_equal_one_is_removed_is_done_too() {
     let (first, second) = std::thread::scope(|scope| {
         scope.spawn(|| worker.run(&is_over, &mut |_| ()).unwrap());
         scope.spawn(|| {
-            if !wait_for(&is_over, Duration::from_secs(60)) {
+            if !wait_for(&is_over, PATIENCE) {
                 is_late.store(true, Ordering::SeqCst);
             }
         });
         let first = scope.spawn(train);
-        wait_for(&disk.is_removing, Duration::from_secs(60));
+        wait_for(&disk.is_removing, PATIENCE);
         let second = train();
         is_over.store(true, Ordering::SeqCst);
         (first.join().unwrap(), second)

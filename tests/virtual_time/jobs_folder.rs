@@ -216,9 +216,16 @@ fn a_worker_that_is_taken_for_dead_and_wakes_up_changes_nothing() {
 
 #[test]
 fn a_stale_claim_of_another_computer_is_taken_over_and_a_living_one_is_not() {
+    // A busy computer may hold this thread up for so long that its claim is stale.
+    let is_kept = (0..10).any(|_| a_living_claim_is_kept_until_it_is_stale());
+    assert!(is_kept, "this thread was held up every time");
+}
+
+/// Holds a claim for longer than its stale time, then leaves it to a worker; returns whether the
+/// beats came without a gap of the stale time.
+fn a_living_claim_is_kept_until_it_is_stale() -> bool {
     let directory = tempfile::tempdir().unwrap();
     let (root, jobs) = (directory.path(), jobs(1, 1));
-    // A busy computer may hold this thread up between two beats, but not for so long.
     let terms = Terms { stale_ms: 5_000, ..hasty() };
     let lives_for = terms.stale() + Duration::from_secs(1);
     let folder = JobFolder::create(Arc::new(MachineDisk), root, terms).unwrap();
@@ -229,18 +236,27 @@ fn a_stale_claim_of_another_computer_is_taken_over_and_a_living_one_is_not() {
             .unwrap()
     };
     let mut living = claim(0);
+    let (mut beaten, mut longest_gap) = (Instant::now(), Duration::ZERO);
     let mut worker = WorkerProcess::start(root, &["--linger", "0"]);
     worker.says("waiting");
     let begun = Instant::now();
     while begun.elapsed() < lives_for {
         std::thread::sleep(Duration::from_millis(50));
+        let before = Instant::now();
         living.beat().unwrap();
+        longest_gap = longest_gap.max(beaten.elapsed());
+        beaten = before;
     }
-    assert!(!folder.claim(&name, 1).exists() && !folder.has_result(&name));
+    let is_kept = !folder.claim(&name, 1).exists() && !folder.has_result(&name);
+    if longest_gap.max(beaten.elapsed()) >= folder.terms().stale() {
+        return false;
+    }
+    assert!(is_kept);
     drop(living);
     worker.says("try 2");
     assert!(worker.end().success());
     assert!(folder.has_result(&name));
+    true
 }
 
 #[test]

@@ -33,10 +33,10 @@ pub struct AwaitedDoubt {
 }
 
 impl AwaitedDoubt {
-    /// Waits for it for at most a minute, because another thread stores it.
+    /// Waits for it for at most ten minutes, because another thread stores it.
     fn wait(&self) {
         let begun = Instant::now();
-        while !has_files(&self.doubts) && begun.elapsed() < Duration::from_secs(60) {
+        while !has_files(&self.doubts) && begun.elapsed() < Duration::from_secs(600) {
             std::thread::sleep(Duration::from_millis(1));
         }
         self.has_come.store(has_files(&self.doubts), Ordering::Relaxed);
