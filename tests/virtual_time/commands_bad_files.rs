@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use qube_hil::identification::Unknown;
 use qube_hil::recording::read;
 
 use crate::program::{has_refused, qube_hil, refused, succeeds};
@@ -121,6 +122,20 @@ fn names_that_are_no_text_are_names() {
     run(&["export", "r2.mcap", "--out"], out, &[]);
     let recovered = run(&["recover"], recording.as_os_str(), &[]);
     assert_eq!(recovered["path"], made["recordings"][0]);
+
+    let excite = ["run", "--excite", "chirp", "--clock", "virtual", "--out"];
+    run(&excite, std::ffi::OsStr::new("chirp"), &[]);
+    // One unknown, the pendulum's damping, is enough for a profile.
+    let fixed = Unknown::all().map(Unknown::name).filter(|name| *name != "D_p");
+    let identify: Vec<&str> = ["identify", "chirp/rollout-0.mcap"]
+        .into_iter()
+        .chain(fixed.flat_map(|name| ["--fix", name]))
+        .chain(["--out"])
+        .collect();
+    let profile = std::ffi::OsStr::from_bytes(b"q\xff.toml");
+    let identified = run(&identify, profile, &[]);
+    assert_eq!(identified["profile"], "q\u{fffd}.toml");
+    assert!(directory.path().join(profile).exists());
 }
 
 #[test]
