@@ -134,7 +134,7 @@ pub enum SimulatedGuard {
 }
 
 impl SimulatedGuard {
-    /// Whether files may omit the value.
+    /// Whether the box alone ended rollouts, which files need not say.
     #[must_use]
     pub fn is_box(&self) -> bool {
         *self == Self::Box

@@ -9,7 +9,7 @@ use std::time::Duration;
 use qube_hil::elementary::Level;
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::program::succeeded;
+use crate::program::{qube_hil, succeeded};
 use crate::shared::command_in;
 
 fn train(directory: &Path, out: &str, more: &[&str]) -> Command {
@@ -27,6 +27,17 @@ fn undisturbed() -> &'static [u8] {
         succeeded(&train(directory.path(), "whole.safetensors", &[]).output().unwrap());
         std::fs::read(directory.path().join("whole.safetensors")).unwrap()
     })
+}
+
+#[test]
+fn a_run_says_before_it_homes_that_its_policy_was_trained_on_true_states() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("quick.safetensors"), undisturbed()).unwrap();
+    let run = ["run", "--policy", "quick.safetensors", "--clock", "virtual", "--out", "r"];
+    let told = String::from_utf8(qube_hil(directory.path(), &run).stderr).unwrap();
+    let note = "quick.safetensors was trained on true states within the box alone";
+    let places = [note, "homing: "].map(|words| told.find(words));
+    assert!(places[0].is_some() && places.is_sorted(), "{told}");
 }
 
 #[test]

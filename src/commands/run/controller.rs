@@ -45,9 +45,10 @@ impl RunController {
         let policy = policy(path)?;
         let name = path.to_string_lossy().into_owned();
         let truth = trained_on_true_states(&policy).then(|| {
+            let guard = if trained_in_the_box_alone(&policy) { " within the box alone" } else { "" };
             format!(
-                "note: {name} was trained on true states, which no Qube measures: with encoders and estimator \
-                 the pendulum may fall at once. `train --preset robust` makes policies for a Qube"
+                "note: {name} was trained on true states{guard}, and no Qube measures true states: with encoders \
+                 and estimator the pendulum may fall at once. `train --preset robust` makes policies for a Qube"
             )
         });
         let known = randomisation(&policy)
@@ -122,6 +123,11 @@ pub fn randomisation(policy: &Policy) -> Option<&Randomisation> {
         Policy::Network(policy) => policy.training.randomisation.as_ref(),
         Policy::Classical(_) | Policy::Excitation(_) | Policy::External(_) => None,
     }
+}
+
+/// Whether only the safety box ended the simulated rollouts in which a policy was trained.
+fn trained_in_the_box_alone(policy: &Policy) -> bool {
+    matches!(policy, Policy::Network(it) if it.training.guard.is_box())
 }
 
 /// Whether a policy was trained on true states, which no Qube shows.
