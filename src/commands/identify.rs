@@ -100,9 +100,11 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         None => recordings.plant.nominal(),
     };
 
+    print_message("fitting the model to the recordings");
     let started = Instant::now();
     let mut identified = identify(fitted, &unknowns, &first_guess).map_err(Failure::usage)?;
     let seconds = started.elapsed().as_secs_f64();
+    print_message("predicting the recordings by the model");
     let held_out_noise_ratio = identified.hold_out(held_out);
     let predictions = Predictions::of(&identified, [fitted, held_out], &recordings.files);
 

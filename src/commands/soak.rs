@@ -1,5 +1,5 @@
 use std::path::PathBuf;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
@@ -14,7 +14,7 @@ use super::number_arguments::positive;
 use super::output::Output;
 use super::printable::print_message;
 use super::run::policy;
-use super::screen::Screen;
+use super::screen::{Screen, left_in_words, time_left};
 use super::stop::Stop;
 use super::{failures, warn_without_realtime};
 use crate::device::emulator::EmulatorSettings;
@@ -30,6 +30,12 @@ use crate::telemetry::Ending;
 
 /// Largest growth of the program's memory after the warm-up, bytes.
 const MAX_GROWTH_BYTES: i64 = 5_000_000;
+
+/// Shortest time between two lines of progress.
+const LINE_INTERVAL: Duration = Duration::from_secs(30);
+
+/// Largest number of lines of progress.
+const LINES: u64 = 100;
 
 /// Number of rollouts after which buffers, stacks and caches have their final size; the growth of
 /// the memory counts from there.
@@ -190,6 +196,9 @@ impl Soaked {
         warn_without_realtime(rig.realtime());
 
         let ticks_wanted = (arguments.hours * 3600e9 / CONTROL_PERIOD_NS as f64).ceil() as u64;
+        let began = Instant::now();
+        // Time and tick of the last line of progress.
+        let mut told = (began, 0);
         let mut not_begun = NotBegun::default();
         while self.ticks < ticks_wanted && !stop.requested() {
             let rollout = self.rollouts as u32;
@@ -211,8 +220,12 @@ impl Soaked {
             }
             self.add(&read(&path).map_err(|error| failures::recording(&error))?);
             folder.delete_unless_kept(&path)?;
-            if self.rollouts.is_multiple_of(200) {
-                print_message(&format!("{:.1} h of {} h", self.hours(), arguments.hours));
+            let ticks = self.ticks;
+            if told.0.elapsed() >= LINE_INTERVAL && (ticks - told.1) * LINES >= ticks_wanted {
+                told = (Instant::now(), ticks);
+                let to_do = ticks_wanted.saturating_sub(ticks);
+                let left = left_in_words(time_left(began.elapsed(), ticks as f64, to_do as f64));
+                print_message(&format!("{:.2} h of {} h{left}", self.hours(), arguments.hours));
             }
             if self.last_was_void && !stop.requested() {
                 rig.start_again().map_err(failed)?;

@@ -1,4 +1,4 @@
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use super::screen::{Progress, in_words, time_left};
 use crate::learning::TrainUpdate;
@@ -53,10 +53,10 @@ impl TrainingDisplay {
         let (first, began) = *self.first.get_or_insert_with(|| (update.update, Instant::now()));
         let timed = update.update.saturating_sub(first);
         let left = time_left(began.elapsed(), timed.into(), all.saturating_sub(done).into());
-        if !self.progress.has_screen() && (done * LINES) % all < LINES {
-            let left = left.map_or(String::new(), |left| format!(", {} left", in_words(left)));
-            self.progress
-                .line(&format!("update {done} of {all}, best return {best_return:.1}{left}"));
+        if !self.progress.has_screen()
+            && let Some(line) = line_after(done, all, best_return, left)
+        {
+            self.progress.line(&line);
         }
         self.progress.update(|state| {
             state.add_update((String::new(), 0, 0), "the policy", all, update.mean_return);
@@ -67,9 +67,28 @@ impl TrainingDisplay {
     }
 }
 
+/// The line after an update without a screen; `None` where it would be more than every tenth.
+fn line_after(done: u32, all: u32, best_return: f64, left: Option<Duration>) -> Option<String> {
+    if (done * LINES) % all >= LINES {
+        return None;
+    }
+    let left = left.map_or(String::new(), |left| format!(", {} left", in_words(left)));
+    Some(format!("update {done} of {all}, best return {best_return:.1}{left}"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_training_without_a_screen_tells_its_total_and_its_time_left_in_ten_lines() {
+        let line = |done| line_after(done, 25, 123.4, Some(Duration::from_secs(90)));
+        let told: Vec<String> = (1..=25).filter_map(line).collect();
+        assert_eq!(told.len(), 10, "{told:?}");
+        assert_eq!(told[0], "update 3 of 25, best return 123.4, 90 s left");
+        assert!(told[9].starts_with("update 25 of 25"), "{told:?}");
+        assert_eq!(line_after(1, 2, 7.0, None).as_deref(), Some("update 1 of 2, best return 7.0"));
+    }
 
     #[test]
     fn competing_trainings_are_numbered_alike() {

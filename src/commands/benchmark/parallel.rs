@@ -1,6 +1,8 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 use crate::commands::printable::print_message;
+use crate::commands::screen::{left_in_words, time_left};
 
 /// Largest number of progress lines for all of the work.
 const LINES: usize = 10;
@@ -13,6 +15,7 @@ pub fn map<T: Send>(
     title: &str,
     work: impl Fn(usize) -> T + Sync,
 ) -> Vec<T> {
+    let began = Instant::now();
     let (next, finished) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let worker_loop = || {
         let mut done = Vec::new();
@@ -24,7 +27,10 @@ pub fn map<T: Send>(
             done.push((index, work(index)));
             let finished = finished.fetch_add(1, Ordering::Relaxed) + 1;
             if finished * LINES % count < LINES {
-                print_message(&format!("{title}: {finished} of {count}"));
+                let to_do = count - finished;
+                let left = time_left(began.elapsed(), finished as f64, to_do as f64);
+                let left = left_in_words(left.filter(|_| to_do > 0));
+                print_message(&format!("{title}: {finished} of {count}{left}"));
             }
         }
     };

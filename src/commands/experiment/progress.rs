@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use crate::commands::screen::{Progress, ScreenState, in_words, time_left};
+use crate::commands::screen::{Progress, ScreenState, left_in_words, time_left};
 use crate::commands::stop::Stop;
 use crate::commands::training_progress::name_of_training;
 use crate::experiment::{
@@ -157,8 +157,7 @@ impl ExperimentProgress {
         let [done, found] = [&self.done, &self.found].map(|count| count.load(Ordering::Relaxed));
         let (made, to_do) = (done.saturating_sub(found), self.count.saturating_sub(done));
         let left = time_left(self.began.elapsed(), made as f64, to_do as f64);
-        let left = left.filter(|_| to_do > 0);
-        let left = left.map_or(String::new(), |left| format!("; about {} left", in_words(left)));
+        let left = left_in_words(left.filter(|_| to_do > 0));
         format!("{done} of {}{left}", self.count)
     }
 

@@ -28,7 +28,7 @@ use self::capture::CapturedStderr;
 use self::draw::{Styles, draw};
 pub use self::rollout::RolloutPanel;
 use self::state::{Overlay, Pause, STOP_EFFECT};
-pub use self::state::{ScreenState, in_words, time_left};
+pub use self::state::{ScreenState, in_words, left_in_words, time_left};
 use super::output::Output;
 use super::printable::{print_message, printable};
 use super::stop::Stop;

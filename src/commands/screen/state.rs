@@ -173,6 +173,12 @@ pub fn time_left(elapsed: Duration, done: f64, to_do: f64) -> Option<Duration> {
     is_known.then(|| Duration::from_secs_f64(left_s))
 }
 
+/// The end of a line of progress that says how much time is left, such as `; about 4 min left`;
+/// empty if it is not known.
+pub fn left_in_words(left: Option<Duration>) -> String {
+    left.map_or(String::new(), |left| format!("; about {} left", in_words(left)))
+}
+
 /// A time in the words of a clock: `45 s`, `4 min`, `2 h 05 min`.
 pub fn in_words(time: Duration) -> String {
     let seconds = time.as_secs();
