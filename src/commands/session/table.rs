@@ -38,14 +38,7 @@ impl SessionTable {
         let report = &self.0;
         for scored in &report.candidates {
             let candidate = &scored.candidate;
-            let purpose = match candidate.purpose {
-                Purpose::Excitation => "excitation".into(),
-                Purpose::Baseline => "nominal".into(),
-                Purpose::Initial => "initial".into(),
-                Purpose::Search => "search".into(),
-                Purpose::Verification => "recommended".into(),
-                Purpose::Incumbent => format!("{} again", report.incumbent(candidate)),
-            };
+            let purpose = word(candidate.purpose, || report.incumbent(candidate));
             if candidate.purpose == Purpose::Excitation {
                 let made = scored.verdicts.len();
                 let _ = writeln!(
@@ -252,6 +245,19 @@ fn identification(known: &Identification) -> Value {
     }
 }
 
+/// The table's word for a candidate's purpose. `incumbent` gives the number of the candidate whose
+/// policy it runs again.
+fn word(purpose: Purpose, incumbent: impl FnOnce() -> u32) -> String {
+    match purpose {
+        Purpose::Excitation => "excitation".into(),
+        Purpose::Baseline => "nominal".into(),
+        Purpose::Initial => "initial".into(),
+        Purpose::Search => "search".into(),
+        Purpose::Verification => "recommended".into(),
+        Purpose::Incumbent => format!("{} again", incumbent()),
+    }
+}
+
 fn valued(psi: &PsiSpace, scored: &ScoredCandidate) -> Value {
     let mut value = json!({
         "candidate": scored.candidate.number,
@@ -339,12 +345,14 @@ fn least_certain(profile: Option<&Profile>) -> String {
 
 #[cfg(test)]
 mod tests {
+    use clap::Args as _;
+
+    use super::super::Arguments;
     use super::*;
     use crate::scoring::Latencies;
 
-    #[test]
-    fn observer_resets_are_reported_if_there_were_any() {
-        let mut table = SessionTable(SessionReport {
+    fn empty_table() -> SessionTable {
+        SessionTable(SessionReport {
             psi: PsiSpace::default(),
             candidates: Vec::new(),
             latencies: Latencies::default(),
@@ -357,7 +365,41 @@ mod tests {
             rigs: Vec::new(),
             taken_out: Vec::new(),
             best: None,
-        });
+        })
+    }
+
+    #[test]
+    fn the_help_to_which_the_table_points_defines_its_columns_and_purposes() {
+        let text = empty_table().text();
+        let pointer = "\nqube-hil session --help explains the words of this table\n";
+        assert!(text.ends_with(pointer), "{text}");
+        let command = Arguments::augment_args(clap::Command::new("session"));
+        let help = command.get_after_help().unwrap().to_string();
+        let header = text.lines().nth(1).unwrap();
+        let columns = header.split("  ").map(str::trim).filter(|it| !["", "#"].contains(it));
+        // The last column is headed `psi in its box, 0 to 9`.
+        let columns: Vec<&str> = columns.filter_map(|it| it.split(" in ").next()).collect();
+        assert_eq!(columns.len(), 4, "{header}");
+        for column in columns {
+            let is_defined = help.lines().any(|line| line.starts_with(&format!("  {column}  ")));
+            assert!(is_defined, "{column}: {help}");
+        }
+        for purpose in [
+            Purpose::Excitation,
+            Purpose::Initial,
+            Purpose::Search,
+            Purpose::Verification,
+            Purpose::Incumbent,
+            Purpose::Baseline,
+        ] {
+            let word = word(purpose, || 7).replace('7', "N");
+            assert!(help.contains(&format!(" {word}: ")), "{word}: {help}");
+        }
+    }
+
+    #[test]
+    fn observer_resets_are_reported_if_there_were_any() {
+        let mut table = empty_table();
         let text = table.text();
         assert!(!text.contains("void") && !text.contains("observer"), "{text}");
         (table.0.void_rollouts, table.0.observer_resets) = (3, 7);
