@@ -31,24 +31,24 @@ pub fn tenth_percentile(evaluation: &Evaluation) -> f64 {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainingScore {
     /// In the simulations that decide whether the policy succeeds or another round is needed.
-    pub judged: f64,
+    pub scored: f64,
     /// In the simulations by which policies are compared; often the same ones.
     pub compared: f64,
 }
 
 impl TrainingScore {
     /// The score of a policy that has no competitor and is not evaluated.
-    pub const UNCONTESTED: Self = Self { judged: SUCCEEDED, compared: SUCCEEDED };
+    pub const UNCONTESTED: Self = Self { scored: SUCCEEDED, compared: SUCCEEDED };
 
-    /// The score of a policy that is judged and compared in the same simulations.
+    /// The score of a policy by one evaluation, which both decides and compares.
     #[must_use]
     pub fn of(evaluation: &Evaluation) -> Self {
         let tenth_percentile = tenth_percentile(evaluation);
-        Self { judged: tenth_percentile, compared: tenth_percentile }
+        Self { scored: tenth_percentile, compared: tenth_percentile }
     }
 
     fn succeeds(&self) -> bool {
-        self.judged >= SUCCEEDED
+        self.scored >= SUCCEEDED
     }
 
     /// Whether this policy is kept instead of another: one that succeeds beats one that fails.
@@ -123,7 +123,7 @@ mod tests {
 
     /// A score whose policy succeeds from [`SUCCEEDED`] on.
     fn score(tenth_percentile: f64) -> TrainingScore {
-        TrainingScore { judged: tenth_percentile, compared: tenth_percentile }
+        TrainingScore { scored: tenth_percentile, compared: tenth_percentile }
     }
 
     #[test]
@@ -137,9 +137,9 @@ mod tests {
 
     #[test]
     fn a_policy_that_succeeds_beats_one_that_fails_and_else_the_comparison_decides() {
-        let fails = TrainingScore { judged: SUCCEEDED - 1.0, compared: 250.0 };
-        let wide = TrainingScore { judged: 400.0, compared: 200.0 };
-        let narrow = TrainingScore { judged: 500.0, compared: 100.0 };
+        let fails = TrainingScore { scored: SUCCEEDED - 1.0, compared: 250.0 };
+        let wide = TrainingScore { scored: 400.0, compared: 200.0 };
+        let narrow = TrainingScore { scored: 500.0, compared: 100.0 };
         assert!(wide.is_better_than(&fails) && !fails.is_better_than(&wide));
         assert!(wide.is_better_than(&narrow) && !narrow.is_better_than(&wide));
     }

@@ -295,7 +295,7 @@ impl Trainer {
         let base = self.settings.base_distribution()?;
         let doubted = base.widened(DOUBTED_WIDTH, self.settings.family);
         let compared = tenth_percentile(&self.simulated_from(&doubted, candidate, network));
-        Ok(TrainingScore { judged: tenth_percentile(&as_identified), compared })
+        Ok(TrainingScore { scored: tenth_percentile(&as_identified), compared })
     }
 
     /// Evaluates a policy of a candidate in fresh simulations from the search's base distribution.
@@ -365,9 +365,9 @@ mod tests {
         let Ok(Policy::Network(policy)) = Policy::load(&path) else { panic!("a network") };
         let score = |doubts| trainer(settings.clone(), found(doubts)).score(1, &policy.network);
         let (sure, doubted) = (score(Vec::new()).unwrap(), score(vec!["play".into()]).unwrap());
-        assert_eq!(sure.compared, sure.judged);
-        assert_eq!(doubted.judged, sure.judged);
-        assert!(doubted.compared < doubted.judged - 1.0, "{doubted:?}");
+        assert_eq!(sure.compared, sure.scored);
+        assert_eq!(doubted.scored, sure.scored);
+        assert!(doubted.compared < doubted.scored - 1.0, "{doubted:?}");
     }
 
     /// An executor whose first training fails and whose others are then stopped.
