@@ -39,58 +39,53 @@ pub struct TickSettings {
     pub plant: PlantModel,
 }
 
-/// The versions of the tick's rules for settling, watching and braking. A recording names its
+/// The versions of the tick's rules for settling, watching and braking, from the oldest to the
+/// newest. Each version has the rules of the one before it and adds its own. A recording names its
 /// version, so that its replay follows the same rules.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TickRules {
-    /// The rules without any of the additions below; they hold for recordings that name no rules.
+    /// None of the additions below; recordings that name no rules follow this version.
     #[default]
     First,
-    /// The two encoders check each other, settling is gentle, and a braked arm may come to rest
-    /// anywhere that is not near a stop.
+    /// Checks the two encoders against each other, settles gently, and lets a braked arm come to
+    /// rest anywhere that is not near a stop.
     #[serde(rename = "witnessed")]
     CrossChecked,
-    /// As [`CrossChecked`](Self::CrossChecked); in addition, an arm whose count comes into doubt
-    /// under a policy or while it is braked is damped before the motor goes off.
+    /// Before the motor goes off, damps an arm whose count comes into doubt under a policy or while
+    /// it is braked.
     Damped,
-    /// As [`Damped`](Self::Damped); in addition, a brake that oscillates loses gain, and an arm
-    /// whose count is in doubt is damped also while it settles.
+    /// Reduces the gain of a brake that oscillates, and damps an arm whose count is in doubt also
+    /// while it settles.
     #[serde(rename = "yielding")]
     GainReducing,
-    /// As [`GainReducing`](Self::GainReducing); in addition, foresight simulates each voltage of
-    /// the brake before it is sent, and takes into account how old a velocity is after lost
-    /// samples.
+    /// Lets foresight simulate each voltage of the brake before it is sent, and take into account
+    /// how old a velocity is after lost samples.
     #[serde(rename = "tried")]
     BrakeSimulating,
-    /// As [`BrakeSimulating`](Self::BrakeSimulating); in addition, a fault of the arm comes before
-    /// an overheated motor or a late computer in the same tick, and an arm that comes into doubt
-    /// while it is braked gets no more time to stop.
+    /// Reports a fault of the arm before an overheated motor or a late computer in the same tick,
+    /// and gives an arm that comes into doubt while it is braked no more time to stop.
     FaultsFirst,
-    /// As [`FaultsFirst`](Self::FaultsFirst); in addition, the tests for a frozen encoder, a held
-    /// arm and a dead motor allow for a voltage that alternates between two samples, and for the
-    /// pendulum's load while the count was constant; and settling loses gain after 4 s.
+    /// Allows in the tests for a frozen encoder, a held arm and a dead motor for a voltage that
+    /// alternates between two samples, and for the pendulum's load while the count was constant;
+    /// reduces the gain of settling after 4 s.
     AlternatingAllowed,
-    /// As [`AlternatingAllowed`](Self::AlternatingAllowed); in addition, settling that oscillates
-    /// loses gain, the trim of settling grows more slowly where the gains have fallen, and the
-    /// gains do not fall below a fifth.
+    /// Reduces the gains of settling that oscillates, to a fifth at the least, and lets the trim of
+    /// settling grow more slowly where the gains have fallen.
     SettlingGainReducing,
-    /// As [`SettlingGainReducing`](Self::SettlingGainReducing); in addition, encoders with fewer
-    /// counts than a Qube's may flicker by one count at rest.
+    /// Lets encoders with fewer counts than a Qube's flicker by one count at rest.
     RestByEncoders,
-    /// As [`RestByEncoders`](Self::RestByEncoders); in addition, the motor's heat follows the speed
-    /// that the guard sees, and not the one that the policy sees.
+    /// Computes the motor's heat from the speed that the guard sees, and not from the one that the
+    /// policy sees.
     HeatByGuardedSpeed,
-    /// As [`HeatByGuardedSpeed`](Self::HeatByGuardedSpeed); in addition, an arm's count that drifts
-    /// away from the tachometer is a fault, and so is a jump of the pendulum's count for which the
-    /// guard has begun to brake.
+    /// Adds the faults of an arm's count that drifts away from the tachometer, and of a jump of the
+    /// pendulum's count for which the guard has begun to brake.
     DriftTested,
-    /// As [`DriftTested`](Self::DriftTested); in addition, a computer that skips control periods
-    /// again and again is a fault, and a policy that overheats the motor has left a limit.
+    /// Adds the fault of a computer that skips control periods again and again; a policy that
+    /// overheats the motor has left a limit.
     SlownessTested,
-    /// As [`SlownessTested`](Self::SlownessTested); in addition, a device that reports another
-    /// voltage at its motor than it was sent is a fault, and so is an arm that is fast after a
-    /// second of braking.
+    /// Adds the faults of a device that reports another voltage at its motor than it was sent, and
+    /// of an arm that is fast after a second of braking.
     VoltageCompared,
 }
 
