@@ -61,8 +61,8 @@ pub struct Arguments {
     #[arg(long, value_enum, conflicts_with = "policy")]
     excite: Option<ExciteArgument>,
 
-    /// Largest voltage of the excitation itself, 0.1 to 3; if the arm stands under it, a test push
-    /// of 0.4 V more in each tick comes on top until the count moves
+    /// Largest voltage of the excitation itself, 0.1 to 3; if the arm does not move under it, a
+    /// test push of 0.4 V more in each tick comes on top until the count moves
     #[arg(long, value_name = "V", default_value_t = 1.5, value_parser = volts, requires = "excite",
           conflicts_with = "policy")]
     volts: f64,

@@ -409,8 +409,8 @@ impl Homing {
         }
         let cross_check = self.sensors.cross_check();
         let leads = cross_check.and_then(|own| own.pendulum_leads()) == Some(true);
-        // An operator who has accepted another distance of the stops may have accepted that of a
-        // wrong encoder.
+        // An operator who accepted another distance of the stops may have accepted one that a
+        // wrong encoder measured.
         let stops_show_it =
             self.settings.method == HomingMethod::Stops && self.settings.travel_rad.is_none();
         let wrong_scale = if stops_show_it { SURELY_WRONG_SCALE } else { WRONG_SCALE };

@@ -39,7 +39,7 @@ pub struct ControlThread {
 pub enum Scheduling {
     /// The thread asks for SCHED_FIFO and locked memory.
     RealTime,
-    /// As any thread; enough on a virtual clock.
+    /// The thread keeps the ordinary priority; enough on a virtual clock.
     Ordinary,
 }
 

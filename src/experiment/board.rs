@@ -123,7 +123,7 @@ mod tests {
         assert_eq!(bound(port(), Some("one")).unwrap(), (Some("one".into()), true));
         let told = bound(port(), Some("two")).unwrap_err().to_string();
         assert!(told.contains("board two is named in the place of board one"), "{told}");
-        // Who made a recording that cannot be read is not known, and no other board is driven.
+        // The board of an unreadable recording is unknown, so no other board is driven.
         {
             let begun = experiment(root.path(), port(), None);
             let folder = begun.folder().policies("nominal").rollouts(0, "device");

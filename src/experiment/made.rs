@@ -1,5 +1,5 @@
-/// The time at which a result was made. A result of several parts is as new as its newest part,
-/// which is the largest.
+/// Whether a result was made by this process. A result of several parts has the maximum of its
+/// parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Made {
     /// Before this process began: the result was on disk.

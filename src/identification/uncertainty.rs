@@ -61,7 +61,8 @@ pub(super) struct Uncertainty {
     pub inflation: f64,
 }
 
-/// What recordings say about the unknowns of a fit.
+/// The information of recordings about a fit's unknowns, from which their standard errors and
+/// correlations follow.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Evidence {
     /// Information matrix of the unknowns, in units of prior standard deviations; the prior's own,

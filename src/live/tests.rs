@@ -504,7 +504,7 @@ fn a_stop_gets_through_beside_all_viewers_that_are_served() {
     };
     let mut viewers: Vec<TcpStream> = (0..MAX_VIEWERS).map(|_| watch()).collect();
     viewers.iter_mut().for_each(|viewer| drop(until(viewer, "event: status")));
-    // Whoever comes later is closed without an answer, so that a browser tries again.
+    // Later connections are closed without an answer, so that a browser tries again.
     for mut late in (0..MAX_CONNECTIONS).map(|_| watch()) {
         assert!(matches!(late.read(&mut [0]), Ok(0) | Err(_)));
     }

@@ -138,7 +138,7 @@ fn times_of_a_virtual_clock_count_from_a_named_date() {
     assert_eq!(clock["epoch_unix_ns"], "1700000000000000000");
 }
 
-/// Checks a value against a schema that uses only what viewers understand: one plain type a field.
+/// Checks a value against a schema of the types that viewers support: one plain type a field.
 fn assert_fits(value: &serde_json::Value, schema: &serde_json::Value) {
     let kind = schema["type"].as_str().unwrap_or_else(|| panic!("no plain type in {schema}"));
     match kind {

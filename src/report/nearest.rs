@@ -67,7 +67,7 @@ pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
 /// The tick at which the guard was nearest to ending the policy, and its time from the policy's
 /// first tick, s. A replay of the recording finds it. `None` if the guard was not foresight, if the
 /// recorded policy cannot be read, or if the replay cannot repeat every decision of the recording,
-/// because then nobody knows what the guard predicted.
+/// because the guard's prediction then cannot be recomputed.
 #[must_use]
 pub fn guard_approach(recording: &Recording) -> Option<(GuardApproach, f64)> {
     if recording.header.settings.safety_box.guard.is_box() {

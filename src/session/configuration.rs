@@ -18,11 +18,11 @@ use crate::simulation::SensorModel;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 impl SessionSettings {
-    /// Reads a session's complete configuration to show it. Entries that later versions added may
-    /// be missing and have the values of before: a file without a guard selects the box alone, and
-    /// one without `verifies_incumbent` verifies only the recommendation. Other missing entries
-    /// have their defaults or, in a table that is always written whole, are errors. Entries that
-    /// this version does not have any more are ignored.
+    /// Reads a session's complete configuration to show it. Entries that a file of an earlier
+    /// version lacks get the values under which that version ran: a file without a guard selects
+    /// the box alone, and one without `verifies_incumbent` verifies only the recommendation. Other
+    /// missing entries have their defaults or, in a table that is always written whole, are errors.
+    /// Entries that this version does not have any more are ignored.
     ///
     /// # Errors
     /// The file cannot be read or is not a configuration, or a setting is unknown or out of its

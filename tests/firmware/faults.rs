@@ -56,7 +56,7 @@ fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
         assert!(commands.iter().filter(|it| it.deselected_us > off_us).all(Command::is_red));
 
         // The last act does not show on the SPI, which repeats the same word for long. So the
-        // silence is measured again from an arm, whose 0 V show.
+        // silence is measured again from an Arm command, whose 0 V appear on the SPI.
         host.link.hello().unwrap();
         let armed_us = host.board.time_us();
         host.link.arm().unwrap();
@@ -120,7 +120,7 @@ fn the_firmware_latches_a_stall_and_clears_it_when_it_is_armed_anew() {
         host.drive_until(|sample| !sample.status.armed)?;
         host.board.wait_us(300_000);
         let before = host.sample_in_time()?;
-        assert!(before.status.stall_error, "without an arm nothing clears it");
+        assert!(before.status.stall_error, "until the next Arm command the flag stays");
 
         let cleared_us = host.board.time_us();
         host.link.hello().unwrap();

@@ -68,7 +68,7 @@ impl Host {
         let mut last_act = Instant::now();
         for _ in 0..200 {
             let sample = self.sample_in_time()?;
-            // The device's watchdog may have brought about what the condition asks for.
+            // The device's watchdog may have made the condition true.
             if last_act.elapsed() > TOO_SLOW {
                 return Err(Disturbed);
             }

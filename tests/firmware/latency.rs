@@ -48,8 +48,8 @@ fn latency_on_the_firmware() {
     let mut host = Host::greet(board);
     let mut round_trips_us = Vec::new();
     let mut random = ChaCha8Rng::seed_from_u64(0);
-    // Last, because this thread keeps its priority. Without the right to real time the tail is
-    // longer.
+    // This is the last measurement, because the thread keeps its priority. Without real-time rights
+    // the tail is longer.
     let _ = enter_realtime();
     while round_trips_us.len() < SAMPLES {
         // At all phases of the device's sampling timer.

@@ -36,7 +36,7 @@ fn jobs(count: u64, updates: u32) -> Vec<TrainingJob> {
     (0..count).map(of_seed).collect()
 }
 
-/// The bytes of each job's result, by the job's index. The executor must tell each result once.
+/// The bytes of each job's result, by the job's index. The executor must report each result once.
 /// Jobs that nobody does are stopped after [`PATIENCE`].
 fn trained(
     executor: &dyn Executor,

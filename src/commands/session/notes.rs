@@ -1,4 +1,4 @@
-//! What a session tells its operator before anything moves.
+//! Notes for the operator, printed before anything moves.
 
 use super::{Arguments, SessionPreset};
 use crate::commands::chosen_device::ChosenDevice;

@@ -14,7 +14,7 @@ pub struct Holder {
     /// Process id.
     pub process: u32,
     /// Start of the process in clock ticks since boot, which distinguishes the process from a later
-    /// one with the same id; 0 if the operating system does not tell it.
+    /// one with the same id; 0 if the operating system does not report it.
     pub started: u64,
     /// Boot id of the computer and PID namespace of the process.
     pub boot: String,
