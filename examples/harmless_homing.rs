@@ -2,7 +2,7 @@
 //! `scripts/harmless-homing` runs 10^4 of them. Fails if a stop is touched faster than promised.
 //!
 //! `cargo run --release --example harmless_homing -- SEEDS [FIRST_SEED [list [CASES [far]]]]` runs
-//! each case with SEEDS seeds (10 unless named). `list` also prints each start whose fault was
+//! each case with SEEDS seeds (10 by default). `list` also prints each start whose fault was
 //! named wrongly or not at all, that hit a stop too fast, or that gave a false result. CASES holds
 //! the names of the only cases to run, with commas between them (`all` for all); `far` draws Qubes
 //! up to 20 % off nominal instead of those near `lab`.

@@ -73,8 +73,8 @@ pub enum Plant {
 }
 
 impl Plant {
-    /// A Qube at rest with the arm at the angle `theta`, rad. With an effect of another form it is
-    /// let go there 20 s before.
+    /// A Qube at rest with the arm at the angle `theta`, rad. An emulated Qube is released there
+    /// 20 s earlier, because its effects may move it.
     pub fn at_rest(model: &QubeModel, beyond: Beyond, theta: f64) -> Self {
         let Beyond::OtherForm(_, effects) = beyond else {
             return Self::Simulated(Box::new(SimulatedPlant::at_rest(model, beyond, theta)));

@@ -54,7 +54,7 @@ impl fmt::Display for ParseError {
                 write!(formatter, "no message has the type 0x{message_type:02x}")
             }
             Self::WrongLength(message_type) => {
-                write!(formatter, "a message of type 0x{message_type:02x} has another length")
+                write!(formatter, "a message of type 0x{message_type:02x} has the wrong length")
             }
             Self::BadField(message_type) => {
                 write!(formatter, "a message of type 0x{message_type:02x} has a meaningless field")

@@ -29,7 +29,7 @@ const SHORTEST_DEADLINE_US: f64 = 500.0;
 /// the motor, us.
 const RESERVED_US: f64 = 1500.0;
 
-/// The thread that owns the Qube, as Python's threads see it.
+/// The handle that Python's threads have of the thread that owns the Qube.
 pub struct DeviceThread {
     /// Episodes to run, one after the other.
     pub orders: Sender<Order>,

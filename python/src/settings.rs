@@ -1,5 +1,5 @@
-//! Settings of simulations as Python's arguments name them. An error names the entry and what it
-//! accepts.
+//! Settings of simulations as Python's arguments name them. An error names the entry and the values
+//! that it accepts.
 
 use pyo3::prelude::*;
 use qube_hil::estimation::{EstimatorSettings, ObserverSettings, SettingsError};
@@ -25,7 +25,7 @@ const WITHOUT_DEFAULTS: [&str; 8] = [
     "sensors.estimator.observer.model.parameters",
 ];
 
-/// Entries that may be left out by a null.
+/// Entries that accept null, which has the effect of leaving them out.
 const MAY_BE_NULL: [&str; 1] = ["sensors.estimator.observer"];
 
 /// Names that files of earlier versions have, by their table.
@@ -76,7 +76,7 @@ fn check_used(argument: &str, given: &Value) -> Result<(), String> {
         let remedy = if argument == "settings" {
             "leave it out, and give the environment guard=\"foresight\" for a simulated guard"
         } else {
-            "simulations of a training know no guard but the box, so leave it out"
+            "simulations of a training have no guard but the box, so leave it out"
         };
         return Err(format!("safety_box.guard = {guard}: {remedy}"));
     }
@@ -89,7 +89,7 @@ fn check_used(argument: &str, given: &Value) -> Result<(), String> {
     Ok(())
 }
 
-/// The refusal of a setting, with short numbers.
+/// The message of a refused setting, with its value in few digits.
 fn in_words(error: &SimulationSettingError) -> String {
     match error {
         SimulationSettingError::OutOfRange { name, value, bound } => {
@@ -131,7 +131,7 @@ fn every_entry() -> Map<String, Value> {
 
 /// Checks that each entry of a table is known and of the type that the entry of `all` has. `path`
 /// is the table's own name, empty for the settings themselves. The error names the first entry
-/// that is refused, and what it accepts.
+/// that is refused, and the values that it accepts.
 fn check_table(
     path: &str,
     table: &Map<String, Value>,

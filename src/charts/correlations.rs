@@ -11,9 +11,8 @@ const SQUARE: i32 = 46;
 /// Room for the names to the left of the squares and below them, pixels.
 const NAMES: i32 = 210;
 
-/// Draws the correlations of a fit's errors as SVG: a square for each pair of quantities, blue
-/// where both errors tend to one side, vermilion where they tend to opposite sides, deeper for a
-/// closer relation.
+/// Draws the correlations of a fit's errors as SVG: a square for each pair of quantities, blue for
+/// a positive correlation, vermilion for a negative one, and deeper the nearer it is to 1 or -1.
 ///
 /// # Errors
 /// The drawing library failed.

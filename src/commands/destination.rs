@@ -93,8 +93,8 @@ impl OutputFile {
     }
 }
 
-/// The folder that a command writes into during its work. Dropping it removes those of the folders
-/// that it has created which are still empty.
+/// The folder that a command writes into during its work. Its drop removes the folders that it has
+/// created, as far as they are still empty.
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
@@ -237,8 +237,8 @@ pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     written.map_err(|error| failures::not_written(folder, &error))
 }
 
-/// The warning that a trial file stays in a folder because of this error; `None` without such a
-/// file, which a read-only disk never had.
+/// The warning that a trial file stays in a folder because of this error; `None` if there is no
+/// such file, as on a read-only disk.
 fn trial_left(folder: &Path, trial: &Path, error: &io::Error) -> Option<String> {
     trial.symlink_metadata().is_ok().then(|| {
         let (folder, trial) = (folder.display(), trial.display());

@@ -25,8 +25,8 @@ const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
 /// that, after lost samples, already moves against its estimated velocity.
 const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
 
-/// Periods of braking within which a jump of the pendulum's count is taken for the reason of the
-/// brake. A jump is recognised one sample later than the guard acts on it.
+/// Periods of braking within which a jump of the pendulum's count counts as the reason for the
+/// braking. A jump is recognised one sample later than the guard acts on it.
 const JUMP_KNOWN_TICKS: u32 = 2;
 
 /// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it. The table
@@ -234,7 +234,8 @@ impl<C: Controller> Tick<C> {
         most_urgent([link, voltage, sensors, unanswered], self.settings.rules)
     }
 
-    /// Applies the event that an alarm is in this phase. Returns whether the amplifier goes off.
+    /// Applies the event that an alarm causes in this phase. Returns whether the amplifier goes
+    /// off.
     fn react(&mut self, alarm: Alarm) -> bool {
         match alarm {
             Alarm::SwitchOff(fault) if fault.doubts_count() && self.may_damp() => {
@@ -251,7 +252,7 @@ impl<C: Controller> Tick<C> {
             Alarm::SwitchOff(fault) => {
                 self.take(ControlEvent::SwitchOffFault, Ending::Fault(fault))
             }
-            // A policy that burns current has left a limit, and is a bad policy of a sound Qube.
+            // The policy overheats a sound motor, which is a limit that it leaves and no fault.
             Alarm::Brake(Fault::MotorOverheated) if self.is_limited_by_motor() => {
                 let of_motor = Ending::LeftBox(Limit::MotorLoad);
                 self.phase == Phase::Running && self.take(ControlEvent::LimitLeft, of_motor)

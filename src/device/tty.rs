@@ -21,7 +21,7 @@ const BOOT_TIME_NS: Nanoseconds = 3_000_000_000;
 /// time.
 const PTY_BOOT_TIME_NS: Nanoseconds = 2_500_000_000;
 
-/// States of a port that is gone, if it gives no bytes either.
+/// Poll events after which a port that gives no bytes is gone.
 const GONE: PollFlags = PollFlags::HUP.union(PollFlags::ERR).union(PollFlags::NVAL);
 
 /// A serial port of the operating system, opened exclusively.

@@ -3,7 +3,7 @@
 //! [`identify()`] estimates parameters and nonidealities by maximum likelihood over windows, each
 //! with its own start state (multiple shooting). It gives standard errors and the combinations that
 //! the recordings do not determine, and tests whether the model describes the Qube.
-//! [`next_excitations`] says which excitation would tell most about it. [`Drift`] compares the
+//! [`next_excitations`] ranks excitations by their expected information. [`Drift`] compares the
 //! quantities that change from day to day with a profile. Only [`read_recordings`],
 //! [`read_fittable`] and [`duplicate`] look at files; the rest of the room is pure computation. It
 //! may import `policy` (the excitations), `recording`, `telemetry`, `qube`, `replay` and

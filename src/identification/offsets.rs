@@ -13,7 +13,7 @@ pub(super) enum HomingOffset {
 }
 
 impl HomingOffset {
-    /// Both, in order.
+    /// Both offsets, in order.
     pub const ALL: [Self; 2] = [Self::CableRest, Self::AlphaZero];
 }
 

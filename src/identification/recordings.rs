@@ -16,7 +16,7 @@ pub struct Recordings<const N: usize> {
     pub groups: [Vec<MotionLog>; N],
     /// Paths of the recordings of each group, in the same order.
     pub files: [Vec<PathBuf>; N],
-    /// Recordings that say too little and are not used, because others of their group are.
+    /// Recordings that say too little; they are left out, because others of their group are used.
     pub left_out: Vec<LeftOut>,
     /// Plant of all recordings; the built-in Qube if there is no recording.
     pub plant: PlantModel,
@@ -33,7 +33,7 @@ pub struct FittableRecordings {
     pub logs: Vec<MotionLog>,
     /// Paths of the recordings that are used, in the same order.
     pub files: Vec<PathBuf>,
-    /// Recordings that say too little and are not used, because others are.
+    /// Recordings that say too little; they are left out, because others are used.
     pub left_out: Vec<LeftOut>,
     /// Serial numbers of the boards that made the recordings that are used.
     pub boards: BTreeSet<String>,
@@ -52,8 +52,8 @@ pub struct IncompleteRecording {
     pub used_s: f64,
 }
 
-/// A recording that says too little: the policy had the motor never or for a short time, the
-/// voltage was never large, or hardly anything moves.
+/// A recording that says too little for a fit: the policy never drove the motor or only briefly,
+/// the voltage was never large, or hardly anything moves.
 #[derive(Debug)]
 pub struct LeftOut {
     /// Path of the file.
@@ -68,7 +68,7 @@ pub enum RecordingsError {
     /// A file gives no motion.
     #[error(transparent)]
     Motion(#[from] MotionLogError),
-    /// A recording names the same plant as the others, but describes it otherwise.
+    /// A recording names the same plant as the others, but describes it differently.
     #[error(
         "{path}: it was recorded with another description of the plant {plant}: identify one plant at a time"
     )]

@@ -90,7 +90,7 @@ pub enum SettingError {
     OldGuard(#[source] HardwareRefusal),
     /// Simulations have a guard.
     #[error(
-        "training.simulation.safety_box.guard: simulations know no guard but the box: leave it out"
+        "training.simulation.safety_box.guard: simulations have no guard but the box: leave it out"
     )]
     GuardOfSimulations,
     /// A file for a new session names its rigs.

@@ -476,7 +476,7 @@ fn bytes_of_a_failed_sync_stay_lost() {
     let after = disk.restarted(Stopped::PowerLost(0)).bytes(path).unwrap();
     assert_eq!(after, b"kept\0\0\0\0\0 new");
 
-    // What is cut off and written again is written.
+    // Lost bytes that are cut off and written again reach the disk.
     file.cut_to(4).unwrap();
     file.write_all(b" again").unwrap();
     file.sync().unwrap();

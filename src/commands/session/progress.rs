@@ -225,7 +225,7 @@ impl SessionProgress {
         self.progress.update(|state| state.phase = ROLLOUTS.into());
     }
 
-    /// Shows what a rollout came to.
+    /// Shows the outcome of a rollout.
     fn rollout(&mut self, candidate: u32, purpose: Purpose, name: &str, verdict: &Verdict) {
         // The rollouts of an excitation are recordings and no attempts to balance.
         let is_excitation = purpose == Purpose::Excitation;

@@ -145,7 +145,7 @@ impl FaultProgress {
         seen
     }
 
-    /// The voltage that drives the motor, V, when the amplifier is told `voltage_v`.
+    /// The voltage that drives the motor, V, when `voltage_v` is commanded.
     pub fn driven_v(&self, voltage_v: f64) -> f64 {
         match self.fault {
             Some(EmulatorFault::OneSidedMotor { positive, .. }) if self.stage == Stage::During => {

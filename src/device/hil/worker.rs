@@ -62,9 +62,9 @@ pub(super) enum Job {
 /// The reason why a job has no result.
 #[derive(Debug)]
 pub(super) enum Unperformed {
-    /// It took too long, or the thread has ended.
+    /// The job took too long, or the thread has ended.
     NoResult,
-    /// It failed.
+    /// The job failed.
     Failed(HilError),
 }
 
@@ -104,8 +104,8 @@ impl Worker {
         let (jobs, to_do) = crossbeam_channel::unbounded();
         let calling = Arc::new(Calling::default());
         let shared = Arc::new(Shared { jobs, asked, answered, calling });
-        // A channel without a buffer: `send` fails if `start` has given up waiting, so that the
-        // thread does not serve a worker that nobody has.
+        // A channel without a buffer: `send` fails if `start` has given up waiting and has returned
+        // no worker, so that the thread serves none.
         let (loaded, is_loaded) = crossbeam_channel::bounded(0);
         let (serving, its_clock) = (Arc::clone(&shared), Arc::clone(&clock));
         let work = move || {

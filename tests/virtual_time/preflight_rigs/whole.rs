@@ -96,7 +96,7 @@ fn names(told: &[(String, String)], of_the_examination: &str, of_homing: &[Fault
 struct Verdicts {
     /// The checks that do not name the defect from the start, in words.
     from_the_start: Vec<String>,
-    /// The checks that name something else than the later defect, in words.
+    /// The checks that name another defect than the later one, in words.
     later: Vec<String>,
     /// Number of checks that name the later defect.
     later_named: usize,
