@@ -45,7 +45,8 @@ fn excitations_of_the_emulated_lab_give_its_profile_back() {
     let two = |one: String, other: String| {
         // Excitations can be replayed like policies.
         qube_hil(directory.path(), &["replay", &one, &other]);
-        assert_lab(&json(&qube_hil(directory.path(), &["identify", &one, &other, "--json"])));
+        let identify = ["identify", &one, &other, "--json", "--force"];
+        assert_lab(&json(&qube_hil(directory.path(), &identify)));
     };
     two(excite("chirp", "1.5"), excite("steps", "1.5"));
     two(excite("slow-chirp", "0.75"), excite("pushes", "1.5"));
