@@ -5,12 +5,13 @@
 //! library. The room may import `qube`, `simulation`, `replay`, `search` and `surrogate`.
 
 mod animation;
-mod budgets;
+mod at_budget;
 mod correlations;
 mod densities;
 mod methods;
 mod motion;
 mod noise;
+mod over_rollouts;
 mod regret;
 mod searches;
 mod style;
@@ -18,12 +19,13 @@ pub mod toy;
 mod training_progress;
 
 pub use animation::animation_svg;
-pub use budgets::{ShareOfPlant, budgets_svg};
+pub use at_budget::{ShareOfPlant, at_budget_svg};
 pub use correlations::correlations_svg;
 pub use densities::densities_svg;
 pub use methods::{StepLine, methods_svg};
 pub use motion::motion_svg;
 pub use noise::noise_svg;
+pub use over_rollouts::over_rollouts_svg;
 pub use regret::regret_svg;
 pub use searches::searches_svg;
 pub use training_progress::training_progress_svg;

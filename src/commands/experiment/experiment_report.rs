@@ -4,8 +4,8 @@ use serde_json::Value;
 
 use super::{method_table, recipe_table};
 use crate::charts::{
-    DrawingError, ShareOfPlant, StepLine, budgets_svg, densities_svg, methods_svg, searches_svg,
-    training_progress_svg,
+    DrawingError, ShareOfPlant, StepLine, at_budget_svg, densities_svg, methods_svg,
+    over_rollouts_svg, searches_svg, training_progress_svg,
 };
 use crate::commands::exit::Failure;
 use crate::commands::failures;
@@ -200,8 +200,11 @@ impl Figures<'_> {
                 drawn.push(("strategies.svg", methods_svg(&title, &lines, last)?));
             }
             Self::Budgets(shares) => {
-                drawn
-                    .push(("budgets.svg", budgets_svg("policies that succeed, by plant", shares)?));
+                let title = "policies that succeed, by plant";
+                let first = shares.first().map(|it| it.budget);
+                let is_one = shares.iter().all(|it| Some(it.budget) == first);
+                let draw = if is_one { at_budget_svg } else { over_rollouts_svg };
+                drawn.push(("budgets.svg", draw(title, shares)?));
             }
             Self::Recipes { plant, distributions, searches, progress } => {
                 drawn.push(("figure-5.2.svg", densities_svg(distributions, plant)?));

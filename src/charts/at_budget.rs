@@ -23,23 +23,23 @@ pub struct ShareOfPlant {
 const NAMES: u32 = 120;
 /// Place of a name in its column, pixels from the left.
 const NAME_X: i32 = 14;
-/// Width of all panels together, pixels.
-const PANELS: u32 = 880;
+/// Width of the panel, pixels.
+const PANEL: u32 = 880;
 
 /// Draws the share of repetitions that succeed, with its interval, for each method on each plant,
-/// in a panel for each budget of real rollouts. Rows are the plants and colours the methods; with
-/// more methods than plants, rows are the methods and colours the plants.
+/// after the only budget of real rollouts. Rows are the plants and colours the methods; with more
+/// methods than plants, rows are the methods and colours the plants.
 ///
 /// # Errors
 /// The drawing library failed.
-pub fn budgets_svg(title: &str, shares: &[ShareOfPlant]) -> Result<String, DrawingError> {
+pub fn at_budget_svg(title: &str, shares: &[ShareOfPlant]) -> Result<String, DrawingError> {
     let mut svg = String::new();
     draw(&mut svg, title, shares)?;
     Ok(svg)
 }
 
 /// The distinct values, in the order of their first appearance.
-fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
+pub(super) fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
     let mut distinct = Vec::new();
     for value in values {
         if !distinct.contains(&value) {
@@ -52,8 +52,6 @@ fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
 fn draw(svg: &mut String, title: &str, shares: &[ShareOfPlant]) -> Result<(), PlotError> {
     let plants = distinct(shares.iter().map(|it| it.plant.as_str()));
     let methods = distinct(shares.iter().map(|it| it.method.as_str()));
-    let mut budgets = distinct(shares.iter().map(|it| it.budget));
-    budgets.sort_unstable();
     let rows_are_methods = methods.len() > plants.len();
     let (rows, colours) = if rows_are_methods { (methods, plants) } else { (plants, methods) };
     let row_of = |it: &ShareOfPlant| {
@@ -67,7 +65,7 @@ fn draw(svg: &mut String, title: &str, shares: &[ShareOfPlant]) -> Result<(), Pl
     let row_height = 14 + 9 * colours.len() as u32;
     let height = 160 + row_height * rows.len() as u32;
     let names_width = (NAME_X as u32 + widest(rows.iter().copied()) + 10).max(NAMES);
-    let root = SVGBackend::with_string(svg, (names_width + PANELS, height)).into_drawing_area();
+    let root = SVGBackend::with_string(svg, (names_width + PANEL, height)).into_drawing_area();
     root.fill(&WHITE)?;
     let root = root.titled(title, (FONT, TITLE))?;
     let key: Vec<(String, Key)> = colours
@@ -81,43 +79,39 @@ fn draw(svg: &mut String, title: &str, shares: &[ShareOfPlant]) -> Result<(), Pl
     let words = "share of repetitions that succeed, with its 95 % interval";
     let centre = (names_width as i32 + foot.dim_in_pixel().0 as i32) / 2;
     foot.draw(&Text::new(words, (centre, 2), centred))?;
-    let (names, panels) = below.split_horizontally(names_width);
-    let columns = panels.split_evenly((1, budgets.len().max(1)));
-    for (column, (panel, budget)) in columns.iter().zip(&budgets).enumerate() {
-        let mut chart = ChartBuilder::on(panel)
-            .margin(10)
-            .caption(format!("after {budget} real rollouts"), (FONT, TEXT))
-            .x_label_area_size(22)
-            .y_label_area_size(2)
-            .build_cartesian_2d(0.0..1.0, 0.0..rows.len() as f64)?;
-        chart
-            .configure_mesh()
-            .disable_y_mesh()
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(FAINT)
-            .x_labels(6)
-            .y_labels(0)
-            .label_style((FONT, TEXT - 2))
-            .draw()?;
-        for (row, name) in rows.iter().enumerate() {
-            let top = (rows.len() - row) as f64;
-            chart.draw_series(LineSeries::new([(0.0, top), (1.0, top)], FAINT))?;
-            if column == 0 {
-                let (_, y) = chart.backend_coord(&(0.0, top - 0.5));
-                let y = y - names.get_pixel_range().1.start;
-                let style = (FONT, TEXT).into_font().color(&INK);
-                names.draw(&Text::new((*name).to_owned(), (NAME_X, y - 8), style))?;
-            }
-        }
-        for it in shares.iter().filter(|it| it.budget == *budget) {
-            let (top, index) = ((rows.len() - row_of(it)) as f64, colour_of(it));
-            let step = 0.8 / colours.len() as f64;
-            let y = top - 0.1 - step * (index as f64 + 0.5);
-            let [lower, upper] = it.interval;
-            let line = [(lower, y), (upper, y)];
-            chart.draw_series(LineSeries::new(line, colour(index).stroke_width(2)))?;
-            chart.draw_series([Circle::new((it.share, y), 4, colour(index).filled())])?;
-        }
+    let (names, panel) = below.split_horizontally(names_width);
+    let budget = shares.first().map_or(0, |it| it.budget);
+    let mut chart = ChartBuilder::on(&panel)
+        .margin(10)
+        .caption(format!("after {budget} real rollouts"), (FONT, TEXT))
+        .x_label_area_size(22)
+        .y_label_area_size(2)
+        .build_cartesian_2d(0.0..1.0, 0.0..rows.len() as f64)?;
+    chart
+        .configure_mesh()
+        .disable_y_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(FAINT)
+        .x_labels(6)
+        .y_labels(0)
+        .label_style((FONT, TEXT - 2))
+        .draw()?;
+    for (row, name) in rows.iter().enumerate() {
+        let top = (rows.len() - row) as f64;
+        chart.draw_series(LineSeries::new([(0.0, top), (1.0, top)], FAINT))?;
+        let (_, y) = chart.backend_coord(&(0.0, top - 0.5));
+        let y = y - names.get_pixel_range().1.start;
+        let style = (FONT, TEXT).into_font().color(&INK);
+        names.draw(&Text::new((*name).to_owned(), (NAME_X, y - 8), style))?;
+    }
+    for it in shares {
+        let (top, index) = ((rows.len() - row_of(it)) as f64, colour_of(it));
+        let step = 0.8 / colours.len() as f64;
+        let y = top - 0.1 - step * (index as f64 + 0.5);
+        let [lower, upper] = it.interval;
+        let line = [(lower, y), (upper, y)];
+        chart.draw_series(LineSeries::new(line, colour(index).stroke_width(2)))?;
+        chart.draw_series([Circle::new((it.share, y), 4, colour(index).filled())])?;
     }
     root.present()
 }
@@ -127,32 +121,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_figure_has_a_panel_for_each_budget_and_a_dot_for_each_share() {
-        let share = |plant: &str, method: &str, budget| ShareOfPlant {
+    fn the_figure_has_a_row_for_each_plant_and_a_dot_for_each_share() {
+        let share = |plant: &str, method: &str| ShareOfPlant {
             plant: plant.into(),
             method: method.into(),
-            budget,
+            budget: 2,
             share: 0.9,
             interval: [0.6, 0.98],
         };
-        let shares = [
-            share("lab", "robust", 0),
-            share("lab", "posterior", 2),
-            share("play", "posterior", 2),
-        ];
-        let svg = budgets_svg("success by plant", &shares).unwrap();
-        for words in ["after 0 real", "after 2 real", "lab", "play", "robust", "posterior"] {
+        let shares =
+            [share("lab", "robust"), share("lab", "posterior"), share("play", "posterior")];
+        let svg = at_budget_svg("success by plant", &shares).unwrap();
+        for words in ["after 2 real", "lab", "play", "robust", "posterior"] {
             assert!(svg.contains(words), "{words}: {svg}");
         }
         // Three shares, and two methods in the key.
         assert_eq!(svg.matches("<circle").count(), 5);
         // With more methods than plants the key has the plants.
-        let methods = ["robust", "posterior", "simopt"].map(|method| share("lab", method, 0));
-        let svg = budgets_svg("success by plant", &methods).unwrap();
+        let methods = ["robust", "posterior", "simopt"].map(|method| share("lab", method));
+        let svg = at_budget_svg("success by plant", &methods).unwrap();
         assert_eq!(svg.matches("<circle").count(), 4);
         assert!(svg.contains("viewBox=\"0 0 1000 "), "{svg}");
         // A long name has a wider column, so that it is not drawn across the first panel.
-        let svg = budgets_svg("long", &[share("mine-2026+gap1.5+vary5%", "robust", 0)]).unwrap();
+        let svg = at_budget_svg("long", &[share("mine-2026+gap1.5+vary5%", "robust")]).unwrap();
         assert!(svg.contains("viewBox=\"0 0 1111 "), "{svg}");
     }
 }
