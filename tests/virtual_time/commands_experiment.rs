@@ -428,7 +428,7 @@ fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
     let drawn = experiment(whole.path(), &["--resume", "one", "--table", "--figures", "figures"]);
     succeeded(&{ drawn }.output().unwrap());
     let svg = std::fs::read_to_string(whole.path().join("figures/budgets.svg")).unwrap();
-    for words in ["after 0 real", "after 2 real", "all plants", "posterior", "cable"] {
+    for words in ["over real rollouts", "all plants", "posterior", "cable"] {
         assert!(svg.contains(words), "{words}");
     }
 
