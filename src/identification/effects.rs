@@ -91,9 +91,8 @@ fn before_arrival(samples: &[MotionSample], values: &[f64], delay_s: f64) -> Vec
     samples.iter().map(at).collect()
 }
 
-/// The torque that the motor passes on to the arm at each sample, by the voltage that would hold it
-/// at rest, V: the command that acts, less dead zones, friction and the voltage that the arm's speed
-/// induces.
+/// The torque that the motor passes on to the arm at each sample, as a voltage, V: the command that
+/// acts, less dead zones, friction and the voltage that the arm's speed induces.
 fn pushes_v(samples: &[MotionSample], model: &QubeModel) -> Vec<f64> {
     let (parameters, gap) = (&model.parameters, &model.nonidealities);
     let friction_v =

@@ -229,8 +229,8 @@ impl Identified {
     /// Compares the model with recordings of the same plant to which it was not fitted. Doubts it
     /// if it explains them much worse or if they contradict its estimates
     /// ([`MissingEffect`](super::MissingEffect)), and widens the standard errors by the factor by
-    /// which they contradict the fit more than noise and standard errors predict. Returns their [`Assessment::noise_ratio`]; `None` without such
-    /// recordings.
+    /// which they contradict the fit more than noise and standard errors predict. Returns their
+    /// [`Assessment::noise_ratio`]; `None` without such recordings.
     pub fn hold_out(&mut self, logs: &[MotionLog]) -> Option<f64> {
         let plant = &logs.first()?.plant;
         let unknowns: Vec<Unknown> = self.estimates.iter().map(|it| it.unknown).collect();

@@ -22,7 +22,7 @@ const WAY_OUT_RAD: f64 = 0.6;
 /// Angle from hanging at which pushes stop raising the pendulum and begin to calm it, rad.
 const RAISED_RAD: f64 = 1.3;
 
-/// Largest angle from hanging, rad, within a half swing after which pushes raise the pendulum again.
+/// Largest angle from hanging, rad, of a half swing after which pushes raise the pendulum again.
 const CALMED_RAD: f64 = 0.3;
 
 /// The form of a voltage that excites a Qube for identification.
@@ -113,8 +113,8 @@ impl Excitation {
                 let ahead_rad = state.theta + LOOK_AHEAD_S * state.theta_dot;
                 self.step.next(self.outward(ahead_rad))
             }
-            // An arm that is far out is driven back, whatever the pendulum does. The pendulum at rest
-            // is pushed in the direction in which the excitation starts.
+            // An arm that is far out is driven back, whatever the pendulum does. The pendulum at
+            // rest is pushed in the direction in which the excitation starts.
             ExcitationShape::Pushes => match (self.outward(state.theta), self.push.next(state)) {
                 (0.0, 0.0) => 1.0,
                 (0.0, direction) => direction * self.voltage_v.signum(),
@@ -267,7 +267,7 @@ mod tests {
         }
     }
 
-    /// A pendulum whose swings grow or shrink with time is given, whatever the pushes are.
+    /// The test sets the pendulum's motion, which does not follow from the pushes.
     #[test]
     fn pushes_raise_the_pendulum_up_to_a_height_and_then_calm_it() {
         let mut excitation = Excitation::new(ExcitationShape::Pushes, 1.0);
