@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use rustix::event::{EventfdFlags, eventfd};
+use rustix::io::Errno;
 use rustix::stdio::stdin;
 use rustix::termios::isatty;
 use signal_hook::consts::SIGTSTP;
@@ -167,8 +168,12 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
             continue;
         }
         let mut buffer = [0; 16];
-        // A closed terminal ends this thread; SIGHUP then stops the program.
-        let Ok(length @ 1..) = rustix::io::read(stdin(), &mut buffer) else { return };
+        let length = match terminal::read_input(&mut buffer) {
+            Ok(length @ 1..) => length,
+            Err(Errno::AGAIN | Errno::INTR) => continue,
+            // A closed terminal ends this thread; SIGHUP then stops the program.
+            Ok(0) | Err(_) => return,
+        };
         for &key in &buffer[..length] {
             if shared.asking.load(Ordering::Relaxed) {
                 let _ = keys.try_send(key);

@@ -1,7 +1,6 @@
 //! Questions to the operator, each answered by a whole line.
 
 use rustix::io::Errno;
-use rustix::stdio::stdin;
 
 use super::printable::print_message;
 use super::stop::Stop;
@@ -19,7 +18,7 @@ pub fn ask(question: &str, stop: &Stop) -> Option<String> {
         }
         // The bytes are read one by one, so that the rest of a pipe is left for the next question.
         let mut byte = [0];
-        match rustix::io::read(stdin(), &mut byte) {
+        match terminal::read_input(&mut byte) {
             Ok(0) if line.is_empty() => return None,
             Ok(1) if byte[0] != b'\n' => line.push(byte[0]),
             Ok(_) => return Some(String::from_utf8_lossy(&line).into_owned()),

@@ -3,12 +3,13 @@
 
 use std::fs::File;
 use std::io::{self, Write};
-use std::os::fd::BorrowedFd;
+use std::os::fd::{BorrowedFd, OwnedFd};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError, TryLockError};
+use std::sync::{Mutex, OnceLock, PoisonError, TryLockError};
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Mode, OFlags, open};
 use rustix::io::fcntl_dupfd_cloexec;
 use rustix::stdio::{stderr, stdin};
 use rustix::termios::{
@@ -31,6 +32,9 @@ const ENTER: &[u8] = b"\x1b[?1049h\x1b[?25l\x1b[2J";
 /// Resets the style, shows the cursor and leaves the alternate screen, so that the terminal's
 /// earlier contents are shown again.
 const LEAVE: &[u8] = b"\x1b[0m\x1b[?25h\x1b[?1049l";
+
+/// The controlling terminal, opened once more so that reading it never waits; `None` without one.
+static TYPED: OnceLock<Option<OwnedFd>> = OnceLock::new();
 
 /// Longest wait for input, after which the caller looks at its other reasons to go on.
 const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
@@ -157,6 +161,24 @@ pub fn wait_for_input(wake: Option<BorrowedFd<'_>>) -> bool {
     let mut ready =
         [PollFd::new(&input, PollFlags::IN), PollFd::from_borrowed_fd(wake, PollFlags::IN)];
     poll(&mut ready, Some(&POLL_INTERVAL)).is_ok() && !ready[0].revents().is_empty()
+}
+
+/// Reads what [`wait_for_input`] has found.
+///
+/// Ctrl-C discards the keys that were typed before it, so that a key may be gone by the time it is
+/// read. A read of stdin would then wait for the next one, and the program could not end.
+///
+/// # Errors
+/// `AGAIN`: the keys are gone. Any other: the input has failed.
+pub fn read_input(buffer: &mut [u8]) -> rustix::io::Result<usize> {
+    let open_again = || {
+        let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
+        open("/dev/tty", flags, Mode::empty()).ok()
+    };
+    match is_foreground().then(|| TYPED.get_or_init(open_again).as_ref()).flatten() {
+        Some(typed) => rustix::io::read(typed, buffer),
+        None => rustix::io::read(stdin(), buffer),
+    }
 }
 
 /// Discards the keys that were typed and not read. Input from elsewhere than a terminal stays, and
