@@ -52,11 +52,14 @@ pub struct RestingCounts {
 pub enum Moved {
     /// The arm's count has changed since the last motion, by this angle, rad.
     #[error(
-        "the arm's count moved by {0:.2} rad while the motor was off (a hand, or its encoder's cable)"
+        "the arm's count moved by {0:.2} rad while the motor was off (the pull of the pendulum's \
+         cable, a hand, or a loose plug of the arm's encoder)"
     )]
     Arm(f64),
     /// The pendulum rests at a count at which it did not hang before, off by this angle, rad.
-    #[error("the pendulum rests {0:.2} rad from where it hung (a hand, or its encoder's cable)")]
+    #[error(
+        "the pendulum rests {0:.2} rad from where it hung (a hand, or a loose plug of its encoder)"
+    )]
     Pendulum(f64),
     /// The arm's count jumped as the arm came to rest after the last motion.
     #[error("the arm's count jumped as the arm came to rest (its encoder's cable?)")]
