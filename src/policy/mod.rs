@@ -59,6 +59,8 @@ mod classical;
 mod excitation;
 mod external;
 mod file;
+mod file_error;
+mod file_format;
 #[cfg(test)]
 mod file_tests;
 mod layer;
@@ -75,7 +77,8 @@ pub use activation::{Activation, OutputKind};
 pub use classical::{ClassicalController, ClassicalGains};
 pub use excitation::{EXCITATION_STEPS, Excitation, ExcitationShape};
 pub use external::External;
-pub use file::{FORMAT_VERSION, MAX_FILE_BYTES, PolicyError, PolicyFault};
+pub use file_error::{PolicyError, PolicyFault};
+pub use file_format::{FORMAT_VERSION, MAX_FILE_BYTES};
 pub use layer::LayerWeights;
 pub use network::{MAX_HIDDEN_LAYERS, MAX_WIDTH, Network, NetworkError};
 pub use randomisation::Randomisation;

@@ -2,27 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::file::PolicyFault;
+use super::file_error::PolicyFault;
+use super::file_format::OBSERVATION_LAYOUT;
 use super::layer::LayerWeights;
 use super::network::check_sizes;
 use super::{Activation, Network, NetworkPolicy, OutputKind, TrainingRecord};
-use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE};
-
-/// Names of the entries that an observation may have, in order: the state (see
-/// [`crate::qube::observation`]), then as many of the last commands, as fractions of 5 V, as the
-/// network was trained with.
-pub(super) const OBSERVATION_LAYOUT: [&str; OBSERVATION_SIZE + MAX_HISTORY] = [
-    "sin(theta)",
-    "cos(theta)",
-    "sin(alpha)",
-    "cos(alpha)",
-    "0.1 theta_dot",
-    "0.05 alpha_dot",
-    "last command / 5 V",
-    "last command but one / 5 V",
-    "last command but two / 5 V",
-    "last command but three / 5 V",
-];
+use crate::qube::{CONTROL_PERIOD_S, MAX_VOLTAGE_V, OBSERVATION_SIZE};
 
 /// The description of a network in a policy file: everything but its weights.
 #[derive(Serialize, Deserialize)]

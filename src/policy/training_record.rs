@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::Randomisation;
-use super::file::PolicyFault;
+use super::file_error::PolicyFault;
 use super::randomisation::Check;
 use crate::qube::{PlantModel, QubeModel};
 
